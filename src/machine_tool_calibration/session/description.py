@@ -1,0 +1,215 @@
+"""What `session.yaml` says: the machine, the instrument's setups and the declared uncertainty.
+
+One frozen record per measuring method; an unknown key is an error. SI units, angles in radians.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, Union
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+
+from machine_tool_calibration.machine.chain import Chain
+
+__all__ = [
+    "Description",
+    "DiagonalSetup",
+    "Direct",
+    "DirectSetup",
+    "IndexSetup",
+    "KnownLength",
+    "Machine",
+    "Probing",
+    "RotaryAxis",
+    "StationSetup",
+    "StepDiagonal",
+    "Target",
+    "TrackingInterferometer",
+    "WorkpiecePoint",
+]
+
+Identifier = Annotated[str, BeforeValidator(lambda v: str(v) if isinstance(v, int) and not isinstance(v, bool) else v)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Vector3 = tuple[Finite, Finite, Finite]
+Vector2 = tuple[Finite, Finite]
+
+
+class Record(BaseModel):
+    """A frozen record that accepts no unknown key."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Machine(Record):
+    """The machine tool's chain and travel.
+
+    Attributes:
+        chain: axes from workpiece to tool in the order of ISO 10791, such as `w-C-b-Y-X-Z-t`.
+        travel: lower and upper end of each axis, m or rad.
+        table_grid: nodes of the error tables of each axis, m (probing).
+        rotation_sign: sense in which the workpiece turns, seen from +Z, when C is commanded
+            positive: -1 clockwise (probing), +1 counter-clockwise.
+        axis: the rotary axis under test (rotary_axis).
+    """
+
+    chain: str
+    travel: dict[str, Vector2] = {}
+    table_grid: dict[str, Annotated[tuple[Finite, ...], Field(min_length=2)]] | None = None
+    rotation_sign: Literal[-1, 1] | None = None
+    axis: str | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> Machine:
+        chain = Chain.parse(self.chain)
+        for name, (low, high) in self.travel.items():
+            if name.upper() not in chain.axes:
+                raise ValueError(f"travel names axis {name!r}, which the chain {self.chain} does not have")
+            if not low < high:
+                raise ValueError(f"travel of {name} must run from low to high, not {low} to {high}")
+        for name, nodes in (self.table_grid or {}).items():
+            if any(b <= a for a, b in zip(nodes, nodes[1:], strict=False)):
+                raise ValueError(f"table_grid of {name} must increase")
+        return self
+
+
+class StandardUncertainty(Record):
+    """Declared standard uncertainty (k = 1) of one reading, m."""
+
+    displacement: Positive
+
+
+class KnownLength(Record):
+    """One measured positioning error that fixes the absolute length: value at a position of an axis."""
+
+    position: Finite
+    value: Finite
+    standard_uncertainty: Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+class Target(Record):
+    """A retroreflector on the rotary table: its position in the table frame at c = 0, m."""
+
+    id: Identifier
+    position: Vector3
+    position_uncertainty: Positive | None = None
+
+
+class WorkpiecePoint(Record):
+    """A probed point: nominal position and outward normal in the workpiece frame at c = 0."""
+
+    id: Identifier
+    feature: str = "work"
+    position: Vector2
+    normal: Vector2
+
+
+class Probe(Record):
+    """The touch-trigger probe: stylus sphere's diameter, m."""
+
+    stylus_diameter: Positive
+
+
+class DiagonalSetup(Record):
+    """A step diagonal or a linear run with a flat mirror.
+
+    Attributes:
+        id: may carry the order of the single-axis moves, as in `ppp_yzx`; without one it is xyz.
+        direction: signs of the motion along x, y, z.
+        start: where the run begins, m.
+    """
+
+    id: Identifier
+    kind: Literal["diagonal", "linear"]
+    direction: Vector3
+    start: Vector3
+    mirror: Literal["flat"] = "flat"
+
+
+class StationSetup(Record):
+    """A station of a tracking interferometer: estimate of its rotation centre, machine frame, m."""
+
+    id: Identifier
+    position: Vector3
+    position_uncertainty: Positive | None = None
+
+
+class IndexSetup(Record):
+    """One angular position of C at which the workpiece is probed, rad."""
+
+    id: Identifier
+    c: Finite
+
+
+class DirectSetup(Record):
+    """A setup of an instrument that reads deviations directly."""
+
+    id: Identifier
+
+
+class _Base(Record):
+    format: Literal["mtcal-session/1"]
+    machine: Machine
+    repeats: Annotated[int, Field(ge=1)] = 1
+    standard_uncertainty: StandardUncertainty
+
+    @model_validator(mode="after")
+    def _check_ids(self) -> Any:
+        for key in ("setups", "targets", "workpiece"):
+            ids = [entry.id for entry in getattr(self, key, ())]
+            twice = sorted({i for i in ids if ids.count(i) > 1}) if len(set(ids)) < len(ids) else []
+            if twice:
+                raise ValueError(f"{key} has the id {twice[0]!r} twice")
+        return self
+
+
+class StepDiagonal(_Base):
+    """Laser step diagonal measurement, Ibaraki and Hata 2010."""
+
+    method: Literal["step_diagonal"]
+    step: tuple[Positive, Positive, Positive]
+    blocks: Annotated[int, Field(ge=1)]
+    setups: Annotated[tuple[DiagonalSetup, ...], Field(min_length=1)]
+
+
+class TrackingInterferometer(_Base):
+    """Tracking interferometer, open-loop or with a beam that follows the target, Ibaraki et al. 2014."""
+
+    method: Literal["tracking_interferometer"]
+    dimension: Literal[2, 3]
+    pointing: Literal["open_loop", "tracking"]
+    setups: Annotated[tuple[StationSetup, ...], Field(min_length=1)]
+
+
+class RotaryAxis(_Base):
+    """Rotary axis by sequential multilateration, Zhang et al. 2015."""
+
+    method: Literal["rotary_axis"]
+    targets: Annotated[tuple[Target, ...], Field(min_length=1)]
+    setups: Annotated[tuple[StationSetup, ...], Field(min_length=1)]
+    rotation_sign: Literal[-1, 1] | None = None
+
+
+class Probing(_Base):
+    """Probing self-calibration of a free-form part on a rotary table."""
+
+    method: Literal["probing"]
+    workpiece: Annotated[tuple[WorkpiecePoint, ...], Field(min_length=1)]
+    probe: Probe | None = None
+    setups: Annotated[tuple[IndexSetup, ...], Field(min_length=1)]
+    known: dict[str, KnownLength] = {}
+
+
+class Direct(_Base):
+    """An instrument that reads deviations directly: ISO 230-2 run, grid encoder, CMM and others."""
+
+    method: Literal["direct"]
+    datum: Literal["none", "offset", "rigid"] = "none"
+    terms: tuple[str, ...] = ()
+    setups: Annotated[tuple[DirectSetup, ...], Field(min_length=1)]
+
+
+Description = Annotated[
+    Union[StepDiagonal, TrackingInterferometer, RotaryAxis, Probing, Direct],
+    Field(discriminator="method"),
+]
