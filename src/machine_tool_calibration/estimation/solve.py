@@ -1,0 +1,209 @@
+"""Gauss-Newton over the shared unknowns with the points eliminated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+import threadpoolctl
+
+from machine_tool_calibration.arrays import Array, BoolArray
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.estimation.elimination import local_step, reduced_gram
+from machine_tool_calibration.estimation.problem import Part, Problem
+
+__all__ = ["Solution", "gram", "solve", "solve_normal"]
+
+_THREADS = 2
+_MAX_STEPS = 30
+# Gain of a step that ends the iteration, weighted sum of squares: the step was a hundredth of an uncertainty,
+# and the next would be its square.
+_GAIN = 1e-4
+# Eigenvalue of the scaled normal matrix below which a direction is not determined.
+_RANK = 1e-11
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Where the sum of weighted squared residuals is least.
+
+    Attributes:
+        theta: (m,) shared unknowns.
+        covariance: (m, m) their covariance from the declared uncertainty; 0 in what is not determined.
+        undetermined: (m, k) orthonormal directions that neither readings nor datum fix.
+        local: per part, (d, n_points) the points' own unknowns.
+        local_determined: per part, (d, n_points).
+        chi_square: weighted sum of squared residuals, with priors.
+        degrees_of_freedom: readings and priors minus unknowns that they fix.
+        steps: Gauss-Newton steps taken.
+    """
+
+    theta: Array
+    covariance: Array
+    undetermined: Array
+    local: tuple[Array, ...]
+    local_determined: tuple[BoolArray, ...]
+    chi_square: float
+    degrees_of_freedom: int
+    steps: int
+
+    def is_determined(self) -> BoolArray:
+        """(m,) whether each shared unknown is fixed by readings and datum."""
+        return np.asarray(np.linalg.norm(self.undetermined, axis=1) < 1e-6)
+
+
+@dataclass(frozen=True)
+class Normal:
+    """Solution of small normal equations under constraints."""
+
+    step: Array
+    covariance: Array
+    undetermined: Array
+    gain: float
+    rank: int
+
+
+def solve_normal(matrix: Array, right: Array, constraints: Array, values: Array) -> Normal:
+    """Minimise x^T N x - 2 b^T x under C x = v, leaving at zero what is not determined.
+
+    Args:
+        matrix: (m, m) N.
+        right: (m,) b.
+        constraints: (c, m) C.
+        values: (c,) v.
+
+    Returns:
+        The step, its covariance, the undetermined directions, the gain b^T x and the rank.
+    """
+    m = len(right)
+    scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    typical = scale.max(initial=0.0)
+    scale = np.where(scale > 1e-13 * typical, scale, typical if typical > 0 else 1.0)
+    scaled = matrix / np.outer(scale, scale)
+    c = len(constraints)
+    particular = np.zeros(m)
+    if c:
+        rows = constraints / scale
+        rows = rows / np.linalg.norm(rows, axis=1)[:, None]
+        # Constraints may repeat what others say: only their span counts.
+        u, s, vt = np.linalg.svd(rows, full_matrices=True)
+        keep = s > 1e-10 * s[0]
+        goal = values / np.linalg.norm(constraints / scale, axis=1)
+        particular = vt[: len(s)][keep].T @ ((u[:, : len(s)].T @ goal)[keep] / s[keep])
+        free = vt[int(keep.sum()) :].T
+    else:
+        free = np.eye(m)
+    inner = free.T @ scaled @ free
+    eigenvalues, vectors = np.linalg.eigh((inner + inner.T) / 2)
+    good = eigenvalues > _RANK * max(float(eigenvalues.max(initial=0.0)), np.finfo(float).tiny)
+    basis = free @ vectors[:, good]
+    residual = right / scale - scaled @ particular
+    coefficient = (basis.T @ residual) / eigenvalues[good]
+    step = (particular + basis @ coefficient) / scale
+    half = basis / np.sqrt(eigenvalues[good]) / scale[:, None]
+    null = (free @ vectors[:, ~good]) / scale[:, None]
+    if null.shape[1]:
+        null = np.linalg.qr(null / np.linalg.norm(null, axis=0))[0]
+    gain = float(2 * right @ step - step @ matrix @ step)
+    return Normal(step, half @ half.T, null, gain, int(good.sum()))
+
+
+def _over_chunks(part: Part, work: Callable[[int, slice], Array]) -> list[Array]:
+    """Results of every chunk, in order, by two threads with single-threaded BLAS."""
+    chunks = part.chunks()
+    if len(chunks) <= 2:
+        return [work(*chunk) for chunk in chunks]
+    with threadpoolctl.threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(_THREADS) as pool:
+        return list(pool.map(lambda chunk: work(*chunk), chunks))
+
+
+def gram(problem: Problem, theta: Array, local: Sequence[Array]) -> Array:
+    """(m + 1, m + 1) reduced Gram matrix of [shared unknowns, residual] over all parts and priors."""
+    m = problem.size
+    total = np.zeros((m + 1, m + 1))
+    for part, own in zip(problem.parts, local, strict=True):
+
+        def work(group: int, chunk: slice, part: Part = part, own: Array = own) -> Array:
+            return reduced_gram(part.rows(group, chunk, theta, own))
+
+        by_group: dict[int, Array] = {}
+        for (group, _), value in zip(part.chunks(), _over_chunks(part, work), strict=True):
+            by_group[group] = by_group[group] + value if group in by_group else value
+        for group, value in by_group.items():
+            blocks = part.block_index[part.groups[group].block].reshape(-1)
+            index = np.concatenate([blocks, part.dense_index, [m]])
+            # Two slots of one block add up in the same unknowns.
+            np.add.at(total, (index[:, None], index[None, :]), value)
+    if problem.priors is not None:
+        priors = problem.priors
+        rows = np.column_stack([priors.columns, priors.value - priors.columns @ theta]) / priors.sigma[:, None]
+        total += rows.T @ rows
+    return total
+
+
+def solve(problem: Problem, theta: Array | None = None, local: Sequence[Array] | None = None) -> Solution:
+    """Minimise the weighted sum of squared residuals.
+
+    Args:
+        problem: readings, datum and priors.
+        theta: (m,) where to start; zero if absent.
+        local: per part, (d, n_points) where to start; zero if absent.
+
+    Raises:
+        ModelError: the iteration does not converge, or there are no more readings than unknowns.
+    """
+    m = problem.size
+    theta = np.zeros(m) if theta is None else theta.copy()
+    local = [np.zeros((p.dimension, p.n_points)) if local is None else local[i] for i, p in enumerate(problem.parts)]
+    determined = [np.ones((p.dimension, p.n_points), dtype=bool) for p in problem.parts]
+    linear = all(part.linear for part in problem.parts)
+    for count in range(1, _MAX_STEPS + 1):
+        total = gram(problem, theta, local)
+        normal = solve_normal(
+            total[:m, :m], total[:m, m], problem.constraints, problem.constraint_values - problem.constraints @ theta
+        )
+        cost = float(total[m, m])
+        if not np.isfinite(cost):
+            raise ModelError("the fit does not converge: a predicted reading is not finite; check the first estimates")
+        for i, part in enumerate(problem.parts):
+            if part.dimension:
+                local[i], determined[i] = _step_points(part, theta, local[i], normal.step)
+        theta = theta + normal.step
+        reduced = cost - normal.gain
+        if linear or (count > 1 and normal.gain < _GAIN):
+            break
+    else:
+        raise ModelError(f"the fit does not converge in {_MAX_STEPS} steps; check positions of stations and targets")
+    local_rank = sum(int(d.sum()) for d in determined)
+    n_priors = 0 if problem.priors is None else len(problem.priors.value)
+    dof = problem.n_readings + n_priors - local_rank - normal.rank
+    return Solution(
+        theta=theta,
+        covariance=normal.covariance,
+        undetermined=normal.undetermined,
+        local=tuple(local),
+        local_determined=tuple(determined),
+        chi_square=max(reduced, 0.0),
+        degrees_of_freedom=dof,
+        steps=count,
+    )
+
+
+def _step_points(part: Part, theta: Array, local: Array, step: Array) -> tuple[Array, BoolArray]:
+    """The points' unknowns after a step of the shared ones, and which of them are determined."""
+    moved = local.copy()
+    determined = np.zeros(local.shape, dtype=bool)
+
+    def work(group: int, chunk: slice) -> Array:
+        layout = part.groups[group]
+        rows = part.rows(group, chunk, theta, local)
+        change, good = local_step(rows, step[part.block_index[layout.block]], step[part.dense_index])
+        points = layout.points[chunk]
+        moved[:, points] += change
+        determined[:, points] = good
+        return change[:, :0]
+
+    _over_chunks(part, work)
+    return moved, determined

@@ -1,0 +1,117 @@
+"""Error motions and squareness of a serial machine: their displacement of the functional point.
+
+Names are those of ISO 230-1: EXX EYX EZX are the translations and EAX EBX ECX the rotations of the X axis,
+likewise Y, Z and C; A0Z B0Z C0Y are the squareness errors. Rigid bodies and small errors: the position error of
+the tool in the workpiece frame is the sum over the axes of translation plus rotation times lever arm
+(Ibaraki and Hata 2010, Eq. (23) for w-X-Y-b-Z-t; the probing paper's Eqs. (4)(5) for w-C-b-Y-X-Z-t).
+"""
+
+from __future__ import annotations
+
+import re
+from typing import NamedTuple
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.machine.chain import Chain
+
+__all__ = ["SQUARENESS", "ErrorMotion", "lever_arm", "motion_field", "parse_motion", "squareness_field"]
+
+SQUARENESS = ("A0Z", "B0Z", "C0Y")
+_TRANSLATIONS = "XYZ"
+_ROTATIONS = "ABC"
+
+
+class ErrorMotion(NamedTuple):
+    """One error motion: `EBX` is the rotation B of the axis X."""
+
+    axis: str
+    component: str
+
+    @property
+    def is_rotation(self) -> bool:
+        """Whether it is an angular error motion."""
+        return self.component in _ROTATIONS
+
+
+def parse_motion(name: str) -> ErrorMotion:
+    """Read a name such as EXX or ECY.
+
+    Raises:
+        ModelError: not the name of an error motion.
+    """
+    match = re.fullmatch(r"E([XYZABC])([XYZABC])", name)
+    if not match:
+        raise ModelError(f"{name!r} is not an error motion of ISO 230-1, such as EXX or ECY")
+    return ErrorMotion(match.group(2), match.group(1))
+
+
+def lever_arm(chain: Chain, axis: str, position: Array) -> Array:
+    """Vector from the carriage of an axis to the functional point, through the axes that it carries.
+
+    An axis on the tool's side carries those between it and the tool. An axis on the workpiece's side carries those
+    between it and the workpiece, and turns the workpiece against the whole tool side.
+
+    Args:
+        chain: the machine.
+        axis: a linear axis of the chain.
+        position: (n, 3) commanded x, y, z, m.
+
+    Returns:
+        (n, 3) lever arm, m.
+    """
+    side = chain.workpiece_side[::-1] if axis in chain.workpiece_side else chain.tool_side
+    carried = set(side[side.index(axis) + 1 :])
+    if axis in chain.workpiece_side:
+        carried |= set(chain.tool_side)
+    mask = np.array([1.0 if name in carried else 0.0 for name in _TRANSLATIONS])
+    return position * mask
+
+
+def motion_field(chain: Chain, motion: ErrorMotion, position: Array) -> Array:
+    """Displacement of the functional point for a unit value of an error motion of a linear axis.
+
+    Args:
+        chain: the machine.
+        motion: which error motion.
+        position: (n, 3) commanded x, y, z, m.
+
+    Returns:
+        (n, 3): m per m for a translation, m per rad for a rotation.
+
+    Raises:
+        ModelError: the chain does not have the axis, or it is not a linear one.
+    """
+    if motion.axis not in chain.linear:
+        raise ModelError(f"E{motion.component}{motion.axis}: the chain has no linear axis {motion.axis}")
+    if not motion.is_rotation:
+        return np.tile(np.eye(3)[_TRANSLATIONS.index(motion.component)], (len(position), 1))
+    unit = np.eye(3)[_ROTATIONS.index(motion.component)]
+    return np.asarray(np.cross(unit, lever_arm(chain, motion.axis, position)))
+
+
+def squareness_field(name: str, position: Array) -> Array:
+    """Displacement of the functional point for a unit squareness error.
+
+    C0Y is the error of Y against X (e_x = -y C0Y), B0Z that of Z against X (e_x = z B0Z), A0Z that of Z against Y
+    (e_y = -z A0Z): the later axis turned about the named direction.
+
+    Args:
+        name: A0Z, B0Z or C0Y.
+        position: (n, 3) commanded x, y, z, m.
+
+    Returns:
+        (n, 3) m per rad.
+
+    Raises:
+        ModelError: not a squareness error of three linear axes.
+    """
+    if name not in SQUARENESS:
+        raise ModelError(f"{name!r} is not a squareness error; known are {', '.join(SQUARENESS)}")
+    axis = name[2]
+    along = np.zeros_like(position)
+    index = _TRANSLATIONS.index(axis)
+    along[:, index] = position[:, index]
+    return np.asarray(np.cross(np.eye(3)[_ROTATIONS.index(name[0])], along))
