@@ -5,7 +5,7 @@ One frozen record per measuring method; an unknown key is an error. SI units, an
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Union
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
@@ -210,6 +210,6 @@ class Direct(_Base):
 
 
 Description = Annotated[
-    Union[StepDiagonal, TrackingInterferometer, RotaryAxis, Probing, Direct],
+    StepDiagonal | TrackingInterferometer | RotaryAxis | Probing | Direct,
     Field(discriminator="method"),
 ]

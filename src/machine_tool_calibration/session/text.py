@@ -1,0 +1,56 @@
+"""Text files from strangers: bounded in size, UTF-8, no NUL bytes."""
+
+from __future__ import annotations
+
+import codecs
+from pathlib import Path
+
+from machine_tool_calibration.errors import SessionError
+
+__all__ = ["read_text", "reject_foreign_encoding"]
+
+_FOREIGN = {
+    codecs.BOM_UTF32_LE: "UTF-32",
+    codecs.BOM_UTF32_BE: "UTF-32",
+    codecs.BOM_UTF16_LE: "UTF-16",
+    codecs.BOM_UTF16_BE: "UTF-16",
+}
+
+
+def reject_foreign_encoding(head: bytes, source: str) -> None:
+    """Raise a SessionError when a file's first bytes are the mark of UTF-16 or UTF-32."""
+    for mark, name in _FOREIGN.items():
+        if head.startswith(mark):
+            raise SessionError(f"{source}: the text is {name}; save the file as UTF-8")
+
+
+def read_text(path: Path, limit: int) -> str:
+    """The text of a small file, without a byte order mark.
+
+    Args:
+        path: the file.
+        limit: largest size that is accepted, bytes.
+
+    Raises:
+        SessionError: not there, not a file, too large, not UTF-8, or with NUL bytes.
+    """
+    source = str(path)
+    try:
+        if not path.is_file():
+            raise SessionError(f"{source}: {'is not a file' if path.exists() else 'no such file'}")
+        with path.open("rb") as stream:
+            data = stream.read(limit + 1)
+    except OSError as error:
+        raise SessionError(f"{source}: cannot be read: {error.strerror}") from None
+    if len(data) > limit:
+        raise SessionError(f"{source}: larger than the {limit >> 20} MiB that are accepted")
+    reject_foreign_encoding(data, source)
+    if b"\0" in data:
+        line = data[: data.index(b"\0")].count(b"\n") + 1
+        raise SessionError(f"{source} line {line}: NUL byte; the file is not text or is damaged")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data[: error.start].count(b"\n") + 1
+        byte = data[error.start]
+        raise SessionError(f"{source} line {line}: byte 0x{byte:02x} is not UTF-8; save the file as UTF-8") from None
