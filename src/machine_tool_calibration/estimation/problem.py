@@ -8,7 +8,7 @@ that nobody else sees; these are eliminated.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,7 +17,7 @@ from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.estimation.elimination import Rows
 from machine_tool_calibration.estimation.layout import Group
 
-__all__ = ["LinearPart", "Part", "PriorRows", "Problem"]
+__all__ = ["CHUNK", "FunctionPart", "LinearPart", "Part", "PriorRows", "Problem"]
 
 # Points of one chunk: few enough to stay in the cache, enough to make NumPy's overhead small.
 CHUNK = 8192
@@ -124,6 +124,53 @@ class LinearPart(Part):
         if self.dimension:
             residual -= np.einsum("dsn,dn->sn", g, local[:, layout.points[chunk]])
         return Rows(residual, g, b, dense)
+
+
+class FunctionPart(Part):
+    """Readings without points of their own, linearised by a function of the shared unknowns."""
+
+    dimension = 0
+    n_points = 0
+
+    def __init__(
+        self,
+        groups: Sequence[Group],
+        sigma: Array,
+        linearise: Callable[[Array, Array], tuple[Array, Array, Array]],
+        block_index: IntArray,
+        dense_index: IntArray,
+        linear: bool,
+    ) -> None:
+        """Keep the function.
+
+        Args:
+            groups: from `layout.group_rows`.
+            sigma: (n,) standard uncertainty of each reading, m.
+            linearise: from the blocks' unknowns (blocks, p) and the dense ones (K,) to the residual (n,) and the
+                derivatives of the prediction, (p, n) by the unknowns of the reading's block and (K, n).
+            block_index: (blocks, p) place in the shared vector.
+            dense_index: (K,) place in the shared vector.
+            linear: whether one step reaches the minimum.
+        """
+        self.groups = groups
+        self.block_index = block_index
+        self.dense_index = dense_index
+        self.n_readings = len(sigma)
+        self.linear = linear
+        self._weight = 1.0 / sigma
+        self._linearise = linearise
+        self._at: Array | None = None
+        self._values: tuple[Array, Array, Array]
+
+    def rows(self, group: int, chunk: slice, theta: Array, local: Array) -> Rows:
+        """Linearise once for all groups, then pick the group's readings."""
+        if self._at is None or not np.array_equal(self._at, theta):
+            self._values = self._linearise(theta[self.block_index], theta[self.dense_index])
+            self._at = theta.copy()
+        residual, block, dense = self._values
+        pick = self.groups[group].rows[:, chunk]
+        weight = self._weight[pick]
+        return Rows(residual[pick] * weight, np.zeros((0, *pick.shape)), block[:, pick] * weight, dense[:, pick] * weight)
 
 
 @dataclass(frozen=True)

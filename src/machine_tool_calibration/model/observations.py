@@ -21,6 +21,8 @@ class Observations:
         readings: those that take part; none is missing.
         position: (n, 3) nominal functional point, machine frame, m.
         direction: (n, 3) g: an error e of the functional point's position changes the reading by g.e.
+        table_direction: (n, 3) the same for a displacement of the workpiece or rotary table: the outward normal for a
+            probe, the direction to a target on the table; 0 where the table does not matter.
         path: (n,) nominal optical path from the instrument to the functional point, m; 0 for a probe.
         run: (n,) index of the run: readings that count from the same datum reading.
     """
@@ -29,6 +31,7 @@ class Observations:
     readings: Readings
     position: Array
     direction: Array
+    table_direction: Array
     path: Array
     run: IntArray
 

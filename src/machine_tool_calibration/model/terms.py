@@ -19,6 +19,7 @@ class Parameter:
         low: smallest plausible value, if there is one.
         high: largest plausible value, if there is one.
         reference: what the unknown is counted from; the published value is reference plus unknown.
+        shared: whether it belongs to the machine, so that several sessions have it in common.
     """
 
     name: str
@@ -26,6 +27,7 @@ class Parameter:
     low: float | None = None
     high: float | None = None
     reference: float = 0.0
+    shared: bool = False
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,78 @@
+"""From a session to the machine's errors: the one entry for nodes, command line and programs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Protocol, cast
+
+import numpy as np
+
+from machine_tool_calibration.effects.catalogue import effect_terms
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.model.fit import fit_models
+from machine_tool_calibration.model.model import MethodModel
+from machine_tool_calibration.model.result import Rejected, Result
+from machine_tool_calibration.session.session import Session
+
+__all__ = ["build_model", "identify", "rejected_readings"]
+
+_MODULES = {
+    "tracking_interferometer": "tracking",
+    "step_diagonal": "step_diagonal",
+    "probing": "probing",
+    "rotary_axis": "rotary_axis",
+    "direct": "direct",
+}
+
+
+class _Method(Protocol):
+    """What the module of a method offers; the first of its models is the default."""
+
+    MODELS: tuple[str, ...]
+
+    def build(self, session: Session, model: str) -> MethodModel:
+        """The model of a session."""
+
+
+def build_model(session: Session, model: str | None = None) -> tuple[MethodModel, str]:
+    """The model of a session, without added effects, and its name.
+
+    Raises:
+        ModelError: no such model for this method, or the data does not allow it.
+    """
+    method = cast(_Method, import_module(f"machine_tool_calibration.methods.{_MODULES[session.method]}"))
+    name = model or method.MODELS[0]
+    if name not in method.MODELS:
+        raise ModelError(f"{session.method} has no model {name!r}; known are {', '.join(method.MODELS)}")
+    return method.build(session, name), name
+
+
+def rejected_readings(session: Session) -> tuple[Rejected, ...]:
+    """Readings that no fit uses."""
+    missing = np.flatnonzero(~np.isfinite(session.readings.displacement))
+    return tuple(Rejected(int(session.readings.row[k]), "the reading is missing") for k in missing)
+
+
+def identify(session: Session, *, model: str | None = None, effects: Sequence[str] = ()) -> Result:
+    """Identify the machine's errors from one session.
+
+    Args:
+        session: the measurement.
+        model: the method's variant, such as `free` or `rigid_body`; the method's default if absent.
+        effects: ids of physical effects to add to the model.
+
+    Raises:
+        ModelError: the data does not allow the model, or an effect is unknown or needs what was not recorded.
+    """
+    base, name = build_model(session, model)
+    built = base.with_terms(effect_terms(base, effects))
+    fit = fit_models([built]).fits[0]
+    return Result(
+        fit=fit,
+        error_map=built.error_map(fit),
+        effects=tuple(effects),
+        model_name=name,
+        rejected=rejected_readings(session),
+        observations=len(session.readings),
+    )

@@ -1,0 +1,126 @@
+"""A model fitted to readings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import stats
+
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.estimation.problem import Part
+from machine_tool_calibration.estimation.solve import Solution, solve
+from machine_tool_calibration.model.model import Assembly, MethodModel, assemble
+
+__all__ = ["Fit", "JointFit", "fit_models"]
+
+
+@dataclass(frozen=True)
+class JointFit:
+    """Several sessions in one fit; for a single session it has one member.
+
+    Attributes:
+        assembly: the models and their problem.
+        solution: where the sum of squares is least.
+    """
+
+    assembly: Assembly
+    solution: Solution
+
+    @property
+    def fits(self) -> tuple[Fit, ...]:
+        """The fit as each session sees it."""
+        return tuple(Fit(self, index) for index in range(len(self.assembly.models)))
+
+    @property
+    def reduced_chi_square(self) -> float:
+        """Weighted sum of squared residuals over the degrees of freedom."""
+        return self.solution.chi_square / self.solution.degrees_of_freedom
+
+    @property
+    def p_value(self) -> float:
+        """Probability of so large a sum of squares if the model is right and the declared uncertainty too."""
+        return float(stats.chi2.sf(self.solution.chi_square, self.solution.degrees_of_freedom))
+
+
+@dataclass(frozen=True)
+class Fit:
+    """One session's share in a fit."""
+
+    joint: JointFit
+    index: int
+
+    @property
+    def model(self) -> MethodModel:
+        """The session's model."""
+        return self.joint.assembly.models[self.index]
+
+    @property
+    def solution(self) -> Solution:
+        """Solution of the whole problem."""
+        return self.joint.solution
+
+    @property
+    def part(self) -> Part:
+        """The session's part of the problem."""
+        return self.joint.assembly.problem.parts[self.index]
+
+    @property
+    def places(self) -> IntArray:
+        """Place of each of the model's parameters in the shared vector."""
+        return self.joint.assembly.places[self.index]
+
+    @property
+    def theta(self) -> Array:
+        """Values of the model's shared unknowns, without their references."""
+        return self.solution.theta[self.places]
+
+    @property
+    def covariance(self) -> Array:
+        """Their covariance."""
+        return self.solution.covariance[np.ix_(self.places, self.places)]
+
+    @property
+    def determined(self) -> BoolArray:
+        """Whether each of them is determined."""
+        return self.solution.is_determined()[self.places]
+
+    @property
+    def undetermined(self) -> Array:
+        """(m, k) directions of the model's unknowns that nothing fixes."""
+        return self.solution.undetermined[self.places]
+
+    @cached_property
+    def residuals(self) -> Array:
+        """(n,) measured minus predicted, m."""
+        part, sigma = self.part, self.model.sigma
+        out = np.full(part.n_readings, np.nan)
+        for group, chunk in part.chunks():
+            rows = part.rows(group, chunk, self.solution.theta, self.solution.local[self.index])
+            where = part.groups[group].rows[:, chunk]
+            there = where >= 0
+            out[where[there]] = rows.residual[there] * sigma[where[there]]
+        return out
+
+    @property
+    def predicted(self) -> Array:
+        """(n,) predicted readings, m."""
+        return self.model.observations.readings.displacement - self.residuals
+
+
+def fit_models(models: Sequence[MethodModel], labels: Sequence[str] | None = None) -> JointFit:
+    """Fit models of one machine together.
+
+    Raises:
+        ModelError: there are no more readings than unknowns, or the fit does not converge.
+    """
+    assembly = assemble(models, labels)
+    solution = solve(assembly.problem)
+    if solution.degrees_of_freedom <= 0:
+        n = assembly.problem.n_readings
+        unknowns = n - solution.degrees_of_freedom
+        raise ModelError(f"too few readings: {n} for {unknowns} unknowns; more targets, stations or repeats are needed")
+    return JointFit(assembly, solution)

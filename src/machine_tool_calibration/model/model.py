@@ -1,0 +1,175 @@
+"""From a session to a least-squares problem: the model of one method, and several of them put together."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.estimation.problem import Part, PriorRows, Problem
+from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.terms import Parameter, Term
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.model.fit import Fit
+    from machine_tool_calibration.model.result import ErrorMap
+
+__all__ = ["Assembly", "Constraint", "MethodModel", "NotDetermined", "Prior", "assemble"]
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """Datum: the weighted sum of unknowns has a given value."""
+
+    weights: Mapping[str, float]
+    value: float = 0.0
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Knowledge besides the readings: the weighted sum of unknowns has a value with a standard uncertainty."""
+
+    weights: Mapping[str, float]
+    value: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class NotDetermined:
+    """What the data cannot determine, and why."""
+
+    name: str
+    why: str
+
+
+@dataclass(frozen=True)
+class MethodModel(ABC):
+    """What should have been read, for one session.
+
+    Attributes:
+        observations: the readings that take part.
+        terms: unknowns that enter all readings through columns of their own.
+        constraints: the datum.
+        priors: further knowledge.
+        left_out: what the model does not hold because this data cannot determine it.
+        datum: the datum in words.
+    """
+
+    observations: Observations
+    terms: tuple[Term, ...]
+    constraints: tuple[Constraint, ...]
+    priors: tuple[Prior, ...]
+    left_out: tuple[NotDetermined, ...]
+    datum: str
+
+    @property
+    def own(self) -> tuple[Parameter, ...]:
+        """Unknowns that enter through blocks (one block a setup), block after block."""
+        return ()
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """All shared unknowns: those of the blocks, then those of the terms."""
+        return self.own + tuple(parameter for term in self.terms for parameter in term.parameters)
+
+    def with_terms(self, terms: Sequence[Term]) -> Self:
+        """The same model with further terms."""
+        return replace(self, terms=self.terms + tuple(terms))
+
+    def dense(self) -> Array:
+        """(K, n) columns of the terms' unknowns."""
+        n = len(self.observations)
+        return np.concatenate([np.zeros((0, n)), *(term.columns for term in self.terms)])
+
+    @property
+    def sigma(self) -> Array:
+        """(n,) declared standard uncertainty of each reading, m."""
+        return np.full(len(self.observations), self.observations.session.sigma)
+
+    @abstractmethod
+    def part(self, own_index: IntArray, dense_index: IntArray) -> Part:
+        """The readings as a part of a problem, given the places of the unknowns in the shared vector."""
+
+    @abstractmethod
+    def error_map(self, fit: Fit) -> ErrorMap:
+        """The machine's errors from a fit of this model."""
+
+
+@dataclass(frozen=True)
+class Assembly:
+    """Models put together.
+
+    Attributes:
+        models: one for each session.
+        problem: for the solver; its parts are in the order of the models.
+        parameters: (m,) the shared unknowns, with the names under which they are published.
+        places: for each model, the place of each of its parameters in the shared vector.
+    """
+
+    models: tuple[MethodModel, ...]
+    problem: Problem
+    parameters: tuple[Parameter, ...]
+    places: tuple[IntArray, ...]
+
+
+def assemble(models: Sequence[MethodModel], labels: Sequence[str] | None = None) -> Assembly:
+    """Put models of the same machine together: unknowns of the machine are shared, others are each model's own.
+
+    Args:
+        models: one for each session.
+        labels: names of the sessions, put before the names of their own unknowns; needed for more than one.
+
+    Raises:
+        ModelError: two unknowns of one model have the same name, or a constraint names an unknown that is not there.
+    """
+    parameters: list[Parameter] = []
+    place: dict[str, int] = {}
+    places: list[IntArray] = []
+    for number, model in enumerate(models):
+        index = []
+        seen: set[str] = set()
+        for parameter in model.parameters:
+            if parameter.name in seen:
+                raise ModelError(f"the model has the unknown {parameter.name!r} twice")
+            seen.add(parameter.name)
+            name = parameter.name
+            if labels is not None and not parameter.shared:
+                name = f"{labels[number]}/{name}"
+            if name not in place:
+                place[name] = len(parameters)
+                parameters.append(replace(parameter, name=name))
+            index.append(place[name])
+        places.append(np.array(index, dtype=np.int64))
+    m = len(parameters)
+    constraints = [_row(model, where, c.weights, m) for model, where in zip(models, places, strict=True) for c in model.constraints]
+    values = [c.value for model in models for c in model.constraints]
+    prior_list = [
+        (_row(model, where, p.weights, m), p.value, p.sigma)
+        for model, where in zip(models, places, strict=True)
+        for p in model.priors
+    ]
+    priors = None
+    if prior_list:
+        rows, value, sigma = zip(*prior_list, strict=True)
+        priors = PriorRows(np.array(rows), np.array(value), np.array(sigma))
+    parts = [
+        model.part(where[: len(model.own)], where[len(model.own) :])
+        for model, where in zip(models, places, strict=True)
+    ]
+    problem = Problem(parts, m, np.array(constraints).reshape(-1, m), np.array(values), priors)
+    return Assembly(tuple(models), problem, tuple(parameters), tuple(places))
+
+
+def _row(model: MethodModel, where: IntArray, weights: Mapping[str, float], size: int) -> Array:
+    names = {parameter.name: k for k, parameter in zip(where, model.parameters, strict=True)}
+    row = np.zeros(size)
+    for name, weight in weights.items():
+        if name not in names:
+            raise ModelError(f"the datum names {name!r}, which is not an unknown of the model")
+        row[names[name]] += weight
+    return row

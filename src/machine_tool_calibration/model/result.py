@@ -1,0 +1,148 @@
+"""The answer of an identification, for people and for programs (contract `mtcal-result/1`)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.model.fit import Fit
+from machine_tool_calibration.model.model import NotDetermined
+
+__all__ = ["ErrorMap", "Estimate", "Rejected", "Result", "plain"]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A parameter with its standard uncertainty (k = 1)."""
+
+    name: str
+    value: float
+    standard_uncertainty: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Rejected:
+    """A reading that was kept out, by its number in the recording (from 0)."""
+
+    row: int
+    reason: str
+
+
+@dataclass(frozen=True)
+class ErrorMap:
+    """The machine's errors with their standard uncertainties; NaN is a value that the data does not determine.
+
+    Attributes:
+        content: what the contract names for the method: arrays, each `name` with its `name_u`; ids as lists of text.
+        points: (n, 3) where the position error is given, m.
+        error: (n, 3) position error, m; NaN in a direction that was not measured.
+        uncertainty: (n, 3).
+        covariance: (n, 3, 3) of the position error, m^2, or None.
+        not_determined: parts of the map that the data does not determine.
+    """
+
+    content: Mapping[str, Any]
+    points: Array
+    error: Array
+    uncertainty: Array
+    covariance: Array | None = None
+    not_determined: tuple[NotDetermined, ...] = ()
+
+
+@dataclass(frozen=True)
+class Result:
+    """A fitted model and what it says of the machine.
+
+    Attributes:
+        fit: the fit.
+        error_map: the machine's errors.
+        effects: ids of the effects that were added.
+        model_name: free or rigid_body, or the method's own variant.
+        rejected: readings that were kept out.
+        observations: number of readings recorded.
+    """
+
+    fit: Fit
+    error_map: ErrorMap
+    effects: tuple[str, ...]
+    model_name: str
+    rejected: tuple[Rejected, ...]
+    observations: int
+
+    @property
+    def rms_residual(self) -> float:
+        """Root mean square of measured minus predicted, m."""
+        return float(np.sqrt(np.mean(self.fit.residuals**2)))
+
+    @property
+    def parameters(self) -> list[Estimate]:
+        """The unknowns that the data determines."""
+        uncertainty = np.sqrt(np.diag(self.fit.covariance))
+        return [
+            Estimate(p.name, float(p.reference + value), float(u), p.unit)
+            for p, value, u, good in zip(
+                self.fit.model.parameters, self.fit.theta, uncertainty, self.fit.determined, strict=True
+            )
+            if good
+        ]
+
+    @property
+    def not_determined(self) -> list[NotDetermined]:
+        """What the data cannot determine, with the reason."""
+        fit = self.fit
+        names = [p.name for p in fit.model.parameters]
+        out = list(fit.model.left_out) + list(self.error_map.not_determined)
+        for k in np.flatnonzero(~fit.determined):
+            # The unknowns that may change together with this one without any reading changing.
+            direction = fit.undetermined @ fit.undetermined[k]
+            others = [names[j] for j in np.argsort(-np.abs(direction)) if j != k and abs(direction[j]) > 1e-6]
+            why = "no reading depends on it"
+            if others:
+                shown = ", ".join(others[:4]) + (" and others" if len(others) > 4 else "")
+                why = f"the readings do not change if it changes together with {shown}"
+            out.append(NotDetermined(names[k], why))
+        return out
+
+    def document(self) -> dict[str, Any]:
+        """The result as the contract's JSON document; what is not determined is null."""
+        joint = self.fit.joint
+        return {
+            "format": "mtcal-result/1",
+            "method": self.fit.model.observations.session.method,
+            "model": self.model_name,
+            "observations": self.observations,
+            "used": len(self.fit.model.observations),
+            "rejected": [{"row": r.row, "reason": r.reason} for r in self.rejected],
+            "rms_residual": self.rms_residual,
+            "reduced_chi_square": joint.reduced_chi_square,
+            "degrees_of_freedom": joint.solution.degrees_of_freedom,
+            "p_value": joint.p_value,
+            "effects": list(self.effects),
+            "parameters": [
+                {"name": e.name, "value": e.value, "standard_uncertainty": e.standard_uncertainty, "unit": e.unit}
+                for e in self.parameters
+            ],
+            "not_determined": [{"name": n.name, "why": n.why} for n in self.not_determined],
+            "datum": self.fit.model.datum,
+            "error_map": plain(self.error_map.content),
+        }
+
+
+def plain(value: Any) -> Any:
+    """Arrays as lists, NaN and infinities as None, for JSON."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(entry) for key, entry in value.items()}
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [plain(entry) for entry in value]
+    if isinstance(value, (float, np.floating)):
+        return float(value) if np.isfinite(value) else None
+    if isinstance(value, np.integer):
+        return int(value)
+    return value
