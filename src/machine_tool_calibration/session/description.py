@@ -5,6 +5,7 @@ One frozen record per measuring method; an unknown key is an error. SI units, an
 
 from __future__ import annotations
 
+import itertools
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
@@ -68,7 +69,7 @@ class Machine(Record):
             if not low < high:
                 raise ValueError(f"travel of {name} must run from low to high, not {low} to {high}")
         for name, nodes in (self.table_grid or {}).items():
-            if any(b <= a for a, b in zip(nodes, nodes[1:], strict=False)):
+            if any(b <= a for a, b in itertools.pairwise(nodes)):
                 raise ValueError(f"table_grid of {name} must increase")
         return self
 

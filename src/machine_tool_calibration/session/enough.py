@@ -1,0 +1,174 @@
+"""Stations, targets and readings that a method cannot do without."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.session.description import (
+    Direct,
+    Probing,
+    RotaryAxis,
+    StationSetup,
+    StepDiagonal,
+    TrackingInterferometer,
+)
+from machine_tool_calibration.session.place import Place
+from machine_tool_calibration.session.required import rotary_column
+from machine_tool_calibration.session.session import Session
+
+__all__ = ["check_enough", "on_a_line"]
+
+_SAME_PLACE = 1e-6  # m: below any remounting, so a copied entry
+_LINE = 1e-3  # second extent over the first
+
+
+def check_enough(session: Session, place: Place) -> None:
+    """Refuse what cannot determine the method's unknowns at all.
+
+    Counts follow the papers: 3 stations in the plane and 4 in space (Ibaraki et al. 2014, Section 2; Zhang et al.
+    2015, Section 2). What a sufficient session leaves undetermined in detail is the estimator's to find and name.
+
+    Raises:
+        SessionError: two stations at one place, too few stations, targets or readings, all targets on a line.
+    """
+    description = session.description
+    measured = np.isfinite(session.readings.displacement)
+    if isinstance(description, TrackingInterferometer):
+        _stations(session, description.setups, 3 if description.dimension == 2 else 4, measured, place)
+        _tracking(session, description.dimension, measured, place)
+    elif isinstance(description, RotaryAxis):
+        _stations(session, description.setups, 4, measured, place)
+        _rotary(session, description, measured, place)
+    elif isinstance(description, StepDiagonal):
+        _each_setup(session, measured, 2, place)
+    elif isinstance(description, Probing):
+        _probing(session, measured, place)
+    elif isinstance(description, Direct):
+        _each_setup(session, measured, 1, place)
+
+
+def on_a_line(points: Array) -> bool:
+    """Whether all points (n, d) lie on one line (or at one place), to a thousandth of their extent."""
+    if len(points) < 3:
+        return True
+    # extents come from the small moment matrix: its square root resolves 1e-8, far below the threshold
+    centred = points - points.mean(axis=0)
+    extents = np.sqrt(np.clip(np.linalg.eigvalsh(centred.T @ centred), 0.0, None))
+    return bool(extents[-2] <= _LINE * extents[-1])
+
+
+def _stations(
+    session: Session, setups: tuple[StationSetup, ...], needed: int, measured: BoolArray, place: Place
+) -> None:
+    positions = np.array([setup.position for setup in setups])
+    for second in range(1, len(setups)):
+        distance = np.linalg.norm(positions[:second] - positions[second], axis=1)
+        first = int(np.argmin(distance))
+        if distance[first] <= _SAME_PLACE:
+            raise SessionError(
+                f"{place.description}: setups[{second}].position: station {setups[second].id!r} "
+                f"stands at the place of station {setups[first].id!r}"
+            )
+    used = np.unique(session.readings.setup[measured])
+    if len(used) < needed:
+        silent = [setup.id for index, setup in enumerate(setups) if index not in used]
+        without = f" (no reading from {', '.join(silent[:8])})" if silent else ""
+        raise SessionError(
+            f"{place.description if not silent else place.readings}: {_count(len(used), 'station')}; "
+            f"{_method(session)} needs at least {needed}{without}"
+        )
+
+
+def _tracking(session: Session, dimension: int, measured: BoolArray, place: Place) -> None:
+    positions = session.readings.position()[measured][:, :dimension]
+    points, index = _distinct(positions)
+    if on_a_line(points):
+        what = "there are fewer than three targets" if len(points) < 3 else "all targets lie on a line"
+        raise SessionError(f"{place.readings}: {what}; {_method(session)} needs targets spread over a plane")
+    stations = session.readings.setup[measured]
+    seen = np.unique(index * len(session.setup_ids) + stations) // len(session.setup_ids)
+    redundant = np.clip(np.bincount(seen) - dimension, 0, None).sum()
+    count = len(np.unique(stations))
+    unknown = (dimension + 1) * count - (3 if dimension == 2 else 6)
+    if redundant < unknown:
+        raise SessionError(
+            f"{place.readings}: too few readings: {len(points)} targets and {count} stations leave {redundant} "
+            f"conditions for the {unknown} unknowns of the stations; measure more targets from all stations"
+        )
+
+
+def _rotary(session: Session, description: RotaryAxis, measured: BoolArray, place: Place) -> None:
+    readings = session.readings
+    ids = [target.id for target in description.targets]
+    used = [i for i, name in enumerate(ids) if np.any(readings.labels["target"][measured] == name)]
+    if len(used) < 3:
+        raise SessionError(
+            f"{place.readings}: readings of {_count(len(used), 'target')}; rotary_axis needs at least 3 "
+            "to tell the six error motions apart"
+        )
+    if on_a_line(np.array([description.targets[i].position for i in used])):
+        raise SessionError(
+            f"{place.description}: targets: all targets lie on a line, so the rotation about it cannot be determined"
+        )
+    angle = readings.columns[rotary_column(description)][measured]
+    angles = len(_distinct(angle[:, None])[0])
+    count = len(np.unique(readings.setup[measured]))
+    pairs = np.unique(
+        np.column_stack(
+            [
+                np.unique(readings.labels["target"][measured], return_inverse=True)[1],
+                readings.setup[measured],
+                _distinct(angle[:, None])[1],
+            ]
+        ),
+        axis=0,
+    )
+    # the table moves as a rigid body: six per angle, three per target, three per station, a path each; minus the frame
+    unknown = 6 * (angles - 1) + 3 * len(used) + (3 + len(used)) * count - 6
+    if len(pairs) < unknown:
+        raise SessionError(
+            f"{place.readings}: too few readings: {len(pairs)} different ones at {angles} angles "
+            f"for {unknown} unknowns; measure more angles"
+        )
+
+
+def _probing(session: Session, measured: BoolArray, place: Place) -> None:
+    used = np.unique(session.readings.setup[measured])
+    if len(used) < 2:
+        raise SessionError(
+            f"{place.readings}: touches at {_count(len(used), 'C angle')}; probing needs at least 2 "
+            "to tell the workpiece from the machine"
+        )
+    _each_setup(session, measured, 1, place)
+
+
+def _each_setup(session: Session, measured: BoolArray, needed: int, place: Place) -> None:
+    """Every setup that has rows must have readings."""
+    total = np.bincount(session.readings.setup, minlength=len(session.setup_ids))
+    good = np.bincount(session.readings.setup[measured], minlength=len(session.setup_ids))
+    for name, rows, count in zip(session.setup_ids, total, good, strict=True):
+        if rows and count < needed:
+            raise SessionError(
+                f"{place.readings}: too few readings: setup {name!r} has {count} of {_count(rows, 'row')}, "
+                f"and needs at least {needed}"
+            )
+    if good.sum() < 2:
+        raise SessionError(f"{place.readings}: too few readings: {good.sum()}, and at least 2 are needed")
+
+
+def _distinct(points: Array) -> tuple[Array, IntArray]:
+    """Points that differ by more than a nanometre (or nanoradian), and the place of each in that list."""
+    keys, index = np.unique(np.round(points, 9) + 0.0, axis=0, return_inverse=True)
+    return keys, index.reshape(-1).astype(np.int64)
+
+
+def _count(number: int, thing: str) -> str:
+    return f"{number} {thing}" + ("" if number == 1 else "s")
+
+
+def _method(session: Session) -> str:
+    if isinstance(session.description, TrackingInterferometer):
+        return f"tracking_interferometer in {session.description.dimension} dimensions"
+    return session.method

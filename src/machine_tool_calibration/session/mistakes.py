@@ -1,0 +1,103 @@
+"""Common mistakes in a session, each with how well the readings would fit if it was made."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from machine_tool_calibration.arrays import Array, IntArray
+
+__all__ = ["Comparison", "Mistake", "exchanged", "extent", "groups", "per_setup", "same", "scaled", "spread"]
+
+_MOST_TRIED = 12
+_LIMIT = 0.1
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """One mistake that may have been made.
+
+    Attributes:
+        what: the suspicion, for the message.
+        misfit: (setups,) what would remain if it was made, NaN for a setup without readings.
+        scale: size of what is predicted, in the misfit's unit.
+    """
+
+    what: str
+    misfit: Array
+    scale: float
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Readings against nominal geometry, as they are and under each mistake (made on demand)."""
+
+    misfit: Array
+    scale: float
+    mistakes: Iterable[Mistake]
+
+
+_SCALES = (
+    (1e-3, "displacement looks like millimetres; lengths are in metres"),
+    (1e-6, "displacement looks like micrometres; lengths are in metres"),
+    (-1.0, "displacement has the opposite sign; it grows with the path from the instrument"),
+    (0.5, "displacement looks like twice the change of path"),
+)
+
+
+def scaled(measured: Array, predicted: Array, scale: float, judge: Callable[[Array], Array]) -> Iterator[Mistake]:
+    """Displacements in another unit, of the other sign, or of the path there and back."""
+    for factor, what in _SCALES:
+        yield Mistake(what, judge(measured * factor - predicted), scale)
+
+
+def exchanged(
+    kind: str, ids: Sequence[str], misfit: Array, scale: float, judge: Callable[[IntArray], Array]
+) -> Iterator[Mistake]:
+    """Two setups or targets exchanged, tried among those that do not fit.
+
+    Args:
+        kind: what they are, for the message.
+        ids: their ids.
+        misfit: how each fits as it is; one that fits is left alone.
+        scale: size of what is predicted.
+        judge: misfit when entry i is taken for entry `order[i]`.
+    """
+    bad = [i for i in range(len(ids)) if misfit[i] > _LIMIT * scale][:_MOST_TRIED]
+    for position, first in enumerate(bad):
+        for second in bad[position + 1 :]:
+            order = same(len(ids))
+            order[[first, second]] = second, first
+            yield Mistake(f"the {kind}s {ids[first]!r} and {ids[second]!r} look exchanged", judge(order), scale)
+
+
+def same(count: int) -> IntArray:
+    """(count,) every entry is itself."""
+    return np.arange(count, dtype=np.int64)
+
+
+def per_setup(setup: IntArray, values: Array, count: int) -> Array:
+    """(count,) median of the absolute values of each setup, NaN where it has none."""
+    medians = pd.Series(np.abs(values)).groupby(setup).median()
+    return np.asarray(medians.reindex(range(count)), dtype=np.float64)
+
+
+def spread(difference: Array, group: IntArray, setup: IntArray, count: int) -> Array:
+    """(count,) measured minus predicted by setup, after each group's own zero."""
+    zero = pd.Series(difference).groupby(group).transform("median")
+    return per_setup(setup, difference - np.asarray(zero, dtype=np.float64), count)
+
+
+def groups(*keys: IntArray) -> IntArray:
+    """(n,) number of the combination of keys of each reading."""
+    frame = pd.DataFrame(dict(enumerate(keys)))
+    return np.asarray(frame.groupby(list(frame.columns), sort=False).ngroup(), dtype=np.int64)
+
+
+def extent(predicted: Array, group: IntArray) -> float:
+    """Typical half range of the prediction within a group."""
+    grouped = pd.Series(predicted).groupby(group)
+    return float((grouped.max() - grouped.min()).median()) / 2

@@ -1,0 +1,110 @@
+"""Tracking interferometers and step diagonals against their nominal geometry."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.session import nominal
+from machine_tool_calibration.session.description import StepDiagonal, TrackingInterferometer
+from machine_tool_calibration.session.mistakes import (
+    Comparison,
+    Mistake,
+    exchanged,
+    extent,
+    groups,
+    per_setup,
+    same,
+    scaled,
+    spread,
+)
+from machine_tool_calibration.session.session import Readings
+
+__all__ = ["compare_beam", "compare_diagonal", "compare_tracking"]
+
+
+def compare_beam(description: TrackingInterferometer, readings: Readings) -> Comparison:
+    """Commanded beam against the direction from the station to the target; misfits are angles, rad."""
+    ids = [setup.id for setup in description.setups]
+    stations = np.array([setup.position for setup in description.setups])
+    upright = 0.0 if description.dimension == 2 else 1.0
+    azimuth = readings.columns["azimuth"]
+    elevation = upright * readings.columns.get("elevation", np.zeros(len(readings)))
+
+    def judge(order: IntArray, unit: float = 1.0, sense: float = 1.0) -> Array:
+        line = (readings.position() - stations[order][readings.setup]) * (1.0, 1.0, upright)
+        beam = nominal.direction(azimuth * unit, elevation * unit)
+        cosine = np.sum(beam * line, axis=1) / np.linalg.norm(line, axis=1)
+        return per_setup(readings.setup, np.arccos(np.clip(sense * cosine, -1, 1)), len(ids))
+
+    itself = same(len(ids))
+    now = judge(itself)
+
+    def mistakes() -> Iterator[Mistake]:
+        yield Mistake("azimuth and elevation look like degrees; angles are in radians", judge(itself, np.pi / 180), 1.0)
+        yield Mistake("azimuth and elevation point from the target to the station", judge(itself, 1.0, -1.0), 1.0)
+        yield from exchanged("setup", ids, now, 1.0, judge)
+
+    return Comparison(now, 1.0, mistakes())
+
+
+def compare_tracking(description: TrackingInterferometer, readings: Readings) -> Comparison:
+    """Displacements against the change of distance between station and target, m."""
+    ids = [setup.id for setup in description.setups]
+    stations = np.array([setup.position for setup in description.setups])[:, : description.dimension]
+    points = readings.position()[:, : description.dimension]
+    measured, setup = readings.displacement, readings.setup
+
+    def judge(difference: Array) -> Array:
+        return spread(difference, setup, setup, len(ids))
+
+    def path(order: IntArray, station_unit: float = 1.0, point_unit: float = 1.0) -> Array:
+        line = point_unit * points - station_unit * stations[order][setup]
+        return np.asarray(np.linalg.norm(line, axis=1))
+
+    itself = same(len(ids))
+    predicted = path(itself)
+    now, scale = judge(measured - predicted), extent(predicted, setup)
+
+    def mistakes() -> Iterator[Mistake]:
+        yield from scaled(measured, predicted, scale, judge)
+        for what, units in (("the stations' positions look", (1e-3, 1.0)), ("x, y and z look", (1.0, 1e-3))):
+            other = path(itself, *units)
+            message = f"{what} like millimetres; lengths are in metres"
+            yield Mistake(message, judge(measured - other), extent(other, setup))
+        yield from exchanged("setup", ids, now, scale, lambda order: judge(measured - path(order)))
+
+    return Comparison(now, scale, mistakes())
+
+
+def compare_diagonal(description: StepDiagonal, readings: Readings) -> Comparison:
+    """Displacements and positions against the runs' nominal lines, m."""
+    ids = [setup.id for setup in description.setups]
+    start = np.array([setup.start for setup in description.setups])
+    direction = np.array([setup.direction for setup in description.setups])
+    motion = direction * np.asarray(description.step) * description.blocks
+    beam = motion / np.linalg.norm(motion, axis=1)[:, None]
+    points, setup, measured = readings.position(), readings.setup, readings.displacement
+    group = groups(setup, readings.repeat)
+
+    def judge(difference: Array, order: IntArray) -> Array:
+        low = np.minimum(start, start + motion)[order][setup]
+        high = np.maximum(start, start + motion)[order][setup]
+        outside = np.linalg.norm(np.clip(low - points, 0, None) + np.clip(points - high, 0, None), axis=1)
+        return spread(difference, group, setup, len(ids)) + per_setup(setup, outside, len(ids))
+
+    def path(order: IntArray) -> Array:
+        which = order[setup]
+        return np.asarray(np.sum(beam[which] * (points - start[which]), axis=1))
+
+    itself = same(len(ids))
+    predicted = path(itself)
+    now, scale = judge(measured - predicted, itself), extent(predicted, group)
+
+    def mistakes() -> Iterator[Mistake]:
+        yield from scaled(measured, predicted, scale, lambda difference: judge(difference, itself))
+        yield from exchanged("setup", ids, now, scale, lambda order: judge(measured - path(order), order))
+
+    return Comparison(now, scale, mistakes())
