@@ -1,0 +1,171 @@
+"""What a procedure's YAML file says: the session to be measured, where to go, and how to move."""
+
+from __future__ import annotations
+
+from pathlib import Path as FilePath
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.session.description import Description
+from machine_tool_calibration.session.parse import describe
+from machine_tool_calibration.session.yaml_text import Document, load_yaml
+
+__all__ = ["Motion", "Path", "Procedure", "Spread", "parse_procedure", "read_procedure"]
+
+FORMAT = "mtcal-procedure/1"
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+_MAX_POINTS = 1_000_000
+
+
+class Record(BaseModel):
+    """A frozen record that accepts no unknown key."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Spread(Record):
+    """Equally spaced positions of one axis, both ends included, m or rad."""
+
+    first: Finite
+    last: Finite
+    count: Annotated[int, Field(ge=1, le=_MAX_POINTS)]
+
+    def values(self) -> list[float]:
+        """The positions; the ends are exact."""
+        if self.count == 1:
+            return [self.first]
+        step = (self.last - self.first) / (self.count - 1)
+        return [self.first + step * i for i in range(self.count - 1)] + [self.last]
+
+
+class Path(Record):
+    """The targets of one run, in their order.
+
+    Attributes:
+        grid: positions of each axis; the first axis named runs fastest.
+        points: or the targets one by one, each a position of the same axes.
+        order: `lines`: each line of the grid begins at the same end; `serpentine`: every second line runs back.
+        alternate: every second repetition runs the path backwards.
+    """
+
+    grid: Annotated[dict[str, Spread | tuple[Finite, ...]], Field(min_length=1)] | None = None
+    points: Annotated[tuple[dict[str, Finite], ...], Field(min_length=1)] | None = None
+    order: Literal["lines", "serpentine"] = "lines"
+    alternate: bool = True
+
+    @model_validator(mode="after")
+    def _check(self) -> Path:
+        if (self.grid is None) == (self.points is None):
+            raise ValueError("must have either grid or points")
+        for number, point in enumerate(self.points or ()):
+            if point.keys() != (self.points or ())[0].keys():
+                raise ValueError(f"points[{number}] must name the same axes as points[0]")
+        size = 1
+        for name, entry in (self.grid or {}).items():
+            size *= entry.count if isinstance(entry, Spread) else len(entry)
+            if size == 0:
+                raise ValueError(f"grid.{name} has no position")
+        if size > _MAX_POINTS:
+            raise ValueError(f"grid has {size} targets; at most {_MAX_POINTS} are accepted")
+        return self
+
+
+class Motion(Record):
+    """How the axes move and wait.
+
+    Attributes:
+        speed: greatest speed of each axis, m/s or rad/s.
+        acceleration: greatest acceleration of each axis, m/s^2 or rad/s^2.
+        dwell: time held at each target, s: settling and averaging must fit in.
+        approach: length of the short move that takes up the play before the first target, m or rad.
+    """
+
+    speed: dict[str, Positive] = {}
+    acceleration: dict[str, Positive] = {}
+    dwell: Positive = 1.0
+    approach: NotNegative = 0.005
+
+
+class _File(Record):
+    """The top level of the file."""
+
+    format: Literal["mtcal-procedure/1"]
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")] = "measurement"
+    session: dict[str, Any]
+    path: Path
+    motion: Motion = Motion()
+
+
+class Procedure(Record):
+    """A measurement to be made.
+
+    Attributes:
+        name: for folders and messages.
+        session: what `session.yaml` will say.
+        path: the targets of one run.
+        motion: speeds, accelerations and waiting times.
+    """
+
+    name: str
+    session: Description
+    path: Path
+    motion: Motion
+
+
+def read_procedure(file: FilePath) -> Procedure:
+    """Read a procedure's file.
+
+    Raises:
+        SessionError: it cannot be read; or as `parse_procedure`.
+    """
+    try:
+        text = file.read_text(encoding="utf-8")
+    except OSError as error:
+        raise SessionError(f"{file}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise SessionError(f"{file}: is not UTF-8 text") from None
+    return parse_procedure(text, str(file))
+
+
+def parse_procedure(text: str, source: str) -> Procedure:
+    """The procedure that a YAML text holds.
+
+    Raises:
+        SessionError: one line with file, line and key of the first defect.
+    """
+    document = load_yaml(text, source)
+    if not isinstance(document.value, dict):
+        raise SessionError(f"{source}: must be a mapping with the keys format, session, path and motion")
+    try:
+        content = _File.model_validate(document.value)
+    except ValidationError as error:
+        raise SessionError(_message(error, source, document)) from None
+    lines = {path[1:]: line for path, line in document.lines.items() if path[:1] == ("session",)}
+    inner = Document({"format": "mtcal-session/1", **content.session}, lines)
+    return Procedure(
+        name=content.name,
+        session=describe(inner.value, source, inner),
+        path=content.path,
+        motion=content.motion,
+    )
+
+
+def _message(error: ValidationError, source: str, document: Document) -> str:
+    """The first defect in one line; an unknown key first, as it is often the misspelt one that is then missing."""
+    defects = sorted(error.errors(include_url=False), key=lambda defect: defect["type"] != "extra_forbidden")
+    defect = defects[0]
+    path = tuple(part for part in defect["loc"] if part not in ("Spread", "tuple[float, ...]"))
+    line = document.line(path)
+    where = source if line is None else f"{source} line {line}"
+    key = ".".join(str(part) for part in path)
+    if defect["type"] == "extra_forbidden":
+        return f"{where}: unknown key {key!r}"
+    if defect["type"] == "missing":
+        return f"{where}: the key {key!r} is missing"
+    text = str(defect.get("ctx", {}).get("error", defect["msg"]))
+    return f"{where}: {key}: {text[0].lower()}{text[1:]}" if key else f"{where}: {text}"
