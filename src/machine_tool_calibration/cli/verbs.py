@@ -1,0 +1,148 @@
+"""The verbs of `mtcal`: found without importing them, loaded when one is asked for."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import pkgutil
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+
+import click
+
+from machine_tool_calibration import cli
+from machine_tool_calibration.cli.output import note, one_line
+from machine_tool_calibration.errors import CalibrationError
+
+__all__ = ["PLUGIN_GROUP", "Verbs"]
+
+PLUGIN_GROUP = "machine_tool_calibration.commands"
+ROS_MODULES = ("rclpy", "rosgraph_msgs", "sensor_msgs", "std_msgs", "std_srvs", "trajectory_msgs", "diagnostic_msgs")
+SECTIONS = {
+    "Measure": ("demo", "run", "simulate", "plan"),
+    "Identify": ("info", "identify", "compare-formulations"),
+    "Find what the model lacks": ("compare", "diagnose", "improve", "effects"),
+    "Recordings and exchange": ("record", "play", "recover", "convert", "export"),
+}
+
+
+@dataclass(frozen=True)
+class _BuiltIn:
+    """A verb of this package: its module and the first paragraph of its help."""
+
+    module: str
+    summary: str
+
+
+class Verbs(click.Group):
+    """A click group whose commands are the modules of this package and the installed plugins."""
+
+    def __init__(self, *args: object, **kwargs: object) -> None:
+        super().__init__(*args, **kwargs)  # type: ignore[arg-type]
+        self._built_in: dict[str, _BuiltIn] | None = None
+        self._plugins: dict[str, EntryPoint] | None = None
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names of the verbs, plugins last."""
+        return [*sorted(self._modules()), *sorted(self._entry_points())]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """The verb of that name; None if there is none.
+
+        Raises:
+            CalibrationError: the verb is there but cannot be loaded.
+        """
+        if cmd_name in self._modules():
+            return _load(cmd_name, self._modules()[cmd_name].module)
+        if cmd_name in self._entry_points():
+            return _load_plugin(self._entry_points()[cmd_name])
+        return None
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the verbs by what they are for, without importing those of this package."""
+        summaries = {name: verb.summary for name, verb in self._modules().items()}
+        limit = formatter.width - 6 - max((len(name) for name in summaries), default=0)
+        known = [name for names in SECTIONS.values() for name in names]
+        sections = SECTIONS | {"More": tuple(sorted(set(summaries) - set(known)))}
+        for title, names in sections.items():
+            rows = [(name, _shorten(summaries[name], limit)) for name in names if name in summaries]
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows)
+        plugins = [(name, _load_plugin(entry)) for name, entry in sorted(self._entry_points().items())]
+        rows = [(name, command.get_short_help_str(limit)) for name, command in plugins if command is not None]
+        if rows:
+            with formatter.section("Plugins"):
+                formatter.write_dl(rows)
+
+    def _modules(self) -> dict[str, _BuiltIn]:
+        if self._built_in is None:
+            self._built_in = {}
+            for path in cli.__path__:
+                for module in pkgutil.iter_modules([path]):
+                    summary = _summary(Path(path) / f"{module.name}.py")
+                    if summary is not None and not module.name.startswith("_"):
+                        verb = _BuiltIn(f"{cli.__name__}.{module.name}", summary)
+                        self._built_in[module.name.replace("_", "-")] = verb
+        return self._built_in
+
+    def _entry_points(self) -> dict[str, EntryPoint]:
+        if self._plugins is None:
+            found = entry_points(group=PLUGIN_GROUP)
+            self._plugins = {entry.name: entry for entry in found if entry.name not in self._modules()}
+        return self._plugins
+
+
+def _summary(source: Path) -> str | None:
+    """First paragraph of the help of the module's `command`; None if the module is no verb."""
+    try:
+        tree = ast.parse(source.read_bytes())
+    except (OSError, SyntaxError, ValueError):
+        return None
+    for node in tree.body:
+        if isinstance(node, ast.FunctionDef) and node.name == "command":
+            return _paragraph(ast.get_docstring(node) or ast.get_docstring(tree))
+        targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+        if any(isinstance(target, ast.Name) and target.id == "command" for target in targets):
+            return _paragraph(ast.get_docstring(tree))
+    return None
+
+
+def _paragraph(text: str | None) -> str:
+    return one_line((text or "").strip().split("\n\n")[0])
+
+
+def _shorten(text: str, limit: int) -> str:
+    sentence = text.split(". ")[0].rstrip(".")
+    return sentence if len(sentence) <= limit else sentence[: limit - 1].rsplit(" ", 1)[0] + "…"
+
+
+def _load(name: str, module: str) -> click.Command:
+    try:
+        command = importlib.import_module(module).command
+    except ModuleNotFoundError as error:
+        if error.name and error.name.split(".")[0] in ROS_MODULES:
+            raise CalibrationError(
+                f"`mtcal {name}` needs ROS 2 ({error.name} is missing): source your ROS 2 installation, or "
+                "pip install 'machine_tool_calibration[ros]'"
+            ) from error
+        raise CalibrationError(f"`mtcal {name}` cannot be loaded: {error}") from error
+    except Exception as error:
+        raise CalibrationError(f"`mtcal {name}` cannot be loaded: {type(error).__name__}: {error}") from error
+    if not isinstance(command, click.Command):
+        raise CalibrationError(f"`mtcal {name}` cannot be loaded: {module}.command is no click command")
+    return command
+
+
+def _load_plugin(entry: EntryPoint) -> click.Command | None:
+    """The plugin's command; None, with a warning, if it is broken."""
+    try:
+        command = entry.load()
+        if isinstance(command, click.Command):
+            return command
+        problem = f"{entry.value} is no click command"
+    except Exception as error:
+        problem = f"{type(error).__name__}: {error}"
+    note(f"mtcal: warning: the plugin {entry.name!r} is skipped: {one_line(problem)}")
+    return None
