@@ -12,6 +12,7 @@ from setuptools import setup
 PACKAGE = "machine_tool_calibration"
 HERE = Path(__file__).parent
 NODES = sorted(path.name for path in (HERE / "scripts" / "nodes").iterdir())
+README = HERE / "README.md"
 SHARED_FOLDERS = ("launch", "config", "msg_docs")
 
 
@@ -26,6 +27,9 @@ def tree(folder: str) -> list[tuple[str, list[str]]]:
 
 
 setup(
+    # Here and not in setup.cfg: colcon cannot read the first, and does not link the README into its build folder.
+    python_requires=">=3.11",
+    long_description=README.read_text(encoding="utf-8") if README.exists() else "",
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
