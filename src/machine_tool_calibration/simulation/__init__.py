@@ -1,0 +1,84 @@
+"""The virtual machine tool and the simulator of its measurements.
+
+Readings come from exact geometry: real rotations, true distances, flat mirrors, a sphere on a surface.
+Nothing here uses the estimator's model, so that agreement between the two means something.
+
+A whole session, with the truth behind it::
+
+    from machine_tool_calibration.simulation import FlawSpec, SimulationSpec, TrackingPlan, simulate
+
+    spec = SimulationSpec(plan=TrackingPlan(dimension=3), seed=5,
+                          effects=[FlawSpec(id="backlash_y", size=2e-6)])
+    simulated = simulate(spec)
+    simulated.session                    # as if it had been read from a folder
+    simulated.truth.document()           # for judging only: effect, true errors, true stations
+
+Another machine, other noise, spread between setups, gross errors, lost readings: fields of `SimulationSpec`.
+An effect is given by its `size` (coefficient of its formula) or its `amplitude` (largest change of a reading).
+`FLAWS` holds every effect that can be put in.
+
+A machine of one's own::
+
+    machine = build_machine(read_machine("config/machines/vertical.yaml"))
+    machine.position([[0.1, 0.2, 0.0]])          # (n, 3) where the functional point really is, m
+    machine.position_error([[0.1, 0.2, 0.0]])    # actual minus commanded
+    machine.tool_rotation([[0.1, 0.2, 0.0]])     # (n, 3, 3) orientation error of the tool, as a rotation
+    machine.on_table([0.1, 0.0, 0.02], [0.5])    # where a point of the rotary table really is
+
+One tracking reading at a time, as the nodes need it::
+
+    azimuth, elevation = aim(estimated_station, commanded_target)
+    origin, direction = Pointer(zero_offset=1e-5).beam(azimuth, elevation, true_station)
+    path = sensed_path(actual_target, origin, direction)      # open loop
+    path = distance(actual_target, true_station)              # a beam that follows the target
+"""
+
+from machine_tool_calibration.simulation.environment import Drift, Environment, random_environment
+from machine_tool_calibration.simulation.flaw import Chosen, Flaw
+from machine_tool_calibration.simulation.flaws import FLAWS, choose_flaw
+from machine_tool_calibration.simulation.machine import VirtualMachine
+from machine_tool_calibration.simulation.machine_file import (
+    MachineSpec,
+    TableSpec,
+    build_machine,
+    machine_document,
+    read_machine,
+)
+from machine_tool_calibration.simulation.random_machine import Amplitudes, random_machine
+from machine_tool_calibration.simulation.simulate import Simulated, simulate, simulate_many
+from machine_tool_calibration.simulation.spec import Chips, FlawSpec, SimulationSpec, Spread
+from machine_tool_calibration.simulation.tracking import Pointer, aim, beam_direction, distance, sensed_path
+from machine_tool_calibration.simulation.tracking_run import TrackingPlan
+from machine_tool_calibration.simulation.truth import Truth
+
+__all__ = [
+    "FLAWS",
+    "Amplitudes",
+    "Chips",
+    "Chosen",
+    "Drift",
+    "Environment",
+    "Flaw",
+    "FlawSpec",
+    "MachineSpec",
+    "Pointer",
+    "Simulated",
+    "SimulationSpec",
+    "Spread",
+    "TableSpec",
+    "TrackingPlan",
+    "Truth",
+    "VirtualMachine",
+    "aim",
+    "beam_direction",
+    "build_machine",
+    "choose_flaw",
+    "distance",
+    "machine_document",
+    "random_environment",
+    "random_machine",
+    "read_machine",
+    "sensed_path",
+    "simulate",
+    "simulate_many",
+]

@@ -1,0 +1,100 @@
+"""What effects do to a measurement, in terms of geometry; they add up."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.simulation.motions import Table
+
+__all__ = ["Disturbance", "Sight", "combine"]
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What the instrument looks at in each reading; what a method lacks is zero.
+
+    Attributes:
+        path: (n,) length from the instrument (rotation centre, or the mirror at the start of a run) to the
+            target, m.
+        direction: (n, 3) unit vector along which a displacement is sensed.
+        azimuth: (n,) azimuth of that direction (of the commanded beam, for a pointer), rad.
+        incidence: (n,) angle at the retroreflector between the beam and the retroreflector's axis,
+            about the vertical, rad.
+        change: (n,) path minus that of the run's first reading, m.
+    """
+
+    path: Array
+    direction: Array
+    azimuth: Array
+    incidence: Array
+    change: Array
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """Deviations from the ideal, each (n,) unless said otherwise; absent means none.
+
+    Attributes:
+        axis: carriage or table ahead of its command along its own motion, by axis letter, m or rad.
+        point: (n, 3) shift of the functional point, m.
+        station: (n, 3) shift of the station's rotation centre, m.
+        turn: turn of the beam's azimuth, rad.
+        optical: relative excess of the optical over the geometric path.
+        dead: excess of the optical path outside the measured one, m.
+        mirror: (n, 3) rotation vector of the flat mirror's tilt against the beam, rad.
+        growth: relative growth of the workpiece about the table's centre.
+        table_radial: relative growth of the table's targets away from the axis.
+        table_axial: relative growth along the axis.
+        reading: added to the reading as a function of what the instrument looks at.
+        tables: further error motions of the machine.
+        squareness: further squareness, rad.
+    """
+
+    axis: Mapping[str, Array] = field(default_factory=dict)
+    point: Array | None = None
+    station: Array | None = None
+    turn: Array | None = None
+    optical: Array | None = None
+    dead: Array | None = None
+    mirror: Array | None = None
+    growth: Array | None = None
+    table_radial: Array | None = None
+    table_axial: Array | None = None
+    reading: tuple[Callable[[Sight], Array], ...] = ()
+    tables: tuple[tuple[str, Table], ...] = ()
+    squareness: Mapping[str, float] = field(default_factory=dict)
+
+    def added(self, sight: Sight) -> Array:
+        """(n,) the sum of what is added to the reading, m: excess of the optical path and the rest."""
+        total = np.zeros(len(sight.path))
+        if self.optical is not None:
+            total = total + self.optical * sight.path
+        if self.dead is not None:
+            total = total + self.dead
+        for function in self.reading:
+            total = total + function(sight)
+        return total
+
+
+def combine(parts: tuple[Disturbance, ...]) -> Disturbance:
+    """The sum of several disturbances."""
+    total: dict[str, object] = {}
+    for part in parts:
+        for entry in fields(part):
+            value, old = getattr(part, entry.name), total.get(entry.name)
+            if value is None:
+                continue
+            if old is None:
+                total[entry.name] = value
+            elif isinstance(value, Mapping):
+                merged = dict(old)  # type: ignore[call-overload]
+                for key, item in value.items():
+                    merged[key] = merged[key] + item if key in merged else item
+                total[entry.name] = merged
+            else:
+                total[entry.name] = old + value  # type: ignore[operator]
+    return Disturbance(**total)  # type: ignore[arg-type]

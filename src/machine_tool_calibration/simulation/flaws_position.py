@@ -1,0 +1,125 @@
+"""Flaws of the machine's position: backlash, heat, pitch errors, scale, and error motions left out of a model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.simulation.disturbance import Disturbance
+from machine_tool_calibration.simulation.flaw import Flaw, Parameters
+from machine_tool_calibration.simulation.motions import COMPONENTS, Table, constant, random_periodic, random_smooth
+from machine_tool_calibration.simulation.scene import Scene
+
+__all__ = ["POSITION_FLAWS"]
+
+
+def _backlash(axis: str) -> Flaw:
+    """The carriage lags behind its command by half the backlash, against the last move."""
+
+    def disturb(size: float, _: Parameters, scene: Scene) -> Disturbance:
+        return Disturbance(axis={axis: -size * scene.toward(axis)})
+
+    rotary = axis == "C"
+    return Flaw(
+        f"backlash_{axis.lower()}",
+        f"position of {axis}: -size * dir_{axis.lower()} (half width)",
+        "rad" if rotary else "m",
+        1.3e-5 if rotary else 1.5e-6,
+        disturb,
+        methods=("rotary_axis",) if rotary else ("step_diagonal", "tracking_interferometer", "probing", "direct"),
+    )
+
+
+def _thermal(axis: str) -> Flaw:
+    """The scale or screw of an axis grows with its temperature, from the axis's zero."""
+    column = f"temperature_{axis.lower()}"
+
+    def disturb(size: float, parameters: Parameters, scene: Scene) -> Disturbance:
+        excess = scene.sensed(column) - parameters["reference"]
+        return Disturbance(axis={axis: size * excess * scene.along(axis)})
+
+    return Flaw(f"thermal_expansion_{axis.lower()}", f"position of {axis}: size * ({column} - 20) * {axis.lower()}",
+                "1/K", 8e-6, disturb, {"reference": 20.0})
+
+
+def _warmup(axis: str) -> Flaw:
+    """The spindle or carriage moves off as the machine warms up, and settles."""
+
+    def disturb(size: float, parameters: Parameters, scene: Scene) -> Disturbance:
+        return Disturbance(axis={axis: size * (1.0 - np.exp(-scene.time / parameters["tau"]))})
+
+    return Flaw(f"warmup_{axis.lower()}", f"position of {axis}: size * (1 - exp(-time / tau))", "m", 5e-6, disturb,
+                draw=lambda rng: {"tau": float(np.exp(rng.uniform(np.log(600.0), np.log(3000.0))))})
+
+
+def _pitch(axis: str) -> Flaw:
+    """The screw's pitch or the encoder's grating repeats its error with every lead."""
+
+    def disturb(size: float, parameters: Parameters, scene: Scene) -> Disturbance:
+        phase = 2.0 * np.pi * scene.along(axis) / parameters["lead"] + parameters["phase"]
+        return Disturbance(axis={axis: size * np.sin(phase)})
+
+    return Flaw(f"pitch_periodic_{axis.lower()}",
+                f"position of {axis}: size * sin(2 pi {axis.lower()} / lead + phase)", "m", 1.5e-6, disturb,
+                {"lead": 0.012}, lambda rng: {"phase": float(rng.uniform(0, 2 * np.pi))})
+
+
+def _scale_of(size: float, _: Parameters, scene: Scene) -> Disturbance:
+    return Disturbance(axis={axis: size * scene.along(axis) for axis in "XYZ"})
+
+
+def _squareness(name: str) -> Flaw:
+    def disturb(size: float, _: Parameters, scene: Scene) -> Disturbance:
+        return Disturbance(squareness={name: size})
+
+    return Flaw(name, f"squareness {name} = size", "rad", 1e-5, disturb,
+                methods=("step_diagonal", "tracking_interferometer", "probing", "direct"))
+
+
+def shaped(name: str, size: float, parameters: Parameters, ends: Mapping[str, tuple[float, float]]) -> Table:
+    """The table of an extra error motion: `shape` is random (by `seed`), constant, linear, quadratic or sine."""
+    axis, shape = name[-1], parameters["shape"]
+    if axis not in "XYZ":
+        rng = np.random.default_rng(int(parameters["seed"]))
+        return random_periodic(rng, size) if shape == "random" else constant(0.0, 2 * np.pi, size)
+    low, high = ends.get(axis, (0.0, 1.0))
+    if shape == "random":
+        return random_smooth(np.random.default_rng(int(parameters["seed"])), low, high, size)
+    nodes = np.linspace(low, high, 33)
+    u = 2.0 * (nodes - low) / (high - low) - 1.0
+    shapes = {"constant": np.ones(33), "linear": u, "quadratic": u**2, "sine": np.sin(np.pi * u)}
+    if shape not in shapes:
+        raise CalibrationError(f"{name}: the shape {shape!r} is none of random, {', '.join(shapes)}")
+    return Table(tuple(nodes), tuple(size * shapes[shape]), "cubic")
+
+
+def _motion(name: str) -> Flaw:
+    def disturb(size: float, parameters: Parameters, scene: Scene) -> Disturbance:
+        return Disturbance(tables=((name, shaped(name, size, parameters, scene.ends)),))
+
+    def draw(rng: np.random.Generator) -> dict[str, Any]:
+        return {"seed": int(rng.integers(2**31))}
+
+    angular, axis = name[1] in "ABC", name[-1]
+    return Flaw(
+        name,
+        f"error motion {name} as a smooth function of {axis.lower()}, largest absolute value size",
+        "rad" if angular else "m",
+        2e-5 if angular else 3e-6,
+        disturb,
+        {"shape": "random"},
+        draw,
+        ("rotary_axis", "probing") if axis == "C" else ("step_diagonal", "tracking_interferometer", "probing", "direct"),
+    )
+
+
+POSITION_FLAWS: tuple[Flaw, ...] = (
+    *(_backlash(axis) for axis in "XYZC"),
+    *(make(axis) for make in (_thermal, _warmup, _pitch) for axis in "XYZ"),
+    Flaw("scale", "position: size * (x, y, z)", "1", 1e-5, _scale_of),
+    *(_squareness(name) for name in ("A0Z", "B0Z", "C0Y")),
+    *(_motion(component + axis) for axis in "XYZC" for component in COMPONENTS),
+)

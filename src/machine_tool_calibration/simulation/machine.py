@@ -1,0 +1,196 @@
+"""The virtual machine tool: where the tool really is when the axes are commanded somewhere.
+
+Rigid bodies, composed with real rotations, so that products of errors are as in a real machine.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.machine.chain import Chain
+from machine_tool_calibration.simulation.motions import AxisMotion, Table
+from machine_tool_calibration.simulation.rotation import matrix, rotate, turn
+
+__all__ = ["VirtualMachine"]
+
+_SQUARENESS = re.compile(r"[ABC]0[XYZ]")
+_LINE = re.compile(r"[XYZABC]0[ABC]")
+
+
+@dataclass(frozen=True)
+class VirtualMachine:
+    """A machine tool with true geometric errors, named as in ISO 230-1.
+
+    The tool's position in the workpiece frame is the chain (bed first: the workpiece's side from the bed
+    outwards, then the tool's side from the bed outwards)
+
+        p = x_1 d_1 + E_1 + R_1 (x_2 d_2 + E_2 + R_2 (x_3 d_3 + E_3 + R_3 offset))
+
+    with an axis's position x, its direction of motion d, translation error E = (EX, EY, EZ) and rotation
+    R of the vector (EA, EB, EC). To first order a rotation acts with the lever arm made of the positions
+    of the axes after it: for w-X-Y-b-Z-t (0,0,z) for X, (x,0,z) for Y, 0 for Z (Ibaraki and Hata 2010,
+    Eq. (23)); for w-C-b-Y-X-Z-t (x,0,z) for Y, (0,0,z) for X, 0 for Z (the probing paper, Eqs. (4)(5)).
+    All errors are of the tool with respect to the workpiece, for axes on either side.
+
+    Squareness turns an axis's direction of motion and nothing that it carries: C0Y turns d of Y about +Z
+    (e_x = -y C0Y), B0Z turns d of Z about +Y (e_x = +z B0Z), A0Z turns d of Z about +X (e_y = -z A0Z).
+
+    Attributes:
+        chain: the chain of axes.
+        motions: error motions by axis letter.
+        squareness: A0Z, B0Z, C0Y (or A0Y, C0X, B0X), rad.
+        average_line: position and orientation of a rotary axis's average line in the machine frame:
+            X0C, Y0C (m), A0C, B0C (rad), likewise for A and B.
+        travel: lower and upper end by axis letter, m or rad.
+        rotation_sign: +1 where a rotary axis commanded positive turns the workpiece counter-clockwise
+            seen from the positive end of its axis, -1 clockwise.
+        tool_offset: from the last carriage to the functional point, m.
+    """
+
+    chain: Chain
+    motions: Mapping[str, AxisMotion] = field(default_factory=dict)
+    squareness: Mapping[str, float] = field(default_factory=dict)
+    average_line: Mapping[str, float] = field(default_factory=dict)
+    travel: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    rotation_sign: int = 1
+    tool_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        for axis, motion in self.motions.items():
+            if axis not in self.chain.axes:
+                raise ModelError(f"error motions of axis {axis}, which the machine's chain does not have")
+            if motion.axis != axis:
+                raise ModelError(f"error motions of axis {motion.axis} are given for axis {axis}")
+        for name in self.squareness:
+            if not _SQUARENESS.fullmatch(name) or "XYZ"["ABC".index(name[0])] == name[2]:
+                raise ModelError(f"{name!r} is no squareness; squareness errors are A0Z, B0Z, C0Y (or A0Y, B0X, C0X)")
+        for name in self.average_line:
+            if not _LINE.fullmatch(name):
+                raise ModelError(f"{name!r} is no error of an axis average line; these are X0C, Y0C, A0C, B0C, C0C")
+        if self.rotation_sign not in (-1, 1):
+            raise ModelError(f"rotation_sign must be 1 or -1, not {self.rotation_sign}")
+        unit = {a: np.eye(3)[i] for i, a in enumerate("XYZ")}
+        order = tuple(a for a in (*reversed(self.chain.workpiece_side), *self.chain.tool_side) if a in "XYZ")
+        directions = {a: rotate(unit[a], self._tilt(a)) for a in order}
+        object.__setattr__(self, "_order", order)
+        object.__setattr__(self, "_directions", directions)
+
+    def _tilt(self, axis: str) -> Array:
+        return np.array([self.squareness.get(f"{r}0{axis}", 0.0) for r in "ABC"])
+
+    def position(self, command: Array, shift: Mapping[str, Array] | None = None) -> Array:
+        """Actual position of the functional point in the workpiece frame (rotary axes at zero).
+
+        Args:
+            command: (n, 3) commanded x, y, z, m.
+            shift: how far an axis's carriage is off its command along its own motion, by letter, (n,) m
+                (backlash, thermal expansion, pitch error).
+
+        Returns:
+            (n, 3), m.
+        """
+        return self._follow(np.atleast_2d(np.asarray(command, float)), shift)
+
+    def position_error(self, command: Array, shift: Mapping[str, Array] | None = None) -> Array:
+        """Actual minus commanded position of the functional point, (n, 3), m."""
+        at = np.atleast_2d(np.asarray(command, float))
+        return self._follow(at, shift) - at - np.asarray(self.tool_offset)
+
+    def tool_rotation(self, command: Array) -> Array:
+        """(n, 3, 3) rotation of the tool (mirror, retroreflector) with respect to the workpiece."""
+        at = np.atleast_2d(np.asarray(command, float))
+        total = np.broadcast_to(np.eye(3), (len(at), 3, 3))
+        for axis in self._order:  # type: ignore[attr-defined]
+            if axis in self.motions:
+                total = total @ matrix(self.motions[axis](at[:, "XYZ".index(axis)])[:, 3:])
+        return total
+
+    def carried(self, command: Array, vector: Array) -> Array:
+        """A vector fixed to the tool, (3,) or (n, 3), as turned by the angular errors, (n, 3)."""
+        at = np.atleast_2d(np.asarray(command, float))
+        turned = np.broadcast_to(np.asarray(vector, float), at.shape)
+        for axis in reversed(self._order):  # type: ignore[attr-defined]
+            if axis in self.motions:
+                turned = rotate(turned, self.motions[axis](at[:, "XYZ".index(axis)])[:, 3:])
+        return turned
+
+    def _follow(self, at: Array, shift: Mapping[str, Array] | None) -> Array:
+        order: tuple[str, ...] = self._order  # type: ignore[attr-defined]
+        point: Array = np.broadcast_to(np.asarray(self.tool_offset), at.shape)
+        for axis in reversed(order):
+            along = at[:, "XYZ".index(axis)]
+            if axis in self.motions:
+                error = self.motions[axis](along)
+                point = rotate(point, error[:, 3:]) + error[:, :3]
+            if shift is not None and axis in shift:
+                along = along + shift[axis]
+            point = point + along[:, None] * self._directions[axis]  # type: ignore[attr-defined]
+        for index, axis in enumerate("XYZ"):  # an axis that the chain lacks stands where it is said to be
+            if axis not in order:
+                point = point + at[:, index : index + 1] * np.eye(3)[index]
+        return point
+
+    def on_table(self, point: Array, angle: Array, axis: str = "C", shift: Array | float = 0.0) -> Array:
+        """Where a point of the table really is in the machine frame.
+
+        q = line + T (E + R Rot(s·(angle + shift)) p): Rot the nominal rotation about the axis, s the
+        rotation sign, R the rotation of (EA, EB, EC) and E = (EX, EY, EZ) at `angle`, T and `line` the
+        axis average line's orientation and position. To first order it is the nominal position +
+        E + (EA, EB, EC) x nominal position (Zhang et al. 2015, Eq. (7)); ECC is positive about +Z,
+        whichever sense a positive command has.
+
+        Args:
+            point: (n, 3) or (3,) in the table frame, m.
+            angle: (n,) commanded angle, rad.
+            axis: the rotary axis.
+            shift: actual minus commanded angle in the axis's own sense, rad (backlash).
+
+        Returns:
+            (n, 3), m.
+        """
+        angle = np.atleast_1d(np.asarray(angle, float))
+        p = np.broadcast_to(np.asarray(point, float), (len(angle), 3))
+        q = turn(p, axis, self.rotation_sign * (angle + shift))
+        if axis in self.motions:
+            error = self.motions[axis](angle)
+            q = rotate(q, error[:, 3:]) + error[:, :3]
+        return self._line(q, axis)
+
+    def table_direction(self, vector: Array, angle: Array, axis: str = "C", shift: Array | float = 0.0) -> Array:
+        """A direction fixed to the table, (n, 3) or (3,), as it really lies in the machine frame, (n, 3)."""
+        origin = self.on_table(np.zeros(3), angle, axis, shift)
+        turned: Array = self.on_table(vector, angle, axis, shift) - origin
+        return turned
+
+    def _line(self, q: Array, axis: str) -> Array:
+        line = self.average_line
+        tilt = np.array([line.get(f"{r}0{axis}", 0.0) for r in "ABC"])
+        place = np.array([line.get(f"{t}0{axis}", 0.0) for t in "XYZ"])
+        return (rotate(q, tilt) if tilt.any() else q) + place
+
+    def with_tables(self, extra: Iterable[tuple[str, Table]]) -> VirtualMachine:
+        """The same machine with further error motions (`EXX`, table) added."""
+        motions = dict(self.motions)
+        for name, table in extra:
+            axis = name[-1]
+            motions[axis] = motions.get(axis, AxisMotion(axis)).with_tables([(name, table)])
+        return replace(self, motions=motions)
+
+    def with_squareness(self, extra: Mapping[str, float]) -> VirtualMachine:
+        """The same machine with squareness errors added, rad."""
+        total = dict(self.squareness)
+        for name, value in extra.items():
+            total[name] = total.get(name, 0.0) + value
+        return replace(self, squareness=total)
+
+    def motion(self, name: str, position: Array) -> Array:
+        """One error motion, such as `EXX`, at positions (n,) of its axis; m or rad."""
+        axis, component = name[-1], ("EX", "EY", "EZ", "EA", "EB", "EC").index(name[:2])
+        at = np.atleast_1d(np.asarray(position, float))
+        return self.motions[axis](at)[:, component] if axis in self.motions else np.zeros(len(at))

@@ -1,0 +1,182 @@
+"""True errors of a machine as a YAML document: tables, squareness, axis average line, or random ones."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from machine_tool_calibration.errors import CalibrationError, ModelError
+from machine_tool_calibration.machine.chain import Chain
+from machine_tool_calibration.simulation.machine import VirtualMachine
+from machine_tool_calibration.simulation.motions import AxisMotion, Table
+from machine_tool_calibration.simulation.random_machine import Amplitudes, random_machine
+
+__all__ = ["MachineSpec", "TableSpec", "build_machine", "machine_document", "read_machine"]
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class TableSpec(_Record):
+    """One error motion: values at nodes of the axis, m or rad."""
+
+    nodes: Annotated[tuple[Finite, ...], Field(min_length=2, max_length=100_000)]
+    values: Annotated[tuple[Finite, ...], Field(min_length=2, max_length=100_000)]
+    interpolation: Literal["cubic", "linear", "periodic"] = "cubic"
+
+
+class MachineSpec(_Record):
+    """A machine's true errors.
+
+    Attributes:
+        chain: chain of axes; the measurement's own if absent.
+        travel: ends of the axes, m; the measurement's own if absent.
+        rotation_sign: +1 counter-clockwise, -1 clockwise for a rotary axis commanded positive.
+        seed: of the random errors; the simulation's own if absent.
+        random: sizes of random errors (an empty mapping: the usual sizes); `null`: no random errors.
+            A machine without any key has random errors.
+        motions: error motions by name, added to the random ones.
+        squareness: likewise, rad.
+        average_line: X0C, Y0C, A0C, B0C, likewise, m and rad.
+        tool_offset: from the last carriage to the functional point, m.
+    """
+
+    chain: str | None = None
+    travel: dict[str, tuple[Finite, Finite]] = {}
+    rotation_sign: Literal[-1, 1] | None = None
+    seed: Annotated[int, Field(ge=0)] | None = None
+    random: Amplitudes | None = Amplitudes()
+    motions: dict[str, TableSpec] = {}
+    squareness: dict[str, Finite] = {}
+    average_line: dict[str, Finite] = {}
+    tool_offset: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
+
+
+def build_machine(
+    spec: MachineSpec,
+    *,
+    chain: str | None = None,
+    travel: Mapping[str, tuple[float, float]] | None = None,
+    rotation_sign: int = 1,
+    seed: Any = 0,
+    random: Amplitudes | None = None,
+) -> VirtualMachine:
+    """The machine of a spec.
+
+    Args:
+        spec: what is said of it.
+        chain: chain for a spec that names none.
+        travel: ends of axes that the spec does not name, by letter.
+        rotation_sign: for a spec that names none.
+        seed: for a spec that names none.
+        random: sizes of random errors for a spec that leaves them at the usual ones.
+
+    Raises:
+        CalibrationError: no chain, an error motion of an axis that the chain lacks, unfit tables.
+    """
+    text = spec.chain or chain
+    if text is None:
+        raise ModelError("the machine needs a chain, such as w-C-b-Y-X-Z-t")
+    try:
+        parsed = Chain.parse(text)
+    except ValueError as error:
+        raise ModelError(str(error)) from None
+    ends = {a.upper(): (float(lo), float(hi)) for a, (lo, hi) in {**(travel or {}), **_upper(spec.travel)}.items()}
+    for axis, (low, high) in ends.items():
+        if not low < high:
+            raise ModelError(f"travel of {axis.lower()} must run from low to high, not {low} to {high}")
+    sign = spec.rotation_sign or rotation_sign
+    if spec.random is not None:
+        sizes = random if random is not None and spec.random == Amplitudes() else spec.random
+        machine = random_machine(
+            parsed, ends, seed if spec.seed is None else spec.seed, sizes, rotation_sign=sign
+        )
+    else:
+        machine = VirtualMachine(parsed, travel=ends, rotation_sign=sign)
+    tables = []
+    for name, table in spec.motions.items():
+        if len(name) != 3 or name[-1] not in parsed.axes:
+            raise ModelError(f"error motion {name!r}: the chain {text} has no such axis")
+        try:
+            tables.append((name, Table(table.nodes, table.values, table.interpolation)))
+        except ModelError as error:
+            raise ModelError(f"error motion {name}: {error}") from None
+    machine = machine.with_tables(tables).with_squareness(spec.squareness)
+    line = dict(machine.average_line)
+    for name, value in spec.average_line.items():
+        line[name] = line.get(name, 0.0) + value
+    return VirtualMachine(
+        parsed, machine.motions, machine.squareness, line, ends, sign, spec.tool_offset
+    )
+
+
+def _upper(travel: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+    return {name.upper(): ends for name, ends in travel.items()}
+
+
+def read_machine(path: Path | str) -> MachineSpec:
+    """The machine described in a YAML file.
+
+    Raises:
+        CalibrationError: the file cannot be read or a key or value is wrong; the message names it.
+    """
+    path = Path(path)
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise CalibrationError(f"{path}: cannot be read: {error.strerror}") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise CalibrationError(f"{path}: not YAML: {' '.join(str(error).split())}") from None
+    try:
+        return MachineSpec.model_validate(content if content is not None else {})
+    except ValidationError as error:
+        raise CalibrationError(f"{path}: {one_line(error)}") from None
+
+
+def one_line(error: ValidationError) -> str:
+    """The first complaint of a validation, with the key that it is about."""
+    first = error.errors()[0]
+    key = ".".join(str(part) for part in first["loc"]) or "the document"
+    return f"{key}: {first['msg'].removeprefix('Value error, ')}"
+
+
+def machine_document(machine: VirtualMachine) -> dict[str, Any]:
+    """A machine's true errors as a document that `read_machine` accepts (one table per error motion)."""
+    motions: dict[str, Any] = {}
+    for axis in machine.motions.values():
+        for name, tables in merged(axis).items():
+            motions[name] = {"nodes": list(tables.nodes), "values": list(tables.values),
+                             "interpolation": tables.interpolation}
+    return {
+        "chain": "-".join(["w", *machine.chain.workpiece_side, "b", *machine.chain.tool_side, "t"]),
+        "travel": {axis.lower(): list(ends) for axis, ends in machine.travel.items()},
+        "rotation_sign": machine.rotation_sign,
+        "random": None,
+        "motions": motions,
+        "squareness": dict(machine.squareness),
+        "average_line": dict(machine.average_line),
+        "tool_offset": list(machine.tool_offset),
+    }
+
+
+def merged(axis: AxisMotion) -> dict[str, Table]:
+    """One table per error motion; several of one name are summed on a fine common grid."""
+    by_name: dict[str, list[Table]] = {}
+    for name, table in axis.tables:
+        by_name.setdefault(name, []).append(table)
+    out = {}
+    for name, tables in by_name.items():
+        if len(tables) == 1:
+            out[name] = tables[0]
+            continue
+        nodes = sorted({node for table in tables for node in table.nodes})
+        values = tuple(float(sum(table(node) for table in tables)) for node in nodes)
+        out[name] = Table(tuple(nodes), values, tables[0].interpolation)
+    return out

@@ -1,0 +1,189 @@
+"""Error motions as smooth functions of one axis's position, and random ones."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.interpolate import CubicSpline, PPoly
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.errors import ModelError
+
+__all__ = ["COMPONENTS", "AxisMotion", "Table", "constant", "motion_names", "random_periodic", "random_smooth"]
+
+COMPONENTS = ("EX", "EY", "EZ", "EA", "EB", "EC")
+Interpolation = Literal["cubic", "linear", "periodic"]
+
+
+def motion_names(axis: str) -> tuple[str, ...]:
+    """ISO 230-1 names of an axis's six error motions: `EXX`, `EYX`, `EZX`, `EAX`, `EBX`, `ECX`."""
+    return tuple(component + axis for component in COMPONENTS)
+
+
+@dataclass(frozen=True)
+class Table:
+    """One error motion as values at nodes.
+
+    Attributes:
+        nodes: (k,) increasing positions of the axis, m or rad.
+        values: (k,) error motion there, m (EX, EY, EZ) or rad (EA, EB, EC).
+        interpolation: `cubic` (natural spline), `linear`, or `periodic` (spline; the nodes span one
+            turn and the first and last values agree). Outside its nodes a motion keeps its end value.
+    """
+
+    nodes: tuple[float, ...]
+    values: tuple[float, ...]
+    interpolation: Interpolation = "cubic"
+
+    def __post_init__(self) -> None:
+        nodes, values = np.asarray(self.nodes, float), np.asarray(self.values, float)
+        if nodes.ndim != 1 or nodes.shape != values.shape or len(nodes) < 2:
+            raise ModelError(f"an error motion needs as many values as nodes, at least 2; not {nodes.size} nodes "
+                             f"and {values.size} values")
+        if not (np.all(np.isfinite(nodes)) and np.all(np.isfinite(values))):
+            raise ModelError("an error motion's nodes and values must be finite")
+        if np.any(np.diff(nodes) <= 0):
+            raise ModelError("an error motion's nodes must increase")
+        if self.interpolation == "periodic" and abs(values[-1] - values[0]) > 1e-12:
+            raise ModelError("a periodic error motion's first and last values must agree")
+
+    def polynomial(self) -> PPoly:
+        """The motion as a piecewise polynomial."""
+        if self.interpolation == "linear" or len(self.nodes) == 2:
+            nodes, values = np.asarray(self.nodes, float), np.asarray(self.values, float)
+            return PPoly(np.stack([np.diff(values) / np.diff(nodes), values[:-1]]), nodes)
+        if self.interpolation == "periodic":
+            closed = (*self.values[:-1], self.values[0])
+            return CubicSpline(self.nodes, closed, bc_type="periodic")
+        return CubicSpline(self.nodes, self.values, bc_type="natural")
+
+    def __call__(self, position: Array | float) -> Array:
+        """The motion at positions of the axis."""
+        x = np.asarray(position, float)
+        low, high = self.nodes[0], self.nodes[-1]
+        x = low + np.mod(x - low, high - low) if self.interpolation == "periodic" else np.clip(x, low, high)
+        values: Array = self.polynomial()(x)
+        return values
+
+
+@dataclass(frozen=True)
+class AxisMotion:
+    """The six error motions of one axis, evaluated together; a motion without tables is zero.
+
+    Attributes:
+        axis: `X`, `Y`, `Z`, `A`, `B` or `C`.
+        tables: (name, table) pairs; several tables of one name add up.
+    """
+
+    axis: str
+    tables: tuple[tuple[str, Table], ...] = ()
+
+    def __post_init__(self) -> None:
+        names = motion_names(self.axis)
+        for name, _ in self.tables:
+            if name not in names:
+                raise ModelError(f"{name} is not an error motion of the {self.axis} axis; these are {' '.join(names)}")
+        periodic = {table.interpolation == "periodic" for _, table in self.tables}
+        if len(periodic) == 2:
+            raise ModelError(f"the error motions of {self.axis} mix periodic and other tables")
+        breaks, coefficients = self._merge()
+        object.__setattr__(self, "_periodic", periodic == {True})
+        object.__setattr__(self, "_breaks", breaks)
+        object.__setattr__(self, "_coefficients", coefficients)
+
+    def _merge(self) -> tuple[Array, Array]:
+        """One set of breakpoints for all motions, so that one look-up gives all six."""
+        if not self.tables:
+            return np.array([0.0, 1.0]), np.zeros((4, 1, 6))
+        breaks = np.unique(np.concatenate([table.nodes for _, table in self.tables]))
+        start = breaks[:-1]
+        merged = np.zeros((4, len(start), 6))
+        for name, table in self.tables:
+            polynomial, column = table.polynomial(), COMPONENTS.index(name[:2])
+            inside = (start >= table.nodes[0]) & (start < table.nodes[-1])
+            ends = np.where(start < table.nodes[0], table.values[0], table.values[-1])
+            merged[3, :, column] += np.where(inside, polynomial(start), ends)
+            for order, factor in ((1, 1.0), (2, 0.5), (3, 1.0 / 6.0)):
+                if order < len(polynomial.c):
+                    merged[3 - order, :, column] += np.where(inside, factor * polynomial(start, order), 0.0)
+        return breaks, merged
+
+    def __call__(self, position: Array) -> Array:
+        """(n, 6) EX, EY, EZ (m) and EA, EB, EC (rad) at positions (n,), m or rad."""
+        breaks: Array = self._breaks  # type: ignore[attr-defined]
+        coefficients: Array = self._coefficients  # type: ignore[attr-defined]
+        low, high = breaks[0], breaks[-1]
+        if self._periodic:  # type: ignore[attr-defined]
+            x = low + np.mod(position - low, high - low)
+        else:
+            x = np.minimum(np.maximum(position, low), high)
+        index = np.minimum(np.searchsorted(breaks, x, side="right") - 1, len(breaks) - 2)
+        step = (x - breaks[index])[:, None]
+        c = coefficients
+        values: Array = ((c[0, index] * step + c[1, index]) * step + c[2, index]) * step + c[3, index]
+        return values
+
+    def with_tables(self, extra: Iterable[tuple[str, Table]]) -> AxisMotion:
+        """The same axis with further tables added."""
+        return AxisMotion(self.axis, (*self.tables, *extra))
+
+    def as_mapping(self) -> Mapping[str, list[dict[str, object]]]:
+        """Tables by name, for a YAML file."""
+        out: dict[str, list[dict[str, object]]] = {}
+        for name, table in self.tables:
+            entry = {"nodes": list(table.nodes), "values": list(table.values), "interpolation": table.interpolation}
+            out.setdefault(name, []).append(entry)
+        return out
+
+
+def constant(low: float, high: float, value: float) -> Table:
+    """A motion that has one value everywhere."""
+    return Table((low, high), (value, value), "linear")
+
+
+def random_smooth(
+    rng: np.random.Generator, low: float, high: float, amplitude: float, *, zero: float | None = None, knots: int = 7
+) -> Table:
+    """A smooth random motion over [low, high]: zero at `zero`, largest absolute value `amplitude`.
+
+    A natural spline through a random walk at `knots` nodes with a random slope, as guideways and ball
+    screws show: long waves with some shorter ones.
+
+    Args:
+        rng: source of chance.
+        low: lower end of the travel, m or rad.
+        high: upper end.
+        amplitude: largest absolute value, m or rad.
+        zero: position where the motion is zero by definition; by default 0 if inside, else `low`.
+        knots: number of nodes; more give shorter waves.
+    """
+    nodes = np.linspace(low, high, knots)
+    walk = np.cumsum(rng.normal(size=knots)) + rng.normal() * np.linspace(-1, 1, knots) + rng.normal(size=knots) * 0.5
+    reference = zero if zero is not None else (0.0 if low <= 0.0 <= high else low)
+    return _normalised(nodes, walk, amplitude, reference, "cubic")
+
+
+def random_periodic(rng: np.random.Generator, amplitude: float, *, orders: int = 4) -> Table:
+    """A smooth random motion of a rotary axis: zero at 0, largest absolute value `amplitude`.
+
+    Harmonics up to `orders`, falling with the order.
+    """
+    nodes = np.linspace(0.0, 2.0 * np.pi, 37)
+    k = np.arange(1, orders + 1)[:, None]
+    weights = rng.normal(size=(2, orders)) / np.sqrt(k[:, 0])
+    values = weights[0] @ np.cos(k * nodes) + weights[1] @ np.sin(k * nodes)
+    values[-1] = values[0]
+    return _normalised(nodes, values, amplitude, 0.0, "periodic")
+
+
+def _normalised(nodes: Array, values: Array, amplitude: float, zero: float, interpolation: Interpolation) -> Table:
+    table = Table(tuple(nodes), tuple(values), interpolation)
+    values = values - float(table(zero))
+    fine = np.linspace(nodes[0], nodes[-1], 20 * len(nodes))
+    peak = np.max(np.abs(Table(tuple(nodes), tuple(values), interpolation)(fine)))
+    if peak > 0:
+        values = values * (amplitude / peak)
+    return Table(tuple(map(float, nodes)), tuple(map(float, values)), interpolation)

@@ -1,0 +1,83 @@
+"""Under which conditions each reading is taken: commands, directions, time, environment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, IntArray
+
+__all__ = ["Scene", "last_direction", "ordered_times"]
+
+_STANDARD = {"air_pressure": 101325.0, "relative_humidity": 0.5}
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Commands and conditions of n readings in the order of time.
+
+    Attributes:
+        time: (n,) s.
+        setup: (n,) index of the setup.
+        repeat: (n,) repetition.
+        position: (n, 3) commanded x, y, z, m; zero for an axis that does not move.
+        angle: (n,) commanded angle of the rotary axis, rad.
+        direction: sign of the last move by axis letter, (n,).
+        environment: columns by name, (n,).
+        label: (n,) index of the target or point.
+        axis: letter of the rotary axis.
+        ends: lower and upper end of each axis's travel by letter.
+    """
+
+    time: Array
+    setup: IntArray
+    repeat: IntArray
+    position: Array
+    angle: Array
+    direction: Mapping[str, Array] = field(default_factory=dict)
+    environment: Mapping[str, Array] = field(default_factory=dict)
+    label: IntArray | None = None
+    axis: str = "C"
+    ends: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    start: Array | None = None
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def along(self, axis: str) -> Array:
+        """(n,) commanded position of an axis, m or rad."""
+        return self.position[:, "XYZ".index(axis)] if axis in "XYZ" else self.angle
+
+    def sensed(self, column: str) -> Array:
+        """(n,) an environment column; 20 °C, 101325 Pa or 50 % where it is not recorded."""
+        if column in self.environment:
+            return self.environment[column]
+        return np.full(len(self), _STANDARD.get(column, 20.0))
+
+    def toward(self, axis: str) -> Array:
+        """(n,) sign of the last move of an axis; +1 where it did not move."""
+        return self.direction.get(axis, np.ones(len(self)))
+
+    def since_setup(self) -> Array:
+        """(n,) s since the first reading of that setup."""
+        if self.start is not None:
+            return self.time - self.start
+        first = np.full(int(self.setup.max(initial=-1)) + 1, np.inf)
+        np.minimum.at(first, self.setup, self.time)
+        return self.time - first[self.setup]
+
+
+def last_direction(command: Array, initial: float = 1.0) -> Array:
+    """(n,) sign of the last move of one axis up to each reading; `initial` before it has moved."""
+    move = np.sign(np.diff(command, prepend=command[:1]))
+    move[np.abs(np.diff(command, prepend=command[:1])) < 1e-12] = 0.0
+    last = np.maximum.accumulate(np.where(move != 0, np.arange(len(command)), -1))
+    return np.where(last >= 0, move[np.maximum(last, 0)], initial)
+
+
+def ordered_times(setup: IntArray, interval: float, pause: float) -> Array:
+    """(n,) times of readings `interval` apart, with `pause` more before each new setup, s."""
+    changes = np.concatenate([[0], np.cumsum(setup[1:] != setup[:-1])])
+    return np.arange(len(setup)) * interval + changes * pause

@@ -1,0 +1,183 @@
+"""From a spec to a session, with the truth behind it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from pydantic import TypeAdapter
+
+from machine_tool_calibration.arrays import Array, BoolArray
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.session.description import Description
+from machine_tool_calibration.session.session import Readings, Session
+from machine_tool_calibration.simulation.disturbance import Disturbance, combine
+from machine_tool_calibration.simulation.environment import random_environment
+from machine_tool_calibration.simulation.flaw import Chosen
+from machine_tool_calibration.simulation.flaws import choose_flaw
+from machine_tool_calibration.simulation.machine import VirtualMachine
+from machine_tool_calibration.simulation.machine_file import build_machine
+from machine_tool_calibration.simulation.measurement import Measurement, since_first
+from machine_tool_calibration.simulation.plans import measure
+from machine_tool_calibration.simulation.spec import FlawSpec, SimulationSpec
+from machine_tool_calibration.simulation.truth import Truth
+
+__all__ = ["Simulated", "simulate", "simulate_many"]
+
+_STREAMS = ("machine", "setup", "environment", "effects", "noise", "spread", "chips", "missing", "repeatability")
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """A simulated session and the truth behind it."""
+
+    session: Session
+    truth: Truth
+
+
+def simulate(spec: SimulationSpec) -> Simulated:
+    """The session of a spec; the same spec gives the same numbers.
+
+    Raises:
+        CalibrationError: an effect that does not exist or does not occur in this method, a machine that
+            does not fit the plan.
+    """
+    rng = _streams(spec.seed)
+    plan = spec.plan
+    machine = build_machine(
+        spec.machine,
+        chain=plan.chain,
+        travel=plan.travel(),
+        rotation_sign=plan.sign,
+        seed=rng["machine"],
+        random=plan.errors(),
+    )
+    environment = random_environment(
+        rng["environment"], swing=spec.environment_swing, columns=spec.environment_columns
+    )
+    measurement = measure(plan, environment, rng["setup"])
+    shaken = _repeatability(spec, measurement, rng["repeatability"])
+    chosen = tuple(
+        _choose(effect, index, spec, measurement, machine) for index, effect in enumerate(spec.effects)
+    )
+    before = since_first(measurement.read(machine, shaken), measurement.datum)
+    flawed, disturbance = _apply(machine, measurement, chosen, shaken)
+    raw = measurement.read(flawed, disturbance)
+    clean = since_first(raw, measurement.datum)
+
+    noise = plan.noise if spec.noise is None else spec.noise
+    total = raw + spec.noise_factor * noise * rng["noise"].normal(size=len(raw))
+    total = total + _spread(spec, measurement, rng["spread"])
+    hit, error = _chips(spec, measurement, rng["chips"])
+    # a gross error of the first reading would move the datum of all: the operator sees it and starts anew
+    displacement = since_first(total, measurement.datum) + error
+    displacement[rng["missing"].random(len(raw)) < spec.missing] = np.nan
+    session = Session(_describe(spec, measurement, flawed, noise), _readings(measurement, displacement), "simulation")
+    truth = Truth(
+        spec.seed, flawed, chosen, clean, clean - before, np.flatnonzero(hit), measurement.truth(flawed)
+    )
+    return Simulated(session, truth)
+
+
+def simulate_many(spec: SimulationSpec, seeds: Sequence[int]) -> Iterator[Simulated]:
+    """One session for each seed."""
+    for seed in seeds:
+        yield simulate(spec.model_copy(update={"seed": int(seed)}))
+
+
+def _streams(seed: int) -> dict[str, np.random.Generator]:
+    children = np.random.SeedSequence(seed).spawn(len(_STREAMS))
+    return {name: np.random.default_rng(child) for name, child in zip(_STREAMS, children, strict=True)}
+
+
+def _repeatability(spec: SimulationSpec, measurement: Measurement, rng: np.random.Generator) -> Disturbance:
+    if spec.repeatability == 0:
+        return Disturbance()
+    return Disturbance(point=spec.repeatability * rng.normal(size=(len(measurement.scene), 3)))
+
+
+def _apply(
+    machine: VirtualMachine, measurement: Measurement, chosen: Sequence[Chosen], base: Disturbance
+) -> tuple[VirtualMachine, Disturbance]:
+    """The machine with its extra errors, and everything else that disturbs the readings."""
+    disturbance = combine((base, *(flaw.disturb(measurement.scene) for flaw in chosen)))
+    return machine.with_tables(disturbance.tables).with_squareness(disturbance.squareness), disturbance
+
+
+def _choose(
+    effect: FlawSpec, index: int, spec: SimulationSpec, measurement: Measurement, machine: VirtualMachine
+) -> Chosen:
+    chosen = choose_flaw(effect.id, effect.size, effect.parameters, np.random.default_rng([spec.seed, 7, index]))
+    if spec.method not in chosen.flaw.methods:
+        raise CalibrationError(f"effect {effect.id} does not occur in {spec.method}; "
+                               f"it occurs in {', '.join(chosen.flaw.methods)}")
+    if effect.amplitude is None:
+        return chosen
+    without = since_first(measurement.read(machine, Disturbance()), measurement.datum)
+    for _ in range(3):  # most effects are linear in their size; a cosine error is not
+        flawed, disturbance = _apply(machine, measurement, [chosen], Disturbance())
+        change = since_first(measurement.read(flawed, disturbance), measurement.datum) - without
+        peak = float(np.max(np.abs(change), initial=0.0))
+        if peak < 1e-15:
+            raise CalibrationError(f"effect {effect.id} changes no reading of this plan; an amplitude cannot be met")
+        chosen = Chosen(chosen.flaw, chosen.size * effect.amplitude / peak, chosen.parameters)
+    return chosen
+
+
+def _spread(spec: SimulationSpec, measurement: Measurement, rng: np.random.Generator) -> Array:
+    scene = measurement.scene
+    count = int(scene.setup.max(initial=0)) + 1
+    offset, slope, bow = (rng.normal(size=count) for _ in range(3))
+    since = scene.since_setup()
+    longest = np.zeros(count)
+    np.maximum.at(longest, scene.setup, since)
+    u = 2.0 * since / np.maximum(longest[scene.setup], 1e-9) - 1.0
+    s = scene.setup
+    spread: Array = (
+        spec.spread.offset * offset[s]
+        + spec.spread.slope * slope[s] * u
+        + spec.spread.bow * bow[s] * (1.5 * u**2 - 0.5)
+    )
+    return spread
+
+
+def _chips(spec: SimulationSpec, measurement: Measurement, rng: np.random.Generator) -> tuple[BoolArray, Array]:
+    n = len(measurement.scene)
+    chance, size, sign = rng.random(n), rng.uniform(1.0, 3.0, n), rng.choice([-1.0, 1.0], n)
+    if spec.chips is None:
+        return np.zeros(n, bool), np.zeros(n)
+    hit = chance < spec.chips.fraction
+    if spec.method == "probing":
+        sign = np.ones(n)  # a chip lies on the surface: the stylus stops early, outside of it
+    return hit, np.where(hit, spec.chips.size * size * sign, 0.0)
+
+
+@cache
+def _adapter() -> TypeAdapter[Any]:
+    return TypeAdapter(Description)
+
+
+def _describe(spec: SimulationSpec, measurement: Measurement, machine: VirtualMachine, noise: float) -> Any:
+    return _adapter().validate_python(
+        {
+            "format": "mtcal-session/1",
+            "repeats": spec.plan.repeats,
+            "standard_uncertainty": {"displacement": noise},
+            **measurement.describe(machine),
+        }
+    )
+
+
+def _readings(measurement: Measurement, displacement: Array) -> Readings:
+    scene = measurement.scene
+    return Readings(
+        setup=scene.setup,
+        repeat=scene.repeat,
+        displacement=displacement,
+        columns={"time": scene.time, **measurement.columns, **scene.environment},
+        labels=measurement.labels,
+        row=np.arange(len(scene)),
+    )

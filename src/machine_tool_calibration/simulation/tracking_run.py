@@ -1,0 +1,169 @@
+"""A session with a tracking interferometer at several stations."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
+from machine_tool_calibration.simulation.environment import Environment
+from machine_tool_calibration.simulation.machine import VirtualMachine
+from machine_tool_calibration.simulation.measurement import Measurement
+from machine_tool_calibration.simulation.plan import Finite, Plan, Positive, Vector3
+from machine_tool_calibration.simulation.scene import Scene, last_direction, ordered_times
+from machine_tool_calibration.simulation.tracking import Pointer, aim, distance, sensed_path
+
+__all__ = ["TrackingPlan", "plan_tracking"]
+
+_STATIONS: dict[int, tuple[tuple[float, float, float], ...]] = {
+    2: ((-0.35, 0.05, 0.0), (0.15, -0.4, 0.0), (0.7, 0.3, 0.0), (0.1, 0.85, 0.0)),
+    3: ((-0.4, -0.3, -0.1), (0.8, -0.2, 0.0), (0.1, 0.9, -0.1), (0.3, 0.2, 1.1)),
+}
+_SIXTH = tuple(float(v) for v in np.linspace(0.0, 0.4, 6))
+_FIFTH = tuple(float(v) for v in np.linspace(0.0, 0.4, 5))
+Line = Annotated[tuple[Finite, ...], Field(min_length=1, max_length=100_000)]
+
+
+class TrackingPlan(Plan):
+    """Stations and targets; without them a square of 0.4 m (2-D) or a cube of 0.4 m (3-D) from four stations.
+
+    Attributes:
+        stations: nominal rotation centres, m.
+        x, y, z: lines of a grid of targets, m; x runs fastest.
+        points: targets one by one instead of a grid, m.
+        station_uncertainty: the estimated stations are off by this (standard deviation per coordinate), m.
+        order: every second repeat runs backwards (`alternate`), or all run alike (`same`).
+        zero_offset, elevation_offset: errors of the pointer, rad.
+        eccentricity: the beam passes this far beside the rotation centre, m.
+        radial: radial error motion, (cos, sin) by order of the azimuth, m.
+    """
+
+    method: Literal["tracking_interferometer"] = "tracking_interferometer"
+    dimension: Literal[2, 3] = 2
+    pointing: Literal["open_loop", "tracking"] = "open_loop"
+    stations: tuple[Vector3, ...] | None = None
+    x: Line | None = None
+    y: Line | None = None
+    z: Line | None = None
+    points: tuple[Vector3, ...] | None = None
+    station_uncertainty: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 1.2e-5
+    order: Literal["alternate", "same"] = "alternate"
+    repeats: Annotated[int, Field(ge=1, le=10000)] = 2
+    noise: Positive = 3e-7
+    zero_offset: Finite = 0.0
+    elevation_offset: Finite = 0.0
+    eccentricity: Finite = 0.0
+    radial: dict[int, tuple[Finite, Finite]] = {}
+
+    @model_validator(mode="after")
+    def _check(self) -> TrackingPlan:
+        if self.points is not None and (self.x or self.y or self.z):
+            raise ValueError("give either points or the grid x, y, z")
+        if self.stations is not None and not self.stations:
+            raise ValueError("stations must not be empty")
+        return self
+
+    def places(self) -> Array:
+        """(k, 3) nominal stations, m."""
+        return np.asarray(self.stations if self.stations is not None else _STATIONS[self.dimension], float)
+
+    def targets(self) -> Array:
+        """(m, 3) commanded targets in the order of the first run, m."""
+        if self.points is not None:
+            return np.asarray(self.points, float)
+        default = _SIXTH if self.dimension == 2 else _FIFTH
+        z, y, x = np.meshgrid(
+            self.z or ((0.0,) if self.dimension == 2 else default), self.y or default, self.x or default, indexing="ij"
+        )
+        return np.column_stack([x.ravel(), y.ravel(), z.ravel()])
+
+    def travel(self) -> dict[str, tuple[float, float]]:
+        """Ends of the axes that hold all targets, with the zero, m."""
+        return spanned(self.targets())
+
+    def pointer(self) -> Pointer:
+        """The pointer's true errors."""
+        return Pointer(self.zero_offset, self.elevation_offset, self.radial, self.eccentricity)
+
+
+def spanned(points: Array) -> dict[str, tuple[float, float]]:
+    """Ends of X, Y, Z that hold the points and zero; an axis that stands still gets 50 mm."""
+    travel = {}
+    for index, axis in enumerate("XYZ"):
+        low, high = min(0.0, float(points[:, index].min())), max(0.0, float(points[:, index].max()))
+        travel[axis] = (low, high if high - low > 1e-9 else low + 0.05)
+    return travel
+
+
+def _name(index: int) -> str:
+    letters = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
+    return letters[index] if index < 26 else f"S{index + 1}"
+
+
+def plan_tracking(plan: TrackingPlan, environment: Environment, rng: np.random.Generator) -> Measurement:
+    """The measurement of a plan: true stations by chance around the estimates, one run per repeat and station."""
+    truth = plan.places()
+    spread = rng.normal(size=truth.shape) * plan.station_uncertainty
+    if plan.dimension == 2:
+        spread[:, 2] = 0.0
+    estimate = truth + spread
+    targets, runs = plan.targets(), plan.repeats
+    forward = np.arange(len(targets))
+    one = [forward[::-1] if plan.order == "alternate" and r % 2 else forward for r in range(runs)]
+    index = np.tile(np.concatenate(one), len(truth))
+    setup = np.repeat(np.arange(len(truth)), runs * len(targets))
+    repeat = np.tile(np.repeat(np.arange(runs), len(targets)), len(truth))
+    time = ordered_times(setup, plan.interval, plan.pause)
+    position = targets[index]
+    direction = {axis: last_direction(position[:, i]) for i, axis in enumerate("XYZ")}
+    scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, environment(time), ends=plan.travel())
+    azimuth, elevation = aim(estimate[setup], position, plan.dimension)
+    centre = targets.mean(axis=0)
+    pointer = plan.pointer()
+
+    def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
+        actual = machine.position(position, disturbance.axis)
+        if disturbance.point is not None:
+            actual = actual + disturbance.point
+        station = truth[setup] if disturbance.station is None else truth[setup] + disturbance.station
+        if plan.pointing == "tracking":
+            direction = (actual - station) / distance(actual, station)[:, None]
+            path = distance(actual, station)
+        else:
+            turn = 0.0 if disturbance.turn is None else disturbance.turn
+            origin, direction = pointer.beam(azimuth, elevation, station, turn)
+            path = sensed_path(actual, origin, direction)
+        facing = aim(truth[setup], np.broadcast_to(centre, position.shape), plan.dimension)[0]
+        incidence = np.angle(np.exp(1j * (azimuth - facing)))
+        first = np.unique(setup, return_index=True)[1]
+        sight = Sight(path, direction, azimuth, incidence, path - path[first][setup])
+        return path + disturbance.added(sight)
+
+    def judged(machine: VirtualMachine) -> dict[str, Any]:
+        return {
+            "points": targets.tolist(),
+            "position_error": machine.position_error(targets).tolist(),
+            "stations": truth.tolist(),
+        }
+
+    description = {
+        "method": "tracking_interferometer",
+        "dimension": plan.dimension,
+        "pointing": plan.pointing,
+        "machine": {"chain": plan.chain, "travel": {a.lower(): list(e) for a, e in plan.travel().items()}},
+        "setups": [
+            {"id": _name(i), "position": [float(v) for v in p]}
+            | ({"position_uncertainty": plan.station_uncertainty} if plan.station_uncertainty > 0 else {})
+            for i, p in enumerate(estimate)
+        ],
+    }
+    columns = {
+        **{axis.lower(): position[:, i] for i, axis in enumerate("XYZ")},
+        **{f"dir_{axis.lower()}": values for axis, values in direction.items()},
+        "azimuth": azimuth,
+        "elevation": elevation,
+    }
+    return Measurement(lambda machine: description, scene, read, setup, columns, truth=judged)
