@@ -150,13 +150,19 @@ def _record_in(annotation: Any) -> Any:
 
 
 def _kind(value: Any) -> str:
-    return {dict: "a mapping", list: "a list", str: "text", type(None): "nothing"}.get(type(value), _shown(value))
+    if isinstance(value, dict):
+        return "a mapping"
+    if isinstance(value, list):
+        return "a list"
+    return "text" if isinstance(value, str) else _shown(value)
 
 
 def _shown(value: Any) -> str:
     if value is None:
         return "nothing"
-    text = repr(value) if not isinstance(value, dict | list) else _kind(value)
+    if isinstance(value, dict | list):
+        return _kind(value)
+    text = repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
 
 

@@ -117,7 +117,9 @@ def _scan(source: str, blocks: Iterator[bytes]) -> Layout:
             first = int(wrong[0])
             row = rows + first - int(np.count_nonzero(fields[:first] == 0))
             where = f"{source} row {row} (line {line + first + 1})"
-            hint = _separator_hint(block.split(b"\n")[first])
+            if fields[first] < 0:
+                raise SessionError(f"{where}: a quote that is not closed")
+            hint = " (semicolons? use commas, and a point for decimals)" if b";" in block.split(b"\n")[first] else ""
             raise SessionError(f"{where}: {fields[first]} fields where the header has {len(columns)}{hint}")
         empty = np.flatnonzero(fields == 0)
         blank.append(empty + line + 1)
@@ -188,11 +190,3 @@ def _quoted_fields(text: str) -> int:
         return len(next(csv.reader([text.rstrip("\r")], strict=True, skipinitialspace=True)))
     except csv.Error:
         return -1
-
-
-def _separator_hint(line: bytes) -> str:
-    if line.count(b'"') % 2:
-        return " (a quote that is not closed)"
-    if b";" in line:
-        return " (semicolons? use commas, and a point for decimals)"
-    return ""

@@ -49,10 +49,10 @@ class Document:
     lines: dict[Path, int]
 
     def line(self, path: Path) -> int | None:
-        """The line of the value at a path, or of the nearest one that holds it."""
+        """The line of the value at a path, or of the nearest one that holds it; None for the whole."""
         while path and path not in self.lines:
             path = path[:-1]
-        return self.lines.get(path)
+        return self.lines.get(path) if path else None
 
 
 @dataclass

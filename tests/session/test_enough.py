@@ -1,0 +1,148 @@
+"""Fewer stations, targets or readings than a method needs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.session.enough import on_a_line
+from machine_tool_calibration.session.reader import read_session
+
+
+def message(folder: Path) -> str:
+    with pytest.raises(SessionError) as caught:
+        read_session(folder)
+    return str(caught.value).replace(str(folder) + "/", "")
+
+
+def test_two_stations_in_the_plane(session_folder) -> None:
+    folder = session_folder("tracking_2d")
+    folder.edit_rows(lambda fields, _: fields if fields["setup"] in "AB" else None)
+    assert message(folder.path) == (
+        "observations.csv: 2 stations; tracking_interferometer in 2 dimensions needs at least 3 (no reading from C, D)"
+    )
+
+
+def test_two_stations_described(session_folder) -> None:
+    folder = session_folder("tracking_2d")
+    folder.edit_rows(lambda fields, _: fields if fields["setup"] in "AB" else None)
+    text = folder.described.read_text()
+    start, end = text.index("- id: C"), text.index("standard_uncertainty")
+    folder.described.write_text(text[:start] + text[end:])
+    assert message(folder.path) == (
+        "session.yaml: 2 stations; tracking_interferometer in 2 dimensions needs at least 3"
+    )
+
+
+def test_three_stations_are_enough_in_the_plane_and_a_station_may_have_lost_all(session_folder) -> None:
+    folder = session_folder("tracking_2d")
+    folder.edit_rows(lambda fields, _: fields if fields["setup"] != "C" else {**fields, "displacement": ""})
+    session = read_session(folder.path)
+    assert np.isnan(session.readings.displacement[session.readings.setup == 2]).all()
+
+
+def test_three_stations_of_a_rotary_axis(session_folder) -> None:
+    folder = session_folder("rotary_axis")
+    folder.edit_rows(lambda fields, _: fields if fields["setup"] != "B" else None)
+    assert message(folder.path) == "observations.csv: 3 stations; rotary_axis needs at least 4 (no reading from B)"
+
+
+def test_all_targets_on_a_line(session_folder) -> None:
+    folder = session_folder("tracking_2d")
+    folder.edit_rows(lambda fields, _: fields if fields["y"] == "0.08" else None)
+    assert message(folder.path) == (
+        "observations.csv: all targets lie on a line; tracking_interferometer in 2 dimensions needs targets spread "
+        "over a plane"
+    )
+
+
+def test_two_targets(session_folder) -> None:
+    folder = session_folder("tracking_2d")
+    folder.edit_rows(lambda fields, _: fields if fields["y"] == "0.08" and fields["x"] in ("0.0", "0.4") else None)
+    assert message(folder.path).startswith("observations.csv: there are fewer than three targets; ")
+
+
+def test_too_few_targets_for_the_stations(session_folder) -> None:
+    folder = session_folder("tracking_2d")
+    kept = {("0.0", "0.0"), ("0.4", "0.0"), ("0.0", "0.4"), ("0.4", "0.4")}
+    folder.edit_rows(lambda fields, _: fields if (fields["x"], fields["y"]) in kept else None)
+    assert message(folder.path) == (
+        "observations.csv: too few readings: 4 targets and 4 stations leave 8 conditions for the 9 unknowns of the "
+        "stations; measure more targets from all stations"
+    )
+
+
+def test_rotary_targets_on_a_line(session_folder) -> None:
+    folder = session_folder("rotary_axis")
+    folder.edit_yaml("[-0.1058046, 0.1353414, 0.0]", "[0.1, 0.0, 0.0]")
+    folder.edit_yaml("[0.1288513, 0.0878158, 0.0399797]", "[0.2, 0.0, 0.0]")
+    folder.edit_yaml("[0.0249026, -0.1108575, 0.0152662]", "[-0.1, 0.0, 0.0]")
+    assert message(folder.path) == (
+        "session.yaml: targets: all targets lie on a line, so the rotation about it cannot be determined"
+    )
+
+
+def test_two_rotary_targets(session_folder) -> None:
+    folder = session_folder("rotary_axis")
+    folder.edit_rows(lambda fields, _: fields if fields["target"] != "K" else None)
+    assert message(folder.path) == (
+        "observations.csv: readings of 2 targets; rotary_axis needs at least 3 to tell the six error motions apart"
+    )
+
+
+def test_few_rotary_angles(session_folder) -> None:
+    folder = session_folder("rotary_axis")
+    folder.edit_rows(lambda fields, _: fields if float(fields["c"]) < 0.7 else None)
+    assert message(folder.path) == (
+        "observations.csv: too few readings: 36 different ones at 3 angles for 39 unknowns; measure more angles"
+    )
+
+
+def test_one_angle_of_c(session_folder) -> None:
+    folder = session_folder("probing_cross")
+    folder.edit_rows(lambda fields, _: fields if fields["setup"] == "C1" else None)
+    assert message(folder.path) == (
+        "observations.csv: touches at 1 C angle; probing needs at least 2 to tell the workpiece from the machine"
+    )
+
+
+def test_no_reading_at_all(session_folder) -> None:
+    folder = session_folder("direct")
+    folder.edit_rows(lambda fields, _: {**fields, "displacement": "nan"})
+    assert message(folder.path) == "observations.csv: no reading: every displacement is missing"
+
+
+def test_one_reading(session_folder) -> None:
+    folder = session_folder("direct")
+    folder.edit_rows(lambda fields, row: fields if row == 0 else None)
+    assert message(folder.path) == "observations.csv: too few readings: 1, and at least 2 are needed"
+
+
+def test_a_diagonal_with_one_reading(session_folder) -> None:
+    folder = session_folder("step_diagonal")
+    first: list[int] = []
+
+    def keep(fields: dict[str, str], row: int) -> dict[str, str]:
+        if fields["setup"] == "npp":
+            first.append(row)
+            return fields if len(first) == 1 else {**fields, "displacement": ""}
+        return fields
+
+    folder.edit_rows(keep)
+    assert message(folder.path) == (
+        "observations.csv: too few readings: setup 'npp' has 1 of 74 rows, and needs at least 2"
+    )
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_on_a_line(dimension: int) -> None:
+    along = np.linspace(0, 0.4, 9)[:, None]
+    line = 0.3 + along * np.array([1.0, 0.5, -0.2])[:dimension]
+    assert on_a_line(line)
+    assert on_a_line(line + 1e-6 * np.sin(17 * along))
+    bent = line.copy()
+    bent[4, 1] += 0.01
+    assert not on_a_line(bent)

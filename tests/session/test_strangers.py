@@ -1,0 +1,175 @@
+"""Files from strangers: bounded time and memory, and nothing but a SessionError."""
+
+from __future__ import annotations
+
+import time
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.session.parse import parse_description
+from machine_tool_calibration.session.reader import read_session
+from machine_tool_calibration.session.yaml_text import load_yaml
+
+DATA = Path(__file__).parents[1] / "data"
+YAML = (DATA / "tracking_2d" / "session.yaml").read_bytes()
+CSV = (DATA / "tracking_2d" / "observations.csv").read_bytes()
+
+
+def bomb(levels: int) -> str:
+    lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x, x]"]
+    lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, levels)]
+    return "\n".join(lines)
+
+
+def test_aliases_that_multiply() -> None:
+    tracemalloc.start()
+    with pytest.raises(SessionError, match=r"^s.yaml line 5: aliases repeat more than 100000 values$"):
+        load_yaml(bomb(30), "s.yaml")
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 20e6
+
+
+def test_an_alias_of_itself() -> None:
+    with pytest.raises(SessionError, match="alias"):
+        load_yaml("a: &a [*a]", "s.yaml")
+
+
+def test_a_plain_alias_is_read() -> None:
+    assert load_yaml("a: &a [1, 2]\nb: *a\n", "s.yaml").value == {"a": [1, 2], "b": [1, 2]}
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, "{a: " * 100_000, "- " * 100_000, "? " * 10_000])
+def test_deep_nesting(text: str) -> None:
+    with pytest.raises(SessionError):
+        load_yaml(text, "s.yaml")
+
+
+def test_numbers_of_many_digits() -> None:
+    value = load_yaml(f"a: {'9' * 10_000}\nb: 1e-7\nc: 007\nd: -0.0\ne: 1_000\nf: 0x10\n", "s.yaml").value
+    assert value == {"a": float("inf"), "b": 1e-7, "c": "007", "d": 0.0, "e": "1_000", "f": "0x10"}
+    with pytest.raises(SessionError, match="finite"):
+        parse_description(YAML.decode().replace("-0.350022406484", "9" * 10_000), "s.yaml")
+
+
+def test_a_file_that_is_too_large(tmp_path: Path) -> None:
+    with (tmp_path / "session.yaml").open("wb") as stream:
+        stream.truncate(1 << 30)
+    (tmp_path / "observations.csv").write_bytes(CSV)
+    with pytest.raises(SessionError, match="larger than the 16 MiB"):
+        read_session(tmp_path)
+
+
+def test_a_table_that_is_one_endless_line(tmp_path: Path) -> None:
+    (tmp_path / "session.yaml").write_bytes(YAML)
+    (tmp_path / "observations.csv").write_bytes(b"time," * 4_000_000)
+    with pytest.raises(SessionError, match="a line of more than 1 MiB"):
+        read_session(tmp_path)
+
+
+def test_a_table_of_zeros_without_end(tmp_path: Path) -> None:
+    (tmp_path / "session.yaml").write_bytes(YAML)
+    with (tmp_path / "observations.csv").open("wb") as stream:
+        stream.truncate(3 << 30)
+    start = time.perf_counter()
+    with pytest.raises(SessionError, match=r"a line of more|NUL"):
+        read_session(tmp_path)
+    assert time.perf_counter() - start < 5.0
+
+
+def test_a_link_out_of_the_folder_is_only_read(tmp_path: Path) -> None:
+    folder = tmp_path / "s"
+    folder.mkdir()
+    (folder / "session.yaml").symlink_to("/dev/zero")
+    (folder / "observations.csv").write_bytes(CSV)
+    with pytest.raises(SessionError, match="is not a file"):
+        read_session(folder)
+
+
+def test_many_rows_take_seconds(tmp_path: Path) -> None:
+    rows = 300_000
+    rng = np.random.default_rng(1)
+    (tmp_path / "session.yaml").write_text(
+        "format: mtcal-session/1\nmethod: direct\nmachine: {chain: w-X-b-t}\nsetups: [{id: a}]\n"
+        "standard_uncertainty: {displacement: 1e-6}\n"
+    )
+    values = rng.normal(size=(rows, 4))
+    with (tmp_path / "observations.csv").open("w") as stream:
+        stream.write("time,setup,x,gx,gy,gz,displacement,load\n")
+        stream.writelines(
+            f"{i},a,{x!r},1,0,0,{d!r},{q!r}\n" for i, (x, d, q, _) in enumerate((values * [1, 1e-6, 1, 1]).tolist())
+        )
+    start = time.perf_counter()
+    readings = read_session(tmp_path).readings
+    assert time.perf_counter() - start < 20.0  # about one second on one idle core
+    assert np.array_equal(readings.displacement, values[:, 1] * 1e-6)
+
+
+def flip(data: bytes, edits: list[tuple[int, int, bytes]]) -> bytes:
+    for at, length, new in edits:
+        at %= len(data) + 1
+        data = data[:at] + new + data[at + length :]
+    return data
+
+
+TOKENS = [
+    b"",
+    b",",
+    b"\n",
+    b'"',
+    b"nan",
+    b"1e400",
+    b"&a ",
+    b"*a",
+    b"!!x ",
+    b"\xff",
+    b"\0",
+    b"{",
+    b"[",
+    b"-",
+    b": ",
+    b"\r",
+]
+piece = st.one_of(st.sampled_from(TOKENS), st.binary(max_size=6))
+edits = st.lists(st.tuples(st.integers(0, 1 << 20), st.integers(0, 40), piece), max_size=6)
+loose = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+@loose
+@given(edits)
+def test_damaged_yaml(tmp_path: Path, edits: list[tuple[int, int, bytes]]) -> None:
+    (tmp_path / "session.yaml").write_bytes(flip(YAML, edits))
+    (tmp_path / "observations.csv").write_bytes(CSV)
+    only_session_errors(tmp_path)
+
+
+@loose
+@given(edits)
+def test_damaged_csv(tmp_path: Path, edits: list[tuple[int, int, bytes]]) -> None:
+    (tmp_path / "session.yaml").write_bytes(YAML)
+    (tmp_path / "observations.csv").write_bytes(flip(CSV, edits))
+    only_session_errors(tmp_path)
+
+
+@loose
+@given(st.binary(max_size=300), st.binary(max_size=300))
+def test_noise(tmp_path: Path, description: bytes, readings: bytes) -> None:
+    (tmp_path / "session.yaml").write_bytes(description)
+    (tmp_path / "observations.csv").write_bytes(readings)
+    only_session_errors(tmp_path)
+
+
+def only_session_errors(folder: Path) -> None:
+    try:
+        read_session(folder)
+    except SessionError as error:
+        text = str(error)
+        assert len(text.splitlines()) == 1
+        assert str(folder) in text
+        assert len(text) < 600 + len(str(folder))
