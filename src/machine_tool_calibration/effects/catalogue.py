@@ -1,22 +1,103 @@
-"""The physical effects that may be added to a model."""
+"""The catalogue of physical effects: built-in ones and those of plugins."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
+from functools import cache
+from importlib.metadata import entry_points
 
+from machine_tool_calibration.effects.air import DeadPath, RefractiveIndex
+from machine_tool_calibration.effects.backlash import Backlash, BacklashC
+from machine_tool_calibration.effects.drift import LinearDrift, StationDrift
+from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.effects.error_motion import ErrorMotionEffect
+from machine_tool_calibration.effects.growth import TableThermalGrowth, WorkpieceThermal
+from machine_tool_calibration.effects.mirror import MirrorMisalignment
+from machine_tool_calibration.effects.pitch_periodic import PitchPeriodic
+from machine_tool_calibration.effects.pointer import PointerRadialError, PointerZeroOffset
+from machine_tool_calibration.effects.pretravel import ProbePretravel
+from machine_tool_calibration.effects.retroreflector import RetroreflectorForm
+from machine_tool_calibration.effects.scale import Scale
+from machine_tool_calibration.effects.thermal_expansion import ThermalExpansion
+from machine_tool_calibration.effects.warmup import Warmup
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.model.model import MethodModel
-from machine_tool_calibration.model.terms import Term
+from machine_tool_calibration.machine.error_motions import SQUARENESS
 
-__all__ = ["effect_terms"]
+__all__ = ["catalogue", "find_effects"]
+
+ENTRY_POINT_GROUP = "machine_tool_calibration.effects"
 
 
-def effect_terms(model: MethodModel, effects: Sequence[str]) -> list[Term]:
-    """The terms of effects, for a model's readings.
+def _built_in() -> list[Effect]:
+    axes = "xyz"
+    return [
+        *(Backlash(axis) for axis in axes),
+        BacklashC(),
+        *(ThermalExpansion(axis) for axis in axes),
+        *(Warmup(axis) for axis in axes),
+        *(PitchPeriodic(axis) for axis in axes),
+        RefractiveIndex(),
+        DeadPath(),
+        LinearDrift(),
+        StationDrift(),
+        MirrorMisalignment(),
+        PointerRadialError(),
+        PointerZeroOffset(),
+        RetroreflectorForm(),
+        TableThermalGrowth(),
+        WorkpieceThermal(),
+        ProbePretravel(),
+        Scale(),
+        *(ErrorMotionEffect(f"E{c}{axis}") for axis in "XYZ" for c in "XYZABC"),
+        *(ErrorMotionEffect(name) for name in SQUARENESS),
+    ]
+
+
+@cache
+def _plugins() -> tuple[Effect, ...]:
+    """Effects of installed packages; a broken one is skipped with a warning."""
+    found = []
+    for point in entry_points(group=ENTRY_POINT_GROUP):
+        try:
+            effect = point.load()()
+            if not isinstance(effect, Effect):
+                raise TypeError("it does not make an Effect")
+        except Exception as error:  # noqa: BLE001 - a plugin may raise anything, and must not stop the others
+            warnings.warn(f"the effect plugin {point.name!r} is skipped: {error}", stacklevel=2)
+            continue
+        found.append(effect)
+    return tuple(found)
+
+
+def catalogue(own: Sequence[Effect] = ()) -> dict[str, Effect]:
+    """All effects by id: built-in, of plugins, and the user's own; a later one does not replace an earlier one.
 
     Raises:
-        ModelError: an unknown effect, or one that needs what was not recorded.
+        ModelError: one of the user's own has the id of another effect.
     """
-    if effects:
-        raise ModelError(f"unknown effect {effects[0]!r}")
-    return []
+    out = {effect.id: effect for effect in _built_in()}
+    for effect in _plugins():
+        out.setdefault(effect.id, effect)
+    for effect in own:
+        if effect.id in out:
+            raise ModelError(f"the effect {effect.id!r} is in the catalogue already; give yours another name")
+        out[effect.id] = effect
+    return out
+
+
+def find_effects(ids: Sequence[str], own: Sequence[Effect] = ()) -> list[Effect]:
+    """The effects of these ids.
+
+    Raises:
+        ModelError: one is unknown or named twice.
+    """
+    known = catalogue(own)
+    for k, name in enumerate(ids):
+        if name not in known:
+            near = [other for other in known if other.split("_")[0] == name.split("_")[0]]
+            hint = f"; did you mean {', '.join(near[:4])}?" if near else "; `mtcal effects` lists them"
+            raise ModelError(f"unknown effect {name!r}{hint}")
+        if name in ids[:k]:
+            raise ModelError(f"the effect {name!r} is named twice")
+    return [known[name] for name in ids]

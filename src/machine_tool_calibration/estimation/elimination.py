@@ -16,7 +16,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 
-__all__ = ["Rows", "cholesky", "forward", "local_columns", "local_step", "reduced_gram"]
+__all__ = ["Rows", "cholesky", "forward", "local_columns", "local_step", "raw_squares", "reduced_gram"]
 
 # A pivot this small beside the others means that the readings do not fix this unknown of the point.
 _PIVOT = 1e-10
@@ -138,6 +138,13 @@ def reduced_gram(rows: Rows) -> Array:
         seen = forward(factor, local_columns(rows)).reshape(size, -1)
         gram -= seen @ seen.T
     return gram
+
+
+def raw_squares(rows: Rows) -> Array:
+    """(S p + K + 1,) squared norms of the columns before the points' own unknowns take their share."""
+    blocks = np.einsum("psn,psn->sp", rows.block, rows.block).reshape(-1)
+    dense = np.einsum("ksn,ksn->k", rows.dense, rows.dense)
+    return np.concatenate([blocks, dense, [np.vdot(rows.residual, rows.residual)]])
 
 
 def local_step(rows: Rows, block_step: Array, dense_step: Array) -> tuple[Array, Array]:

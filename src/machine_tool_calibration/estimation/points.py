@@ -4,26 +4,33 @@ A network of stations and points that only see each other can be shifted and tur
 solver fixes this at the stations; here the result is carried over to the datum in which the points
 have no shift and turn on the average (the S-transformation of geodesy, Baarda 1973). With a datum at
 a few stations or points the uncertainty of every point would hold that of the datum.
+
+With H the normal matrix of a point's own unknowns u and F its products with the shared unknowns theta, u is the
+point's own noise minus H^-1 F theta. The common motion x of all points is a sum over points, so that two passes are
+needed: one for the sums, one for the covariances.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.estimation.elimination import (
-    backward,
-    cholesky,
-    forward,
-    local_columns,
-    local_normal,
-)
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.estimation.elimination import Rows, inverse, local_normal
 from machine_tool_calibration.estimation.problem import Part
-from machine_tool_calibration.estimation.solve import Solution, _over_chunks
+from machine_tool_calibration.estimation.solve import Solution, over_chunks
 
-__all__ = ["PointResult", "points_in_inner_datum"]
+__all__ = ["Motion", "PointResult", "points_in_inner_datum"]
+
+# Points of one chunk: more is kept of each point than in the solver, and it should stay in the cache.
+_CHUNK = 4096
+# A point moves with what is not determined if it does so by more than this share.
+_LOOSE = 1e-6
+
+Motion = Callable[[IntArray], Array]
+"""From the indices of n points to (d, t, n): the displacement of each by each of t common motions."""
 
 
 @dataclass(frozen=True)
@@ -33,18 +40,20 @@ class PointResult:
     Attributes:
         value: (d, n) the points' unknowns.
         covariance: (d, d, n).
+        determined: (n,) whether the readings and the datum fix all unknowns of the point.
         theta: (m,) shared unknowns in the same datum.
         theta_covariance: (m, m).
     """
 
     value: Array
     covariance: Array
+    determined: BoolArray
     theta: Array
     theta_covariance: Array
 
 
 def points_in_inner_datum(
-    part: Part, solution: Solution, index: int, motion: Array, theta_motion: Array
+    part: Part, solution: Solution, index: int, motion: Array | Motion, theta_motion: Array
 ) -> PointResult:
     """Carry a solution over to the datum in which its points have no common motion.
 
@@ -52,85 +61,182 @@ def points_in_inner_datum(
         part: the part whose points these are.
         solution: of the problem, in the solver's datum.
         index: place of the part in the problem.
-        motion: (d, t, n_points) displacement of each point by each of t common motions. Zero columns where a
-            point shall not count; t may be 0, and then only the covariances are calculated.
+        motion: (d, t, n_points) displacement of each point by each of t common motions, or a function that gives it
+            for some of the points. A motion of points and shared unknowns together changes no reading. t may be 0,
+            and then only the covariances are calculated.
         theta_motion: (m, t) change of the shared unknowns that goes with them.
 
     Returns:
-        The points and the shared unknowns, both with covariances.
+        The points and the shared unknowns, both with covariances. Points that the readings do not fix have no part
+        in the datum.
     """
-    value = solution.local[index]
-    d, n_points = value.shape
-    t = motion.shape[1]
-    m = len(solution.theta)
-    counted = np.where(solution.local_determined[index].all(axis=0), 1.0, 0.0)
-    weighted = motion * counted
-    inverse = np.linalg.pinv(np.einsum("dtn,dsn->ts", weighted, motion)) if t else np.zeros((0, 0))
-
-    # Responses K = H^-1 F of each point to the shared unknowns, and the sums over points that the motion needs.
-    def sums(group: int, chunk: slice) -> Array:
-        layout = part.groups[group]
-        points = layout.points[chunk]
-        response, inverse_normal = _responses(part, solution, index, group, chunk)
-        pull = np.zeros((m + t, t))
-        w = weighted[:, :, points]
-        partial = np.einsum("cdn,dtn->ct", response, w)
-        np.add.at(pull, _columns(part, group), partial)
-        pull[m:] = np.einsum("dtn,den,esn->ts", w, inverse_normal, w, optimize=True)
-        return pull
-
-    total = np.zeros((m + t, t))
-    if t:
-        for value_ in _over_chunks(part, sums):
-            total += value_
-    pull, noise = total[:m], total[m:]
-    q = solution.covariance
-    # u_i = own noise - K_i theta; the common motion is x = A sum_j C_j^T u_j.
-    shift = inverse @ np.einsum("dtn,dn->t", weighted, value) if t else np.zeros(0)
-    cov_theta_shift = -q @ pull @ inverse
-    cov_shift = inverse @ (noise + pull.T @ q @ pull) @ inverse
-    joint = np.block([[q, cov_theta_shift], [cov_theta_shift.T, cov_shift]])
-    covariance = np.empty((d, d, n_points))
-
-    def spread(group: int, chunk: slice) -> Array:
-        layout = part.groups[group]
-        points = layout.points[chunk]
-        response, inverse_normal = _responses(part, solution, index, group, chunk)
-        columns = _columns(part, group)
-        own = motion[:, :, points].transpose(1, 0, 2)
-        combined = -np.concatenate([response, own])
-        pick = np.concatenate([columns, np.arange(m, m + t)])
-        inner = joint[np.ix_(pick, pick)]
-        flat = inner @ combined.reshape(len(pick), -1)
-        cov = inverse_normal + np.einsum("cdn,cen->den", flat.reshape(combined.shape), combined)
-        if t:
-            # The point's own noise also moves the common motion, if the point counts.
-            cross = np.einsum("den,etn,ts,fsn->dfn", inverse_normal, weighted[:, :, points], inverse, own.transpose(1, 0, 2), optimize=True)
-            cov -= cross + cross.transpose(1, 0, 2)
-        covariance[:, :, points] = cov
-        return cov[:, :, :0]
-
-    _over_chunks(part, spread)
-    moved = value - np.einsum("dtn,t->dn", motion, shift)
-    theta = solution.theta - theta_motion @ shift
-    cross_theta = cov_theta_shift @ theta_motion.T
-    theta_covariance = q - cross_theta - cross_theta.T + theta_motion @ cov_shift @ theta_motion.T
-    return PointResult(moved, covariance, theta, theta_covariance)
+    work = _Work(part, solution, index, _function(motion), theta_motion)
+    return work.result()
 
 
-def _columns(part: Part, group: int) -> np.ndarray:
-    """Places in the shared vector of a group's columns."""
-    blocks = part.block_index[part.groups[group].block].reshape(-1)
-    return np.concatenate([blocks, part.dense_index])
+def _function(motion: Array | Motion) -> Motion:
+    return motion if callable(motion) else lambda points: motion[:, :, points]
 
 
-def _responses(part: Part, solution: Solution, index: int, group: int, chunk: slice) -> tuple[Array, Array]:
-    """(c, d, n) H^-1 G^T A of each point and (d, d, n) H^-1."""
-    rows = part.rows(group, chunk, solution.theta, solution.local[index])
-    factor, _ = cholesky(local_normal(rows))
-    d, _, n = factor.shape
-    response = backward(factor, forward(factor, local_columns(rows)[:-1]))
-    identity = np.zeros((d, d, n))
+class _Work:
+    """The two passes over all points."""
+
+    def __init__(self, part: Part, solution: Solution, index: int, motion: Motion, theta_motion: Array) -> None:
+        self.part = part
+        self.theta = solution.theta
+        self.q = solution.covariance
+        self.local = solution.local[index]
+        self.motion = motion
+        self.theta_motion = theta_motion
+        self.d, self.n = self.local.shape
+        self.m, self.t = theta_motion.shape
+        self.loose = solution.loose_directions()
+        self.determined = np.asarray(solution.local_determined[index].all(axis=0))
+        # The first pass leaves here the inverse of each point's normal matrix for the second.
+        self.covariance = np.empty((self.d, self.d, self.n))
+
+    def result(self) -> PointResult:
+        """Both passes."""
+        total = np.zeros((self.m + 2 * self.t + 1, self.t))
+        for value in over_chunks(self.part, self.sums, _CHUNK):
+            total += value
+        pull, gram, noise = np.split(total[:-1], [self.m, self.m + self.t])
+        datum = np.linalg.pinv(gram) if self.t else gram
+        shift = datum @ total[-1]
+        # Covariance of the common motion x = datum @ sum of C^T u, and of theta in the new datum.
+        cross = -self.q @ pull @ datum
+        spread = datum @ (noise + pull.T @ self.q @ pull) @ datum
+        moved = cross @ self.theta_motion.T
+        inner = self.q - moved - moved.T + self.theta_motion @ spread @ self.theta_motion.T
+        self.half = _root(inner)
+        self.datum_half = _root(datum)
+        over_chunks(self.part, self.spread, _CHUNK)
+        return PointResult(
+            self.local - self.common(shift), self.covariance, self.determined, self.theta - self.theta_motion @ shift, inner
+        )
+
+    def common(self, shift: Array) -> Array:
+        """(d, n) displacement of the points by common motions."""
+        out = np.zeros_like(self.local)
+        for first in range(0, self.n, _CHUNK):
+            points = np.arange(first, min(first + _CHUNK, self.n))
+            out[:, points] = np.einsum("dtn,t->dn", self.motion(points), shift)
+        return out
+
+    def sums(self, group: int, chunk: slice) -> Array:
+        """(m + 2 t + 1, t) sums over points of F^T H^-1 C, C^T C, C^T H^-1 C and u^T C."""
+        points = self.part.groups[group].points[chunk]
+        rows = self.part.rows(group, chunk, self.theta, self.local)
+        normal_inverse = inverse(local_normal(rows))
+        self.covariance[:, :, points] = normal_inverse
+        seen, index = _seen(self.part, group, rows)
+        if self.loose.shape[1]:
+            self.determined[points] &= self.fixed(seen, index, normal_inverse)
+        out = np.zeros((self.m + 2 * self.t + 1, self.t))
+        if self.t:
+            c = self.motion(points) * self.determined[points]
+            weighted = np.zeros_like(c)
+            for a in range(self.d):
+                for b in range(self.d):
+                    weighted[a] += normal_inverse[a, b] * c[b]
+            flat = weighted.transpose(1, 0, 2).reshape(self.t, -1)
+            own = c.transpose(1, 0, 2).reshape(self.t, -1)
+            out[index] = seen.reshape(len(index), -1) @ flat.T
+            out[self.m : -1] = np.concatenate([own @ own.T, own @ flat.T])
+            out[-1] = own @ self.local[:, points].reshape(-1)
+        return out
+
+    def fixed(self, seen: Array, index: IntArray, normal_inverse: Array) -> BoolArray:
+        """(n,) whether points stay where they are while the shared unknowns change in a way that nothing fixes."""
+        pushed = np.tensordot(self.loose[index], seen, axes=(0, 0))
+        answer = np.einsum("abn,kbn->kan", normal_inverse, pushed)
+        # Beside what the point would do if the unknowns that it sees changed one by one.
+        scale = np.einsum("abn,cbn->an", np.abs(normal_inverse), np.abs(seen * self.size(index)[:, None, None]))
+        return np.asarray((np.abs(answer) < _LOOSE * np.maximum(scale, np.finfo(float).tiny)).all(axis=(0, 1)))
+
+    def size(self, index: IntArray) -> Array:
+        """Largest change of each shared unknown among the directions that nothing fixes."""
+        return np.asarray(np.abs(self.loose).max(axis=1)[index])
+
+    def spread(self, group: int, chunk: slice) -> Array:
+        """Fill in the covariances of a chunk: H^-1 + H^-1 F Q F^T H^-1, less what the point moves the datum."""
+        points = self.part.groups[group].points[chunk]
+        rows = self.part.rows(group, chunk, self.theta, self.local)
+        d, n = self.d, len(points)
+        own = self.covariance[:, :, points]
+        seen, index = _seen(self.part, group, rows)
+        spread = _gram((self.half[index].T @ seen.reshape(len(index), -1)).reshape(-1, d, n))
+        cov = own.copy()
+        middle = _product(own, spread)
+        for a in range(d):
+            for b in range(a + 1):
+                for k in range(d):
+                    cov[a, b] += middle[a, k] * own[k, b]
+        if self.t:
+            c = self.motion(points)
+            # The point's own noise moves the datum, too.
+            share = _gram(np.tensordot(self.datum_half, c, axes=(0, 1))) * self.determined[points]
+            twice = _product(own, share)
+            for a in range(d):
+                for b in range(a + 1):
+                    cov[a, b] -= twice[a, b] + twice[b, a]
+        for a in range(d):
+            for b in range(a):
+                cov[b, a] = cov[a, b]
+        self.covariance[:, :, points] = cov
+        return cov[0, 0, :0]
+
+
+def _seen(part: Part, group: int, rows: Rows) -> tuple[Array, IntArray]:
+    """(c, d, n) F^T: products of the shared unknowns' columns with the points', and their places."""
+    layout = part.groups[group]
+    d, slots, n = rows.local.shape
+    blocks, where = np.unique(layout.block, return_inverse=True)
+    p, dense = len(rows.block), len(rows.dense)
+    out = np.empty((len(blocks) * p + dense, d, n))
+    first = np.ones(len(blocks), dtype=bool)
+    scratch = np.empty((d, n))
+    for s in range(slots):
+        block = where[s]
+        for q in range(p):
+            place = out[block * p + q]
+            if first[block]:
+                np.multiply(rows.local[:, s], rows.block[q, s], out=place)
+            else:
+                place += np.multiply(rows.local[:, s], rows.block[q, s], out=scratch)
+        first[block] = False
+    for k in range(dense):
+        np.einsum("dsn,sn->dn", rows.local, rows.dense[k], out=out[len(blocks) * p + k])
+    return out, np.concatenate([part.block_index[blocks].reshape(-1), part.dense_index])
+
+
+def _gram(columns: Array) -> Array:
+    """(d, d, n) sums over r of the products of columns (r, d, n)."""
+    _, d, n = columns.shape
+    out = np.empty((d, d, n))
     for a in range(d):
-        identity[a, a] = 1.0
-    return response, backward(factor, forward(factor, identity))
+        for b in range(a + 1):
+            out[a, b] = out[b, a] = np.einsum("rn,rn->n", columns[:, a], columns[:, b])
+    return out
+
+
+def _product(left: Array, right: Array) -> Array:
+    """(d, d, n) products of many small matrices."""
+    d, _, n = left.shape
+    out = np.zeros((d, d, n))
+    for a in range(d):
+        for b in range(d):
+            for k in range(d):
+                out[a, b] += left[a, k] * right[k, b]
+    return out
+
+
+def _root(matrix: Array) -> Array:
+    """(m, r) factor B of a positive semidefinite matrix B B^T."""
+    if not len(matrix):
+        return matrix
+    size = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    size[size == 0.0] = 1.0
+    values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
+    keep = values > 1e-15 * values[-1]
+    return np.asarray(vectors[:, keep] * np.sqrt(values[keep]) * size[:, None])

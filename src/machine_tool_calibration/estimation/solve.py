@@ -11,7 +11,7 @@ import threadpoolctl
 
 from machine_tool_calibration.arrays import Array, BoolArray
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.estimation.elimination import local_step, reduced_gram
+from machine_tool_calibration.estimation.elimination import local_step, raw_squares, reduced_gram
 from machine_tool_calibration.estimation.problem import Part, Problem
 
 __all__ = ["Solution", "gram", "solve", "solve_normal"]
@@ -21,8 +21,8 @@ _MAX_STEPS = 30
 # Gain of a step that ends the iteration, weighted sum of squares: the step was a hundredth of an uncertainty,
 # and the next would be its square.
 _GAIN = 1e-4
-# Eigenvalue of the scaled normal matrix below which a direction is not determined.
-_RANK = 1e-11
+# Eigenvalue of the normal matrix, scaled by the columns' norms, below which a direction is not determined.
+_RANK = 1e-12
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,9 @@ class Normal:
     rank: int
 
 
-def solve_normal(matrix: Array, right: Array, constraints: Array, values: Array) -> Normal:
+def solve_normal(
+    matrix: Array, right: Array, constraints: Array, values: Array, squares: Array | None = None
+) -> Normal:
     """Minimise x^T N x - 2 b^T x under C x = v, leaving at zero what is not determined.
 
     Args:
@@ -73,12 +75,14 @@ def solve_normal(matrix: Array, right: Array, constraints: Array, values: Array)
         right: (m,) b.
         constraints: (c, m) C.
         values: (c,) v.
+        squares: (m,) squared norms of the unknowns' columns before the points were eliminated, against which is judged
+            what is left; the diagonal of N if absent.
 
     Returns:
         The step, its covariance, the undetermined directions, the gain b^T x and the rank.
     """
     m = len(right)
-    scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    scale = np.sqrt(np.maximum(np.diag(matrix) if squares is None else squares, 0.0))
     typical = scale.max(initial=0.0)
     scale = np.where(scale > 1e-13 * typical, scale, typical if typical > 0 else 1.0)
     scaled = matrix / np.outer(scale, scale)
@@ -97,7 +101,7 @@ def solve_normal(matrix: Array, right: Array, constraints: Array, values: Array)
         free = np.eye(m)
     inner = free.T @ scaled @ free
     eigenvalues, vectors = np.linalg.eigh((inner + inner.T) / 2)
-    good = eigenvalues > _RANK * max(float(eigenvalues.max(initial=0.0)), np.finfo(float).tiny)
+    good = eigenvalues > _RANK
     basis = free @ vectors[:, good]
     residual = right / scale - scaled @ particular
     coefficient = (basis.T @ residual) / eigenvalues[good]
@@ -119,14 +123,20 @@ def _over_chunks(part: Part, work: Callable[[int, slice], Array]) -> list[Array]
         return list(pool.map(lambda chunk: work(*chunk), chunks))
 
 
-def gram(problem: Problem, theta: Array, local: Sequence[Array]) -> Array:
-    """(m + 1, m + 1) reduced Gram matrix of [shared unknowns, residual] over all parts and priors."""
+def gram(problem: Problem, theta: Array, local: Sequence[Array]) -> tuple[Array, Array]:
+    """Reduced Gram matrix of [shared unknowns, residual] over all parts and priors.
+
+    Returns:
+        (m + 1, m + 1) with the points eliminated, and (m + 1,) squared norms of the columns before that.
+    """
     m = problem.size
     total = np.zeros((m + 1, m + 1))
+    squares = np.zeros(m + 1)
     for part, own in zip(problem.parts, local, strict=True):
 
         def work(group: int, chunk: slice, part: Part = part, own: Array = own) -> Array:
-            return reduced_gram(part.rows(group, chunk, theta, own))
+            rows = part.rows(group, chunk, theta, own)
+            return np.vstack([reduced_gram(rows), raw_squares(rows)])
 
         by_group: dict[int, Array] = {}
         for (group, _), value in zip(part.chunks(), _over_chunks(part, work), strict=True):
@@ -135,12 +145,14 @@ def gram(problem: Problem, theta: Array, local: Sequence[Array]) -> Array:
             blocks = part.block_index[part.groups[group].block].reshape(-1)
             index = np.concatenate([blocks, part.dense_index, [m]])
             # Two slots of one block add up in the same unknowns.
-            np.add.at(total, (index[:, None], index[None, :]), value)
+            np.add.at(total, (index[:, None], index[None, :]), value[:-1])
+            np.add.at(squares, index, value[-1])
     if problem.priors is not None:
         priors = problem.priors
         rows = np.column_stack([priors.columns, priors.value - priors.columns @ theta]) / priors.sigma[:, None]
         total += rows.T @ rows
-    return total
+        squares += np.einsum("ij,ij->j", rows, rows)
+    return total, squares
 
 
 def solve(problem: Problem, theta: Array | None = None, local: Sequence[Array] | None = None) -> Solution:
@@ -160,10 +172,9 @@ def solve(problem: Problem, theta: Array | None = None, local: Sequence[Array] |
     determined = [np.ones((p.dimension, p.n_points), dtype=bool) for p in problem.parts]
     linear = all(part.linear for part in problem.parts)
     for count in range(1, _MAX_STEPS + 1):
-        total = gram(problem, theta, local)
-        normal = solve_normal(
-            total[:m, :m], total[:m, m], problem.constraints, problem.constraint_values - problem.constraints @ theta
-        )
+        total, squares = gram(problem, theta, local)
+        distance = problem.constraint_values - problem.constraints @ theta
+        normal = solve_normal(total[:m, :m], total[:m, m], problem.constraints, distance, squares[:m])
         cost = float(total[m, m])
         if not np.isfinite(cost):
             raise ModelError("the fit does not converge: a predicted reading is not finite; check the first estimates")

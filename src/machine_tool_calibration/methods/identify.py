@@ -8,8 +8,10 @@ from typing import Protocol, cast
 
 import numpy as np
 
-from machine_tool_calibration.effects.catalogue import effect_terms
+from machine_tool_calibration.effects.catalogue import find_effects
+from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.model.effect_terms import add_effects
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import Rejected, Result
@@ -54,19 +56,22 @@ def rejected_readings(session: Session) -> tuple[Rejected, ...]:
     return tuple(Rejected(int(session.readings.row[k]), "the reading is missing") for k in missing)
 
 
-def identify(session: Session, *, model: str | None = None, effects: Sequence[str] = ()) -> Result:
+def identify(
+    session: Session, *, model: str | None = None, effects: Sequence[str] = (), own: Sequence[Effect] = ()
+) -> Result:
     """Identify the machine's errors from one session.
 
     Args:
         session: the measurement.
         model: the method's variant, such as `free` or `rigid_body`; the method's default if absent.
         effects: ids of physical effects to add to the model.
+        own: the user's own effects, beside the catalogue.
 
     Raises:
         ModelError: the data does not allow the model, or an effect is unknown or needs what was not recorded.
     """
     base, name = build_model(session, model)
-    built = base.with_terms(effect_terms(base, effects))
+    built = add_effects(base, find_effects(effects, own))
     fit = fit_models([built]).fits[0]
     return Result(
         fit=fit,

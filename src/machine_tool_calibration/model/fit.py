@@ -12,10 +12,12 @@ from scipy import stats
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.problem import Part
-from machine_tool_calibration.estimation.solve import Solution, solve
+from machine_tool_calibration.estimation.projection import Projected, project
+from machine_tool_calibration.estimation.solve import Solution, gram, solve
 from machine_tool_calibration.model.model import Assembly, MethodModel, assemble
+from machine_tool_calibration.model.terms import Parameter, Term
 
-__all__ = ["Fit", "JointFit", "fit_models"]
+__all__ = ["Fit", "JointFit", "fit_models", "screen"]
 
 
 @dataclass(frozen=True)
@@ -124,3 +126,18 @@ def fit_models(models: Sequence[MethodModel], labels: Sequence[str] | None = Non
         unknowns = n - solution.degrees_of_freedom
         raise ModelError(f"too few readings: {n} for {unknowns} unknowns; more targets, stations or repeats are needed")
     return JointFit(assembly, solution)
+
+
+def screen(fit: Fit, columns: Array) -> Projected:
+    """What a fitted model leaves of further columns (one session).
+
+    Args:
+        fit: of a single session.
+        columns: (k, n) change of each reading per unit of each further unknown.
+    """
+    k = len(columns)
+    names = tuple(Parameter(f"further column {j}", "1") for j in range(k))
+    assembly = assemble([fit.model.with_terms([Term("further", names, columns)])])
+    theta = np.concatenate([fit.solution.theta, np.zeros(k)])
+    total, squares = gram(assembly.problem, theta, fit.solution.local)
+    return project(total, squares, fit.solution.covariance, k)

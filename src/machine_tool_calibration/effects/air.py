@@ -1,0 +1,53 @@
+"""The air's refractive index, as far as the instrument did not compensate it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.effects.effect import Coefficient, Effect
+from machine_tool_calibration.instruments.refractive_index import index_deviation
+from machine_tool_calibration.model.observations import Observations
+
+__all__ = ["DeadPath", "RefractiveIndex"]
+
+_OPTICAL = ("step_diagonal", "tracking_interferometer", "rotary_axis", "direct")
+
+
+def _deviation(observations: Observations) -> Array:
+    columns = observations.readings.columns
+    return index_deviation(columns["temperature_air"], columns.get("air_pressure"), columns.get("relative_humidity"))
+
+
+class RefractiveIndex(Effect):
+    """The part g of the wavelength's compensation that is missing, in proportion to the path (Edlén)."""
+
+    id = "refractive_index"
+    title = "uncompensated refractive index of air"
+    formula = "reading = g (n - n_standard) path"
+    source = "Edlén; Bönsch and Potulski 1998; ISO 230-2:2014 Annex on laser interferometers"
+    kind = "reading"
+    coefficients = (Coefficient("g", "1", -2.0, 2.0),)
+    needs = ("temperature_air",)
+    methods = _OPTICAL
+
+    def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
+        """Deviation of the index times path."""
+        return np.asarray(_deviation(observations) * observations.path)[None]
+
+
+class DeadPath(Effect):
+    """The path in front of the datum, which is not in the reading but changes with the air (ISO 230-2)."""
+
+    id = "dead_path"
+    title = "dead path"
+    formula = "reading = D (n - n_standard)"
+    source = "ISO 230-2:2014, dead path; Ibaraki et al. 2014, Table 4, u14"
+    kind = "reading"
+    coefficients = (Coefficient("D", "m", -10.0, 10.0),)
+    needs = ("temperature_air",)
+    methods = _OPTICAL
+
+    def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
+        """Deviation of the index."""
+        return np.asarray(_deviation(observations))[None]

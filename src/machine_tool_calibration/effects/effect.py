@@ -1,0 +1,113 @@
+"""What a physical effect states of itself, so that it can be simulated, fitted, ranked, added and drawn."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.model.observations import Observations
+
+__all__ = ["Coefficient", "Effect", "Shape", "axis_unit"]
+
+# Span of a column below which it says nothing: no reading was taken where the effect acts.
+_FLAT = 1e-12
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """A linear coefficient of an effect.
+
+    Attributes:
+        name: short name in the formula.
+        unit: SI.
+        low: smallest plausible value.
+        high: largest plausible value.
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A coefficient that enters nonlinearly: a time constant, a lead.
+
+    Attributes:
+        name: short name in the formula.
+        unit: SI.
+        low: smallest plausible value.
+        high: largest plausible value.
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+
+
+class Effect(ABC):
+    """One physical effect.
+
+    Attributes:
+        id: the catalogue's name.
+        title: in a few words.
+        formula: as text.
+        source: where it is described.
+        kind: whether it displaces the functional point or changes the reading itself.
+        coefficients: the linear ones.
+        shapes: the nonlinear ones; at most one or two.
+        needs: columns of the session that it uses.
+        methods: methods in which it can act; all if empty.
+        setup_level: whether its coefficients belong to single setups, which then are the sample.
+    """
+
+    id: str
+    title: str
+    formula: str
+    source: str
+    kind: Literal["position", "reading"]
+    coefficients: tuple[Coefficient, ...]
+    shapes: tuple[Shape, ...] = ()
+    needs: tuple[str, ...] = ()
+    methods: tuple[str, ...] = ()
+    setup_level: bool = False
+
+    def why_not(self, observations: Observations) -> str | None:
+        """Why the effect cannot be looked for in these readings; None if it can."""
+        if self.methods and observations.session.method not in self.methods:
+            return f"does not occur with {observations.session.method}"
+        for name in self.needs:
+            values = observations.readings.columns.get(name)
+            if values is None:
+                return f"the column {name} was not recorded"
+            if not np.isfinite(values).all():
+                return f"the column {name} has missing values"
+        return None
+
+    def coefficients_for(self, observations: Observations) -> tuple[Coefficient, ...]:
+        """The coefficients; effects with one set a setup say here how many."""
+        return self.coefficients
+
+    def shape_grid(self, observations: Observations) -> list[tuple[float, ...]]:
+        """Values of the nonlinear coefficients from which a search starts; one empty tuple without any."""
+        return [()]
+
+    @abstractmethod
+    def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
+        """(k, n) change of each reading per unit of each coefficient, at given nonlinear coefficients."""
+
+    def describe(self) -> Mapping[str, str]:
+        """For lists and tables."""
+        return {"id": self.id, "title": self.title, "formula": self.formula, "source": self.source}
+
+
+def axis_unit(axis: str) -> Array:
+    """(3,) direction in which a linear axis moves the functional point."""
+    return np.eye(3)["xyz".index(axis)]

@@ -1,0 +1,73 @@
+"""Error motions and squareness of ISO 230-1 that the chosen model leaves out."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.effects.effect import Coefficient, Effect
+from machine_tool_calibration.machine.chain import Chain
+from machine_tool_calibration.machine.error_motions import SQUARENESS, motion_field, parse_motion, squareness_field
+from machine_tool_calibration.model.observations import Observations
+
+__all__ = ["ErrorMotionEffect"]
+
+_DEGREES = 4
+
+
+class ErrorMotionEffect(Effect):
+    """A smooth error motion: a polynomial of the axis's position; a squareness is one number.
+
+    The lever arm of a rotation is that of the chain. Where the chain gives none in the measured plane, the carriage is
+    taken to turn about the machine's zero: a carriage that yields instead of moving as a rigid body.
+    """
+
+    kind = "position"
+    source = "ISO 230-1"
+
+    def __init__(self, name: str) -> None:
+        """An error motion (EXX … ECZ) or a squareness (A0Z, B0Z, C0Y)."""
+        self.id = name
+        self.is_squareness = name in SQUARENESS
+        if self.is_squareness:
+            self.title = f"squareness {name}"
+            self.formula = f"{name} times lever arm"
+            self.coefficients = (Coefficient("angle", "rad", -2e-3, 2e-3),)
+            self.needs = (name[2].lower(),)
+            return
+        motion = parse_motion(name)
+        unit, limit = ("rad", 1e-3) if motion.is_rotation else ("m", 1e-4)
+        self.axis = motion.axis.lower()
+        self.title = f"error motion {name}"
+        self.formula = f"{name}({self.axis}) as a polynomial of degree {_DEGREES}"
+        self.coefficients = tuple(Coefficient(f"p{k}", unit, -limit, limit) for k in range(1, _DEGREES + 1))
+        self.needs = (self.axis,)
+
+    def why_not(self, observations: Observations) -> str | None:
+        """Needs the axis in the chain, and a rotary axis is not meant."""
+        chain = Chain.parse(observations.session.description.machine.chain)
+        axis = self.id[2]
+        if axis not in chain.linear:
+            return f"the chain has no axis {axis}"
+        why = super().why_not(observations)
+        if why is None and np.ptp(observations.readings.column(axis.lower())) == 0:
+            return f"{axis} did not move"
+        return why
+
+    def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
+        """Legendre polynomials of the axis's position over its range times the displacement of a unit."""
+        position = observations.position
+        if self.is_squareness:
+            return observations.sense(squareness_field(self.id, position)[None])
+        motion = parse_motion(self.id)
+        chain = Chain.parse(observations.session.description.machine.chain)
+        field = motion_field(chain, motion, position)
+        if motion.is_rotation and np.abs(field[:, np.abs(observations.direction).max(axis=0) > 0]).max(initial=0.0) < 1e-9:
+            arm = position.copy()
+            arm[:, "XYZ".index(motion.axis)] = 0.0
+            field = np.cross(np.eye(3)["ABC".index(motion.component)], arm)
+        along = np.einsum("nj,nj->n", field, observations.direction)
+        axis = observations.readings.column(self.axis)
+        middle, half = (axis.max() + axis.min()) / 2, (np.ptp(axis) or 1.0) / 2
+        series = np.polynomial.legendre.legvander((axis - middle) / half, _DEGREES)[:, 1:]
+        return np.asarray(series.T * along)

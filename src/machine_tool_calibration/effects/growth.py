@@ -1,0 +1,51 @@
+"""Thermal growth of what is on the rotary table."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.effects.effect import Coefficient, Effect
+from machine_tool_calibration.effects.thermal_expansion import REFERENCE_TEMPERATURE
+from machine_tool_calibration.model.observations import Observations
+
+__all__ = ["TableThermalGrowth", "WorkpieceThermal"]
+
+
+class TableThermalGrowth(Effect):
+    """Targets on the table move outwards and upwards with the table's temperature."""
+
+    id = "table_thermal_growth"
+    title = "thermal growth of the table"
+    formula = "target = (temperature_table - 20) (k_r radius + k_z height)"
+    source = "ISO 230-3; linear expansion"
+    kind = "position"
+    coefficients = (Coefficient("k_r", "1/K", -1e-4, 1e-4), Coefficient("k_z", "1/K", -1e-3, 1e-3))
+    needs = ("temperature_table",)
+    methods = ("rotary_axis",)
+
+    def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
+        """Radial and axial growth, sensed through the table."""
+        excess = observations.readings.column("temperature_table") - REFERENCE_TEMPERATURE
+        place, sensed = observations.position, observations.table_direction
+        radial = np.einsum("nj,nj->n", place[:, :2], sensed[:, :2])
+        return np.asarray([excess * radial, excess * place[:, 2] * sensed[:, 2]])
+
+
+class WorkpieceThermal(Effect):
+    """The workpiece grows with its temperature, from the axis of the table."""
+
+    id = "workpiece_thermal"
+    title = "thermal growth of the workpiece"
+    formula = "surface = k (temperature_work - 20) position"
+    source = "ISO 1; linear expansion"
+    kind = "position"
+    coefficients = (Coefficient("k", "1/K", -1e-4, 1e-4),)
+    needs = ("temperature_work",)
+    methods = ("probing", "direct")
+
+    def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
+        """Growth in proportion to the distance from the axis, sensed through the workpiece."""
+        excess = observations.readings.column("temperature_work") - REFERENCE_TEMPERATURE
+        sensed = observations.table_direction if observations.session.method == "probing" else -observations.direction
+        return np.asarray(excess * np.einsum("nj,nj->n", observations.position, sensed))[None]

@@ -1,0 +1,54 @@
+"""Periodic error of a ball screw or scale."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape, axis_unit
+from machine_tool_calibration.model.observations import Observations
+
+__all__ = ["PitchPeriodic"]
+
+_SHORTEST = 2e-3
+_MOST = 80
+
+
+class PitchPeriodic(Effect):
+    """Once a lead of the screw, or once a period of the scale; sine and cosine hold amplitude and phase."""
+
+    kind = "position"
+    source = "ISO 230-2:2014, periodic positioning error"
+
+    def __init__(self, axis: str) -> None:
+        """Periodic error of x, y or z."""
+        self.axis = axis
+        self.id = f"pitch_periodic_{axis}"
+        self.title = f"periodic error of {axis.upper()}"
+        self.formula = f"e_{axis} = s sin(2 pi {axis} / lead) + c cos(2 pi {axis} / lead)"
+        self.coefficients = (Coefficient("s", "m", -5e-5, 5e-5), Coefficient("c", "m", -5e-5, 5e-5))
+        self.shapes = (Shape("lead", "m", _SHORTEST, 1.0),)
+        self.needs = (axis,)
+
+    def shape_grid(self, observations: Observations) -> list[tuple[float, ...]]:
+        """Leads from the range covered down to what the positions can resolve.
+
+        On evenly spaced positions every lead shorter than two steps looks like a longer one: only those are searched.
+        """
+        position = np.unique(np.round(observations.readings.column(self.axis), 7))
+        if len(position) < 4:
+            return []
+        span = float(np.ptp(position))
+        steps = np.diff(position)
+        even = float(np.ptp(steps)) < 1e-3 * float(steps.mean())
+        shortest = 2.0 * float(steps.mean()) if even else max(_SHORTEST, float(steps.mean()))
+        frequency = np.arange(1.0 / span, 1.0 / shortest * (1.0 + 1e-9), 0.4 / span)
+        if len(frequency) > _MOST:
+            frequency = np.linspace(frequency[0], frequency[-1], _MOST)
+        return [(float(1.0 / f),) for f in frequency]
+
+    def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
+        """Sine and cosine of the position, along the axis."""
+        angle = 2.0 * np.pi * observations.readings.column(self.axis) / shape[0]
+        along = observations.direction @ axis_unit(self.axis)
+        return np.asarray([np.sin(angle) * along, np.cos(angle) * along])

@@ -1,0 +1,51 @@
+"""Errors of the rotary pointer of an open-loop tracking interferometer."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.effects.effect import Coefficient, Effect
+from machine_tool_calibration.effects.harmonics import harmonic_coefficients, harmonics
+from machine_tool_calibration.model.observations import Observations
+
+__all__ = ["PointerRadialError", "PointerZeroOffset", "beam_azimuth"]
+
+_ORDERS = range(2, 9)
+
+
+def beam_azimuth(observations: Observations) -> Array:
+    """(n,) azimuth of the beam in the machine frame, rad."""
+    return np.arctan2(observations.direction[:, 1], observations.direction[:, 0])
+
+
+class PointerRadialError(Effect):
+    """Radial error motion of the pointer along the beam; once a turn is the station's position (ISO 230-7)."""
+
+    id = "pointer_radial_error"
+    title = "radial error motion of the pointer"
+    formula = "reading = sum of s_k sin(k azimuth) + c_k cos(k azimuth), k = 2 … 8"
+    source = "Ibaraki et al. 2014, Table 4, u21; ISO 230-7"
+    kind = "reading"
+    coefficients = harmonic_coefficients(_ORDERS, 5e-5)
+    methods = ("tracking_interferometer", "rotary_axis")
+
+    def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
+        """Harmonics of the azimuth."""
+        return harmonics(beam_azimuth(observations), _ORDERS)
+
+
+class PointerZeroOffset(Effect):
+    """The beam turned by a constant angle reads the path's projection (cosine error)."""
+
+    id = "pointer_zero_offset"
+    title = "zero offset of the pointer"
+    formula = "reading = -q path, q = offset^2 / 2"
+    source = "Ibaraki et al. 2014, Section 4 and Table 4, u41"
+    kind = "reading"
+    coefficients = (Coefficient("q", "1", 0.0, 2e-4),)
+    methods = ("tracking_interferometer",)
+
+    def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
+        """Minus the path."""
+        return np.asarray(-observations.path)[None]

@@ -1,0 +1,40 @@
+"""Warm-up: an axis creeps to a new place as the machine warms."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape, axis_unit
+from machine_tool_calibration.model.observations import Observations
+
+__all__ = ["Warmup"]
+
+
+class Warmup(Effect):
+    """Exponential approach of a new position with one time constant (ISO 230-3, thermal distortion)."""
+
+    kind = "position"
+    source = "ISO 230-3, thermal distortion caused by moving axes"
+
+    def __init__(self, axis: str) -> None:
+        """Warm-up of x, y or z."""
+        self.axis = axis
+        self.id = f"warmup_{axis}"
+        self.title = f"warm-up of {axis.upper()}"
+        self.formula = f"e_{axis} = a (1 - exp(-time / tau))"
+        self.coefficients = (Coefficient("a", "m", -1e-4, 1e-4),)
+        self.shapes = (Shape("tau", "s", 10.0, 1e5),)
+        self.needs = ("time",)
+
+    def shape_grid(self, observations: Observations) -> list[tuple[float, ...]]:
+        """Time constants from a fiftieth of the session to its whole length; a longer one is a linear drift."""
+        time = observations.readings.column("time")
+        length = float(np.ptp(time)) or 1.0
+        return [(float(tau),) for tau in np.geomspace(length / 50, length, 12)]
+
+    def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
+        """The exponential, along the axis."""
+        time = observations.readings.column("time")
+        along = observations.direction @ axis_unit(self.axis)
+        return np.asarray((1.0 - np.exp(-time / shape[0])) * along)[None]

@@ -1,0 +1,46 @@
+"""What is left of further columns once a fitted model has taken its share.
+
+Screening an effect costs one pass over the readings and small matrices, not a fit: the reduced Gram matrix of the
+model's unknowns and the further columns holds all of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+
+__all__ = ["Projected", "project"]
+
+
+@dataclass(frozen=True)
+class Projected:
+    """Further columns and the residual, with the model projected off; weighted by the declared uncertainty.
+
+    Attributes:
+        gram: (k + 1, k + 1) inner products of the k columns and, last, the residual.
+        squares: (k + 1,) squared norms before anything was projected off.
+        response: (m, k) change of the model's shared unknowns per unit of each column that it absorbs.
+    """
+
+    gram: Array
+    squares: Array
+    response: Array
+
+
+def project(total: Array, squares: Array, covariance: Array, k: int) -> Projected:
+    """Project the model off the last k columns and the residual.
+
+    Args:
+        total: (m + k + 1) square reduced Gram matrix of [model, further columns, residual] at the solution.
+        squares: (m + k + 1,) squared norms of the columns before the points were eliminated.
+        covariance: (m, m) of the model's shared unknowns under its datum.
+        k: number of further columns.
+    """
+    m = len(total) - k - 1
+    cross = total[:m, m:]
+    response = covariance @ cross
+    gram = total[m:, m:] - cross.T @ response
+    return Projected((gram + gram.T) / 2, squares[m:], response[:, :k])

@@ -1,0 +1,142 @@
+"""Effects as terms of a model: linear columns, and nonlinear coefficients found on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy import optimize
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.model.fit import Fit, fit_models, screen
+from machine_tool_calibration.model.model import MethodModel, NotDetermined
+from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.terms import Parameter, Term
+
+__all__ = ["add_effects", "best_shape", "effect_term"]
+
+_STEP = 1e-4
+# Share of a column's squared norm outside the model below which the model takes it up.
+_ABSORBED = 1e-10
+
+
+def effect_term(
+    effect: Effect, observations: Observations, shape: tuple[float, ...] = (), size: Array | None = None
+) -> Term:
+    """An effect's columns, linearised at given nonlinear coefficients.
+
+    Args:
+        effect: the effect.
+        observations: the readings.
+        shape: nonlinear coefficients.
+        size: (k,) linear coefficients at which the nonlinear ones are linearised; without them they are held.
+    """
+    columns = effect.columns(observations, shape)
+    parameters = [
+        Parameter(f"{effect.id}.{c.name}", c.unit, c.low, c.high, shared=not effect.setup_level)
+        for c in effect.coefficients_for(observations)
+    ]
+    if size is not None:
+        for j, coefficient in enumerate(effect.shapes):
+            step = _STEP * shape[j]
+            up, down = list(shape), list(shape)
+            up[j] += step
+            down[j] -= step
+            slope = (effect.columns(observations, tuple(up)) - effect.columns(observations, tuple(down))) / (2 * step)
+            columns = np.concatenate([columns, (size @ slope)[None]])
+            parameters.append(
+                Parameter(
+                    f"{effect.id}.{coefficient.name}", coefficient.unit, coefficient.low, coefficient.high, shape[j], True
+                )
+            )
+    return Term(effect.id, tuple(parameters), columns)
+
+
+def best_shape(fit: Fit, effect: Effect, start: Sequence[tuple[float, ...]] | None = None) -> tuple[tuple[float, ...], Array]:
+    """Nonlinear coefficients with which an effect explains most of a fit's residuals, and the linear ones there.
+
+    A grid first, as there are several minima, then a search around its best value.
+    """
+    observations = fit.model.observations
+    grid = list(start) if start is not None else effect.shape_grid(observations)
+    if not grid:
+        raise ModelError(f"effect {effect.id}: too few distinct positions to look for it")
+
+    def explained(shapes: Sequence[tuple[float, ...]]) -> tuple[list[float], list[Array]]:
+        blocks = [effect.columns(observations, shape) for shape in shapes]
+        screened = screen(fit, np.concatenate(blocks))
+        projected = screened.gram
+        gains, sizes, first = [], [], 0
+        for block in blocks:
+            pick = slice(first, first + len(block))
+            first += len(block)
+            inner, right = projected[pick, pick], projected[pick, -1]
+            scale = np.sqrt(np.maximum(screened.squares[pick], np.finfo(float).tiny))
+            size = np.linalg.pinv(inner / np.outer(scale, scale), rcond=1e-10, hermitian=True) @ (right / scale) / scale
+            gains.append(float(right @ size))
+            sizes.append(size)
+        return gains, sizes
+
+    gains, sizes = explained(grid)
+    best = int(np.argmax(gains))
+    shape, size = grid[best], sizes[best]
+    if len(shape) == 1 and len(grid) > 1:
+        ordered = sorted(s[0] for s in grid)
+        place = ordered.index(shape[0])
+        low, high = ordered[max(place - 1, 0)], ordered[min(place + 1, len(ordered) - 1)]
+        found = optimize.minimize_scalar(
+            lambda value: -explained([(float(value),)])[0][0], bounds=(low, high), method="bounded", options={"xatol": 1e-4 * low}
+        )
+        if -found.fun > gains[best]:
+            shape = (float(found.x),)
+            size = explained([shape])[1][0]
+    return shape, size
+
+
+def _without_absorbed(model: MethodModel, effects: Sequence[Effect]) -> tuple[MethodModel, list[Effect]]:
+    """The model, told what it takes up itself, and the other effects.
+
+    An effect that only repeats the model's own unknowns would make these undetermined and add nothing.
+    """
+    observations = model.observations
+    fit = fit_models([model]).fits[0]
+    kept, absorbed = [], list(model.left_out)
+    for effect in effects:
+        blocks = [effect.columns(observations, shape) for shape in effect.shape_grid(observations)]
+        screened = screen(fit, np.concatenate([np.zeros((0, len(observations))), *blocks]))
+        left = np.diag(screened.gram)[:-1] > _ABSORBED * screened.squares[:-1]
+        if left.any():
+            kept.append(effect)
+        else:
+            absorbed.append(NotDetermined(effect.id, "the model's own unknowns take it up entirely"))
+    return replace(model, left_out=tuple(absorbed)), kept
+
+
+def add_effects(model: MethodModel, effects: Sequence[Effect]) -> MethodModel:
+    """The model with these effects; nonlinear coefficients are fitted and published with their uncertainty.
+
+    Raises:
+        ModelError: an effect cannot act in these readings.
+    """
+    observations = model.observations
+    for effect in effects:
+        why = effect.why_not(observations)
+        if why is not None:
+            raise ModelError(f"effect {effect.id}: {why}")
+    if not effects:
+        return model
+    model, effects = _without_absorbed(model, effects)
+    linear = [effect for effect in effects if not effect.shapes]
+    curved = [effect for effect in effects if effect.shapes]
+    base = model.with_terms([effect_term(effect, observations) for effect in linear])
+    shapes: dict[str, tuple[tuple[float, ...], Array]] = {}
+    # One after the other, and once more each with the others at their best.
+    for _ in range(2 if len(curved) > 1 else 1):
+        for effect in curved:
+            others = [effect_term(e, observations, *shapes[e.id]) for e in curved if e.id in shapes and e is not effect]
+            fit = fit_models([base.with_terms(others)]).fits[0]
+            shapes[effect.id] = best_shape(fit, effect)
+    return base.with_terms([effect_term(effect, observations, *shapes[effect.id]) for effect in curved])
