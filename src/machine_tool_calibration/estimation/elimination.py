@@ -16,7 +16,17 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 
-__all__ = ["Rows", "cholesky", "forward", "local_columns", "local_step", "raw_squares", "reduced_gram"]
+__all__ = [
+    "Rows",
+    "cholesky",
+    "forward",
+    "inverse",
+    "local_columns",
+    "local_normal",
+    "local_step",
+    "raw_squares",
+    "reduced_gram",
+]
 
 # A pivot this small beside the others means that the readings do not fix this unknown of the point.
 _PIVOT = 1e-10
@@ -86,6 +96,27 @@ def backward(factor: Array, columns: Array) -> Array:
             columns[:, i] -= factor[k, i] * columns[:, k]
         columns[:, i] /= factor[i, i]
     return columns
+
+
+def inverse(matrix: Array) -> Array:
+    """(d, d, n) inverses of many small symmetric matrices; what is not determined is left out."""
+    d, _, n = matrix.shape
+    factor, _ = cholesky(matrix)
+    root = np.zeros((d, d, n))
+    for j in range(d):
+        root[j, j] = 1.0 / factor[j, j]
+        for i in range(j + 1, d):
+            for k in range(j, i):
+                root[i, j] -= factor[i, k] * root[k, j]
+            root[i, j] /= factor[i, i]
+    out = np.empty((d, d, n))
+    for a in range(d):
+        for b in range(a + 1):
+            out[a, b] = root[a, a] * root[a, b]
+            for k in range(a + 1, d):
+                out[a, b] += root[k, a] * root[k, b]
+            out[b, a] = out[a, b]
+    return out
 
 
 def local_normal(rows: Rows) -> Array:

@@ -141,7 +141,8 @@ class _Work:
                     weighted[a] += normal_inverse[a, b] * c[b]
             flat = weighted.transpose(1, 0, 2).reshape(self.t, -1)
             own = c.transpose(1, 0, 2).reshape(self.t, -1)
-            out[index] = seen.reshape(len(index), -1) @ flat.T
+            # Two blocks may share an unknown.
+            np.add.at(out, index, seen.reshape(len(index), -1) @ flat.T)
             out[self.m : -1] = np.concatenate([own @ own.T, own @ flat.T])
             out[-1] = own @ self.local[:, points].reshape(-1)
         return out

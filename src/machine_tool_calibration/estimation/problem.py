@@ -55,12 +55,12 @@ class Part(ABC):
             local: (d, n_points) the points' own unknowns.
         """
 
-    def chunks(self) -> list[tuple[int, slice]]:
-        """All points in chunks that stay in the cache."""
+    def chunks(self, size: int = CHUNK) -> list[tuple[int, slice]]:
+        """All points in chunks of at most `size` that stay in the cache."""
         out = []
         for index, group in enumerate(self.groups):
             n = group.rows.shape[1]
-            out += [(index, slice(a, min(a + CHUNK, n))) for a in range(0, n, CHUNK)]
+            out += [(index, slice(a, min(a + size, n))) for a in range(0, n, size)]
         return out
 
 

@@ -12,9 +12,9 @@ import threadpoolctl
 from machine_tool_calibration.arrays import Array, BoolArray
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.elimination import local_step, raw_squares, reduced_gram
-from machine_tool_calibration.estimation.problem import Part, Problem
+from machine_tool_calibration.estimation.problem import CHUNK, Part, Problem
 
-__all__ = ["Solution", "gram", "solve", "solve_normal"]
+__all__ = ["Solution", "gram", "over_chunks", "solve", "solve_normal"]
 
 _THREADS = 2
 _MAX_STEPS = 30
@@ -23,6 +23,8 @@ _MAX_STEPS = 30
 _GAIN = 1e-4
 # Eigenvalue of the normal matrix, scaled by the columns' norms, below which a direction is not determined.
 _RANK = 1e-12
+# Share of an unknown in what is not determined above which it is not determined itself.
+_LOOSE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,7 @@ class Solution:
         theta: (m,) shared unknowns.
         covariance: (m, m) their covariance from the declared uncertainty; 0 in what is not determined.
         undetermined: (m, k) orthonormal directions that neither readings nor datum fix.
+        determined: (m,) whether each shared unknown is fixed by readings and datum.
         local: per part, (d, n_points) the points' own unknowns.
         local_determined: per part, (d, n_points).
         chi_square: weighted sum of squared residuals, with priors.
@@ -43,6 +46,7 @@ class Solution:
     theta: Array
     covariance: Array
     undetermined: Array
+    determined: BoolArray
     local: tuple[Array, ...]
     local_determined: tuple[BoolArray, ...]
     chi_square: float
@@ -51,7 +55,11 @@ class Solution:
 
     def is_determined(self) -> BoolArray:
         """(m,) whether each shared unknown is fixed by readings and datum."""
-        return np.asarray(np.linalg.norm(self.undetermined, axis=1) < 1e-6)
+        return self.determined
+
+    def loose_directions(self) -> Array:
+        """(m, k) the undetermined directions, exactly zero in what is determined."""
+        return np.where(self.determined[:, None], 0.0, self.undetermined)
 
 
 @dataclass(frozen=True)
@@ -61,6 +69,7 @@ class Normal:
     step: Array
     covariance: Array
     undetermined: Array
+    determined: BoolArray
     gain: float
     rank: int
 
@@ -107,16 +116,19 @@ def solve_normal(
     coefficient = (basis.T @ residual) / eigenvalues[good]
     step = (particular + basis @ coefficient) / scale
     half = basis / np.sqrt(eigenvalues[good]) / scale[:, None]
-    null = (free @ vectors[:, ~good]) / scale[:, None]
+    null = free @ vectors[:, ~good]
+    # Judged in units in which every unknown changes the readings alike, whatever its unit.
+    determined = np.asarray(np.linalg.norm(null, axis=1) < _LOOSE)
+    null = null / scale[:, None]
     if null.shape[1]:
         null = np.linalg.qr(null / np.linalg.norm(null, axis=0))[0]
     gain = float(2 * right @ step - step @ matrix @ step)
-    return Normal(step, half @ half.T, null, gain, int(good.sum()))
+    return Normal(step, half @ half.T, null, determined, gain, int(good.sum()))
 
 
-def _over_chunks(part: Part, work: Callable[[int, slice], Array]) -> list[Array]:
+def over_chunks(part: Part, work: Callable[[int, slice], Array], size: int = CHUNK) -> list[Array]:
     """Results of every chunk, in order, by two threads with single-threaded BLAS."""
-    chunks = part.chunks()
+    chunks = part.chunks(size)
     if len(chunks) <= 2:
         return [work(*chunk) for chunk in chunks]
     with threadpoolctl.threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(_THREADS) as pool:
@@ -139,7 +151,7 @@ def gram(problem: Problem, theta: Array, local: Sequence[Array]) -> tuple[Array,
             return np.vstack([reduced_gram(rows), raw_squares(rows)])
 
         by_group: dict[int, Array] = {}
-        for (group, _), value in zip(part.chunks(), _over_chunks(part, work), strict=True):
+        for (group, _), value in zip(part.chunks(), over_chunks(part, work), strict=True):
             by_group[group] = by_group[group] + value if group in by_group else value
         for group, value in by_group.items():
             blocks = part.block_index[part.groups[group].block].reshape(-1)
@@ -194,6 +206,7 @@ def solve(problem: Problem, theta: Array | None = None, local: Sequence[Array] |
         theta=theta,
         covariance=normal.covariance,
         undetermined=normal.undetermined,
+        determined=normal.determined,
         local=tuple(local),
         local_determined=tuple(determined),
         chi_square=max(reduced, 0.0),
@@ -216,5 +229,5 @@ def _step_points(part: Part, theta: Array, local: Array, step: Array) -> tuple[A
         determined[:, points] = good
         return change[:, :0]
 
-    _over_chunks(part, work)
+    over_chunks(part, work)
     return moved, determined
