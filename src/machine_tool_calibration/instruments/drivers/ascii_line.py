@@ -1,0 +1,193 @@
+"""Driver of an instrument that sends its readings as lines of ASCII text, over TCP or a serial port."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+from machine_tool_calibration.instruments.drivers.driver import Health, InstrumentError, Sample
+from machine_tool_calibration.instruments.drivers.lines import LineParser, LineSplitter
+from machine_tool_calibration.instruments.drivers.settings import AsciiLineSettings, Connection
+from machine_tool_calibration.instruments.drivers.transport import Transport, connect
+
+__all__ = ["AsciiLineDriver"]
+
+# A wait is cut into pieces of this length, so that `close` from another thread is noticed.
+SLICE = 0.1
+SHOWN = 60
+
+
+class AsciiLineDriver:
+    """Reads lines, asks for them where the instrument does not stream, and makes a lost link again.
+
+    Args:
+        settings: the instrument's protocol.
+        clock: gives the time of a sample, s.
+        connect: opens the link; `transport.connect` unless a test gives another.
+    """
+
+    def __init__(
+        self,
+        settings: AsciiLineSettings,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+        connect: Callable[[Connection, float], Transport] = connect,
+    ) -> None:
+        self._settings = settings
+        self._clock = clock
+        self._connect = connect
+        self._parser = LineParser(settings.line, settings.value)
+        self._closed = threading.Event()
+        self._lock = threading.Lock()  # held while the link is read, so that it is not closed under a reader
+        self._link: Transport | None = None
+        self._splitter = self._new_splitter()
+        self._last_sample = 0.0
+        self._next_attempt = 0.0
+        self._asked: float | None = None
+        self._next_request = 0.0
+        self._health = Health("disconnected", problem="not opened")
+
+    def open(self) -> None:
+        """See `Driver`."""
+        self._closed.clear()
+        self._health = Health("disconnected")
+        try:
+            self._make_link()
+        except InstrumentError as error:
+            self._health = replace(self._health, problem=str(error))
+            raise
+
+    def read(self, timeout: float) -> list[Sample]:
+        """See `Driver`. Making a lost link again may take the connection's own timeout longer."""
+        deadline = self._clock() + timeout
+        while not self._closed.is_set():
+            samples = self._step(deadline)
+            if samples or self._clock() >= deadline:
+                return samples
+        return []
+
+    def set_datum(self) -> bool:
+        """See `Driver`. Samples that were under way are still counted from the old datum."""
+        link = self._link
+        if self._settings.datum is None:
+            return False
+        if link is None:
+            raise InstrumentError(f"no datum: the instrument at {self._settings.connection} is not connected")
+        link.write(self._settings.datum.encode("ascii"))
+        return True
+
+    def health(self) -> Health:
+        """See `Driver`."""
+        health = self._health
+        if health.state == "streaming" and self._clock() - self._last_sample > self._settings.timeouts.silence:
+            return replace(health, state="silent")
+        return health
+
+    def close(self) -> None:
+        """See `Driver`."""
+        self._closed.set()
+        self._drop_link()
+        self._health = replace(self._health, state="disconnected", problem="closed")
+
+    def _step(self, deadline: float) -> list[Sample]:
+        """One wait of at most a slice."""
+        try:
+            if self._link is None:
+                if (wait := self._next_attempt - self._clock()) > 0:
+                    self._closed.wait(min(wait, SLICE, max(0.0, deadline - self._clock())))
+                    return []
+                self._make_link()
+                self._health = replace(self._health, reconnections=self._health.reconnections + 1)
+            with self._lock:
+                if self._link is None:  # closed from another thread
+                    return []
+                pause = self._ask(self._link)
+                return self._take(self._link.read(max(0.0, min(pause, SLICE, deadline - self._clock()))))
+        except InstrumentError as error:
+            self._lose_link(error)
+            return []
+
+    def _ask(self, link: Transport) -> float:
+        """Send a request if one is due; how long nothing else will be due, s."""
+        request, now = self._settings.request, self._clock()
+        if request is None:
+            return SLICE
+        if self._asked is not None and now - self._asked >= self._settings.timeouts.answer:
+            self._health = replace(self._health, unanswered=self._health.unanswered + 1)
+            self._asked = None
+            # A late answer would pass for the answer to the next request.
+            link.discard_input()
+            self._splitter = self._new_splitter()
+        if self._asked is None:
+            if now < self._next_request:
+                return self._next_request - now
+            link.write(request.text.encode("ascii"))
+            self._asked = now
+            self._next_request = now + request.interval
+        return self._asked + self._settings.timeouts.answer - now
+
+    def _take(self, chunk: bytes) -> list[Sample]:
+        """The samples in what has arrived; counts what is none."""
+        now = self._clock()
+        samples: list[Sample] = []
+        rejected: list[str] = []
+        for line in self._splitter.feed(chunk):
+            text = line.decode("ascii", errors="replace").strip()
+            if self._parser.ignored(text):
+                continue
+            self._asked = None
+            parsed = self._parser.parse(text) if len(line) <= self._settings.line.max_length else None
+            if parsed is None:
+                rejected.append(text[:SHOWN])
+            else:
+                samples.append(Sample(now, parsed.displacement, parsed.beam, parsed.status))
+        if samples:
+            self._last_sample = now
+        if samples or rejected:
+            health = self._health
+            self._health = replace(
+                health,
+                samples=health.samples + len(samples),
+                rejected=health.rejected + len(rejected),
+                last_rejected=rejected[-1] if rejected else health.last_rejected,
+            )
+        return samples
+
+    def _make_link(self) -> None:
+        self._next_attempt = self._clock() + self._settings.timeouts.reconnect
+        link = self._connect(self._settings.connection, self._settings.timeouts.connect)
+        try:
+            if self._settings.start is not None:
+                link.write(self._settings.start.encode("ascii"))
+        except InstrumentError:
+            link.close()
+            raise
+        with self._lock:
+            if self._closed.is_set():
+                link.close()
+                return
+            self._link = link
+            self._splitter = self._new_splitter()
+            self._asked = None
+            self._last_sample = self._clock()
+            self._health = replace(self._health, state="streaming", problem="")
+
+    def _drop_link(self) -> None:
+        with self._lock:
+            link, self._link = self._link, None
+            if link is not None:
+                link.close()
+
+    def _lose_link(self, error: InstrumentError) -> None:
+        self._drop_link()
+        self._next_attempt = self._clock() + self._settings.timeouts.reconnect
+        if not self._closed.is_set():
+            self._health = replace(self._health, state="disconnected", problem=str(error))
+
+    def _new_splitter(self) -> LineSplitter:
+        line = self._settings.line
+        # Only an instrument that sends of itself can be in the middle of a line.
+        streams = self._settings.request is None and self._settings.start is None
+        return LineSplitter(line.terminator.encode("ascii"), line.max_length, skip_first=streams)

@@ -1,0 +1,187 @@
+"""What the YAML file of an instrument with an ASCII line protocol says."""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator, model_validator
+
+__all__ = ["UNITS", "AsciiLineSettings", "Connection", "Line", "Request", "Serial", "Tcp", "Timeouts", "Value"]
+
+UNITS = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "in": 0.0254}
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+def _ascii(text: str) -> str:
+    if not text.isascii():
+        raise ValueError("only ASCII characters can be sent")
+    return text
+
+
+Ascii = Annotated[str, Field(min_length=1), AfterValidator(_ascii)]
+
+
+class Record(BaseModel):
+    """A frozen record that accepts no unknown key."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Tcp(Record):
+    """A TCP server, in the instrument or a serial device server."""
+
+    host: str
+    port: Annotated[int, Field(ge=1, le=65535)]
+
+    def __str__(self) -> str:
+        return f"{self.host}:{self.port}"
+
+
+class Serial(Record):
+    """A serial port."""
+
+    port: str
+    baudrate: Annotated[int, Field(gt=0)] = 9600
+    bytesize: Literal[5, 6, 7, 8] = 8
+    parity: Literal["none", "even", "odd", "mark", "space"] = "none"
+    stopbits: float = 1
+
+    @field_validator("stopbits")
+    @classmethod
+    def _possible(cls, number: float) -> float:
+        if number not in (1, 1.5, 2):
+            raise ValueError("must be 1, 1.5 or 2")
+        return number
+
+    def __str__(self) -> str:
+        return self.port
+
+
+class Connection(Record):
+    """Where the instrument is: one of the two."""
+
+    tcp: Tcp | None = None
+    serial: Serial | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> Connection:
+        if (self.tcp is None) == (self.serial is None):
+            raise ValueError("give either tcp or serial")
+        return self
+
+    def __str__(self) -> str:
+        return str(self.tcp or self.serial)
+
+
+class Line(Record):
+    """One line of the instrument.
+
+    Attributes:
+        pattern: regular expression that the whole line (without blanks around it) matches, with the group `value` and,
+            where the instrument sends them, `status` and `beam`.
+        beam_broken: expression of a line that says that the beam is broken and carries no value.
+        ignore: expression of lines that are no readings and no garbage either: greetings, acknowledgements.
+        terminator: what ends a line.
+        status_ok: the words of `status` with which a value is valid; any word if not given.
+        beam_ok: the words of `beam` that mean an unbroken beam.
+        max_length: a longer line is garbage, bytes.
+    """
+
+    pattern: str
+    beam_broken: str | None = None
+    ignore: str | None = None
+    terminator: Annotated[Ascii, Field(max_length=4)] = "\n"
+    status_ok: tuple[str, ...] | None = None
+    beam_ok: tuple[str, ...] = ()
+    max_length: Annotated[int, Field(ge=8, le=65536)] = 256
+
+    @field_validator("pattern", "beam_broken", "ignore")
+    @classmethod
+    def _compiles(cls, text: str | None) -> str | None:
+        try:
+            re.compile(text or "")
+        except re.error as error:
+            raise ValueError(f"not a regular expression: {error}") from None
+        return text
+
+    @model_validator(mode="after")
+    def _check(self) -> Line:
+        groups = set(re.compile(self.pattern).groupindex)
+        if "value" not in groups:
+            raise ValueError("the pattern has no group (?P<value>…)")
+        if unknown := sorted(groups - {"value", "status", "beam"}):
+            raise ValueError(f"the pattern has the group {unknown[0]!r}; value, status and beam are known")
+        if ("beam" in groups) != bool(self.beam_ok):
+            raise ValueError("the pattern's group beam and the list beam_ok belong together")
+        if self.status_ok is not None and "status" not in groups:
+            raise ValueError("status_ok needs the pattern's group status")
+        return self
+
+
+class Value(Record):
+    """What the number means: displacement = value · scale · unit.
+
+    Attributes:
+        unit: unit of the number.
+        scale: factor, such as 0.5 for a count of a folded path, -1 for the opposite sense.
+    """
+
+    unit: Literal["m", "mm", "um", "nm", "in"]
+    scale: Annotated[float, Field(allow_inf_nan=False)] = 1.0
+
+    @field_validator("scale")
+    @classmethod
+    def _not_zero(cls, scale: float) -> float:
+        if scale == 0:
+            raise ValueError("must not be 0")
+        return scale
+
+
+class Request(Record):
+    """For an instrument that answers and does not stream.
+
+    Attributes:
+        text: what asks for one reading, with its terminator.
+        interval: least time from one request to the next, s.
+    """
+
+    text: Ascii
+    interval: NotNegative = 0.0
+
+
+class Timeouts(Record):
+    """Times, s.
+
+    Attributes:
+        connect: for a connection to be made.
+        answer: for the answer to a request.
+        silence: without a sample for this long, the instrument counts as silent.
+        reconnect: pause before a lost connection is tried again.
+    """
+
+    connect: Positive = 5.0
+    answer: Positive = 1.0
+    silence: Positive = 2.0
+    reconnect: Positive = 1.0
+
+
+class AsciiLineSettings(Record):
+    """An instrument that sends readings as lines of ASCII text.
+
+    Attributes:
+        start: text sent after connecting, such as a command to begin streaming.
+        datum: text that makes the present path the instrument's zero.
+    """
+
+    format: Literal["mtcal-driver/1"]
+    driver: Literal["ascii_line"]
+    connection: Connection
+    line: Line
+    value: Value
+    request: Request | None = None
+    start: Ascii | None = None
+    datum: Ascii | None = None
+    timeouts: Timeouts = Timeouts()
