@@ -92,7 +92,8 @@ def axis_limits(procedure: Procedure) -> dict[str, AxisLimits]:
         for name in table:
             if name not in names:
                 raise SessionError(
-                    f"procedure {procedure.name}: motion.{key} names the axis {name!r}; the machine has {', '.join(names)}"
+                    f"procedure {procedure.name}: motion.{key} names the axis {name!r}; "
+                    f"the machine has {', '.join(names)}"
                 )
     kinds = {name: "linear" if name.upper() in chain.linear else "rotary" for name in names}
     return {

@@ -1,0 +1,213 @@
+"""The axes of a simulated machine tool.
+
+Takes `trajectory_msgs/JointTrajectory`, moves with limited speed and acceleration, and publishes what encoders show;
+where the functional point really is goes to the simulated instruments only. In simulated time this node owns the clock:
+it jumps to the end of each commanded trajectory, so a measurement runs as fast as the messages do.
+"""
+
+from __future__ import annotations
+
+import uuid
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock as ClockMessage
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory
+
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.nodes.parameters import declare
+from machine_tool_calibration.nodes.process import run
+from machine_tool_calibration.nodes.qos import COMMAND, STATE
+from machine_tool_calibration.nodes.site import Moment, Site, read_site
+from machine_tool_calibration.nodes.stamps import from_duration, from_message, nanoseconds, now, seconds, to_message
+from machine_tool_calibration.nodes.status import Level, status_message
+from machine_tool_calibration.procedure.motion import AxisLimits
+from machine_tool_calibration.procedure.trajectory import Trajectory, check_command
+
+__all__ = ["AxisSimulator", "main"]
+
+_HEARTBEAT = 0.2  # s of the wall clock
+
+
+class AxisSimulator(Node):
+    """See the module; parameters are described where they are declared."""
+
+    def __init__(self) -> None:
+        super().__init__("axis_simulator")
+        self._declare()
+        self.site = Site(read_site(self._site_file))
+        travel = self.site.travel
+        rotary = {axis.lower() for axis in self.site.chain.rotary}
+        self.limits = {
+            name: AxisLimits(*self._rotary_limits) if name in rotary else AxisLimits(*self._linear_limits)
+            for name in travel
+        }
+        self._names = sorted(travel, key="xyzabc".index)
+        home = {name: min(max(0.0, low), high) for name, (low, high) in travel.items()}
+        self._motion = Trajectory.through(home, [], self.limits)
+        self._start = self._clock = self._origin if self._jumping else now(self)
+        self._directions = dict.fromkeys(travel, 1)
+        self._command = 0
+        self._report: tuple[Level, str, dict[str, object]] = (Level.OK, "waiting for a command", {"state": "idle"})
+        self._pending_arrival = False
+        self._offset = np.zeros(3)
+        self._random = np.random.default_rng([self.site.spec.seed, 23])
+        self._epoch = uuid.uuid4().hex[:12]
+
+        self._states = self.create_publisher(JointState, "joint_states", STATE)
+        self._status = self.create_publisher(DiagnosticArray, "axes/status", STATE)
+        self._truth = self.create_publisher(PoseStamped, "truth/functional_point", STATE)
+        self._ticks = self.create_publisher(ClockMessage, "/clock", 10) if self._jumping else None
+        self.create_subscription(JointTrajectory, "axes/joint_trajectory", self._commanded, COMMAND)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_HEARTBEAT, self._heartbeat, clock=steady)
+        if not self._jumping:
+            self.create_timer(1.0 / self._rate, self._tick, clock=steady)
+        self._heartbeat()
+
+    def _declare(self) -> None:
+        self._site_file: str = declare(
+            self, "site", "", "YAML file with the machine's chain, travel and true errors; empty: a usual machine"
+        )
+        simulated = bool(self.get_parameter("use_sim_time").value)
+        self._jumping: bool = declare(
+            self,
+            "publish_clock",
+            simulated,
+            "own the simulated clock (/clock) and jump it to the end of each trajectory; needs use_sim_time",
+        )
+        if self._jumping and not simulated:
+            raise CalibrationError("parameter publish_clock needs use_sim_time: true")
+        origin: float = declare(
+            self,
+            "time_origin",
+            0.0,
+            "ROS time at which the site's time is zero and simulated time begins; 0: this node's start",
+            unit="s",
+            low=0.0,
+        )
+        self._origin = nanoseconds(origin) if origin else Clock().now().nanoseconds
+        self._rate: float = declare(
+            self, "state_rate", 100.0, "rate of joint_states in real time", unit="Hz", low=1.0, high=1000.0
+        )
+        self._linear_limits = (
+            declare(self, "speed", 0.5, "greatest speed of a linear axis", unit="m/s", low=1e-6, high=10.0),
+            declare(self, "acceleration", 2.0, "its greatest acceleration", unit="m/s^2", low=1e-6, high=100.0),
+        )
+        self._rotary_limits = (
+            declare(self, "rotary_speed", 2.0, "greatest speed of a rotary axis", unit="rad/s", low=1e-6, high=1e3),
+            declare(self, "rotary_acceleration", 10.0, "its greatest acceleration", unit="rad/s^2", low=1e-6, high=1e5),
+        )
+
+    def _now(self) -> int:
+        return self._clock if self._jumping else now(self)
+
+    def _commanded(self, message: JointTrajectory) -> None:
+        stamp = from_message(message.header.stamp)
+        if stamp and stamp == self._command:  # sent again, because the answer was lost or late
+            self._send_report()
+            return
+        self._command = stamp
+        try:
+            points = check_command(
+                message.joint_names,
+                [(list(point.positions), from_duration(point.time_from_start)) for point in message.points],
+                self.site.travel,
+            )
+        except CalibrationError as error:
+            self._set_report(Level.ERROR, f"refused: {error}", state="refused")
+            return
+        begin = max(self._now(), stamp)
+        since = seconds(begin - self._start)
+        directions = self._motion.directions(since, self._directions)
+        is_moving = any(self._motion.velocity(since).values())
+        braking = self._motion.braked(since, self.limits) if is_moving else None
+        self._motion = Trajectory.through(self._motion.position(since), points, self.limits, braking)
+        self._directions, self._start = directions, begin
+        if self.site.spec.repeatability:
+            self._offset = self._random.normal(size=3) * self.site.spec.repeatability
+        if self._jumping:
+            self._jump()
+        else:
+            self._pending_arrival = True
+            self._set_report(Level.OK, "moving", state="moving")
+            self._tick()
+
+    def _jump(self) -> None:
+        arrival = self._start + nanoseconds(self._motion.arrival)
+        held = self._start + nanoseconds(self._motion.end)
+        self._clock = held
+        for stamp in (arrival, held) if held > arrival else (arrival,):
+            self._publish_truth(stamp)
+        self._set_report(Level.OK, "arrived", state="arrived", arrived=arrival, held=held)
+        self._publish_clock()
+        for stamp in (arrival, held) if held > arrival else (arrival,):
+            self._publish_state(stamp)
+
+    def _tick(self) -> None:
+        stamp = now(self)
+        self._publish_truth(stamp)
+        self._publish_state(stamp)
+        if self._pending_arrival and stamp >= self._start + nanoseconds(self._motion.arrival):
+            self._pending_arrival = False
+            arrival = self._start + nanoseconds(self._motion.arrival)
+            self._set_report(Level.OK, "arrived", state="arrived", arrived=arrival, held=arrival)
+
+    def _heartbeat(self) -> None:
+        self._publish_clock()
+        if self._jumping:
+            self._publish_truth(self._clock)
+            self._publish_state(self._clock)
+        self._send_report()
+
+    def _publish_clock(self) -> None:
+        if self._ticks is not None:
+            self._ticks.publish(ClockMessage(clock=to_message(self._clock)))
+
+    def _publish_truth(self, stamp: int) -> None:
+        since = seconds(stamp - self._start)
+        moment = Moment(
+            time=seconds(stamp - self._origin),
+            position=self._motion.position(since),
+            direction=self._motion.directions(since, self._directions),
+        )
+        point = self.site.functional_point(moment) + self._offset
+        message = PoseStamped()
+        message.header.stamp = to_message(stamp)
+        message.header.frame_id = "machine"
+        message.pose.position.x, message.pose.position.y, message.pose.position.z = map(float, point)
+        self._truth.publish(message)
+
+    def _publish_state(self, stamp: int) -> None:
+        since = seconds(stamp - self._start)
+        position, velocity = self._motion.position(since), self._motion.velocity(since)
+        message = JointState(
+            name=self._names,
+            position=[position[name] for name in self._names],
+            velocity=[velocity[name] for name in self._names],
+        )
+        message.header.stamp = to_message(stamp)
+        message.header.frame_id = "machine"
+        self._states.publish(message)
+
+    def _set_report(self, level: Level, text: str, **entries: object) -> None:
+        self._report = (level, text, entries)
+        self._send_report()
+
+    def _send_report(self) -> None:
+        level, text, entries = self._report
+        entries = {**entries, "command": self._command, "epoch": self._epoch}
+        self._status.publish(status_message(self._now(), "axes", level, text, entries))
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return run(AxisSimulator, args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,388 @@
+"""The displacement instrument: a laser interferometer, simulated or real.
+
+Publishes the stream of displacements in batches, takes readings on request (`instrument/capture` waits until the path
+is stable and averages), makes the present path zero (`instrument/datum`), and publishes the environment. A broken beam
+loses the count: readings are refused until the datum is set again. In simulated time there is no stream between the
+readings; each reading publishes the samples that it averaged.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+import uuid
+from array import array
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension, String
+from std_srvs.srv import Trigger
+
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.instruments.drivers import load_driver
+from machine_tool_calibration.nodes.averaging import Batch, NotYet, Recent, Source, Window
+from machine_tool_calibration.nodes.deferred import Answer, DeferredService
+from machine_tool_calibration.nodes.driver_source import DriverSource, clock_offset
+from machine_tool_calibration.nodes.environment import TOPICS
+from machine_tool_calibration.nodes.parameters import declare
+from machine_tool_calibration.nodes.process import run
+from machine_tool_calibration.nodes.qos import LATCHED, SLOW, STATE
+from machine_tool_calibration.nodes.simulated_source import SimulatedSource
+from machine_tool_calibration.nodes.site import Beam, Site, read_site
+from machine_tool_calibration.nodes.stamps import from_message, nanoseconds, now, seconds, to_message
+from machine_tool_calibration.nodes.status import Level, status_message
+from machine_tool_calibration.session.parse import parse_description
+
+__all__ = ["Instrument", "main"]
+
+_GRACE = 0.5  # s of the wall clock: messages about the axes and the beam may arrive in either order
+
+
+@dataclass
+class _Request:
+    answer: Answer
+    is_datum: bool
+    since: float
+
+
+class Instrument(Node):
+    """See the module; parameters are described where they are declared."""
+
+    def __init__(self) -> None:
+        super().__init__("instrument")
+        self._simulated_time = bool(self.get_parameter("use_sim_time").value)
+        self._declare()
+        self._site = Site(read_site(self._site_file))
+        self._epoch = uuid.uuid4().hex[:12]
+        self._datums = 0
+        self._datum: str = ""
+        self._zero = 0.0
+        self._reason = "no datum has been set since the start"
+        self._requests: list[_Request] = []
+        self._recent = Recent(2.0 * self._averaging)
+        self._environment_stamp = 0
+        self._shown: object = None
+        self._setups: list[str] = []
+
+        self._stream = self.create_publisher(Float64MultiArray, "instrument/displacement", STATE)
+        self._status = self.create_publisher(DiagnosticArray, "instrument/status", LATCHED)
+        self._sensors = {
+            name: self.create_publisher(kind, f"environment/{name}", SLOW) for name, (kind, _) in TOPICS.items()
+        }
+        self.source: Source
+        self._simulated: SimulatedSource | None = None
+        if self._driver == "simulated":
+            self._simulated = self.source = SimulatedSource(
+                self._site, self._origin, self._rate, self._sample_noise, self._beam_radius, seed=self._noise_seed
+            )
+            self._simulated.blocked = self._blocked
+            self.create_subscription(PoseStamped, "truth/functional_point", self._point, STATE)
+            self.create_subscription(PoseStamped, "truth/beam", self._pointed, STATE)
+            self.create_subscription(String, "session", self._described, LATCHED)
+        elif self._simulated_time:
+            raise CalibrationError("a real driver needs real time: use_sim_time must be false")
+        else:
+            self.source = DriverSource(load_driver(Path(self._driver)), clock_offset(now(self)))
+        DeferredService(self, Trigger, "instrument/datum", lambda answer: self._requested(answer, is_datum=True))
+        DeferredService(self, Trigger, "instrument/capture", lambda answer: self._requested(answer, is_datum=False))
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(0.1, self._check, clock=steady)
+        if not self._simulated_time:
+            self.create_timer(1.0 / self._batch_rate, self._flow, clock=steady)
+        self.add_on_set_parameters_callback(self._changed)
+        self._show()
+
+    def _declare(self) -> None:
+        self._driver: str = declare(
+            self, "driver", "simulated", "`simulated`, or the YAML file of a real instrument's driver"
+        )
+        self._site_file: str = declare(
+            self, "site", "", "YAML file with what is true in the simulated workshop; empty: the usual one"
+        )
+        origin: float = declare(
+            self,
+            "time_origin",
+            0.0,
+            "ROS time at which the site's time is zero; 0: this node's start",
+            unit="s",
+            low=0.0,
+        )
+        self._origin = nanoseconds(origin) if origin else Clock().now().nanoseconds
+        self._rate: float = declare(
+            self,
+            "rate",
+            1000.0 if self._simulated_time else 10000.0,
+            "samples of the simulated stream",
+            unit="Hz",
+            low=1.0,
+            high=1e6,
+        )
+        self._batch_rate: float = declare(
+            self, "batch_rate", 50.0, "batches of the stream in real time", unit="Hz", low=1.0, high=1000.0
+        )
+        self._averaging: float = declare(
+            self, "averaging", 0.1, "time over which a reading is averaged", unit="s", low=1e-3, high=1000.0
+        )
+        self._tolerance: float = declare(
+            self,
+            "stable_tolerance",
+            1e-6,
+            "a reading is stable when the means of its quarters agree within this",
+            unit="m",
+            low=1e-12,
+            high=1.0,
+        )
+        self._timeout: float = declare(
+            self,
+            "capture_timeout",
+            3.0,
+            "a reading that is not stable within this is refused (wall clock)",
+            unit="s",
+            low=0.01,
+            high=1000.0,
+        )
+        self._sample_noise: float = declare(
+            self,
+            "sample_noise",
+            2e-8,
+            "standard deviation of one simulated sample's own noise",
+            unit="m",
+            low=0.0,
+            high=1.0,
+        )
+        self._beam_radius: float = declare(
+            self,
+            "beam_radius",
+            2e-3,
+            "farther beside the beam the retroreflector does not return it",
+            unit="m",
+            low=1e-6,
+            high=1.0,
+        )
+        self._environment_period: float = declare(
+            self,
+            "environment_period",
+            60.0 if self._simulated_time else 1.0,
+            "time between publications of the environment",
+            unit="s",
+            low=0.01,
+            high=1e5,
+        )
+        self._noise_seed: int = declare(
+            self, "noise_seed", 0, "makes another run of the same site's noise", low=0, high=2**31
+        )
+        self._blocked: bool = declare(
+            self, "beam_blocked", False, "something stands in the simulated beam", read_only=False
+        )
+
+    def _changed(self, parameters: list[Parameter]) -> SetParametersResult:
+        for parameter in parameters:
+            if parameter.name == "beam_blocked" and self._simulated is not None:
+                self._simulated.blocked = bool(parameter.value)
+                if parameter.value:
+                    self._simulated.lose("the beam is blocked")
+        self._note_loss()
+        return SetParametersResult(successful=True)
+
+    # --- what the simulated axes and pointer say
+
+    def _described(self, message: String) -> None:
+        try:
+            session = parse_description(message.data, "session")
+        except CalibrationError:
+            return
+        self._setups = [setup.id for setup in session.setups]
+        assert self._simulated is not None
+        self._simulated.tracking = getattr(session, "pointing", "open_loop") == "tracking"
+
+    def _point(self, message: PoseStamped) -> None:
+        assert self._simulated is not None
+        place, stamp = message.pose.position, from_message(message.header.stamp)
+        self._simulated.add_point(stamp, np.array([place.x, place.y, place.z]))
+        if self._simulated_time:
+            if abs(stamp - self._environment_stamp) >= nanoseconds(self._environment_period):
+                self._publish_environment(stamp)
+            if self._requests:
+                self._answer_requests()
+
+    def _pointed(self, message: PoseStamped) -> None:
+        assert self._simulated is not None
+        place, q = message.pose.position, message.pose.orientation
+        direction = (1 - 2 * (q.y**2 + q.z**2), 2 * (q.x * q.y + q.w * q.z), 2 * (q.x * q.z - q.w * q.y))
+        setup = message.header.frame_id
+        index = self._setups.index(setup) if setup in self._setups else 0
+        beam = Beam(np.array([place.x, place.y, place.z]), np.array(direction))
+        self._simulated.set_beam(from_message(message.header.stamp), setup, index, beam)
+        self._note_loss()
+        if self._simulated_time and self._requests:
+            self._answer_requests()
+
+    # --- requests
+
+    def _requested(self, answer: Answer, *, is_datum: bool) -> None:
+        self._note_loss()
+        if not is_datum and not self._datum:
+            _refuse(answer, "datum", f"no datum: {self._reason}; call instrument/datum")
+            return
+        self._requests.append(_Request(answer, is_datum, time.monotonic()))
+        if self._simulated_time:
+            self._answer_requests()
+
+    def _answer_requests(self) -> None:
+        """Answer what can be answered now; the rest waits for samples or its deadline."""
+        waiting, self._requests = self._requests, []
+        for request in waiting:
+            try:
+                window = self._window()
+            except NotYet as reason:
+                self._refuse_or_wait(request, reason)
+                continue
+            if request.is_datum:
+                self._set_datum(request.answer, window)
+            else:
+                self._reading(request.answer, window)
+
+    def _window(self) -> Window:
+        if self._simulated_time and self._simulated is not None:
+            return self._simulated.window(self._averaging)
+        problem = self.source.problem()
+        if problem:
+            raise NotYet("other", problem)
+        return self._recent.window(self._averaging, self._tolerance)
+
+    def _refuse_or_wait(self, request: _Request, reason: NotYet) -> None:
+        patience = self._timeout
+        if self._simulated_time and reason.kind in ("beam", "unstable"):
+            patience = _GRACE  # simulated time does not go on by itself
+        waited = time.monotonic() - request.since
+        if waited < patience and not self._lost_for_good(reason):
+            self._requests.append(request)
+            return
+        if reason.kind == "beam":
+            self._lose_datum(str(reason))
+        _refuse(request.answer, reason.kind, str(reason))
+
+    def _lost_for_good(self, reason: NotYet) -> bool:
+        return self._simulated is not None and self._simulated.blocked and reason.kind == "beam"
+
+    def _set_datum(self, answer: Answer, window: Window) -> None:
+        self._datums += 1
+        self._datum, self._zero, self._reason = f"{self._epoch}-{self._datums}", window.path, ""
+        self._show()
+        answer.send(True, json.dumps(self._described_window(window)))
+
+    def _reading(self, answer: Answer, window: Window) -> None:
+        if not self._datum:
+            _refuse(answer, "datum", f"no datum: {self._reason}; call instrument/datum")
+            return
+        document = self._described_window(window)
+        document |= {
+            "displacement": window.path - self._zero,
+            "standard_deviation": window.spread,
+            "samples": window.samples,
+            "environment": self._sensed(window.stamp),
+        }
+        answer.send(True, json.dumps(document))
+        if self._simulated_time and self._simulated is not None:
+            self._publish_stream(self._simulated.stream())
+
+    def _described_window(self, window: Window) -> dict[str, object]:
+        return {
+            "datum": self._datum,
+            "stamp": window.stamp,
+            "start": window.start,
+            "end": window.end,
+            "inputs": window.inputs,
+        }
+
+    # --- the stream, the state, the environment
+
+    def _flow(self) -> None:
+        batch = self.source.take(now(self))
+        self._note_loss()
+        if len(batch):
+            self._recent.add(batch)
+            self._publish_stream(batch)
+        if self._requests:
+            self._answer_requests()
+
+    def _publish_stream(self, batch: Batch) -> None:
+        rows = np.column_stack([batch.time * 1e-9, batch.path - self._zero])
+        message = Float64MultiArray(data=array("d", np.ascontiguousarray(rows).tobytes()))
+        message.layout.dim = [
+            MultiArrayDimension(label="sample", size=len(rows), stride=rows.size),
+            MultiArrayDimension(label="time,displacement", size=2, stride=2),
+        ]
+        self._stream.publish(message)
+
+    def _note_loss(self) -> None:
+        reason = self.source.lost()
+        if reason:
+            self._lose_datum(reason)
+
+    def _lose_datum(self, reason: str) -> None:
+        if self._datum:
+            self.get_logger().warning(f"the datum is lost: {reason}")
+        self._datum, self._reason = "", reason
+        self._recent.clear()
+        self._show()
+
+    def _check(self) -> None:
+        """A few times a second: deadlines of requests, the link, the environment in real time."""
+        self._note_loss()
+        if self._requests:
+            self._answer_requests()
+        self._show()
+        stamp = now(self)
+        if not self._simulated_time and stamp - self._environment_stamp >= nanoseconds(self._environment_period):
+            self._publish_environment(stamp)
+
+    def _show(self) -> None:
+        """Publish the status where it has changed."""
+        problem = self.source.problem()
+        state = "no signal" if problem else "measuring" if self._datum else "no datum"
+        text = problem or self._reason or "measuring"
+        shown = (state, text, self._datum)
+        if shown == self._shown:
+            return
+        self._shown = shown
+        level = Level.OK if state == "measuring" else Level.WARN
+        entries = {"state": state, "datum": self._datum, "epoch": self._epoch, "driver": self._driver}
+        self._status.publish(status_message(now(self), "instrument", level, text, entries))
+
+    def _sensed(self, stamp: int) -> dict[str, float]:
+        """The environment that this node knows itself; with a real driver the sensors publish it."""
+        return self._site.sensed(seconds(stamp - self._origin)) if self._simulated is not None else {}
+
+    def _publish_environment(self, stamp: int) -> None:
+        self._environment_stamp = stamp
+        for name, value in self._sensed(stamp).items():
+            kind, field = TOPICS[name]
+            message = kind(**{field: value})
+            message.header.stamp = to_message(stamp)
+            message.header.frame_id = name
+            self._sensors[name].publish(message)
+
+    def close(self) -> None:
+        """Stop what runs beside the node's own thread."""
+        self.source.close()
+
+
+def _refuse(answer: Answer, kind: str, reason: str) -> None:
+    answer.send(False, json.dumps({"kind": kind, "reason": reason}))
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return run(Instrument, args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,377 @@
+"""Runs a measurement procedure: commands the axes and the pointer, takes readings, and publishes each with the commands
+and the environment that it belongs to.
+
+What happens next is decided by `procedure.sequencer`; this node carries messages. It starts, pauses, resumes and aborts
+on request, and states what it waits for. Deadlines run on the wall clock, so that a partner that has died ends in a
+clear state in simulated time too.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PointStamped
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.nodes.environment import EnvironmentWatch
+from machine_tool_calibration.nodes.parameters import declare
+from machine_tool_calibration.nodes.process import run
+from machine_tool_calibration.nodes.qos import COMMAND, LATCHED, READINGS, STATE
+from machine_tool_calibration.nodes.stamps import duration_message, from_message, now, to_message
+from machine_tool_calibration.nodes.status import Level, status_message, values
+from machine_tool_calibration.procedure import plan, read_procedure
+from machine_tool_calibration.procedure.events import (
+    Action,
+    Aim,
+    Aimed,
+    Arrived,
+    Capture,
+    Captured,
+    CaptureFailed,
+    DatumSet,
+    Emit,
+    Event,
+    Motion,
+    Refused,
+    SetDatum,
+    Stop,
+)
+from machine_tool_calibration.procedure.sequencer import Sequencer, State, Timing
+from machine_tool_calibration.session.parse import description_yaml
+
+__all__ = ["ProcedureNode", "main"]
+
+_TICK = 0.1  # s of the wall clock
+_LEVELS = {State.ERROR: Level.ERROR, State.ABORTED: Level.WARN, State.PAUSED: Level.WARN}
+
+
+class ProcedureNode(Node):
+    """See the module; parameters are described where they are declared."""
+
+    def __init__(self) -> None:
+        super().__init__("procedure")
+        simulated = bool(self.get_parameter("use_sim_time").value)
+        file: str = declare(self, "procedure", "", "YAML file of the procedure")
+        if not file:
+            raise CalibrationError("the parameter procedure must name a procedure's YAML file")
+        timing = Timing(
+            resend=declare(
+                self,
+                "resend",
+                1.0,
+                "a command without an answer is sent again after this",
+                unit="s",
+                low=0.05,
+                high=100.0,
+            ),
+            patience=declare(
+                self,
+                "patience",
+                15.0,
+                "a partner that does not answer for this long is an error",
+                unit="s",
+                low=0.1,
+                high=1e5,
+            ),
+            paced=not simulated,
+            pointing_tolerance=declare(
+                self,
+                "pointing_tolerance",
+                1e-4,
+                "greatest deviation of the beam's angles from the command",
+                unit="rad",
+                low=1e-9,
+                high=0.1,
+            ),
+            revisits=declare(
+                self,
+                "revisits",
+                4,
+                "targets measured again after a lost beam, to tie the new datum to the old",
+                low=0,
+                high=1000,
+            ),
+            wait_between_setups=declare(
+                self, "wait_between_setups", False, "pause before each new setup, so that the instrument can be moved"
+            ),
+        )
+        self._arrival_source: str = declare(
+            self,
+            "arrival",
+            "status",
+            "how the end of a motion is known: `status` (axes/status), or `joint_states` for a controller without it",
+            choices=("status", "joint_states"),
+        )
+        self._position_tolerance: float = declare(
+            self,
+            "position_tolerance",
+            1e-5,
+            "with arrival: joint_states, the axes are there within this",
+            unit="m or rad",
+            low=1e-12,
+            high=1.0,
+        )
+        maximum_age: float = declare(
+            self,
+            "environment_age",
+            120.0,
+            "an environment sample older than this is not used",
+            unit="s",
+            low=0.1,
+            high=1e5,
+        )
+        self.sequencer = Sequencer(plan(read_procedure(Path(file))), timing)
+        self._environment = EnvironmentWatch(self, maximum_age)
+        self._here: dict[str, float] | None = None
+        self._motion: Motion | None = None
+        self._seen: set[str] = set()
+        self._shown: object = None
+        self._shown_at = 0.0
+
+        self._session = self.create_publisher(String, "session", LATCHED)
+        self._readings = self.create_publisher(JointState, "reading", READINGS)
+        self._status = self.create_publisher(DiagnosticArray, "procedure/status", LATCHED)
+        self._axes = self.create_publisher(JointTrajectory, "axes/joint_trajectory", COMMAND)
+        self._pointer = self.create_publisher(PointStamped, "pointer/command", COMMAND)
+        self.create_subscription(DiagnosticArray, "axes/status", self._axes_status, STATE)
+        self.create_subscription(JointState, "joint_states", self._joint_states, STATE)
+        self.create_subscription(JointState, "pointer/state", self._pointer_state, STATE)
+        self._datum = self.create_client(Trigger, "instrument/datum")
+        self._capture = self.create_client(Trigger, "instrument/capture")
+        for name, handler in (
+            ("start", self._start),
+            ("pause", self._pause),
+            ("resume", self._resume),
+            ("abort", self._abort),
+        ):
+            self.create_service(Trigger, f"procedure/{name}", _answered(handler))
+        self.create_timer(_TICK, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._publish_session()
+        self._show()
+
+    # --- requests of people
+
+    def _start(self) -> str:
+        if self.sequencer.state in (State.RUNNING, State.PAUSED, State.ERROR):
+            raise CalibrationError(f"the procedure is {self.sequencer.state}; abort it first")
+        if self.sequencer.done:  # the readings of the last run must not pass for this one's
+            self.destroy_publisher(self._readings)
+            self._readings = self.create_publisher(JointState, "reading", READINGS)
+            self._publish_session()
+        self._carry_out(self.sequencer.start(now(self), time.monotonic(), self._here))
+        return f"measuring {len(self.sequencer.plan.steps)} readings"
+
+    def _pause(self) -> str:
+        if self.sequencer.state is not State.RUNNING:
+            raise CalibrationError(f"the procedure is {self.sequencer.state}, not running")
+        self.sequencer.pause()
+        return f"paused after {self.sequencer.done} readings"
+
+    def _resume(self) -> str:
+        if self.sequencer.state not in (State.PAUSED, State.ERROR):
+            raise CalibrationError(f"the procedure is {self.sequencer.state}, neither paused nor in error")
+        self._carry_out(self.sequencer.resume(now(self), time.monotonic()))
+        return f"resumed at reading {self.sequencer.done}"
+
+    def _abort(self) -> str:
+        if self.sequencer.state not in (State.RUNNING, State.PAUSED, State.ERROR):
+            raise CalibrationError(f"the procedure is {self.sequencer.state}; there is nothing to abort")
+        self._carry_out(self.sequencer.abort(now(self)))
+        return f"aborted after {self.sequencer.done} readings"
+
+    # --- what the partners say
+
+    def _axes_status(self, message: DiagnosticArray) -> None:
+        self._seen.add("axes")
+        entries = values(message)
+        if self._arrival_source != "status" or "state" not in entries:
+            return
+        command = int(entries.get("command", 0))
+        if entries["state"] == "arrived":
+            event: Event = Arrived(command, int(entries["arrived"]), int(entries["held"]), entries.get("epoch", ""))
+        elif entries["state"] == "refused":
+            event = Refused(command, message.status[0].message)
+        else:
+            return
+        self._hear(event)
+
+    def _joint_states(self, message: JointState) -> None:
+        self._here = dict(zip(message.name, message.position, strict=True))
+        motion = self._motion
+        if self._arrival_source != "joint_states" or motion is None:
+            return
+        self._seen.add("axes")
+        stamp = from_message(message.header.stamp)
+        goal = motion.points[-1][0]
+        off = max(abs(self._here.get(name, float("inf")) - place) for name, place in goal.items())
+        is_still = not any(abs(rate) > self._position_tolerance for rate in message.velocity)
+        # the dwell is part of the trajectory: the first points must have been passed
+        earliest = motion.stamp + round(motion.points[-2][1] * 1e9)
+        if off <= self._position_tolerance and is_still and stamp >= earliest:
+            self._hear(Arrived(motion.stamp, stamp, stamp))
+
+    def _pointer_state(self, message: JointState) -> None:
+        self._seen.add("pointer")
+        angles = dict(zip(message.name, message.position, strict=True))
+        stamp = from_message(message.header.stamp)
+        self._hear(Aimed(message.header.frame_id, angles["azimuth"], angles.get("elevation", 0.0), stamp))
+
+    def _answer(self, token: int, response: Trigger.Response | None, *, is_datum: bool) -> None:
+        if response is None:
+            return
+        try:
+            document = json.loads(response.message)
+            if not response.success:
+                self._hear(CaptureFailed(token, document["kind"], document["reason"]))
+            elif is_datum:
+                self._hear(DatumSet(token, document["datum"], document["start"], document["inputs"]))
+            else:
+                stamp = document["stamp"]
+                self._hear(
+                    Captured(
+                        token=token,
+                        stamp=stamp,
+                        start=document["start"],
+                        end=document["end"],
+                        displacement=float(document["displacement"]),
+                        datum=document["datum"],
+                        columns=self._environment.at(stamp) | document["environment"],
+                        inputs=document["inputs"],
+                    )
+                )
+        except (ValueError, KeyError, TypeError) as error:
+            reason = f"not an answer of an instrument: {response.message[:80]!r} ({type(error).__name__})"
+            self._hear(CaptureFailed(token, "other", reason))
+
+    def _hear(self, event: Event) -> None:
+        self._carry_out(self.sequencer.handle(event, now(self), time.monotonic()))
+
+    def _tick(self) -> None:
+        self._carry_out(self.sequencer.tick(now(self), time.monotonic()))
+        self._show()
+
+    # --- what is to be done
+
+    def _carry_out(self, actions: list[Action]) -> None:
+        state = self.sequencer.state
+        for action in actions:
+            match action:
+                case Motion():
+                    self._motion = action
+                    self._axes.publish(_trajectory(action))
+                case Stop():
+                    message = JointTrajectory()
+                    message.header.stamp = to_message(action.stamp)
+                    self._axes.publish(message)
+                case Aim():
+                    self._pointer.publish(_point(action))
+                case SetDatum():
+                    self._call(self._datum, action.token, is_datum=True)
+                case Capture():
+                    self._call(self._capture, action.token, is_datum=False)
+                case Emit():
+                    self._readings.publish(_reading(action))
+        if self.sequencer.state is not state or state is not State.RUNNING:
+            self._show()
+
+    def _call(self, client: object, token: int, *, is_datum: bool) -> None:
+        # an instrument that is not there never answers: the deadline notices
+        future = client.call_async(Trigger.Request())  # type: ignore[attr-defined]
+        future.add_done_callback(lambda done: self._answer(token, done.result(), is_datum=is_datum))
+
+    def _publish_session(self) -> None:
+        self._session.publish(String(data=description_yaml(self.sequencer.plan.procedure.session)))
+
+    def _partners(self) -> str:
+        missing = [name for name in ("axes", "pointer") if name not in self._seen]
+        if "pointer" in missing and self.count_publishers("pointer/state"):
+            missing.remove("pointer")
+        if not (self._capture.service_is_ready() and self._datum.service_is_ready()):
+            missing.append("instrument")
+        return ", ".join(missing)
+
+    def _show(self) -> None:
+        """Publish the status where it has changed."""
+        sequencer = self.sequencer
+        step, total = sequencer.step, len(sequencer.plan.steps)
+        missing = self._partners() if sequencer.state in (State.IDLE, State.FINISHED, State.ABORTED) else ""
+        waiting = sequencer.waiting_for or missing
+        counters = {name: number for name, number in vars(sequencer.counters).items()}
+        entries: dict[str, object] = {
+            "state": sequencer.state.value,
+            "phase": sequencer.phase.value,
+            "captured": sequencer.done,
+            "total": total,
+            "setup": step.setup if step is not None else "",
+            "repeat": step.repeat if step is not None else "",
+            "waiting_for": waiting,
+            "duration": f"{sequencer.plan.duration:.0f}",
+            **counters,
+        }
+        text = sequencer.message
+        if waiting and sequencer.state in (State.RUNNING, State.IDLE):
+            text = f"waiting for {waiting}"
+        if (text, entries) == self._shown:
+            return
+        self._shown = (text, entries)
+        level = _LEVELS.get(sequencer.state, Level.WARN if waiting else Level.OK)
+        self._status.publish(status_message(now(self), "procedure", level, text, entries))
+
+
+def _answered(handler: Callable[[], str]) -> Callable[[Trigger.Request, Trigger.Response], Trigger.Response]:
+    """A service's handler from a function that says what it did or raises what it cannot do."""
+
+    def called(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        try:
+            response.message, response.success = handler(), True
+        except CalibrationError as error:
+            response.message, response.success = str(error), False
+        return response
+
+    return called
+
+
+def _trajectory(motion: Motion) -> JointTrajectory:
+    names = list(motion.points[-1][0])
+    message = JointTrajectory(joint_names=names)
+    message.header.stamp = to_message(motion.stamp)
+    message.header.frame_id = "machine"
+    message.points = [
+        JointTrajectoryPoint(positions=[place[name] for name in names], time_from_start=duration_message(clock))
+        for place, clock in motion.points
+    ]
+    return message
+
+
+def _point(aim: Aim) -> PointStamped:
+    message = PointStamped()
+    message.header.stamp = to_message(aim.stamp)
+    message.header.frame_id = aim.setup
+    message.point.x, message.point.y, message.point.z = aim.point
+    return message
+
+
+def _reading(emit: Emit) -> JointState:
+    message = JointState(name=list(emit.columns), position=list(emit.columns.values()))
+    message.header.stamp = to_message(emit.stamp)
+    message.header.frame_id = emit.setup
+    return message
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return run(ProcedureNode, args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

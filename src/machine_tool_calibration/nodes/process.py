@@ -1,0 +1,101 @@
+"""The frame of every node's process: start, spin, and a clean stop on SIGINT and SIGTERM."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Callable
+from types import FrameType
+
+import rclpy
+from rclpy.exceptions import ParameterException
+from rclpy.executors import ExternalShutdownException
+from rclpy.experimental import EventsExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
+
+from machine_tool_calibration.errors import CalibrationError
+
+__all__ = ["default_environment", "post", "run"]
+
+_TICK = 0.1  # s; Python sees a signal only between two calls of spin_once
+
+
+def default_environment() -> None:
+    """Discover on this machine only, unless the user says otherwise: the wheels have no security (SROS2)."""
+    if "ROS_LOCALHOST_ONLY" not in os.environ:
+        os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+
+
+def run(create: Callable[[], Node], args: list[str] | None = None) -> int:
+    """Run a node until SIGINT, SIGTERM or an external shutdown.
+
+    A node may have a method `close()`, which is called before it is destroyed.
+
+    Args:
+        create: makes the node; called after rclpy is up.
+        args: command line, by default the process's own.
+
+    Returns:
+        Exit status: 0 stopped as asked, 1 the node could not start (one line on standard error).
+    """
+    default_environment()
+    stopped = False
+
+    def stop(signum: int, frame: FrameType | None) -> None:
+        nonlocal stopped
+        stopped = True
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, stop)
+    # its own handlers end the context while callbacks run; ours let the loop below finish
+    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    node: Node | None = None
+    executor = None
+    status = 0
+    try:
+        node = create()
+        executor = EventsExecutor()
+        executor.add_node(node)
+        node._post = executor.create_task  # type: ignore[attr-defined]
+        while not stopped and rclpy.ok():
+            # spin() of this executor hangs in Jazzy
+            executor.spin_once(timeout_sec=_TICK)
+    except ExternalShutdownException:
+        pass
+    except (CalibrationError, ParameterException) as error:
+        print(f"{node.get_name() if node else 'node'}: {' '.join(str(error).split())}", file=sys.stderr)
+        status = 1
+    finally:
+        if node is not None and hasattr(node, "close"):
+            node.close()
+        if executor is not None:
+            executor.shutdown()
+        if node is not None:
+            node.destroy_node()
+        if rclpy.ok():
+            rclpy.shutdown()
+    return status
+
+
+def post(node: Node, function: Callable[[], None]) -> None:
+    """Have a function called in the node's own thread; may be called from any thread.
+
+    An exception in the function is logged: this executor would crash on it.
+    """
+
+    def guarded() -> None:
+        try:
+            function()
+        except Exception as error:
+            node.get_logger().error(f"{type(error).__name__}: {error}")
+
+    node._post(guarded)  # type: ignore[attr-defined]
+
+
+def use_sim_time(node: Node) -> bool:
+    """Whether the node lives in simulated time."""
+    parameter: Parameter = node.get_parameter("use_sim_time")
+    return bool(parameter.value)

@@ -1,0 +1,167 @@
+"""The simulated rotary pointer of an open-loop tracking interferometer.
+
+Points the beam from the *estimated* station at the *commanded* target (Ibaraki et al. 2014, Eq. (1), four quadrants,
+with elevation in three dimensions). The estimated stations are those of the latched `session`; which one is meant
+stands in the command's `frame_id`. Where the beam really goes (true station, zero offsets, radial error motion) is seen
+by the simulated instrument only.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from geometry_msgs.msg import PointStamped, PoseStamped
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.instruments.tracking import pointing
+from machine_tool_calibration.nodes.parameters import declare
+from machine_tool_calibration.nodes.process import run
+from machine_tool_calibration.nodes.qos import COMMAND, LATCHED, STATE
+from machine_tool_calibration.nodes.site import Beam, Moment, Site, read_site
+from machine_tool_calibration.nodes.stamps import from_message, nanoseconds, now, seconds, to_message
+from machine_tool_calibration.procedure.motion import AxisLimits, Move, move
+from machine_tool_calibration.session.description import Description
+from machine_tool_calibration.session.parse import parse_description
+
+__all__ = ["RotaryPointer", "main"]
+
+_ANGLES = ("azimuth", "elevation")
+
+
+class RotaryPointer(Node):
+    """See the module; parameters are described where they are declared."""
+
+    def __init__(self) -> None:
+        super().__init__("rotary_pointer")
+        site: str = declare(
+            self, "site", "", "YAML file with the seed and the pointer's true errors; empty: a pointer without errors"
+        )
+        origin: float = declare(
+            self,
+            "time_origin",
+            0.0,
+            "ROS time at which the site's time is zero; 0: this node's start",
+            unit="s",
+            low=0.0,
+        )
+        rate: float = declare(
+            self, "state_rate", 50.0, "rate of pointer/state in real time", unit="Hz", low=1.0, high=1000.0
+        )
+        speed: float = declare(
+            self, "speed", 2.0, "greatest speed of azimuth and elevation", unit="rad/s", low=1e-6, high=1e3
+        )
+        acceleration: float = declare(
+            self, "acceleration", 20.0, "their greatest acceleration", unit="rad/s^2", low=1e-6, high=1e5
+        )
+        self._simulated = bool(self.get_parameter("use_sim_time").value)
+        self._origin = nanoseconds(origin) if origin else Clock().now().nanoseconds
+        self._limits = dict.fromkeys(_ANGLES, AxisLimits(speed, acceleration))
+        self.site = Site(read_site(site))
+        self._session: Description | None = None
+        self._waiting: PointStamped | None = None
+        self._setup = ""
+        self._setup_starts: dict[str, int] = {}
+        self._start = 0
+        rest = dict.fromkeys(_ANGLES, 0.0)
+        self._motion = Move(rest, rest, 0.0, 0.0)
+
+        self._states = self.create_publisher(JointState, "pointer/state", STATE)
+        self._truth = self.create_publisher(PoseStamped, "truth/beam", STATE)
+        self.create_subscription(String, "session", self._described, LATCHED)
+        self.create_subscription(PointStamped, "pointer/command", self._commanded, COMMAND)
+        if not self._simulated:
+            self.create_timer(1.0 / rate, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _described(self, message: String) -> None:
+        try:
+            self._session = parse_description(message.data, "session")
+        except CalibrationError as error:
+            self.get_logger().error(str(error))
+            return
+        waiting, self._waiting = self._waiting, None
+        if waiting is not None:
+            self._commanded(waiting)
+
+    def _commanded(self, message: PointStamped) -> None:
+        setup = message.header.frame_id
+        ids = [entry.id for entry in self._session.setups] if self._session is not None else []
+        if setup not in ids:  # the session that describes it may be under way
+            self._waiting = message
+            if self._session is not None:
+                self.get_logger().warning(f"the session has no setup {setup!r}; it has {', '.join(ids)}")
+            return
+        self._waiting = None
+        stamp = from_message(message.header.stamp)
+        if setup != self._setup:
+            self._setup = setup
+            self._setup_starts[setup] = max(stamp, now(self))
+        point = np.array([[message.point.x, message.point.y, message.point.z]])
+        azimuth, elevation = pointing(point, np.array(self._session.setups[ids.index(setup)].position))  # type: ignore[union-attr]
+        flat = getattr(self._session, "dimension", 3) == 2
+        begin = max(stamp, now(self)) if not self._simulated else stamp
+        here = self._motion.position(seconds(begin - self._start))
+        goal = {"azimuth": float(azimuth[0]), "elevation": 0.0 if flat else float(elevation[0])}
+        turn = math.remainder(goal["azimuth"] - here["azimuth"], math.tau)  # the shorter way round
+        self._motion = move(here, {**goal, "azimuth": here["azimuth"] + turn}, self._limits)
+        self._start = begin
+        self._publish(begin + nanoseconds(self._motion.duration) if self._simulated else begin)
+
+    def _tick(self) -> None:
+        if self._setup:
+            self._publish(now(self))
+
+    def _publish(self, stamp: int) -> None:
+        since = seconds(stamp - self._start) if self._simulated is False else self._motion.duration
+        place, rate = self._motion.position(since), self._motion.velocity(since)
+        azimuth = math.remainder(place["azimuth"], math.tau)
+        self._publish_truth(stamp, azimuth, place["elevation"])
+        message = JointState(
+            name=list(_ANGLES),
+            position=[azimuth, place["elevation"]],
+            velocity=[rate[name] for name in _ANGLES],
+        )
+        message.header.stamp = to_message(stamp)
+        message.header.frame_id = self._setup
+        self._states.publish(message)
+
+    def _publish_truth(self, stamp: int, azimuth: float, elevation: float) -> None:
+        assert self._session is not None
+        index = [entry.id for entry in self._session.setups].index(self._setup)
+        moment = Moment(
+            time=seconds(stamp - self._origin),
+            position={},
+            direction={},
+            setup=index,
+            setup_start=seconds(self._setup_starts[self._setup] - self._origin),
+        )
+        beam = self.site.beam(self.site.station(self._session, index), azimuth, elevation, moment)
+        message = PoseStamped()
+        message.header.stamp = to_message(stamp)
+        message.header.frame_id = self._setup
+        message.pose.position.x, message.pose.position.y, message.pose.position.z = map(float, beam.origin)
+        turned = message.pose.orientation
+        turned.x, turned.y, turned.z, turned.w = quaternion(beam)
+        self._truth.publish(message)
+
+
+def quaternion(beam: Beam) -> tuple[float, float, float, float]:
+    """x, y, z, w of the rotation that turns +X onto the beam: first about Z, then down or up."""
+    x, y, z = map(float, beam.direction)
+    azimuth, elevation = math.atan2(y, x), math.atan2(z, math.hypot(x, y))
+    cz, sz = math.cos(0.5 * azimuth), math.sin(0.5 * azimuth)
+    cy, sy = math.cos(-0.5 * elevation), math.sin(-0.5 * elevation)
+    return -sz * sy, cz * sy, sz * cy, cz * cy
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return run(RotaryPointer, args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,156 @@
+"""What a running procedure hears from the instrument and the axes, and what it asks of them.
+
+Times are whole nanoseconds of the graph's clock.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+__all__ = [
+    "Action",
+    "Aim",
+    "Aimed",
+    "Arrived",
+    "Capture",
+    "CaptureFailed",
+    "Captured",
+    "DatumSet",
+    "Emit",
+    "Event",
+    "Motion",
+    "Refused",
+    "SetDatum",
+    "Stop",
+]
+
+
+@dataclass(frozen=True)
+class Arrived:
+    """The axes stand at the end of a commanded motion.
+
+    Attributes:
+        command: stamp of the command.
+        arrived: since when they stand.
+        held: until when that is known; later than `arrived` where simulated time has been advanced over the dwell.
+        epoch: identity of the axes' controller since its start; empty where it has none.
+    """
+
+    command: int
+    arrived: int
+    held: int
+    epoch: str = ""
+
+
+@dataclass(frozen=True)
+class Refused:
+    """The axes refuse a command."""
+
+    command: int
+    reason: str
+
+
+@dataclass(frozen=True)
+class Aimed:
+    """Where the pointer points: the setup, the angles in rad, and the time."""
+
+    setup: str
+    azimuth: float
+    elevation: float
+    stamp: int
+
+
+@dataclass(frozen=True)
+class Captured:
+    """A reading.
+
+    Attributes:
+        token: of the request.
+        stamp: middle of the averaged window.
+        start: its beginning.
+        end: its end.
+        displacement: m, from the datum.
+        datum: identity of that datum.
+        columns: the environment at that moment, by column name.
+        inputs: newest simulated inputs that the reading used, by name; a real instrument has none.
+    """
+
+    token: int
+    stamp: int
+    start: int
+    end: int
+    displacement: float
+    datum: str
+    columns: Mapping[str, float] = field(default_factory=dict)
+    inputs: Mapping[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class CaptureFailed:
+    """No reading, or no datum: `kind` is `unstable`, `beam`, `datum` or `other`."""
+
+    token: int
+    kind: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class DatumSet:
+    """The present path is zero from now on; `datum` is its identity, the rest as for `Captured`."""
+
+    token: int
+    datum: str
+    start: int
+    inputs: Mapping[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Move the axes: positions in m or rad, each with its time from the start in s."""
+
+    stamp: int
+    points: tuple[tuple[Mapping[str, float], float], ...]
+
+
+@dataclass(frozen=True)
+class Stop:
+    """Stop the axes."""
+
+    stamp: int
+
+
+@dataclass(frozen=True)
+class Aim:
+    """Point from a setup's station at a point, m, machine frame."""
+
+    stamp: int
+    setup: str
+    point: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class SetDatum:
+    """Make the present path zero."""
+
+    token: int
+
+
+@dataclass(frozen=True)
+class Capture:
+    """Take a reading."""
+
+    token: int
+
+
+@dataclass(frozen=True)
+class Emit:
+    """A reading of the session: the setup's id, the time and the numeric columns of `observations.csv`."""
+
+    setup: str
+    stamp: int
+    columns: Mapping[str, float]
+
+
+Event = Arrived | Refused | Aimed | Captured | CaptureFailed | DatumSet
+Action = Motion | Stop | Aim | SetDatum | Capture | Emit

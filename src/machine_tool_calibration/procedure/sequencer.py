@@ -1,0 +1,506 @@
+"""A procedure while it runs: what to ask next, and which answer belongs to which step.
+
+Nothing here depends on the order in which messages arrive: a motion is known by the stamp of its command, a service
+call by its token, a beam by its setup and angles, and a reading counts only if its averaging window began after the
+axes and the beam had come to rest where the step wants them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+
+from machine_tool_calibration.instruments.tracking import pointing
+from machine_tool_calibration.procedure.events import (
+    Action,
+    Aim,
+    Aimed,
+    Arrived,
+    Capture,
+    Captured,
+    CaptureFailed,
+    DatumSet,
+    Emit,
+    Event,
+    Motion,
+    Refused,
+    SetDatum,
+    Stop,
+)
+from machine_tool_calibration.procedure.motion import move
+from machine_tool_calibration.procedure.plan import Plan, Step
+from machine_tool_calibration.session.description import StationSetup
+
+__all__ = ["Counters", "Sequencer", "State", "Timing"]
+
+_NANO = 1_000_000_000
+_STALE_BEFORE_HOLD = 20
+_UNSTABLE_BEFORE_ERROR = 3
+_RECOVERIES_BEFORE_ERROR = 3
+
+
+class State(StrEnum):
+    """What the procedure is doing as a whole."""
+
+    IDLE = "idle"
+    RUNNING = "running"
+    PAUSED = "paused"
+    FINISHED = "finished"
+    ABORTED = "aborted"
+    ERROR = "error"
+
+
+class Phase(StrEnum):
+    """What the current step waits for."""
+
+    NONE = "none"
+    MOVE = "move"
+    DATUM = "datum"
+    CAPTURE = "capture"
+
+
+@dataclass(frozen=True)
+class Timing:
+    """How long to wait, in seconds of the wall clock, and how exactly the beam must point.
+
+    Attributes:
+        resend: a command without an answer is sent again after this.
+        patience: then an error is stated after this.
+        paced: whether moves take as long as they say; not in simulated time.
+        pointing_tolerance: greatest deviation of the beam's angles from the commanded ones, rad.
+        revisits: after a lost beam, so many targets are measured again to find the new datum.
+        wait_between_setups: pause before each new setup, so that the instrument can be moved.
+    """
+
+    resend: float = 1.0
+    patience: float = 10.0
+    paced: bool = True
+    pointing_tolerance: float = 1e-4
+    revisits: int = 4
+    wait_between_setups: bool = False
+
+
+@dataclass
+class Counters:
+    """What did not go straight, for the status and the tests."""
+
+    resent: int = 0
+    stale: int = 0
+    unstable: int = 0
+    recoveries: int = 0
+    restarts: int = 0
+
+
+@dataclass
+class _Visit:
+    """One stop at a target.
+
+    Attributes:
+        step: the target.
+        datum: whether the path is zeroed here.
+        revisit: reading that was taken here before the datum was lost, m; NaN for a reading that is still to come.
+    """
+
+    step: Step
+    datum: bool
+    revisit: float = math.nan
+
+
+@dataclass
+class _Pending:
+    """Answers that the current phase waits for."""
+
+    phase: Phase = Phase.NONE
+    motion: Motion | None = None
+    aim: Aim | None = None
+    angles: tuple[float, float] = (0.0, 0.0)
+    arrived: Arrived | None = None
+    aimed: int | None = None
+    token: int = -1
+    stale: int = 0
+    since: float = 0.0
+    sent: float = 0.0
+    expected: float = 0.0
+
+
+@dataclass
+class _Group:
+    """Readings that share one datum.
+
+    Attributes:
+        datum: identity of the datum in force; empty if there is none.
+        offset: added to the instrument's reading, so that it continues the group's first datum, m.
+        taken: steps and readings so far.
+        differences: old minus new reading of the targets that were measured again.
+    """
+
+    datum: str = ""
+    offset: float = 0.0
+    taken: list[tuple[Step, float]] = field(default_factory=list)
+    differences: list[float] = field(default_factory=list)
+
+
+class Sequencer:
+    """Runs a plan by events; every method returns what is to be done now.
+
+    Args:
+        plan: the steps.
+        timing: deadlines.
+    """
+
+    def __init__(self, plan: Plan, timing: Timing | None = None) -> None:
+        self.plan = plan
+        self.timing = timing or Timing()
+        self.state = State.IDLE
+        self.message = "ready to start"
+        self.waiting_for = ""
+        self.counters = Counters()
+        self.done = 0
+        self.origin = 0
+        self._visits: deque[_Visit] = deque()
+        self._pending = _Pending()
+        self._group = _Group()
+        self._datums = 0
+        self._recoveries = 0
+        self._unstable = 0
+        self._floor = 0
+        self._token = 0
+        self._epoch = ""
+        self._here: Mapping[str, float] | None = None
+        self._stations = {
+            setup.id: np.array(setup.position)
+            for setup in plan.procedure.session.setups
+            if isinstance(setup, StationSetup)
+        }
+
+    @property
+    def step(self) -> Step | None:
+        """The step that is measured now, or None after the last."""
+        return self.plan.steps[self.done] if self.done < len(self.plan.steps) else None
+
+    @property
+    def phase(self) -> Phase:
+        """What the current step waits for."""
+        return self._pending.phase
+
+    # --- what a person asks
+
+    def start(self, now: int, wall: float, here: Mapping[str, float] | None = None) -> list[Action]:
+        """Begin with the first step; `here` is where the axes stand, if that is known."""
+        self.done, self.origin, self._floor = 0, now, now
+        self._group, self._datums, self._here = _Group(), 0, here
+        self.counters = Counters()
+        self.state, self.message = State.RUNNING, "measuring"
+        return self._next(now, wall)
+
+    def pause(self) -> None:
+        """Ask for nothing more; the step under way is measured again later."""
+        self.state, self.message = State.PAUSED, "paused"
+        self._forget()
+
+    def resume(self, now: int, wall: float) -> list[Action]:
+        """Go on at the step that was interrupted, approached as planned."""
+        self.state, self.message = State.RUNNING, "measuring"
+        self._recoveries = self._unstable = 0
+        if not self._visits:
+            return self._next(now, wall, resumed=True)
+        return self._begin(now, wall, again=True)
+
+    def abort(self, now: int) -> list[Action]:
+        """Stop the axes and end."""
+        self.state, self.message = State.ABORTED, f"aborted after {self.done} of {len(self.plan.steps)} readings"
+        self._forget()
+        self._visits.clear()
+        return [Stop(max(now, self._floor + 1))]
+
+    # --- what the others answer
+
+    def handle(self, event: Event, now: int, wall: float) -> list[Action]:
+        """Take an answer; answers that belong to nothing are ignored."""
+        if self.state is not State.RUNNING:
+            return []
+        match event:
+            case Arrived():
+                return self._arrived(event, now, wall)
+            case Refused():
+                if self._pending.motion is not None and event.command == self._pending.motion.stamp:
+                    self._fail(f"axes: {event.reason}")
+                return []
+            case Aimed():
+                return self._aimed(event, now, wall)
+            case DatumSet():
+                return self._datum_set(event, now, wall)
+            case Captured():
+                return self._captured(event, now, wall)
+            case CaptureFailed():
+                return self._capture_failed(event, now, wall)
+
+    def tick(self, now: int, wall: float) -> list[Action]:
+        """Look at the deadlines; to be called a few times a second."""
+        pending = self._pending
+        if self.state is not State.RUNNING or pending.phase is Phase.NONE:
+            return []
+        if wall - pending.sent < self.timing.resend + pending.expected:
+            return []
+        if pending.phase is Phase.MOVE:
+            missing = {
+                "axes": pending.motion is not None and pending.arrived is None,
+                "rotary pointer": pending.aim is not None and pending.aimed is None,
+            }
+            self.waiting_for = " and ".join(name for name, is_missing in missing.items() if is_missing)
+        else:
+            self.waiting_for = "instrument"
+        if wall - pending.since > self.timing.patience + pending.expected:
+            self._fail(f"no answer from {self.waiting_for} for {wall - pending.since:.0f} s")
+            return []
+        self.counters.resent += 1
+        pending.sent = wall
+        if pending.phase is not Phase.MOVE:
+            return self._ask(pending.phase, wall, again=True)
+        actions: list[Action] = []
+        if pending.arrived is None and pending.motion is not None:
+            actions.append(pending.motion)
+        if pending.aimed is None and pending.aim is not None:
+            actions.append(pending.aim)
+        return actions
+
+    # --- one step
+
+    def _next(self, now: int, wall: float, *, resumed: bool = False) -> list[Action]:
+        """Go to the next target, or end."""
+        step = self.step
+        if step is None:
+            self.state, self.message = State.FINISHED, f"{self.done} readings"
+            self._forget()
+            return []
+        if step.datum:
+            self._group = _Group()
+            new_setup = self.done > 0 and self.plan.steps[self.done - 1].setup != step.setup
+            if new_setup and self.timing.wait_between_setups and not resumed:
+                self.state, self.message = State.PAUSED, f"bring the instrument to setup {step.setup}, then resume"
+                self._forget()
+                return []
+        self._visits = deque([_Visit(step, step.datum)])
+        return self._begin(now, wall, again=resumed)
+
+    def _begin(self, now: int, wall: float, *, again: bool) -> list[Action]:
+        """Command the axes and the pointer to the first visit's target."""
+        step = self._visits[0].step
+        via = step.via
+        if again and not via and step.number > 0:
+            via = (self.plan.steps[step.number - 1].position,)  # the same direction of approach
+        return self._command((*via, step.position), step, now, wall)
+
+    def _command(self, places: tuple[Mapping[str, float], ...], step: Step, now: int, wall: float) -> list[Action]:
+        points, clock = [], 0.0
+        for place in places:
+            here = self._here if self._here is not None and self._here.keys() >= place.keys() else place
+            part = move({name: here[name] for name in place}, place, self.plan.limits)
+            clock += max(part.duration, 1e-3)  # a controller wants times that increase
+            points.append((place, clock))
+            self._here = place
+        dwell = self.plan.procedure.motion.dwell
+        points.append((step.position, clock + dwell))
+        stamp = max(now, self._floor + 1)
+        self._floor = stamp
+        pending = _Pending(Phase.MOVE, Motion(stamp, tuple(points)), since=wall, sent=wall)
+        pending.expected = clock + dwell if self.timing.paced else 0.0
+        actions: list[Action] = [pending.motion] if pending.motion else []
+        if step.aim is not None:
+            pending.aim = Aim(stamp, step.setup, step.aim)
+            pending.angles = self._angles(step)
+            actions.append(pending.aim)
+        self._pending = pending
+        self.waiting_for = ""
+        return actions
+
+    def _hold(self, now: int, wall: float) -> list[Action]:
+        """Stay where it is for another dwell: advances simulated time, gives a real axis time to settle."""
+        step = self._visits[0].step
+        return self._command((step.position,), step, now, wall)
+
+    def _arrived(self, event: Arrived, now: int, wall: float) -> list[Action]:
+        pending = self._pending
+        if pending.phase is not Phase.MOVE or pending.motion is None or event.command != pending.motion.stamp:
+            return []
+        restarted = bool(self._epoch) and event.epoch != self._epoch
+        self._epoch = event.epoch
+        if restarted:  # it did not come from where the plan says: the direction of approach is not certain
+            self.counters.restarts += 1
+            return self._begin(max(now, event.held), wall, again=True)
+        pending.arrived = event
+        self._floor = max(self._floor, event.held)
+        return self._at_rest(now, wall)
+
+    def _aimed(self, event: Aimed, now: int, wall: float) -> list[Action]:
+        pending = self._pending
+        if pending.phase is not Phase.MOVE or pending.aim is None or pending.aimed is not None:
+            return []
+        off = max(
+            abs(math.remainder(event.azimuth - pending.angles[0], math.tau)), abs(event.elevation - pending.angles[1])
+        )
+        if event.setup != pending.aim.setup or event.stamp < pending.aim.stamp:
+            return []
+        if not off <= self.timing.pointing_tolerance:
+            return []
+        pending.aimed = event.stamp
+        return self._at_rest(now, wall)
+
+    def _at_rest(self, now: int, wall: float) -> list[Action]:
+        """Both axes and beam have come to rest: zero or capture."""
+        pending = self._pending
+        if pending.arrived is None or (pending.aim is not None and pending.aimed is None):
+            return []
+        is_jumped = pending.arrived.held > pending.arrived.arrived
+        if is_jumped and pending.aimed is not None:
+            dwell = self.plan.procedure.motion.dwell * _NANO
+            if pending.arrived.held - pending.aimed < 0.5 * dwell:  # the pointer took longer than the axes
+                self._floor = max(self._floor, pending.aimed)
+                return self._hold(max(now, pending.aimed), wall)
+        self.waiting_for = ""
+        return self._ask(Phase.DATUM if self._visits[0].datum else Phase.CAPTURE, wall)
+
+    def _ask(self, phase: Phase, wall: float, *, again: bool = False) -> list[Action]:
+        self._token += 1
+        pending = self._pending
+        pending.token = self._token
+        if pending.phase is not phase:
+            pending.since = wall
+        pending.phase, pending.sent = phase, wall
+        if not again:
+            pending.expected = 0.0
+        return [SetDatum(self._token) if phase is Phase.DATUM else Capture(self._token)]
+
+    def _datum_set(self, event: DatumSet, now: int, wall: float) -> list[Action]:
+        if self._pending.phase is not Phase.DATUM or event.token != self._pending.token:
+            return []
+        if self._is_stale(event):
+            return self._ask_again(now, wall)
+        self._group.datum = event.datum
+        self._datums += 1
+        return self._ask(Phase.CAPTURE, wall)
+
+    def _captured(self, event: Captured, now: int, wall: float) -> list[Action]:
+        pending = self._pending
+        if pending.phase is not Phase.CAPTURE or event.token != pending.token:
+            return []
+        if event.datum != self._group.datum:
+            return self._recover("the instrument has lost its datum", now, wall)
+        if self._is_stale(event):
+            return self._ask_again(now, wall)
+        self._floor = max(self._floor, event.end)
+        visit = self._visits.popleft()
+        if math.isnan(visit.revisit):
+            return self._measured(visit.step, event, now, wall)
+        return self._revisited(visit, event.displacement, now, wall)
+
+    def _ask_again(self, now: int, wall: float) -> list[Action]:
+        """The same request, as its answer came from before; now and then with a further dwell."""
+        pending = self._pending
+        self.counters.stale += 1
+        pending.stale += 1
+        if pending.stale % _STALE_BEFORE_HOLD == 0:
+            return self._hold(now, wall)
+        return self._ask(pending.phase, wall, again=True)
+
+    def _is_stale(self, event: Captured | DatumSet) -> bool:
+        """Whether the reading began before the axes and the beam were at rest, or does not know it yet."""
+        pending = self._pending
+        assert pending.motion is not None and pending.arrived is not None
+        ready = max(pending.arrived.arrived, pending.aimed or 0)
+        return event.start < ready or any(stamp < pending.motion.stamp for stamp in event.inputs.values())
+
+    def _measured(self, step: Step, event: Captured, now: int, wall: float) -> list[Action]:
+        value = event.displacement + self._group.offset
+        self._group.taken.append((step, value))
+        emit = Emit(step.setup, event.stamp, self._columns(step, event, value))
+        self.done += 1
+        self._recoveries = self._unstable = 0
+        self.message = "measuring"
+        return [*self._next(now, wall), emit]  # the axes set off first
+
+    def _revisited(self, visit: _Visit, reading: float, now: int, wall: float) -> list[Action]:
+        self._group.differences.append(visit.revisit - reading)
+        if math.isnan(self._visits[0].revisit):
+            differences = np.array(self._group.differences)
+            self._group.offset = float(differences.mean())
+            sigma = self.plan.procedure.session.standard_uncertainty.displacement
+            if float(np.ptp(differences)) > 10.0 * sigma:
+                self._fail(
+                    "the datum could not be found again: targets measured before and after differ by "
+                    f"{np.ptp(differences) * 1e6:.2f} um among themselves"
+                )
+                return []
+        return self._begin(now, wall, again=False)
+
+    # --- what goes wrong
+
+    def _capture_failed(self, event: CaptureFailed, now: int, wall: float) -> list[Action]:
+        if self._pending.phase not in (Phase.DATUM, Phase.CAPTURE) or event.token != self._pending.token:
+            return []
+        if event.kind == "unstable":
+            self.counters.unstable += 1
+            self._unstable += 1
+            if self._unstable > _UNSTABLE_BEFORE_ERROR:
+                self._fail(f"instrument: {event.reason}")
+                return []
+            return self._hold(now, wall)
+        if event.kind in ("beam", "datum"):
+            return self._recover(event.reason, now, wall)
+        self._fail(f"instrument: {event.reason}")
+        return []
+
+    def _recover(self, reason: str, now: int, wall: float) -> list[Action]:
+        """Zero the path again at a target measured before, and measure a few of them to tie the datums."""
+        self.counters.recoveries += 1
+        self._recoveries += 1
+        if self._recoveries > _RECOVERIES_BEFORE_ERROR:
+            self._fail(f"instrument: {reason}")
+            return []
+        self.message = f"{reason}; measuring again from a known target"
+        step = self.step
+        assert step is not None
+        known = self._group.taken[-self.timing.revisits :] if self.timing.revisits else []
+        visits = [_Visit(old, False, reading) for old, reading in known]
+        visits.append(_Visit(step, False))
+        visits[0].datum = True
+        self._visits = deque(visits)
+        self._group.datum, self._group.differences = "", []
+        if not known:
+            self._group.offset = 0.0
+        return self._begin(now, wall, again=True)
+
+    def _fail(self, reason: str) -> None:
+        self.state, self.message = State.ERROR, reason
+        self._forget()
+
+    def _forget(self) -> None:
+        """Answers that are still under way no longer belong to anything."""
+        self._pending = _Pending()
+        self.waiting_for = ""
+
+    # --- the reading
+
+    def _angles(self, step: Step) -> tuple[float, float]:
+        """Commanded azimuth and elevation: Ibaraki et al. 2014, Eq. (1)."""
+        azimuth, elevation = pointing(np.array([step.aim]), self._stations[step.setup])
+        is_flat = getattr(self.plan.procedure.session, "dimension", 3) == 2
+        return float(azimuth[0]), 0.0 if is_flat else float(elevation[0])
+
+    def _columns(self, step: Step, event: Captured, value: float) -> dict[str, float]:
+        columns = {"time": (event.stamp - self.origin) / _NANO, "repeat": float(step.repeat)}
+        columns |= {name: float(place) for name, place in step.position.items()}
+        columns |= {f"dir_{name}": float(sign) for name, sign in step.direction.items()}
+        if step.aim is not None:
+            columns["azimuth"], columns["elevation"] = self._pending.angles
+        columns["displacement"] = value
+        columns |= {name: float(number) for name, number in event.columns.items()}
+        columns["datum"] = float(self._datums - 1)
+        if step.target is not None:
+            columns["target_index"] = float(step.target)
+        return columns
