@@ -31,11 +31,20 @@ One tracking reading at a time, as the nodes need it::
     origin, direction = Pointer(zero_offset=1e-5).beam(azimuth, elevation, true_station)
     path = sensed_path(actual_target, origin, direction)      # open loop
     path = distance(actual_target, true_station)              # a beam that follows the target
+
+`LiveMachine` adds flaws, time and temperature to that (see `live.py`). Other instruments: `mirror_path` (laser on a flat
+mirror), `probed` (stylus sphere on a surface). Other plans: `DiagonalPlan`, `RotaryPlan`, `ProbingPlan`, `DirectPlan`;
+`PRESETS` holds those of the papers by name.
 """
 
+from machine_tool_calibration.simulation.diagonal_run import DiagonalPlan
+from machine_tool_calibration.simulation.direct_run import DirectPlan
+from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
 from machine_tool_calibration.simulation.environment import Drift, Environment, random_environment
 from machine_tool_calibration.simulation.flaw import Chosen, Flaw
 from machine_tool_calibration.simulation.flaws import FLAWS, choose_flaw
+from machine_tool_calibration.simulation.laser import mirror_path
+from machine_tool_calibration.simulation.live import LiveMachine
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.machine_file import (
     MachineSpec,
@@ -44,24 +53,39 @@ from machine_tool_calibration.simulation.machine_file import (
     machine_document,
     read_machine,
 )
+from machine_tool_calibration.simulation.plans import PLANS, PRESETS
+from machine_tool_calibration.simulation.probe import probed
+from machine_tool_calibration.simulation.probing_run import ProbingPlan
 from machine_tool_calibration.simulation.random_machine import Amplitudes, random_machine
+from machine_tool_calibration.simulation.rotary_run import RotaryPlan
 from machine_tool_calibration.simulation.simulate import Simulated, simulate, simulate_many
 from machine_tool_calibration.simulation.spec import Chips, FlawSpec, SimulationSpec, Spread
 from machine_tool_calibration.simulation.tracking import Pointer, aim, beam_direction, distance, sensed_path
 from machine_tool_calibration.simulation.tracking_run import TrackingPlan
 from machine_tool_calibration.simulation.truth import Truth
+from machine_tool_calibration.simulation.workpieces import PartPoint
 
 __all__ = [
     "FLAWS",
+    "PLANS",
+    "PRESETS",
     "Amplitudes",
     "Chips",
     "Chosen",
+    "DiagonalPlan",
+    "DirectPlan",
+    "Disturbance",
     "Drift",
     "Environment",
     "Flaw",
     "FlawSpec",
+    "LiveMachine",
     "MachineSpec",
+    "PartPoint",
     "Pointer",
+    "ProbingPlan",
+    "RotaryPlan",
+    "Sight",
     "Simulated",
     "SimulationSpec",
     "Spread",
@@ -75,6 +99,8 @@ __all__ = [
     "choose_flaw",
     "distance",
     "machine_document",
+    "mirror_path",
+    "probed",
     "random_environment",
     "random_machine",
     "read_machine",

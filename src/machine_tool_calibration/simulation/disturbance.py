@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
+from typing import Any
 
 import numpy as np
 
@@ -45,7 +46,7 @@ class Disturbance:
         turn: turn of the beam's azimuth, rad.
         optical: relative excess of the optical over the geometric path.
         dead: excess of the optical path outside the measured one, m.
-        mirror: (n, 3) rotation vector of the flat mirror's tilt against the beam, rad.
+        mirror: (n, 2) further tilt of the flat mirror's normal off the beam, towards its left and upwards, rad.
         growth: relative growth of the workpiece about the table's centre.
         table_radial: relative growth of the table's targets away from the axis.
         table_axial: relative growth along the axis.
@@ -82,7 +83,7 @@ class Disturbance:
 
 def combine(parts: tuple[Disturbance, ...]) -> Disturbance:
     """The sum of several disturbances."""
-    total: dict[str, object] = {}
+    total: dict[str, Any] = {}
     for part in parts:
         for entry in fields(part):
             value, old = getattr(part, entry.name), total.get(entry.name)
@@ -91,10 +92,10 @@ def combine(parts: tuple[Disturbance, ...]) -> Disturbance:
             if old is None:
                 total[entry.name] = value
             elif isinstance(value, Mapping):
-                merged = dict(old)  # type: ignore[call-overload]
+                merged = dict(old)
                 for key, item in value.items():
                     merged[key] = merged[key] + item if key in merged else item
                 total[entry.name] = merged
             else:
-                total[entry.name] = old + value  # type: ignore[operator]
-    return Disturbance(**total)  # type: ignore[arg-type]
+                total[entry.name] = old + value
+    return Disturbance(**total)

@@ -30,23 +30,31 @@ _SWING = {"air_pressure": 60.0, "relative_humidity": 0.02}
 
 @dataclass(frozen=True)
 class Drift:
-    """A quantity over time: mean + rate·t + sum of a·sin(2 pi t / period + phase).
+    """A quantity over time: mean + slope·t + sum of a·sin(2 pi t / period + phase).
 
     Attributes:
         mean: in the quantity's unit.
         waves: (a, period in s, phase in rad) of each wave.
-        rate: per second.
+        slope: steady change per second.
     """
 
     mean: float
     waves: tuple[tuple[float, float, float], ...] = ()
-    rate: float = 0.0
+    slope: float = 0.0
 
     def __call__(self, time: Array) -> Array:
         """Values at times (n,), s."""
-        value = self.mean + self.rate * time
+        value = self.mean + self.slope * time
         for amplitude, period, phase in self.waves:
             value = value + amplitude * np.sin(2.0 * np.pi * time / period + phase)
+        return value
+
+
+    def rate(self, time: Array) -> Array:
+        """Change per second at times (n,), s."""
+        value = np.full(np.shape(time), self.slope)
+        for amplitude, period, phase in self.waves:
+            value = value + amplitude * 2.0 * np.pi / period * np.cos(2.0 * np.pi * time / period + phase)
         return value
 
 
@@ -59,6 +67,10 @@ class Environment:
     def __call__(self, time: Array) -> dict[str, Array]:
         """Every recorded column at times (n,), s."""
         return {name: drift(time) for name, drift in self.drifts.items()}
+
+    def rate(self, time: Array) -> dict[str, Array]:
+        """How fast every recorded column changes at times (n,), per second."""
+        return {name: drift.rate(time) for name, drift in self.drifts.items()}
 
 
 def random_environment(

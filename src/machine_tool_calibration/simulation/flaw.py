@@ -39,7 +39,7 @@ class Flaw:
     typical: float
     disturb: Callable[[float, Parameters, Scene], Disturbance]
     defaults: Parameters = field(default_factory=dict)
-    draw: Callable[[np.random.Generator], Parameters] | None = None
+    draw: Callable[[np.random.Generator, Scene | None], Parameters] | None = None
     methods: tuple[str, ...] = ALL_METHODS
 
     @property

@@ -10,10 +10,13 @@ import numpy as np
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.simulation.flaw import Chosen, Flaw
 from machine_tool_calibration.simulation.flaws_position import POSITION_FLAWS
+from machine_tool_calibration.simulation.flaws_reading import READING_FLAWS
+from machine_tool_calibration.simulation.flaws_unlisted import UNLISTED_FLAWS
+from machine_tool_calibration.simulation.scene import Scene
 
 __all__ = ["FLAWS", "choose_flaw", "find_flaw"]
 
-FLAWS: Mapping[str, Flaw] = {flaw.id: flaw for flaw in (*POSITION_FLAWS,)}
+FLAWS: Mapping[str, Flaw] = {flaw.id: flaw for flaw in (*POSITION_FLAWS, *READING_FLAWS, *UNLISTED_FLAWS)}
 
 
 def find_flaw(name: str) -> Flaw:
@@ -34,14 +37,22 @@ def choose_flaw(
     size: float | None = None,
     parameters: Mapping[str, Any] | None = None,
     seed: int | np.random.Generator = 0,
+    scene: Scene | None = None,
 ) -> Chosen:
     """A flaw with its size and parameters; what is not given is typical or drawn from the seed.
+
+    Args:
+        name: the effect's id.
+        size: coefficient of its formula.
+        parameters: further coefficients.
+        seed: of what is drawn.
+        scene: the readings it is meant for, where that matters (`unlisted_step` happens among them).
 
     Raises:
         CalibrationError: unknown effect or parameter.
     """
     flaw = find_flaw(name)
-    drawn = dict(flaw.draw(np.random.default_rng(seed))) if flaw.draw else {}
+    drawn = dict(flaw.draw(np.random.default_rng(seed), scene)) if flaw.draw else {}
     settled = {**flaw.defaults, **drawn}
     for key, value in (parameters or {}).items():
         if key not in settled:

@@ -15,6 +15,9 @@ from machine_tool_calibration.simulation.scene import Scene
 
 __all__ = ["POSITION_FLAWS"]
 
+LINEAR = ("step_diagonal", "tracking_interferometer", "probing", "direct")
+"""Methods that move linear axes."""
+
 
 def _backlash(axis: str) -> Flaw:
     """The carriage lags behind its command by half the backlash, against the last move."""
@@ -29,7 +32,7 @@ def _backlash(axis: str) -> Flaw:
         "rad" if rotary else "m",
         1.3e-5 if rotary else 1.5e-6,
         disturb,
-        methods=("rotary_axis",) if rotary else ("step_diagonal", "tracking_interferometer", "probing", "direct"),
+        methods=("rotary_axis", "probing") if rotary else LINEAR,
     )
 
 
@@ -42,7 +45,7 @@ def _thermal(axis: str) -> Flaw:
         return Disturbance(axis={axis: size * excess * scene.along(axis)})
 
     return Flaw(f"thermal_expansion_{axis.lower()}", f"position of {axis}: size * ({column} - 20) * {axis.lower()}",
-                "1/K", 8e-6, disturb, {"reference": 20.0})
+                "1/K", 8e-6, disturb, {"reference": 20.0}, methods=LINEAR)
 
 
 def _warmup(axis: str) -> Flaw:
@@ -52,7 +55,7 @@ def _warmup(axis: str) -> Flaw:
         return Disturbance(axis={axis: size * (1.0 - np.exp(-scene.time / parameters["tau"]))})
 
     return Flaw(f"warmup_{axis.lower()}", f"position of {axis}: size * (1 - exp(-time / tau))", "m", 5e-6, disturb,
-                draw=lambda rng: {"tau": float(np.exp(rng.uniform(np.log(600.0), np.log(3000.0))))})
+                draw=lambda rng, scene: {"tau": float(600.0 * 5.0 ** rng.uniform())}, methods=LINEAR)
 
 
 def _pitch(axis: str) -> Flaw:
@@ -64,7 +67,7 @@ def _pitch(axis: str) -> Flaw:
 
     return Flaw(f"pitch_periodic_{axis.lower()}",
                 f"position of {axis}: size * sin(2 pi {axis.lower()} / lead + phase)", "m", 1.5e-6, disturb,
-                {"lead": 0.012}, lambda rng: {"phase": float(rng.uniform(0, 2 * np.pi))})
+                {"lead": 0.012}, lambda rng, scene: {"phase": float(rng.uniform(0, 2 * np.pi))}, LINEAR)
 
 
 def _scale_of(size: float, _: Parameters, scene: Scene) -> Disturbance:
@@ -76,7 +79,7 @@ def _squareness(name: str) -> Flaw:
         return Disturbance(squareness={name: size})
 
     return Flaw(name, f"squareness {name} = size", "rad", 1e-5, disturb,
-                methods=("step_diagonal", "tracking_interferometer", "probing", "direct"))
+                methods=LINEAR)
 
 
 def shaped(name: str, size: float, parameters: Parameters, ends: Mapping[str, tuple[float, float]]) -> Table:
@@ -100,7 +103,7 @@ def _motion(name: str) -> Flaw:
     def disturb(size: float, parameters: Parameters, scene: Scene) -> Disturbance:
         return Disturbance(tables=((name, shaped(name, size, parameters, scene.ends)),))
 
-    def draw(rng: np.random.Generator) -> dict[str, Any]:
+    def draw(rng: np.random.Generator, _: Scene | None) -> dict[str, Any]:
         return {"seed": int(rng.integers(2**31))}
 
     angular, axis = name[1] in "ABC", name[-1]
@@ -112,14 +115,14 @@ def _motion(name: str) -> Flaw:
         disturb,
         {"shape": "random"},
         draw,
-        ("rotary_axis", "probing") if axis == "C" else ("step_diagonal", "tracking_interferometer", "probing", "direct"),
+        ("rotary_axis", "probing") if axis == "C" else LINEAR,
     )
 
 
 POSITION_FLAWS: tuple[Flaw, ...] = (
     *(_backlash(axis) for axis in "XYZC"),
     *(make(axis) for make in (_thermal, _warmup, _pitch) for axis in "XYZ"),
-    Flaw("scale", "position: size * (x, y, z)", "1", 1e-5, _scale_of),
+    Flaw("scale", "position: size * (x, y, z)", "1", 1e-5, _scale_of, methods=LINEAR),
     *(_squareness(name) for name in ("A0Z", "B0Z", "C0Y")),
     *(_motion(component + axis) for axis in "XYZC" for component in COMPONENTS),
 )

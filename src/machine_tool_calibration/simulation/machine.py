@@ -14,7 +14,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.machine.chain import Chain
-from machine_tool_calibration.simulation.motions import AxisMotion, Table
+from machine_tool_calibration.simulation.motions import COMPONENTS, AxisMotion, Table, motion_names
 from machine_tool_calibration.simulation.rotation import matrix, rotate, turn
 
 __all__ = ["VirtualMachine"]
@@ -100,7 +100,8 @@ class VirtualMachine:
     def position_error(self, command: Array, shift: Mapping[str, Array] | None = None) -> Array:
         """Actual minus commanded position of the functional point, (n, 3), m."""
         at = np.atleast_2d(np.asarray(command, float))
-        return self._follow(at, shift) - at - np.asarray(self.tool_offset)
+        error: Array = self._follow(at, shift) - at - np.asarray(self.tool_offset)
+        return error
 
     def tool_rotation(self, command: Array) -> Array:
         """(n, 3, 3) rotation of the tool (mirror, retroreflector) with respect to the workpiece."""
@@ -172,7 +173,8 @@ class VirtualMachine:
         line = self.average_line
         tilt = np.array([line.get(f"{r}0{axis}", 0.0) for r in "ABC"])
         place = np.array([line.get(f"{t}0{axis}", 0.0) for t in "XYZ"])
-        return (rotate(q, tilt) if tilt.any() else q) + place
+        placed: Array = (rotate(q, tilt) if tilt.any() else q) + place
+        return placed
 
     def with_tables(self, extra: Iterable[tuple[str, Table]]) -> VirtualMachine:
         """The same machine with further error motions (`EXX`, table) added."""
@@ -189,8 +191,18 @@ class VirtualMachine:
             total[name] = total.get(name, 0.0) + value
         return replace(self, squareness=total)
 
+    def tabulated(self, nodes: Mapping[str, tuple[float, ...]]) -> VirtualMachine:
+        """The machine whose motions of these axes are linear between nodes, where they keep their values."""
+        motions = dict(self.motions)
+        for axis, at in nodes.items():
+            if axis in motions:
+                values = motions[axis](np.asarray(at, float))
+                tables = zip(motion_names(axis), values.T.tolist(), strict=True)
+                motions[axis] = AxisMotion(axis, tuple((n, Table(at, tuple(v), "linear")) for n, v in tables))
+        return replace(self, motions=motions)
+
     def motion(self, name: str, position: Array) -> Array:
         """One error motion, such as `EXX`, at positions (n,) of its axis; m or rad."""
-        axis, component = name[-1], ("EX", "EY", "EZ", "EA", "EB", "EC").index(name[:2])
+        axis, component = name[-1], COMPONENTS.index(name[:2])
         at = np.atleast_1d(np.asarray(position, float))
         return self.motions[axis](at)[:, component] if axis in self.motions else np.zeros(len(at))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -52,13 +52,7 @@ class Table:
 
     def polynomial(self) -> PPoly:
         """The motion as a piecewise polynomial."""
-        if self.interpolation == "linear" or len(self.nodes) == 2:
-            nodes, values = np.asarray(self.nodes, float), np.asarray(self.values, float)
-            return PPoly(np.stack([np.diff(values) / np.diff(nodes), values[:-1]]), nodes)
-        if self.interpolation == "periodic":
-            closed = (*self.values[:-1], self.values[0])
-            return CubicSpline(self.nodes, closed, bc_type="periodic")
-        return CubicSpline(self.nodes, self.values, bc_type="natural")
+        return _polynomial(np.asarray(self.nodes, float), np.asarray(self.values, float), self.interpolation)
 
     def __call__(self, position: Array | float) -> Array:
         """The motion at positions of the axis."""
@@ -67,6 +61,16 @@ class Table:
         x = low + np.mod(x - low, high - low) if self.interpolation == "periodic" else np.clip(x, low, high)
         values: Array = self.polynomial()(x)
         return values
+
+
+def _polynomial(nodes: Array, values: Array, interpolation: Interpolation) -> PPoly:
+    """Piecewise polynomial through values (k,) or (k, m) at nodes (k,)."""
+    if interpolation == "linear" or len(nodes) == 2:
+        slope = np.diff(values, axis=0) / np.diff(nodes).reshape(-1, *(1,) * (values.ndim - 1))
+        return PPoly(np.stack([slope, values[:-1]]), nodes)
+    if interpolation == "periodic":
+        return CubicSpline(nodes, np.concatenate([values[:-1], values[:1]]), bc_type="periodic")
+    return CubicSpline(nodes, values, bc_type="natural")
 
 
 @dataclass(frozen=True)
@@ -101,14 +105,20 @@ class AxisMotion:
         breaks = np.unique(np.concatenate([table.nodes for _, table in self.tables]))
         start = breaks[:-1]
         merged = np.zeros((4, len(start), 6))
+        alike: dict[tuple[object, ...], list[tuple[int, Table]]] = {}
         for name, table in self.tables:
-            polynomial, column = table.polynomial(), COMPONENTS.index(name[:2])
-            inside = (start >= table.nodes[0]) & (start < table.nodes[-1])
-            ends = np.where(start < table.nodes[0], table.values[0], table.values[-1])
-            merged[3, :, column] += np.where(inside, polynomial(start), ends)
-            for order, factor in ((1, 1.0), (2, 0.5), (3, 1.0 / 6.0)):
+            alike.setdefault((table.nodes, table.interpolation), []).append((COMPONENTS.index(name[:2]), table))
+        for group in alike.values():
+            columns, table = [column for column, _ in group], group[0][1]
+            values = np.array([member.values for _, member in group]).T
+            polynomial = _polynomial(np.asarray(table.nodes, float), values, table.interpolation)
+            inside = ((start >= table.nodes[0]) & (start < table.nodes[-1]))[:, None]
+            ends = np.where(start[:, None] < table.nodes[0], values[0], values[-1])
+            for order, factor in ((0, 1.0), (1, 1.0), (2, 0.5), (3, 1.0 / 6.0)):
                 if order < len(polynomial.c):
-                    merged[3 - order, :, column] += np.where(inside, factor * polynomial(start, order), 0.0)
+                    part = np.where(inside, factor * polynomial(start, order), ends if order == 0 else 0.0)
+                    for place, column in enumerate(columns):
+                        merged[3 - order, :, column] += part[:, place]
         return breaks, merged
 
     def __call__(self, position: Array) -> Array:
@@ -129,14 +139,6 @@ class AxisMotion:
     def with_tables(self, extra: Iterable[tuple[str, Table]]) -> AxisMotion:
         """The same axis with further tables added."""
         return AxisMotion(self.axis, (*self.tables, *extra))
-
-    def as_mapping(self) -> Mapping[str, list[dict[str, object]]]:
-        """Tables by name, for a YAML file."""
-        out: dict[str, list[dict[str, object]]] = {}
-        for name, table in self.tables:
-            entry = {"nodes": list(table.nodes), "values": list(table.values), "interpolation": table.interpolation}
-            out.setdefault(name, []).append(entry)
-        return out
 
 
 def constant(low: float, high: float, value: float) -> Table:
@@ -180,10 +182,8 @@ def random_periodic(rng: np.random.Generator, amplitude: float, *, orders: int =
 
 
 def _normalised(nodes: Array, values: Array, amplitude: float, zero: float, interpolation: Interpolation) -> Table:
-    table = Table(tuple(nodes), tuple(values), interpolation)
-    values = values - float(table(zero))
-    fine = np.linspace(nodes[0], nodes[-1], 20 * len(nodes))
-    peak = np.max(np.abs(Table(tuple(nodes), tuple(values), interpolation)(fine)))
-    if peak > 0:
-        values = values * (amplitude / peak)
-    return Table(tuple(map(float, nodes)), tuple(map(float, values)), interpolation)
+    spline = _polynomial(nodes, values, interpolation)
+    shift = float(spline(min(max(zero, nodes[0]), nodes[-1])))
+    peak = float(np.max(np.abs(spline(np.linspace(nodes[0], nodes[-1], 20 * len(nodes))) - shift)))
+    scaled = (values - shift) * (amplitude / peak if peak > 0 else 0.0)
+    return Table(tuple(nodes.tolist()), tuple(scaled.tolist()), interpolation)

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.random_machine import Amplitudes
 
 __all__ = ["Finite", "Plan", "Positive", "Vector3"]
@@ -39,6 +40,10 @@ class Plan(BaseModel):
     def travel(self) -> dict[str, tuple[float, float]]:
         """Ends of the linear axes' travel, by letter, m."""
         return {}
+
+    def prepared(self, machine: VirtualMachine) -> VirtualMachine:
+        """The machine as the plan wants it."""
+        return machine
 
     def errors(self) -> Amplitudes | None:
         """Sizes of random errors that suit the method; None for the usual ones."""

@@ -2,23 +2,78 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Union
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
 
+from machine_tool_calibration.simulation.diagonal_run import DiagonalPlan, plan_diagonals
+from machine_tool_calibration.simulation.direct_run import DirectPlan, plan_direct
 from machine_tool_calibration.simulation.environment import Environment
 from machine_tool_calibration.simulation.measurement import Measurement
+from machine_tool_calibration.simulation.probing_run import ProbingPlan, plan_probing
+from machine_tool_calibration.simulation.rotary_run import RotaryPlan, plan_rotary
 from machine_tool_calibration.simulation.tracking_run import TrackingPlan, plan_tracking
 
-__all__ = ["AnyPlan", "measure"]
+__all__ = ["PLANS", "PRESETS", "AnyPlan", "measure"]
 
-AnyPlan = Annotated[Union[TrackingPlan], Field()]
+AnyPlan = Annotated[
+    TrackingPlan | DiagonalPlan | RotaryPlan | ProbingPlan | DirectPlan, Field(discriminator="method")
+]
 
-_MEASURE: dict[type, Any] = {TrackingPlan: plan_tracking}
+PLANS: Mapping[str, type[TrackingPlan | DiagonalPlan | RotaryPlan | ProbingPlan | DirectPlan]] = {
+    "step_diagonal": DiagonalPlan,
+    "tracking_interferometer": TrackingPlan,
+    "rotary_axis": RotaryPlan,
+    "probing": ProbingPlan,
+    "direct": DirectPlan,
+}
+"""The plan's class of each method."""
+
+_PLANNERS: Mapping[type, Callable[[Any, Environment, np.random.Generator], Measurement]] = {
+    TrackingPlan: plan_tracking,
+    DiagonalPlan: plan_diagonals,
+    RotaryPlan: plan_rotary,
+    ProbingPlan: plan_probing,
+    DirectPlan: plan_direct,
+}
+
+_FIFTH = (0.0, 0.02, 0.04, 0.06, 0.08, 0.1)
+
+PRESETS: Mapping[str, AnyPlan] = {
+    "tracking_2d": TrackingPlan(dimension=2),
+    "tracking_3d": TrackingPlan(dimension=3),
+    # 20 targets 20 mm apart on the edges of a square of 100 mm, three stations around it (the paper's Fig. 10;
+    # its exact station positions are not printed)
+    "paper_003": TrackingPlan(
+        dimension=2,
+        stations=((-0.28, 0.05, 0.0), (0.05, -0.3, 0.0), (0.3, 0.28, 0.0)),
+        points=tuple(
+            [(x, 0.0, 0.0) for x in _FIFTH]
+            + [(0.1, y, 0.0) for y in _FIFTH[1:]]
+            + [(x, 0.1, 0.0) for x in _FIFTH[-2::-1]]
+            + [(0.0, y, 0.0) for y in _FIFTH[-2:0:-1]]
+        ),
+        repeats=3,
+        order="same",
+    ),
+    "step_diagonal": DiagonalPlan(),
+    "step_diagonal_three_orders": DiagonalPlan(orders=("xyz", "yzx", "zxy"), repeats=1),
+    "rotary_axis": RotaryPlan(),
+    "rotary_axis_both_ways": RotaryPlan(both_ways=True),
+    "probing_cross": ProbingPlan(part="cross"),
+    "probing_pins": ProbingPlan(part="pins"),
+    "probing_cam": ProbingPlan(part="cam"),
+    "probing_disc": ProbingPlan(part="disc"),
+    "iso230_2": DirectPlan(kind="iso230_2", repeats=5),
+    "straightness": DirectPlan(kind="straightness", repeats=3),
+    "grid_plate": DirectPlan(kind="grid_plate", count=11, repeats=2, end=0.2),
+    "drilled_plate": DirectPlan(kind="drilled_plate", count=16, end=0.45, noise=1e-6, interval=20.0),
+}
+"""Named plans: those of the papers and of the usual tests."""
 
 
 def measure(plan: AnyPlan, environment: Environment, rng: np.random.Generator) -> Measurement:
-    """The measurement of a plan; `rng` decides where the instrument truly stands."""
-    measurement: Measurement = _MEASURE[type(plan)](plan, environment, rng)
-    return measurement
+    """The measurement of a plan; `rng` decides where the instrument and the part truly stand."""
+    return _PLANNERS[type(plan)](plan, environment, rng)

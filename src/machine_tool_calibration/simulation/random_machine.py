@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Annotated
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -19,6 +20,8 @@ from machine_tool_calibration.simulation.motions import (
 )
 
 __all__ = ["Amplitudes", "random_machine"]
+
+Size = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 class Amplitudes(BaseModel):
@@ -39,16 +42,16 @@ class Amplitudes(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    positioning: float = Field(5e-6, ge=0, allow_inf_nan=False)
-    straightness: float = Field(3e-6, ge=0, allow_inf_nan=False)
-    angular: float = Field(1e-5, ge=0, allow_inf_nan=False)
-    squareness: float = Field(1e-5, ge=0, allow_inf_nan=False)
-    rotary_translation: float = Field(4e-6, ge=0, allow_inf_nan=False)
-    rotary_tilt: float = Field(1e-5, ge=0, allow_inf_nan=False)
-    rotary_angle: float = Field(1.5e-5, ge=0, allow_inf_nan=False)
-    line_position: float = Field(0.0, ge=0, allow_inf_nan=False)
-    line_orientation: float = Field(0.0, ge=0, allow_inf_nan=False)
-    knots: int = Field(7, ge=2, le=200)
+    positioning: Size = 5e-6
+    straightness: Size = 3e-6
+    angular: Size = 1e-5
+    squareness: Size = 1e-5
+    rotary_translation: Size = 4e-6
+    rotary_tilt: Size = 1e-5
+    rotary_angle: Size = 1.5e-5
+    line_position: Size = 0.0
+    line_orientation: Size = 0.0
+    knots: Annotated[int, Field(ge=2, le=200)] = 7
 
 
 def random_machine(

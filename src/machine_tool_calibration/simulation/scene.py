@@ -9,7 +9,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
 
-__all__ = ["Scene", "last_direction", "ordered_times"]
+__all__ = ["Scene", "blocks", "last_direction", "ordered_times"]
 
 _STANDARD = {"air_pressure": 101325.0, "relative_humidity": 0.5}
 
@@ -29,6 +29,8 @@ class Scene:
         label: (n,) index of the target or point.
         axis: letter of the rotary axis.
         ends: lower and upper end of each axis's travel by letter.
+        rates: how fast environment columns change, per second.
+        start: (n,) time of the first reading of that setup, s; found from the readings if absent.
     """
 
     time: Array
@@ -41,6 +43,7 @@ class Scene:
     label: IntArray | None = None
     axis: str = "C"
     ends: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    rates: Mapping[str, Array] = field(default_factory=dict)
     start: Array | None = None
 
     def __len__(self) -> int:
@@ -56,6 +59,10 @@ class Scene:
             return self.environment[column]
         return np.full(len(self), _STANDARD.get(column, 20.0))
 
+    def rate(self, column: str) -> Array:
+        """(n,) change of an environment column, per second; 0 where it is not known."""
+        return self.rates.get(column, np.zeros(len(self)))
+
     def toward(self, axis: str) -> Array:
         """(n,) sign of the last move of an axis; +1 where it did not move."""
         return self.direction.get(axis, np.ones(len(self)))
@@ -66,7 +73,8 @@ class Scene:
             return self.time - self.start
         first = np.full(int(self.setup.max(initial=-1)) + 1, np.inf)
         np.minimum.at(first, self.setup, self.time)
-        return self.time - first[self.setup]
+        since: Array = self.time - first[self.setup]
+        return since
 
 
 def last_direction(command: Array, initial: float = 1.0) -> Array:
@@ -77,7 +85,14 @@ def last_direction(command: Array, initial: float = 1.0) -> Array:
     return np.where(last >= 0, move[np.maximum(last, 0)], initial)
 
 
+def blocks(*keys: IntArray) -> IntArray:
+    """(n,) number, from 0, of the stretch of consecutive readings that share all keys."""
+    new = np.zeros(len(keys[0]), bool)
+    for key in keys:
+        new[1:] |= key[1:] != key[:-1]
+    return np.cumsum(new)
+
+
 def ordered_times(setup: IntArray, interval: float, pause: float) -> Array:
     """(n,) times of readings `interval` apart, with `pause` more before each new setup, s."""
-    changes = np.concatenate([[0], np.cumsum(setup[1:] != setup[:-1])])
-    return np.arange(len(setup)) * interval + changes * pause
+    return np.arange(len(setup)) * interval + blocks(setup) * pause

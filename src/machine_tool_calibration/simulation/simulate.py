@@ -22,6 +22,7 @@ from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.machine_file import build_machine
 from machine_tool_calibration.simulation.measurement import Measurement, since_first
 from machine_tool_calibration.simulation.plans import measure
+from machine_tool_calibration.simulation.scene import blocks
 from machine_tool_calibration.simulation.spec import FlawSpec, SimulationSpec
 from machine_tool_calibration.simulation.truth import Truth
 
@@ -55,6 +56,7 @@ def simulate(spec: SimulationSpec) -> Simulated:
         seed=rng["machine"],
         random=plan.errors(),
     )
+    machine = plan.prepared(machine)
     environment = random_environment(
         rng["environment"], swing=spec.environment_swing, columns=spec.environment_columns
     )
@@ -72,7 +74,6 @@ def simulate(spec: SimulationSpec) -> Simulated:
     total = raw + spec.noise_factor * noise * rng["noise"].normal(size=len(raw))
     total = total + _spread(spec, measurement, rng["spread"])
     hit, error = _chips(spec, measurement, rng["chips"])
-    # a gross error of the first reading would move the datum of all: the operator sees it and starts anew
     displacement = since_first(total, measurement.datum) + error
     displacement[rng["missing"].random(len(raw)) < spec.missing] = np.nan
     session = Session(_describe(spec, measurement, flawed, noise), _readings(measurement, displacement), "simulation")
@@ -110,7 +111,8 @@ def _apply(
 def _choose(
     effect: FlawSpec, index: int, spec: SimulationSpec, measurement: Measurement, machine: VirtualMachine
 ) -> Chosen:
-    chosen = choose_flaw(effect.id, effect.size, effect.parameters, np.random.default_rng([spec.seed, 7, index]))
+    chance = np.random.default_rng([spec.seed, _STREAMS.index("effects"), index])
+    chosen = choose_flaw(effect.id, effect.size, effect.parameters, chance, measurement.scene)
     if spec.method not in chosen.flaw.methods:
         raise CalibrationError(f"effect {effect.id} does not occur in {spec.method}; "
                                f"it occurs in {', '.join(chosen.flaw.methods)}")
@@ -128,14 +130,12 @@ def _choose(
 
 
 def _spread(spec: SimulationSpec, measurement: Measurement, rng: np.random.Generator) -> Array:
-    scene = measurement.scene
-    count = int(scene.setup.max(initial=0)) + 1
-    offset, slope, bow = (rng.normal(size=count) for _ in range(3))
-    since = scene.since_setup()
-    longest = np.zeros(count)
-    np.maximum.at(longest, scene.setup, since)
-    u = 2.0 * since / np.maximum(longest[scene.setup], 1e-9) - 1.0
-    s = scene.setup
+    s = blocks(measurement.scene.setup)
+    offset, slope, bow = rng.normal(size=(3, s[-1] + 1))
+    time = measurement.scene.time
+    first = np.searchsorted(s, np.arange(s[-1] + 1))
+    last = np.searchsorted(s, np.arange(s[-1] + 1), side="right") - 1
+    u = 2.0 * (time - time[first][s]) / np.maximum(time[last] - time[first], 1e-9)[s] - 1.0
     spread: Array = (
         spec.spread.offset * offset[s]
         + spec.spread.slope * slope[s] * u
@@ -150,6 +150,8 @@ def _chips(spec: SimulationSpec, measurement: Measurement, rng: np.random.Genera
     if spec.chips is None:
         return np.zeros(n, bool), np.zeros(n)
     hit = chance < spec.chips.fraction
+    if measurement.datum is not None:  # a datum that is off would be noticed, and taken again
+        hit[np.unique(measurement.datum, return_index=True)[1]] = False
     if spec.method == "probing":
         sign = np.ones(n)  # a chip lies on the surface: the stylus stops early, outside of it
     return hit, np.where(hit, spec.chips.size * size * sign, 0.0)

@@ -42,7 +42,9 @@ class FlawSpec(_Record):
 
 
 class Spread(_Record):
-    """Irreproducibility between setups (mounting, slow heat): standard deviations per setup, m.
+    """Irreproducibility between setups (mounting, slow heat): standard deviations per mounting, m.
+
+    A mounting is a stretch of consecutive readings of one setup.
 
     Attributes:
         offset: one shift of all readings (seen only where readings are absolute).
@@ -87,7 +89,7 @@ class SimulationSpec(_Record):
     """
 
     plan: AnyPlan
-    seed: int = Field(0, ge=0)
+    seed: Annotated[int, Field(ge=0)] = 0
     machine: MachineSpec = MachineSpec()
     effects: tuple[FlawSpec, ...] = ()
     noise: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None

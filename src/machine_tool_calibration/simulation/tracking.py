@@ -43,7 +43,7 @@ def beam_direction(azimuth: Array, elevation: Array) -> Array:
 
 
 def sensed_path(target: Array, origin: Array, direction: Array) -> Array:
-    """(n,) path along a beam from `origin` (n, 3) in `direction` (n, 3) that a retroreflector at `target` returns, m."""
+    """(n,) path from `origin` (n, 3) along `direction` (n, 3) that a retroreflector at `target` returns, m."""
     path: Array = np.einsum("...i,...i->...", np.asarray(target, float) - origin, direction)
     return path
 

@@ -56,7 +56,7 @@ class TrackingPlan(Plan):
     zero_offset: Finite = 0.0
     elevation_offset: Finite = 0.0
     eccentricity: Finite = 0.0
-    radial: dict[int, tuple[Finite, Finite]] = {}
+    radial: dict[int, tuple[Finite, Finite]] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _check(self) -> TrackingPlan:
@@ -119,7 +119,8 @@ def plan_tracking(plan: TrackingPlan, environment: Environment, rng: np.random.G
     time = ordered_times(setup, plan.interval, plan.pause)
     position = targets[index]
     direction = {axis: last_direction(position[:, i]) for i, axis in enumerate("XYZ")}
-    scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, environment(time), ends=plan.travel())
+    scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, environment(time),
+                  rates=environment.rate(time), ends=plan.travel())
     azimuth, elevation = aim(estimate[setup], position, plan.dimension)
     centre = targets.mean(axis=0)
     pointer = plan.pointer()

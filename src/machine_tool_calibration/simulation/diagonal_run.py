@@ -1,0 +1,166 @@
+"""A session of laser step diagonals and linear runs with a flat mirror on the spindle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
+from machine_tool_calibration.simulation.environment import Environment
+from machine_tool_calibration.simulation.laser import mirror_path, tilted
+from machine_tool_calibration.simulation.machine import VirtualMachine
+from machine_tool_calibration.simulation.measurement import Measurement, since_first
+from machine_tool_calibration.simulation.plan import Plan, Positive, Vector3
+from machine_tool_calibration.simulation.random_machine import Amplitudes
+from machine_tool_calibration.simulation.scene import Scene, blocks, last_direction, ordered_times
+
+__all__ = ["DiagonalPlan", "plan_diagonals"]
+
+Order = Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
+Signs = Literal["ppp", "npp", "pnp", "ppn", "nnp", "npn", "pnn", "nnn"]
+Letter = Literal["x", "y", "z"]
+
+
+class DiagonalPlan(Plan):
+    """Step diagonals of single-axis moves; without arguments those of the paper: 12 blocks of 10 mm.
+
+    Attributes:
+        step: length of a move along x, y, z, m.
+        blocks: number of blocks.
+        corner: lowest corner of the measured volume, m.
+        diagonals: signs of the motion along x, y, z (p or n).
+        orders: orders of the single-axis moves; each diagonal is run in each of them.
+        linear: axes that are also measured one by one, along the edges from the corner.
+        mirror_tilt: angle between each setup's mirror normal and its beam, in a random direction, rad.
+        beam_error: standard deviation of the beam's direction off the actual diagonal, rad.
+        distance: from the laser to the mirror at the start of a run, m.
+    """
+
+    method: Literal["step_diagonal"] = "step_diagonal"
+    step: tuple[Positive, Positive, Positive] = (0.01, 0.01, 0.01)
+    blocks: Annotated[int, Field(ge=1, le=100_000)] = 12
+    corner: Vector3 = (0.0, 0.0, 0.0)
+    diagonals: tuple[Signs, ...] = ("ppp", "npp", "pnp")
+    orders: Annotated[tuple[Order, ...], Field(min_length=1)] = ("xyz",)
+    linear: tuple[Letter, ...] = ("x", "y", "z")
+    mirror_tilt: Annotated[float, Field(ge=0, lt=1)] = 1e-3
+    beam_error: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    distance: Positive = 0.3
+    repeats: Annotated[int, Field(ge=1, le=10000)] = 2
+    interval: Positive = 12.0
+    pause: Annotated[float, Field(ge=0)] = 108.0
+    noise: Positive = 1e-7
+    chain: str = "w-X-Y-b-Z-t"
+
+    def travel(self) -> dict[str, tuple[float, float]]:
+        """Ends of the measured volume, m."""
+        return {a: (c, c + s * self.blocks) for a, c, s in zip("XYZ", self.corner, self.step, strict=True)}
+
+    def errors(self) -> Amplitudes:
+        """Errors of a high-precision machining centre, with small angular ones."""
+        return Amplitudes(positioning=1.5e-6, straightness=1.5e-6, angular=2e-6, squareness=3e-5)
+
+    def runs(self) -> list[_Run]:
+        """The setups in the order in which they are measured."""
+        corner, step = np.asarray(self.corner), np.asarray(self.step)
+        out = []
+        for signs in self.diagonals:
+            sign = np.array([1.0 if letter == "p" else -1.0 for letter in signs])
+            start = np.where(sign > 0, corner, corner + self.blocks * step)
+            for order in self.orders:
+                name = signs if self.orders == ("xyz",) else f"{signs}_{order}"
+                out.append(_Run(name, "diagonal", sign, start, _moves(order, sign, step, self.blocks)))
+        for letter in self.linear:
+            sign = np.array([1.0 if letter == other else 0.0 for other in "xyz"])
+            out.append(_Run(letter.upper(), "linear", sign, corner, _moves(letter, sign, step, self.blocks)))
+        return out
+
+
+@dataclass(frozen=True)
+class _Run:
+    name: str
+    kind: str
+    sign: Array
+    start: Array
+    moves: Array  # (k, 3) number of steps made along each axis before each reading, times the step
+
+    def positions(self) -> Array:
+        return self.start + self.moves
+
+
+def _moves(order: str, sign: Array, step: Array, count: int) -> Array:
+    """Displacements from the start before each reading, (len(order)·count + 1, 3), m; no rounding adds up."""
+    made = np.zeros((len(order) * count + 1, 3))
+    k = np.arange(len(made))
+    for place, letter in enumerate(order):
+        axis = "xyz".index(letter)
+        done = (k + len(order) - 1 - place) // len(order)
+        made[:, axis] = done * step[axis] * sign[axis]
+    return made
+
+
+def plan_diagonals(plan: DiagonalPlan, environment: Environment, rng: np.random.Generator) -> Measurement:
+    """The measurement of a plan: every setup once, then all again for the next repeat."""
+    runs = plan.runs()
+    angle = rng.uniform(0.0, 2.0 * np.pi, len(runs))
+    tilt = plan.mirror_tilt * np.column_stack([np.cos(angle), np.sin(angle)])
+    aside = plan.beam_error * rng.normal(size=(len(runs), 2))
+    setup = np.tile(np.concatenate([np.full(len(run.moves), i) for i, run in enumerate(runs)]), plan.repeats)
+    each = sum(len(run.moves) for run in runs)
+    repeat = np.repeat(np.arange(plan.repeats), each)
+    position = np.tile(np.concatenate([run.positions() for run in runs]), (plan.repeats, 1))
+    block = blocks(setup, repeat)
+    time = ordered_times(block, plan.interval, plan.pause)
+    direction = {
+        axis: np.concatenate([last_direction(position[block == b, i]) for b in range(block[-1] + 1)])
+        for i, axis in enumerate("XYZ")
+    }
+    scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, environment(time),
+                  rates=environment.rate(time), ends=plan.travel())
+    start = np.array([run.start for run in runs])
+    end = np.array([run.positions()[-1] for run in runs])
+
+    def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
+        first, last = machine.position(start), machine.position(end)
+        beam = tilted((last - first) / np.linalg.norm(last - first, axis=1, keepdims=True), aside)
+        source = first - plan.distance * beam
+        actual = machine.position(position, disturbance.axis)
+        if disturbance.point is not None:
+            actual = actual + disturbance.point
+        off = tilt[setup] if disturbance.mirror is None else tilt[setup] + disturbance.mirror
+        normal = tilted(beam[setup], off)
+        fixed = np.einsum("nji,nj->ni", machine.tool_rotation(start)[setup], normal)  # in the spindle's frame
+        path = mirror_path(source[setup], beam[setup], actual, machine.carried(position, fixed))
+        moved = path - plan.distance
+        nothing = np.zeros(len(path))
+        sight = Sight(moved, beam[setup], nothing, nothing, since_first(moved, block))
+        return path + disturbance.added(sight)
+
+    def judged(machine: VirtualMachine) -> dict[str, Any]:
+        corner = np.asarray(plan.corner)
+        errors = {}
+        for axis, letter in enumerate("xyz"):
+            at = corner + np.arange(plan.blocks + 1)[:, None] * plan.step[axis] * np.eye(3)[axis]
+            error = machine.position_error(at)
+            errors[letter] = (error - error[0]).tolist()
+        return {"axis_errors": errors, "squareness": dict(machine.squareness), "mirror_tilt": tilt.tolist()}
+
+    description = {
+        "method": "step_diagonal",
+        "machine": {"chain": plan.chain, "travel": {a.lower(): list(e) for a, e in plan.travel().items()}},
+        "step": list(plan.step),
+        "blocks": plan.blocks,
+        "setups": [
+            {"id": r.name, "kind": r.kind, "direction": r.sign.tolist(), "start": r.start.tolist(), "mirror": "flat"}
+            for r in runs
+        ],
+    }
+    columns = {
+        **{axis.lower(): position[:, i] for i, axis in enumerate("XYZ")},
+        **{f"dir_{axis.lower()}": values for axis, values in direction.items()},
+    }
+    return Measurement(lambda machine: description, scene, read, block, columns, truth=judged)

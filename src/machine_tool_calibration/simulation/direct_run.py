@@ -1,0 +1,172 @@
+"""A session of an instrument that reads deviations directly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
+from machine_tool_calibration.simulation.environment import Environment
+from machine_tool_calibration.simulation.machine import VirtualMachine
+from machine_tool_calibration.simulation.measurement import Measurement
+from machine_tool_calibration.simulation.plan import Finite, Plan, Positive, Vector3
+from machine_tool_calibration.simulation.rotation import rotate
+from machine_tool_calibration.simulation.scene import Scene, blocks, last_direction, ordered_times
+
+__all__ = ["DirectPlan", "plan_direct"]
+
+Kind = Literal["iso230_2", "straightness", "grid_plate", "drilled_plate", "points"]
+Datum = Literal["none", "offset", "rigid"]
+_DATUM: dict[str, Datum] = {"iso230_2": "none", "straightness": "rigid", "grid_plate": "rigid",
+                            "drilled_plate": "rigid", "points": "none"}
+
+
+class DirectPlan(Plan):
+    """Deviations of the functional point along stated directions.
+
+    Attributes:
+        kind: `iso230_2`: an axis in both directions, `repeats` runs (ISO 230-2); `straightness`: a
+            straightedge along an axis; `grid_plate`: a two-dimensional grid encoder, two readings a point;
+            `drilled_plate`: a part drilled once and measured on a coordinate measuring machine, two
+            readings a hole; `points`: `points` and `directions` as given.
+        axis: the axis that moves (iso230_2, straightness).
+        sense: the direction that is read (straightness).
+        start, end: ends of the measured line, or of both sides of the plate, m.
+        count: positions on the line, or along each side of the plate.
+        points: functional points, m.
+        directions: the direction in which each is read (unit vectors).
+        datum: what the instrument leaves open; the kind's usual one if absent.
+        misplacement: standard deviation of the part's or instrument's position, m; its orientation is off
+            by twice that per 0.1 m.
+        terms: machine errors that the session asks for; the kind's usual ones if absent.
+        both_ways: every run goes back (always so for iso230_2).
+    """
+
+    method: Literal["direct"] = "direct"
+    kind: Kind = "iso230_2"
+    axis: Literal["x", "y", "z"] = "x"
+    sense: Literal["x", "y", "z"] = "y"
+    start: Finite = 0.0
+    end: Finite = 0.4
+    count: Annotated[int, Field(ge=2, le=1000)] = 11
+    points: Annotated[tuple[Vector3, ...], Field(min_length=1)] | None = None
+    directions: Annotated[tuple[Vector3, ...], Field(min_length=1)] | None = None
+    datum: Datum | None = None
+    misplacement: Annotated[float, Field(ge=0)] = 2e-5
+    terms: tuple[str, ...] | None = None
+    both_ways: bool = False
+    repeats: Annotated[int, Field(ge=1, le=10000)] = 1
+    interval: Positive = 5.0
+    pause: Annotated[float, Field(ge=0)] = 0.0
+    noise: Positive = 2e-7
+
+    def travel(self) -> dict[str, tuple[float, float]]:
+        """Ends of the axes that hold all points and zero, m."""
+        points = self.run().points
+        travel = {}
+        for index, axis in enumerate("XYZ"):
+            low, high = min(0.0, float(points[:, index].min())), max(0.0, float(points[:, index].max()))
+            travel[axis] = (low, high if high - low > 1e-9 else low + 0.05)
+        return travel
+
+    def run(self) -> _Run:
+        """Points and directions of one run."""
+        line = np.linspace(self.start, self.end, self.count)
+        if self.kind == "points":
+            points = np.asarray(self.points if self.points else [(0.0, 0.0, 0.0)], float)
+            sense = np.asarray(self.directions if self.directions else [(1.0, 0.0, 0.0)], float)
+            points, sense = np.broadcast_arrays(points, sense)
+            return _Run(points, sense / np.linalg.norm(sense, axis=1, keepdims=True))
+        if self.kind in ("iso230_2", "straightness"):
+            letter = self.axis if self.kind == "iso230_2" else self.sense
+            points = line[:, None] * np.eye(3)["xyz".index(self.axis)]
+            return _Run(points, np.tile(np.eye(3)["xyz".index(letter)], (len(line), 1)))
+        y, x = (side.ravel() for side in np.meshgrid(line, line, indexing="ij"))
+        points = np.column_stack([x, y, np.zeros(len(x))])
+        return _Run(np.repeat(points, 2, axis=0), np.tile(np.eye(3)[:2], (len(points), 1)))
+
+    def asked(self) -> tuple[str, ...]:
+        """Machine errors that the session asks for."""
+        if self.terms is not None:
+            return self.terms
+        axis, sense = self.axis.upper(), self.sense.upper()
+        usual: dict[str, tuple[str, ...]] = {
+            "iso230_2": (f"E{axis}{axis}",),
+            "straightness": (f"E{sense}{axis}",),
+            "grid_plate": ("EXX", "EYX", "EXY", "EYY", "C0Y"),
+        }
+        return usual.get(self.kind, ())
+
+
+@dataclass(frozen=True)
+class _Run:
+    points: Array  # (m, 3) m
+    sense: Array  # (m, 3) unit
+
+
+def plan_direct(plan: DirectPlan, environment: Environment, rng: np.random.Generator) -> Measurement:
+    """The measurement of a plan: one setup, run after run."""
+    run = plan.run()
+    forth = np.arange(len(run.points))
+    one = np.concatenate([forth, forth[::-1]]) if plan.both_ways or plan.kind == "iso230_2" else forth
+    index = np.tile(one, plan.repeats)
+    repeat = np.repeat(np.arange(plan.repeats), len(one))
+    setup = np.zeros(len(index), np.int64)
+    position, sense = run.points[index], run.sense[index]
+    # readings at the same point are taken together
+    time = ordered_times(setup, plan.interval, plan.pause)
+    time = time[0] + blocks(*np.round(position.T * 1e9).astype(np.int64)) * plan.interval
+    direction = {axis: last_direction(position[:, i]) for i, axis in enumerate("XYZ")}
+    _approach_from_below(plan, direction, len(forth))
+    scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, environment(time),
+                  rates=environment.rate(time), ends=plan.travel())
+    datum = plan.datum or _DATUM[plan.kind]
+    place, turned = rng.normal(size=3), rng.normal(size=3)
+    place = plan.misplacement * place * (datum != "none")
+    turned = plan.misplacement * 20.0 * turned * (datum == "rigid")
+
+    def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
+        actual = machine.position(position, disturbance.axis)
+        if disturbance.point is not None:
+            actual = actual + disturbance.point
+        if disturbance.growth is not None:
+            actual = actual * (1.0 + disturbance.growth[:, None])
+        seen = rotate(actual, np.broadcast_to(turned, actual.shape)) + place
+        deviation: Array = np.einsum("ni,ni->n", sense, seen - position)
+        nothing = np.zeros(len(deviation))
+        path = np.einsum("ni,ni->n", sense, position)
+        sight = Sight(path, sense, np.arctan2(sense[:, 1], sense[:, 0]), nothing, path)
+        return deviation + disturbance.added(sight)
+
+    def judged(machine: VirtualMachine) -> dict[str, Any]:
+        points = np.unique(run.points, axis=0)
+        out: dict[str, Any] = {"points": points.tolist(), "position_error": machine.position_error(points).tolist()}
+        if datum != "none":
+            out["misplacement"] = {"translation": place.tolist(), "rotation": turned.tolist()}
+        return out
+
+    description = {
+        "method": "direct",
+        "machine": {"chain": plan.chain, "travel": {a.lower(): list(e) for a, e in plan.travel().items()}},
+        "datum": datum,
+        "terms": list(plan.asked()),
+        "setups": [{"id": plan.axis.upper() if plan.kind in ("iso230_2", "straightness") else plan.kind}],
+    }
+    columns = {
+        **{axis.lower(): position[:, i] for i, axis in enumerate("XYZ")},
+        **{f"dir_{axis.lower()}": values for axis, values in direction.items()},
+        **{f"g{axis.lower()}": sense[:, i] for i, axis in enumerate("XYZ")},
+    }
+    return Measurement(lambda machine: description, scene, read, None, columns, truth=judged)
+
+
+def _approach_from_below(plan: DirectPlan, direction: dict[str, Array], count: int) -> None:
+    """ISO 230-2: each run overruns its ends, so that every position is approached in the run's direction."""
+    if plan.kind == "iso230_2":
+        sign = 1.0 if plan.end > plan.start else -1.0
+        ahead = np.concatenate([np.full(count, sign), np.full(count, -sign)])
+        direction[plan.axis.upper()] = np.tile(ahead, plan.repeats)

@@ -1,0 +1,150 @@
+"""Flaws of the instrument, of its place, and of the part: air, dead path, drift, pointer, retroreflector, probe."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.simulation.air import deviation
+from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
+from machine_tool_calibration.simulation.flaw import Flaw, Parameters
+from machine_tool_calibration.simulation.scene import Scene
+
+__all__ = ["READING_FLAWS"]
+
+LASERS = ("step_diagonal", "tracking_interferometer", "rotary_axis")
+STATIONS = ("tracking_interferometer", "rotary_axis")
+
+
+def _air(scene: Scene) -> Array:
+    """Refractive index of the air minus that of standard air (modified Edlén equation)."""
+    return deviation(
+        scene.sensed("temperature_air"), scene.sensed("air_pressure"), scene.sensed("relative_humidity")
+    )
+
+
+def _refractive_index(size: float, _: Parameters, scene: Scene) -> Disturbance:
+    """The wavelength is not (or wrongly) compensated: a share `size` of the air's deviation stays in the reading."""
+    return Disturbance(optical=size * _air(scene))
+
+
+def _dead_path(size: float, _: Parameters, scene: Scene) -> Disturbance:
+    """A path of length `size` that the compensation does not know of breathes with the air."""
+    return Disturbance(dead=size * _air(scene))
+
+
+def _linear_drift(size: float, _: Parameters, scene: Scene) -> Disturbance:
+    drift = size * scene.time
+    return Disturbance(reading=(lambda sight: drift,))
+
+
+def _by_setup(seed: int, setup: IntArray, draw: Any) -> Array:
+    """Random vectors, each setup its own and the same whenever it is asked for."""
+    table: Mapping[int, Array] = {int(s): draw(np.random.default_rng([int(seed), int(s)])) for s in np.unique(setup)}
+    return np.array([table[int(s)] for s in setup])
+
+
+def _station_drift(size: float, parameters: Parameters, scene: Scene) -> Disturbance:
+    """Each station's stand settles in its own direction at about `size` per second."""
+
+    def velocity(rng: np.random.Generator) -> Array:
+        way = rng.normal(size=3) * np.array([1.0, 1.0, parameters["vertical"]])
+        way = way / np.linalg.norm(way) * rng.uniform(0.5, 1.5)
+        return np.asarray(way)
+
+    moved = _by_setup(parameters["seed"], scene.setup, velocity) * scene.since_setup()[:, None]
+    return Disturbance(station=size * moved)
+
+
+def _mirror(size: float, parameters: Parameters, scene: Scene) -> Disturbance:
+    """The flat mirror is set up further off the beam, in each setup another way."""
+
+    def tilt(rng: np.random.Generator) -> Array:
+        angle = rng.uniform(0.0, 2.0 * np.pi)
+        return np.array([np.cos(angle), np.sin(angle)])
+
+    return Disturbance(mirror=size * _by_setup(parameters["seed"], scene.setup, tilt))
+
+
+def _harmonics(angle: Array, parameters: Parameters) -> Array:
+    """Sum of w cos(k angle + phase) over the orders k."""
+    total = np.zeros(np.shape(angle))
+    for order, weight, phase in zip(
+        parameters["orders"], parameters["weights"], parameters["phases"], strict=True
+    ):
+        total = total + weight * np.cos(order * angle + phase)
+    return total
+
+
+def _phases(rng: np.random.Generator, _: Scene | None) -> dict[str, Any]:
+    return {"phases": [float(v) for v in rng.uniform(0, 2 * np.pi, 2)]}
+
+
+def _seed(rng: np.random.Generator, _: Scene | None) -> dict[str, Any]:
+    return {"seed": int(rng.integers(2**31))}
+
+
+def _pointer_radial(size: float, parameters: Parameters, _: Scene) -> Disturbance:
+    """The rotation centre moves along the beam as the pointer turns; across the beam it would not show."""
+
+    def along(sight: Sight) -> Array:
+        return size * _harmonics(sight.azimuth, parameters)
+
+    return Disturbance(reading=(along,))
+
+
+def _pointer_zero(size: float, _: Parameters, scene: Scene) -> Disturbance:
+    return Disturbance(turn=np.full(len(scene), size))
+
+
+def _retroreflector(size: float, parameters: Parameters, _: Scene) -> Disturbance:
+    def form(sight: Sight) -> Array:
+        return size * _harmonics(sight.incidence, parameters)
+
+    return Disturbance(reading=(form,))
+
+
+def _table_growth(size: float, parameters: Parameters, scene: Scene) -> Disturbance:
+    warm = scene.sensed("temperature_table") - parameters["reference"]
+    return Disturbance(table_radial=size * warm, table_axial=size * parameters["axial"] * warm)
+
+
+def _workpiece_growth(size: float, parameters: Parameters, scene: Scene) -> Disturbance:
+    return Disturbance(growth=size * (scene.sensed("temperature_work") - parameters["reference"]))
+
+
+def _pretravel(size: float, parameters: Parameters, _: Scene) -> Disturbance:
+    """The stylus gives way by an amount that depends on the direction before the probe triggers."""
+
+    def lobes(sight: Sight) -> Array:
+        return size * _harmonics(sight.azimuth, parameters)
+
+    return Disturbance(reading=(lobes,))
+
+
+READING_FLAWS: tuple[Flaw, ...] = (
+    Flaw("refractive_index", "reading: size * (n - n of standard air) * path", "1", 1.0, _refractive_index,
+         methods=LASERS),
+    Flaw("dead_path", "reading: size * (n - n of standard air)", "m", 1.0, _dead_path, methods=LASERS),
+    Flaw("linear_drift", "reading: size * time", "m/s", 1e-9, _linear_drift),
+    Flaw("station_drift", "each station moves at about size, in its own direction, from its first reading on", "m/s",
+         1e-8, _station_drift, {"vertical": 1.0}, _seed, STATIONS),
+    Flaw("mirror_misalignment", "mirror normal off the beam by size, each setup its own way", "rad", 1e-3, _mirror,
+         draw=_seed, methods=("step_diagonal",)),
+    Flaw("pointer_radial_error", "reading: size * sum of w cos(k azimuth + phase)", "m", 2e-6, _pointer_radial,
+         {"orders": [5, 3], "weights": [1.0, 0.5]}, _phases, STATIONS),
+    Flaw("pointer_zero_offset", "beam turned by size: cosine error", "rad", 2e-3, _pointer_zero,
+         methods=("tracking_interferometer",)),
+    Flaw("retroreflector_form", "reading: size * sum of w cos(k incidence + phase)", "m", 1e-6, _retroreflector,
+         {"orders": [2, 3], "weights": [1.0, 0.5]}, _phases, STATIONS),
+    Flaw("table_thermal_growth", "targets move out by size * (temperature_table - 20) * radius, and up by axial times "
+         "that of their height", "1/K", 1.2e-5, _table_growth, {"axial": 1.0, "reference": 20.0},
+         methods=("rotary_axis",)),
+    Flaw("workpiece_thermal", "workpiece grows by size * (temperature_work - 20)", "1/K", 1.2e-5, _workpiece_growth,
+         {"reference": 20.0}, methods=("probing", "direct")),
+    Flaw("probe_pretravel", "reading: size * sum of w cos(k direction of the normal + phase)", "m", 3e-6, _pretravel,
+         {"orders": [2, 3], "weights": [1.0, 0.6]}, _phases, ("probing",)),
+)

@@ -1,0 +1,156 @@
+"""The virtual machine and its flaws moment by moment, for simulated nodes.
+
+::
+
+    live = LiveMachine.prepare(machine, [choose_flaw("backlash_y", 2e-6)], environment)
+    now = live.scene(12.5, [0.1, 0.2, 0.0], direction={"X": 1, "Y": -1})
+    live.functional_point(now)                     # (1, 3): with backlash, heat and all error motions
+    origin, direction = live.beam(now, pointer, azimuth, elevation, true_station)
+    path = sensed_path(live.functional_point(now), origin, direction)
+    path + live.added(now, live.sight(path, direction, azimuth, first_path))
+
+Everything takes many moments at once as well (a stretch of the displacement stream).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.simulation.disturbance import Disturbance, Sight, combine
+from machine_tool_calibration.simulation.environment import Environment
+from machine_tool_calibration.simulation.flaw import Chosen
+from machine_tool_calibration.simulation.machine import VirtualMachine
+from machine_tool_calibration.simulation.scene import Scene
+from machine_tool_calibration.simulation.tracking import Pointer
+
+__all__ = ["LiveMachine"]
+
+
+@dataclass(frozen=True)
+class LiveMachine:
+    """A machine whose errors depend on time, temperature and direction.
+
+    Attributes:
+        machine: true errors, those of the flaws (extra error motions, squareness) included.
+        flaws: what is put in.
+        environment: temperatures, pressure and humidity over time.
+    """
+
+    machine: VirtualMachine
+    flaws: tuple[Chosen, ...] = ()
+    environment: Environment = field(default_factory=lambda: Environment({}))
+
+    @classmethod
+    def prepare(
+        cls, machine: VirtualMachine, flaws: Iterable[Chosen] = (), environment: Environment | None = None
+    ) -> LiveMachine:
+        """A live machine whose flaws' error motions are put into the machine once."""
+        chosen = tuple(flaws)
+        surroundings = environment or Environment({})
+        idle = cls(machine, chosen, surroundings)
+        fixed = idle.disturbance(idle.scene(0.0, np.zeros(3)))
+        return cls(machine.with_tables(fixed.tables).with_squareness(fixed.squareness), chosen, surroundings)
+
+    def scene(
+        self,
+        time: Array | float,
+        position: Array | Iterable[float],
+        direction: Mapping[str, Array | float] | None = None,
+        *,
+        angle: Array | float = 0.0,
+        axis: str = "C",
+        setup: int = 0,
+        start: float = 0.0,
+    ) -> Scene:
+        """The conditions of one or more moments.
+
+        Args:
+            time: s since the start of the session, a number or (n,).
+            position: commanded x, y, z, (3,) or (n, 3), m.
+            direction: sign of the last move by axis letter; +1 where absent.
+            angle: of the rotary axis, rad.
+            axis: the rotary axis.
+            setup: index of the instrument's setup.
+            start: time of that setup's first reading, s.
+        """
+        at = np.atleast_2d(np.asarray(position, float))
+        n = max(len(at), np.size(time))
+        moments = np.broadcast_to(np.asarray(time, float), n)
+
+        def each(value: Array | float) -> Array:
+            return np.broadcast_to(np.asarray(value, float), n)
+
+        return Scene(
+            time=moments,
+            setup=np.full(n, setup),
+            repeat=np.zeros(n, np.int64),
+            position=np.broadcast_to(at, (n, 3)),
+            angle=each(angle),
+            direction={name: each(value) for name, value in (direction or {}).items()},
+            environment=self.environment(moments),
+            axis=axis,
+            ends=self.machine.travel,
+            rates=self.environment.rate(moments),
+            start=each(start),
+        )
+
+    def disturbance(self, scene: Scene) -> Disturbance:
+        """What the flaws do at these moments."""
+        return combine(tuple(flaw.disturb(scene) for flaw in self.flaws))
+
+    def functional_point(self, scene: Scene) -> Array:
+        """(n, 3) where the functional point really is in the workpiece frame, m."""
+        disturbance = self.disturbance(scene)
+        point = self.machine.position(scene.position, disturbance.axis)
+        return point if disturbance.point is None else point + disturbance.point
+
+    def tool_rotation(self, scene: Scene) -> Array:
+        """(n, 3, 3) rotation of the tool with respect to the workpiece."""
+        return self.machine.tool_rotation(scene.position)
+
+    def on_table(self, scene: Scene, point: Array) -> Array:
+        """(n, 3) where a point of the table (its target, the workpiece) really is in the machine frame, m."""
+        disturbance = self.disturbance(scene)
+        place = np.broadcast_to(np.asarray(point, float), (len(scene), 3))
+        axial = np.eye(3)["ABC".index(scene.axis)]
+        for growth, part in ((disturbance.growth, np.ones(3)), (disturbance.table_radial, 1.0 - axial),
+                             (disturbance.table_axial, axial)):
+            if growth is not None:
+                place = place + growth[:, None] * point * part
+        shift = disturbance.axis.get(scene.axis, np.zeros(len(scene)))
+        return self.machine.on_table(place, scene.angle, scene.axis, shift)
+
+    def station(self, scene: Scene, station: Array) -> Array:
+        """(n, 3) where a station's rotation centre really is, m."""
+        shift = self.disturbance(scene).station
+        place = np.broadcast_to(np.asarray(station, float), (len(scene), 3))
+        return place if shift is None else place + shift
+
+    def beam(
+        self, scene: Scene, pointer: Pointer, azimuth: Array | float, elevation: Array | float, station: Array
+    ) -> tuple[Array, Array]:
+        """(n, 3) origin, m, and (n, 3) direction of the beam that is commanded to an azimuth and elevation, rad."""
+        turn = self.disturbance(scene).turn
+        n = len(scene)
+        flat, up = np.broadcast_to(azimuth, n), np.broadcast_to(elevation, n)
+        return pointer.beam(flat, up, self.station(scene, station), 0.0 if turn is None else turn)
+
+    def sight(
+        self,
+        path: Array,
+        direction: Array,
+        azimuth: Array | float = 0.0,
+        first: float = 0.0,
+        incidence: Array | float = 0.0,
+    ) -> Sight:
+        """What the instrument looks at: `first` is the path of the datum reading, m."""
+        n = len(path)
+        return Sight(path, direction, np.broadcast_to(azimuth, n), np.broadcast_to(incidence, n), path - first)
+
+    def added(self, scene: Scene, sight: Sight) -> Array:
+        """(n,) what the flaws of air and instrument add to the path, m."""
+        return self.disturbance(scene).added(sight)

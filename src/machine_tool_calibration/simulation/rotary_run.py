@@ -1,0 +1,164 @@
+"""A session on a rotary axis: stations that look at targets on the table (sequential multilateration)."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
+from machine_tool_calibration.simulation.environment import Environment
+from machine_tool_calibration.simulation.machine import VirtualMachine
+from machine_tool_calibration.simulation.measurement import Measurement, since_first
+from machine_tool_calibration.simulation.motions import motion_names
+from machine_tool_calibration.simulation.plan import Finite, Plan, Positive, Vector3
+from machine_tool_calibration.simulation.scene import Scene, blocks, last_direction, ordered_times
+from machine_tool_calibration.simulation.tracking import aim, distance
+
+__all__ = ["RotaryPlan", "plan_rotary"]
+
+# The targets of Zhang et al. 2015, Section 4.2; the stations are chosen around them.
+_TARGETS = {"P": (-0.1058046, 0.1353414, 0.0), "Q": (0.1288513, 0.0878158, 0.0399797),
+            "K": (0.0249026, -0.1108575, 0.0152662)}
+_STATIONS = ((-0.7, -0.5, 0.2), (0.8, -0.6, 0.35), (0.65, 0.75, 0.15), (-0.3, 0.35, 1.1))
+
+
+class RotaryPlan(Plan):
+    """Stations, targets and angles; without arguments the three targets and 20 degree steps of the paper.
+
+    For an axis A or B the default targets and stations are those for C with the coordinates turned round, so
+    that they lie about that axis in the same way.
+
+    Attributes:
+        axis: the rotary axis.
+        targets: by id, in the table frame at zero, nominal, m.
+        stations: nominal positions, m.
+        angles: commanded angles, rad; 18 steps of 20 degrees if absent.
+        both_ways: each run goes back through the same angles.
+        station_uncertainty: standard deviation of the stated stations per coordinate, m.
+        target_uncertainty: likewise of the stated targets.
+        hidden: target id -> (from, to): angles at which it cannot be seen, rad.
+    """
+
+    method: Literal["rotary_axis"] = "rotary_axis"
+    axis: Literal["A", "B", "C"] = "C"
+    targets: dict[str, Vector3] | None = None
+    stations: Annotated[tuple[Vector3, ...], Field(min_length=1)] | None = None
+    angles: Annotated[tuple[Finite, ...], Field(min_length=1, max_length=100_000)] | None = None
+    both_ways: bool = False
+    station_uncertainty: Annotated[float, Field(ge=0)] = 2e-4
+    target_uncertainty: Annotated[float, Field(ge=0)] = 5e-5
+    hidden: dict[str, tuple[Finite, Finite]] = Field(default_factory=dict)
+    interval: Positive = 3.0
+    pause: Annotated[float, Field(ge=0)] = 900.0
+    noise: Positive = 2.7e-7
+    chain: str = ""
+
+    @model_validator(mode="after")
+    def _check(self) -> RotaryPlan:
+        unknown = [name for name in self.hidden if name not in self.marks()]
+        if unknown:
+            raise ValueError(f"hidden names target {unknown[0]!r}, which is none of {', '.join(self.marks())}")
+        if not self.chain:
+            object.__setattr__(self, "chain", f"w-{self.axis}-b-t")
+        return self
+
+    def marks(self) -> dict[str, Vector3]:
+        """Nominal targets by id."""
+        return self.targets or {name: _about(p, self.axis) for name, p in _TARGETS.items()}
+
+    def places(self) -> Array:
+        """(k, 3) nominal stations, m."""
+        return np.array(self.stations or [_about(p, self.axis) for p in _STATIONS], float)
+
+    def turns(self) -> Array:
+        """Commanded angles of one run, rad."""
+        once = np.array(self.angles or [k * 2.0 * np.pi / 18.0 for k in range(18)])
+        return np.concatenate([once, once[::-1]]) if self.both_ways else once
+
+
+def _about(p: tuple[float, float, float], axis: str) -> Vector3:
+    """A point given for C, turned round so that it lies about another axis."""
+    shift = {"C": 0, "A": 1, "B": 2}[axis]
+    return (p[-shift], p[1 - shift], p[2 - shift])
+
+
+def plan_rotary(plan: RotaryPlan, environment: Environment, rng: np.random.Generator) -> Measurement:
+    """The measurement of a plan: station by station, repeat by repeat, target by target, all angles."""
+    names = list(plan.marks())
+    stated = np.array([plan.marks()[name] for name in names], float)
+    station = plan.places()
+    estimate = station + plan.station_uncertainty * rng.normal(size=station.shape)
+    target = stated + plan.target_uncertainty * rng.normal(size=stated.shape)
+    turns = plan.turns()
+    shape = (len(station), plan.repeats, len(names), len(turns))
+    setup, repeat, label, step = (index.ravel() for index in np.indices(shape))
+    keep = np.ones(len(setup), bool)
+    for name, (low, high) in plan.hidden.items():
+        keep &= ~((label == names.index(name)) & (turns[step] >= low) & (turns[step] <= high))
+    time = ordered_times(setup, plan.interval, plan.pause)[keep]
+    setup, repeat, label, step = setup[keep], repeat[keep], label[keep], step[keep]
+    angle = turns[step]
+    run = blocks(setup, repeat, label)
+    direction = np.concatenate([last_direction(angle[run == r]) for r in range(run[-1] + 1)])
+    scene = Scene(time, setup, repeat, np.zeros((len(time), 3)), angle, {plan.axis: direction}, environment(time),
+                  label, plan.axis, rates=environment.rate(time))
+    axial = np.eye(3)["ABC".index(plan.axis)]
+
+    def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
+        place = target[label]
+        if disturbance.table_radial is not None:
+            place = place + disturbance.table_radial[:, None] * target[label] * (1.0 - axial)
+        if disturbance.table_axial is not None:
+            place = place + disturbance.table_axial[:, None] * target[label] * axial
+        shift = disturbance.axis.get(plan.axis, np.zeros(len(angle)))
+        actual = machine.on_table(place, angle, plan.axis, shift)
+        if disturbance.point is not None:
+            actual = actual + disturbance.point
+        source = station[setup] if disturbance.station is None else station[setup] + disturbance.station
+        path = distance(actual, source)
+        azimuth, _ = aim(source, actual)
+        axis = machine.table_direction(target[label], angle, plan.axis)  # a retroreflector looks away from the axis
+        incidence = np.angle(np.exp(1j * (azimuth + np.pi - np.arctan2(axis[:, 1], axis[:, 0]))))
+        sight = Sight(path, (actual - source) / path[:, None], azimuth, incidence, since_first(path, run))
+        return path + disturbance.added(sight)
+
+    def judged(machine: VirtualMachine) -> dict[str, Any]:
+        at = np.unique(turns)
+        return {
+            "angles": at.tolist(),
+            "errors": {name: machine.motion(name, at).tolist() for name in motion_names(plan.axis)},
+            "average_line": dict(machine.average_line),
+            "stations": station.tolist(),
+            "targets": {name: target[i].tolist() for i, name in enumerate(names)},
+        }
+
+    def uncertain(value: float) -> dict[str, float]:
+        return {"position_uncertainty": value} if value > 0 else {}
+
+    description = {
+        "method": "rotary_axis",
+        "machine": {"chain": plan.chain, "axis": plan.axis},
+        "rotation_sign": plan.sign,
+        "targets": [
+            {"id": name, "position": stated[i].tolist(), **uncertain(plan.target_uncertainty)}
+            for i, name in enumerate(names)
+        ],
+        "setups": [
+            {"id": chr(ord("A") + i) if i < 26 else f"S{i + 1}", "position": p.tolist(),
+             **uncertain(plan.station_uncertainty)}
+            for i, p in enumerate(estimate)
+        ],
+    }
+    letter = plan.axis.lower()
+    return Measurement(
+        lambda machine: description,
+        scene,
+        read,
+        run,
+        {letter: angle, f"dir_{letter}": direction},
+        {"target": np.array(names, dtype=object)[label]},
+        judged,
+    )
