@@ -1,0 +1,203 @@
+"""Likelihoods of many candidates on many data sets, with the spread between runs refitted for each.
+
+Everything is calculated from inner products after the model was projected off, so that the number of readings
+does not matter. The variances of the spread are tried on a grid: for each of its points one small factorisation
+serves all candidates and all data sets.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.estimation.projection import Projected
+
+__all__ = ["Data", "Likelihoods", "Reduced", "observed", "reduce", "scan", "simulate"]
+
+# Variance of the spread's coefficients in units of the readings' variance.
+RATIOS = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
+# A direction of a candidate with less than this share of its squared norm outside the model is absorbed (1 % of the norm).
+ABSORBED = 1e-4
+_ROUNDING = 1e-11
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """Inner products of candidates and spread with the model projected off.
+
+    Attributes:
+        gram: (k + u, k + u) of [candidates, spread].
+        squares: (k + u,) squared norms before.
+        n_candidates: k.
+        family: (u,) family of each spread column.
+        dimension: degrees of freedom of the residuals.
+        root: (k + u, r) such that root root^T is the matrix over the norms before.
+    """
+
+    gram: Array
+    squares: Array
+    n_candidates: int
+    family: IntArray
+    dimension: int
+    root: Array
+
+
+@dataclass(frozen=True)
+class Data:
+    """Data sets, as far as they matter.
+
+    Attributes:
+        products: (k + u, b) inner products of the columns with each data set.
+        squares: (b,) squared norm of each data set.
+    """
+
+    products: Array
+    squares: Array
+
+
+@dataclass(frozen=True)
+class Likelihoods:
+    """Twice the largest log-likelihoods, without and with each block.
+
+    Attributes:
+        null: (b,) without any candidate.
+        null_ratio: (b, f) variances of the spread there.
+        null_variance: (b,) variance of the readings in units of the declared one.
+        block: (blocks, b) with each block.
+        rank: (blocks,) unknowns that each block adds; 0 if it is absorbed.
+        ratio: (blocks, b) index of the best variances, into `ratios`.
+        ratios: list of the variances tried.
+    """
+
+    null: Array
+    null_ratio: Array
+    null_variance: Array
+    block: Array
+    rank: IntArray
+    ratio: IntArray
+    ratios: list[tuple[float, ...]]
+
+
+def reduce(projected: Projected, family: IntArray, dimension: int) -> Reduced:
+    """Inner products of candidates and, last, spread columns, without the rounding that would make them indefinite.
+
+    Args:
+        projected: of [candidates, spread], see `model.fit.screen`.
+        family: (u,) family of each spread column.
+        dimension: degrees of freedom of the residuals.
+    """
+    gram = projected.gram[:-1, :-1]
+    scale = np.sqrt(np.maximum(projected.squares[:-1], np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
+    vectors = vectors[:, values > _ROUNDING] * np.sqrt(values[values > _ROUNDING])
+    clean = vectors @ vectors.T * np.outer(scale, scale)
+    return Reduced(clean, projected.squares[:-1], len(gram) - len(family), family, dimension, vectors)
+
+
+def observed(gram_with_residual: Array) -> Data:
+    """The measured data set: the last column of a projected Gram matrix."""
+    return Data(gram_with_residual[:-1, -1:].copy(), gram_with_residual[-1:, -1].copy())
+
+
+def directions(reduced: Reduced, block: slice) -> Array:
+    """(k, r) combinations of a block's columns, orthonormal outside the model, without what the model absorbs."""
+    inner = reduced.gram[block, block]
+    scale = np.sqrt(np.maximum(reduced.squares[block], np.finfo(float).tiny))
+    scaled = inner / np.outer(scale, scale)
+    values, vectors = np.linalg.eigh((scaled + scaled.T) / 2)
+    keep = values > ABSORBED
+    return np.asarray(vectors[:, keep] / np.sqrt(values[keep]) / scale[:, None])
+
+
+def scan(reduced: Reduced, blocks: Sequence[slice], data: Data) -> Likelihoods:
+    """Maximise the likelihood over the variances, for every block and data set."""
+    k = reduced.n_candidates
+    families = int(reduced.family.max(initial=-1)) + 1
+    ratios = list(product(RATIOS, repeat=families)) if families else [()]
+    bases = [directions(reduced, block) for block in blocks]
+    rank = np.array([basis.shape[1] for basis in bases], dtype=np.int64)
+    # From here on candidates are in their own orthonormal directions.
+    joined = np.zeros((k, int(rank.sum())))
+    places, first = [], 0
+    for block, basis in zip(blocks, bases, strict=True):
+        places.append(slice(first, first + basis.shape[1]))
+        joined[block, places[-1]] = basis
+        first += basis.shape[1]
+    own = joined.T @ reduced.gram[:k, :k] @ joined
+    cross = joined.T @ reduced.gram[:k, k:]
+    spread = reduced.gram[k:, k:]
+    own_data = joined.T @ data.products[:k]
+    spread_data = data.products[k:]
+    b = len(data.squares)
+    n = reduced.dimension
+    null = np.full(b, -np.inf)
+    null_ratio = np.zeros((b, families))
+    null_variance = np.ones(b)
+    best = np.full((len(blocks), b), -np.inf)
+    chosen = np.zeros((len(blocks), b), dtype=np.int64)
+    for index, ratio in enumerate(ratios):
+        root = np.sqrt(np.array(ratio))[reduced.family] if families else np.zeros(0)
+        used = root > 0
+        if used.any():
+            s = root[used]
+            core = np.eye(len(s)) + spread[np.ix_(used, used)] * np.outer(s, s)
+            lower = np.linalg.cholesky(core)
+            logdet = 2 * float(np.log(np.diag(lower)).sum())
+            shrink = np.linalg.solve(lower, s[:, None] * np.column_stack([cross[:, used].T, spread_data[used]]))
+            left, right = shrink[:, : len(own)], shrink[:, len(own) :]
+            weighted, product_ = own - left.T @ left, own_data - left.T @ right
+            squares = data.squares - np.einsum("ub,ub->b", right, right)
+        else:
+            logdet, weighted, product_, squares = 0.0, own, own_data, data.squares
+        squares = np.maximum(squares, 1e-300)
+        value = -n * np.log(squares / n) - logdet
+        better = value > null
+        null[better], null_variance[better] = value[better], squares[better] / n
+        null_ratio[better] = ratio
+        for j, place in enumerate(places):
+            if rank[j] == 0:
+                best[j] = np.maximum(best[j], value)
+                continue
+            inner = weighted[place, place]
+            right_side = product_[place]
+            if rank[j] == 1:
+                gain = right_side[0] ** 2 / inner[0, 0]
+            else:
+                half = np.linalg.solve(np.linalg.cholesky(inner + 1e-12 * np.trace(inner) * np.eye(len(inner))), right_side)
+                gain = np.einsum("rb,rb->b", half, half)
+            value_j = -n * np.log(np.maximum(squares - gain, 1e-12 * squares) / n) - logdet
+            better = value_j > best[j]
+            best[j][better] = value_j[better]
+            chosen[j][better] = index
+    return Likelihoods(null, null_ratio, null_variance, best, rank, chosen, ratios)
+
+
+def simulate(reduced: Reduced, ratio: Array, variance: float, count: int, rng: np.random.Generator) -> Data:
+    """Data sets in which nothing is missing: noise and spread between runs, drawn from the fitted null model.
+
+    Args:
+        reduced: inner products.
+        ratio: (f,) variances of the spread in units of the readings' variance.
+        variance: variance of the readings in units of the declared one.
+        count: number of data sets.
+        rng: source of random numbers.
+    """
+    k = reduced.n_candidates
+    size = len(reduced.gram)
+    scale = np.sqrt(np.maximum(reduced.squares, np.finfo(float).tiny))
+    root_matrix = reduced.root[:, -min(reduced.root.shape[1], reduced.dimension) :]
+    rank = root_matrix.shape[1]
+    draws = rng.standard_normal((rank, count))
+    noise = scale[:, None] * (root_matrix @ draws)
+    rest = rng.chisquare(reduced.dimension - rank, count) if reduced.dimension > rank else np.zeros(count)
+    squares = np.einsum("rb,rb->b", draws, draws) + rest
+    root = np.sqrt(ratio)[reduced.family] if len(ratio) else np.zeros(size - k)
+    coefficients = root[:, None] * rng.standard_normal((size - k, count))
+    moved = reduced.gram[:, k:] @ coefficients
+    squares = squares + 2 * np.einsum("ub,ub->b", coefficients, noise[k:]) + np.einsum("ub,ub->b", coefficients, moved[k:])
+    root_variance = np.sqrt(variance)
+    return Data((noise + moved) * root_variance, squares * variance)

@@ -1,0 +1,88 @@
+"""Single readings that do not belong to the rest: a chip under the probe, a broken beam."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from machine_tool_calibration.arrays import BoolArray
+from machine_tool_calibration.diagnosis.leverage import leverage
+from machine_tool_calibration.model.fit import Fit, fit_models
+from machine_tool_calibration.model.model import MethodModel
+from machine_tool_calibration.session.session import Session
+
+__all__ = ["Outlier", "find_outliers"]
+
+# Chance that a clean session has any reading called an outlier.
+_LEVEL = 0.01
+# Not more than this share of the readings: beyond, they are no longer isolated.
+_MOST = 0.08
+# A reading with less than this share of itself in its residual cannot be judged.
+_SEEN = 0.02
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """A reading that was set aside.
+
+    Attributes:
+        row: its number in the recording.
+        studentized: its residual, from a fit without it, over that residual's standard uncertainty.
+        deviation: that residual, m.
+    """
+
+    row: int
+    studentized: float
+    deviation: float
+
+
+def find_outliers(session: Session, build: Callable[[Session], MethodModel]) -> tuple[list[Outlier], Session, Fit]:
+    """Set aside, one after the other, readings that stand out of all others.
+
+    The scale is that of the bulk of the residuals: where an effect is missing all residuals are large, and none
+    stands out. The worst one is removed and the model fitted again, as it also pulls at its neighbours.
+
+    Args:
+        session: the measurement.
+        build: makes the model of a session.
+
+    Returns:
+        Outliers in the order of removal, the session without them, and its fit.
+    """
+    model = build(session)
+    fit = fit_models([model]).fits[0]
+    found: list[Outlier] = []
+    most = int(_MOST * len(session.readings))
+    while len(found) < most:
+        studentized, deviation, limit = _studentized(fit)
+        # Several at once while they are far out, so that many chips do not need as many fits.
+        order = np.argsort(-np.abs(studentized))
+        worst = order[0]
+        if abs(studentized[worst]) < limit:
+            break
+        far = [int(worst)] + [int(k) for k in order[1 : 1 + most // 4] if abs(studentized[k]) > max(2.0 * limit, 0.7 * abs(studentized[worst]))]
+        rows = fit.model.observations.readings.row
+        found += [Outlier(int(rows[k]), float(studentized[k]), float(deviation[k])) for k in far]
+        removed = np.isin(session.readings.row, [o.row for o in found])
+        session = session.with_readings(session.readings.select(~removed))
+        fit = fit_models([build(session)]).fits[0]
+    return found, session, fit
+
+
+def _studentized(fit: Fit) -> tuple[np.ndarray, np.ndarray, float]:
+    """Residuals over what the bulk of them says is their size, the deviations that they stand for, and the limit."""
+    sigma = fit.model.sigma
+    free = 1.0 - leverage(fit)
+    judged: BoolArray = free > _SEEN
+    normal = np.zeros(len(free))
+    normal[judged] = fit.residuals[judged] / (sigma[judged] * np.sqrt(free[judged]))
+    bulk = float(np.median(np.abs(normal[judged]))) / stats.norm.ppf(0.75) if judged.any() else 1.0
+    # The bulk's size is itself uncertain where few degrees of freedom are left.
+    dof = max(fit.solution.degrees_of_freedom * 0.37, 4.0)
+    limit = float(stats.t.isf(_LEVEL / max(int(judged.sum()), 1) / 2, dof))
+    deviation = np.zeros(len(free))
+    deviation[judged] = fit.residuals[judged] / free[judged]
+    return normal / max(bulk, 1e-12), deviation, max(limit, 4.5)
