@@ -27,16 +27,26 @@ from machine_tool_calibration.nodes.deferred import Answer, DeferredService
 from machine_tool_calibration.nodes.parameters import declare
 from machine_tool_calibration.nodes.process import post, run
 from machine_tool_calibration.nodes.qos import LATCHED, READINGS
-from machine_tool_calibration.nodes.readings import ReadingMessage, session_from_messages
 from machine_tool_calibration.nodes.stamps import from_message, now
 from machine_tool_calibration.nodes.status import Level, status_message
-from machine_tool_calibration.session.checks import check_session
+from machine_tool_calibration.session.collect import Collector
 from machine_tool_calibration.session.parse import parse_description
+from machine_tool_calibration.session.place import Place
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["Estimator", "main"]
 
+_SAME_SESSION = 1_000_000  # ns: rounding of a reading's time
 _PERIOD = 0.2  # s between publications of the count of readings
+
+
+@dataclass(frozen=True)
+class _Reading:
+    """One `reading` message."""
+
+    setup: str
+    names: list[str]
+    values: list[float]
 
 
 @dataclass(frozen=True)
@@ -62,7 +72,7 @@ class Estimator(Node):
         )
         declare(self, "effects", [""], "ids of physical effects to add to the model", read_only=False)
         self._text = ""
-        self._messages: dict[int, ReadingMessage] = {}
+        self._messages: dict[int, _Reading] = {}
         self._origin: int | None = None
         self._thread: threading.Thread | None = None
         self._last = "no identification yet"
@@ -83,13 +93,13 @@ class Estimator(Node):
         self._text = message.data
 
     def _read(self, message: JointState) -> None:
-        reading = ReadingMessage(
-            message.header.frame_id, from_message(message.header.stamp), list(message.name), list(message.position)
-        )
-        if self._origin is None or abs(reading.origin - self._origin) > 1:
+        stamp, names, values = from_message(message.header.stamp), list(message.name), list(message.position)
+        time = values[names.index("time")] if "time" in names else 0.0
+        origin = stamp - round(time * 1e9)  # start of the session that it belongs to: the same for all its readings
+        if self._origin is None or abs(origin - self._origin) > _SAME_SESSION:
             self._messages.clear()  # another session has begun
-            self._origin = reading.origin
-        self._messages[reading.stamp] = reading
+            self._origin = origin
+        self._messages[stamp] = _Reading(message.header.frame_id, names, values)
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.success, response.message = True, f"{len(self._messages)} readings forgotten"
@@ -105,7 +115,7 @@ class Estimator(Node):
         if not self._text:
             answer.send(False, "no session has been described yet (topic session)")
             return
-        text, messages = self._text, list(self._messages.values())
+        text, messages = self._text, [self._messages[stamp] for stamp in sorted(self._messages)]
         model = str(self.get_parameter("model").value) or None
         effects = [effect for effect in self.get_parameter("effects").value or [] if effect]
 
@@ -159,9 +169,11 @@ class Estimator(Node):
         self._status.publish(status_message(now(self), "estimator", self._level, self._last, entries))
 
 
-def _calculate(text: str, messages: list[ReadingMessage], model: str | None, effects: list[str]) -> _Outcome:
-    session = session_from_messages(parse_description(text, "session"), messages, "live readings")
-    check_session(session)
+def _calculate(text: str, messages: list[_Reading], model: str | None, effects: list[str]) -> _Outcome:
+    collector = Collector(parse_description(text, "session"), Place("session", "reading"))
+    for message in messages:
+        collector.add(message.setup, message.names, message.values)
+    session = collector.session("live readings")
     result = identify(session, model=model, effects=effects)
     return _Outcome(session, result, json.dumps(result.document(), allow_nan=False))
 
