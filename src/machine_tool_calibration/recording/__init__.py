@@ -1,0 +1,1 @@
+"""Recordings: MCAP bags in rosbag2's layout, written and read without ROS."""

@@ -1,0 +1,227 @@
+"""Serialized messages (CDR) to values and back.
+
+The types that come by the thousand are read here by the array; all others by the `rosbags` library. Only the standard
+types of ROS 2 Jazzy are read: making a reader from a stranger's definition would run what it says.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.recording.definitions import typestore
+from machine_tool_calibration.recording.errors import RecordingError
+
+__all__ = [
+    "JOINT_STATE",
+    "NUMBERS",
+    "TEXT",
+    "JointState",
+    "JointStateReader",
+    "decode",
+    "encode",
+    "encode_joint_state",
+    "joint_state",
+    "numbers",
+    "part",
+    "text",
+]
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+NUMBERS = "std_msgs/msg/Float64MultiArray"
+TEXT = "std_msgs/msg/String"
+_LITTLE = b"\x00\x01"
+
+
+@dataclass(frozen=True)
+class JointState:
+    """A `sensor_msgs/JointState` without velocities and efforts; stamp in ns."""
+
+    stamp: int
+    frame: str
+    names: tuple[str, ...]
+    positions: Array
+
+    def value(self, name: str) -> float:
+        """The position of that name; NaN if there is none."""
+        index = self.names.index(name) if name in self.names else len(self.positions)
+        return float(self.positions[index]) if index < len(self.positions) else float("nan")
+
+
+class _Cursor:
+    """A place in little-endian CDR; alignment counts from behind the four bytes of the encapsulation."""
+
+    def __init__(self, data: bytes) -> None:
+        self.data = data
+        self.at = 4
+
+    def align(self, size: int) -> None:
+        self.at += -(self.at - 4) % size
+
+    def uint32(self) -> int:
+        self.align(4)
+        (value,) = struct.unpack_from("<I", self.data, self.at)
+        self.at += 4
+        return int(value)
+
+    def string(self) -> bytes:
+        length = self.uint32()
+        end = self.at + length
+        if end > len(self.data):
+            raise ValueError("a text is cut short")
+        value = self.data[self.at : max(self.at, end - 1)]
+        self.at = end
+        return value
+
+    def doubles(self) -> Array:
+        count = self.uint32()
+        if count == 0:
+            return np.zeros(0)
+        self.align(8)
+        if self.at + 8 * count > len(self.data):
+            raise ValueError("numbers are cut short")
+        values = np.frombuffer(self.data, dtype="<f8", count=count, offset=self.at)
+        self.at += 8 * count
+        return values.astype(np.float64)
+
+
+class JointStateReader:
+    """Reads JointStates; names that stay the same from message to message are read once."""
+
+    def __init__(self) -> None:
+        """Start without names."""
+        self._raw = b""
+        self._names: tuple[str, ...] = ()
+        self._begin = -1
+
+    def read(self, data: bytes) -> JointState:
+        """One message.
+
+        Raises:
+            RecordingError: damaged.
+        """
+        if data[:2] != _LITTLE:
+            return _joint_state_by_library(data)
+        try:
+            cursor = _Cursor(data)
+            sec, nanosec = struct.unpack_from("<iI", data, 4)
+            cursor.at = 12
+            frame = cursor.string().decode()
+            cursor.align(4)
+            begin, raw = cursor.at, self._raw
+            # padding depends on where the names begin, so the same bytes mean the same names at the same place only
+            if raw and (begin - self._begin) % 8 == 0 and data.startswith(raw, begin):
+                cursor.at = begin + len(raw)
+            else:
+                count = cursor.uint32()
+                if count * 4 > len(data):
+                    raise ValueError("names are cut short")
+                self._names = tuple(cursor.string().decode() for _ in range(count))
+                self._raw, self._begin = data[begin : cursor.at], begin
+            positions = cursor.doubles()
+        except (struct.error, ValueError) as error:
+            self._raw = b""
+            raise RecordingError(f"a {JOINT_STATE} is damaged: {error}") from None
+        return JointState(sec * 1_000_000_000 + nanosec, frame, self._names, positions)
+
+
+def joint_state(data: bytes) -> JointState:
+    """One JointState.
+
+    Raises:
+        RecordingError: damaged.
+    """
+    return JointStateReader().read(data)
+
+
+def _joint_state_by_library(data: bytes) -> JointState:
+    message = decode(JOINT_STATE, data)
+    stamp = message.header.stamp
+    return JointState(
+        stamp.sec * 1_000_000_000 + stamp.nanosec,
+        message.header.frame_id,
+        tuple(message.name),
+        np.asarray(message.position, dtype=np.float64),
+    )
+
+
+def numbers(data: bytes) -> Array:
+    """The data of a Float64MultiArray, without its layout.
+
+    Raises:
+        RecordingError: damaged.
+    """
+    if data[:2] != _LITTLE:
+        return np.asarray(decode(NUMBERS, data).data, dtype=np.float64)
+    try:
+        cursor = _Cursor(data)
+        for _ in range(cursor.uint32()):
+            cursor.string()
+            cursor.uint32()
+            cursor.uint32()
+        cursor.uint32()
+        return cursor.doubles()
+    except (struct.error, ValueError) as error:
+        raise RecordingError(f"a {NUMBERS} is damaged: {error}") from None
+
+
+def text(data: bytes) -> str:
+    """The content of a std_msgs/String.
+
+    Raises:
+        RecordingError: damaged.
+    """
+    try:
+        return str(decode(TEXT, data).data) if data[:2] != _LITTLE else _Cursor(data).string().decode()
+    except (struct.error, ValueError) as error:
+        raise RecordingError(f"a {TEXT} is damaged: {error}") from None
+
+
+def decode(message_type: str, data: bytes) -> Any:
+    """Any standard message, as the `rosbags` library gives it.
+
+    Raises:
+        RecordingError: the type is not a standard one, or the message is damaged.
+    """
+    store = typestore()
+    if message_type not in store.fielddefs:
+        raise RecordingError(f"{message_type} is not a standard message type; its messages cannot be read")
+    try:
+        return store.deserialize_cdr(data, message_type)
+    except Exception as error:  # generated code meets damaged bytes: anything can happen
+        raise RecordingError(f"a {message_type} is damaged: {type(error).__name__}") from None
+
+
+def encode(message_type: str, *fields: Any) -> bytes:
+    """A standard message serialized in little-endian CDR.
+
+    Args:
+        message_type: such as `std_msgs/msg/String`.
+        fields: values of its fields, in their order; parts as made by `part`.
+    """
+    return bytes(typestore().serialize_cdr(part(message_type, *fields), message_type))
+
+
+def part(message_type: str, *fields: Any) -> Any:
+    """A message object of the `rosbags` library."""
+    return typestore().types[message_type](*fields)
+
+
+def encode_joint_state(stamp: int, frame: str, names: Sequence[str], positions: Array) -> bytes:
+    """A JointState without velocities and efforts.
+
+    Args:
+        stamp: ns.
+        frame: id of the frame.
+        names: of the positions.
+        positions: (len(names),) values.
+    """
+    sec, nanosec = divmod(stamp, 1_000_000_000)
+    header = part("std_msgs/msg/Header", part("builtin_interfaces/msg/Time", sec, nanosec), frame)
+    none = np.zeros(0)
+    return encode(JOINT_STATE, header, list(names), np.asarray(positions, dtype=np.float64), none, none)

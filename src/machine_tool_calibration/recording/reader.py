@@ -1,0 +1,229 @@
+"""A bag, from a folder or a single MCAP file, read without ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from mcap.records import Channel
+
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.recording.cdr import decode
+from machine_tool_calibration.recording.definitions import definition_of
+from machine_tool_calibration.recording.errors import RecordingError, UnfinishedError
+from machine_tool_calibration.recording.mcap_reader import McapReader
+from machine_tool_calibration.recording.qos import Qos, parse_qos
+from machine_tool_calibration.session.text import read_text
+from machine_tool_calibration.session.yaml_text import load_yaml
+
+__all__ = ["BagReader", "Message", "Topic", "bag_files", "is_bag"]
+
+_LARGEST_METADATA = 16 << 20
+METADATA_FILE = "metadata.yaml"
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic of a bag.
+
+    Attributes:
+        name: absolute name.
+        type: such as `sensor_msgs/msg/JointState`; empty if the bag does not tell.
+        encoding: of its messages, `cdr`.
+        definition: text of the message definition.
+        schema_encoding: form of the definition, `ros2msg`.
+        type_hash: `RIHS01_…`; empty if the bag does not tell.
+        qos: what the publishers offered.
+        messages: how many there are.
+    """
+
+    name: str
+    type: str
+    encoding: str
+    definition: str
+    schema_encoding: str
+    type_hash: str
+    qos: tuple[Qos, ...]
+    messages: int
+
+    @property
+    def readable(self) -> bool:
+        """Whether its messages can be decoded: a standard type in the form that Jazzy has."""
+        known = definition_of(self.type)
+        return bool(known.type_hash) and self.encoding == "cdr" and self.type_hash in ("", known.type_hash)
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """A message of a bag, still serialized; times in ns."""
+
+    topic: str
+    type: str
+    log_time: int
+    publish_time: int
+    sequence: int
+    data: bytes
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path looks like a recording: an MCAP file, or a folder with one or with `metadata.yaml`."""
+    if path.is_dir():
+        return (path / METADATA_FILE).exists() or any(path.glob("*.mcap"))
+    return path.suffix == ".mcap"
+
+
+class BagReader:
+    """Reads a finished bag; messages come in the order in which they were recorded."""
+
+    def __init__(self, path: Path) -> None:
+        """Check the bag and read its summary.
+
+        Args:
+            path: a rosbag2 folder or a single `.mcap` file.
+
+        Raises:
+            RecordingError: no bag, damaged, or in a storage that is not MCAP.
+            UnfinishedError: the recorder did not end it; the message names `mtcal recover`.
+        """
+        self.path = Path(path)
+        self.files = bag_files(self.path)
+        self._readers = [McapReader(file) for file in self.files]
+        self.topics: Mapping[str, Topic] = _merge(self._readers)
+        told = [reader.summary for reader in self._readers if reader.summary.messages]
+        self.messages_in_all = sum(summary.messages for summary in told)
+        self.first = min((summary.first for summary in told), default=0)
+        self.last = max((summary.last for summary in told), default=0)
+
+    @property
+    def duration(self) -> float:
+        """From the first to the last message, s."""
+        return (self.last - self.first) / 1e9
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
+        """The messages of some topics (all if None).
+
+        Raises:
+            RecordingError: damaged; what came before was whole.
+        """
+        wanted = None if topics is None else frozenset(topics)
+
+        def is_wanted(channel: Channel) -> bool:
+            return wanted is None or channel.topic in wanted
+
+        for reader in self._readers:
+            for channel, message in reader.messages(None if wanted is None else is_wanted):
+                yield Message(
+                    channel.topic,
+                    self.topics[channel.topic].type,
+                    message.log_time,
+                    message.publish_time,
+                    message.sequence,
+                    message.data,
+                )
+
+    def decode(self, message: Message) -> Any:
+        """A message of a standard type, as the `rosbags` library gives it.
+
+        Raises:
+            RecordingError: another type, or damaged.
+        """
+        if not self.topics[message.topic].readable:
+            raise RecordingError(f"{self.path}: {message.topic} has the type {message.type!r}, which cannot be read")
+        try:
+            return decode(message.type, message.data)
+        except RecordingError as error:
+            raise RecordingError(f"{self.path}: {message.topic} at {message.log_time} ns: {error}") from None
+
+
+def bag_files(path: Path) -> tuple[Path, ...]:
+    """The MCAP files of a bag, in their order.
+
+    Raises:
+        RecordingError: no bag, or one that points outside its folder.
+        UnfinishedError: a folder without `metadata.yaml`.
+    """
+    if not path.exists():
+        raise RecordingError(f"{path}: no such file or folder")
+    if not path.is_dir():
+        return (path,)
+    metadata = path / METADATA_FILE
+    if not metadata.exists():
+        if any(path.glob("*.mcap")):
+            raise UnfinishedError(
+                f"{path}: was not finished (no {METADATA_FILE}; the recorder was killed?); "
+                f"`mtcal recover {path}` makes it whole"
+            )
+        raise RecordingError(f"{path}: is no recording: neither {METADATA_FILE} nor an .mcap file is in it")
+    return tuple(_inside(path, name) for name in _file_names(metadata))
+
+
+def _file_names(metadata: Path) -> list[str]:
+    try:
+        value = load_yaml(read_text(metadata, _LARGEST_METADATA), str(metadata)).value
+    except SessionError as error:
+        raise RecordingError(str(error)) from None
+    information = value.get("rosbag2_bagfile_information") if isinstance(value, dict) else None
+    if not isinstance(information, dict):
+        raise RecordingError(f"{metadata}: no rosbag2_bagfile_information; this is not a recording")
+    storage = information.get("storage_identifier")
+    if storage != "mcap":
+        raise RecordingError(f"{metadata}: the storage is {storage!r}, not mcap; `ros2 bag convert` can change it")
+    if information.get("compression_mode"):
+        raise RecordingError(
+            f"{metadata}: compressed by rosbag2 ({information['compression_mode']!r}); `ros2 bag convert` can unpack it"
+        )
+    names = information.get("relative_file_paths")
+    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
+        raise RecordingError(f"{metadata}: relative_file_paths must be a list of files")
+    return names
+
+
+def _inside(folder: Path, name: str) -> Path:
+    """A file of the bag.
+
+    Raises:
+        RecordingError: it is not there, or not in the folder.
+    """
+    pure = PurePosixPath(name)
+    # bags of old distributions name the folder too
+    candidates = [folder / pure, folder / pure.name]
+    root = folder.resolve()
+    for candidate in candidates:
+        if pure.is_absolute() or "\0" in name or not candidate.resolve().is_relative_to(root):
+            raise RecordingError(f"{folder / METADATA_FILE}: the file {name!r} is outside the bag's folder")
+        if candidate.is_file():
+            return candidate
+    raise RecordingError(f"{folder / METADATA_FILE}: the file {name!r} is not there")
+
+
+def _merge(readers: list[McapReader]) -> dict[str, Topic]:
+    topics: dict[str, Topic] = {}
+    for reader in readers:
+        known = reader.summary.channels
+        for number, channel in known.channels.items():
+            count = reader.summary.counts.get(number, 0)
+            schema = known.schemas.get(channel.schema_id)
+            kind = known.type_of(channel)
+            before = topics.get(channel.topic)
+            if before is not None and before.type != kind:
+                raise RecordingError(f"{reader.path}: {channel.topic} has two types, {before.type!r} and {kind!r}")
+            topics[channel.topic] = Topic(
+                name=channel.topic,
+                type=kind,
+                encoding=channel.message_encoding,
+                definition=schema.data.decode("utf-8", "replace") if schema else "",
+                schema_encoding=schema.encoding if schema else "",
+                type_hash=channel.metadata.get("topic_type_hash", ""),
+                qos=_qos(channel),
+                messages=count + (before.messages if before else 0),
+            )
+    return topics
+
+
+def _qos(channel: Channel) -> tuple[Qos, ...]:
+    try:
+        return parse_qos(load_yaml(channel.metadata.get("offered_qos_profiles", ""), channel.topic).value)
+    except SessionError:
+        return ()  # only for people; a bag is readable without it

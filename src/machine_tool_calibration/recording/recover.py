@@ -1,0 +1,203 @@
+"""A valid bag from what a killed recorder left, or from a damaged file."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from mcap.opcode import Opcode
+from mcap.records import Channel, Schema
+
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.recording.errors import RecordingError, UnfinishedError
+from machine_tool_calibration.recording.mcap_file import MAGIC
+from machine_tool_calibration.recording.mcap_reader import Channels
+from machine_tool_calibration.recording.qos import Qos, parse_qos
+from machine_tool_calibration.recording.records import (
+    Budget,
+    RawMessage,
+    RawRecord,
+    message_of,
+    messages_in,
+    records,
+    unpack_chunk,
+)
+from machine_tool_calibration.recording.writer import BagWriter
+from machine_tool_calibration.session.yaml_text import load_yaml
+
+__all__ = ["Recovered", "recover"]
+
+
+@dataclass(frozen=True)
+class Recovered:
+    """What was saved.
+
+    Attributes:
+        folder: the new bag.
+        files: files that were read.
+        messages: messages that were saved.
+        topics: number of topics.
+        first: time of the first message, ns.
+        last: time of the last message, ns.
+        lost_bytes: bytes at the files' ends, and of damaged chunks, that could not be read.
+        problems: one line for each place that was damaged.
+    """
+
+    folder: Path
+    files: tuple[Path, ...]
+    messages: int
+    topics: int
+    first: int
+    last: int
+    lost_bytes: int
+    problems: tuple[str, ...]
+
+
+def recover(path: Path, output: Path) -> Recovered:
+    """Write a new bag with all that is whole in an unfinished or damaged one; the old one is only read.
+
+    Args:
+        path: a bag folder or an `.mcap` file.
+        output: the new bag's folder, which must not exist.
+
+    Raises:
+        RecordingError: nothing can be saved, or the new bag cannot be written.
+    """
+    path = Path(path)
+    files = _files(path)
+    if not any(_has_magic(file) for file in files):
+        raise RecordingError(f"{path}: nothing can be saved: no file begins as an MCAP file does")
+    problems: list[str] = []
+    lost = 0
+    with BagWriter(output) as bag:
+        for file in files:
+            salvage = _Salvage(file)
+            for channel, schema, message in salvage.messages():
+                if channel.topic not in {topic.name for topic in bag.topics}:
+                    _add(bag, channel, schema)
+                bag.write(channel.topic, message.data, message.log_time, message.publish_time, message.sequence)
+            problems += salvage.problems
+            lost += salvage.lost
+        bag.flush()
+        summaries = bag.summaries
+        topics = len(bag.topics)
+    saved = [summary for summary in summaries if summary.messages]
+    return Recovered(
+        folder=Path(output),
+        files=tuple(files),
+        messages=sum(summary.messages for summary in saved),
+        topics=topics,
+        first=min((summary.first for summary in saved), default=0),
+        last=max((summary.last for summary in saved), default=0),
+        lost_bytes=lost,
+        problems=tuple(problems),
+    )
+
+
+def _files(path: Path) -> list[Path]:
+    if not path.exists():
+        raise RecordingError(f"{path}: no such file or folder")
+    if not path.is_dir():
+        return [path]
+    files = sorted(path.glob("*.mcap"), key=_number)
+    if not files:
+        raise RecordingError(f"{path}: no .mcap file is in this folder")
+    return files
+
+
+def _number(path: Path) -> tuple[int, str]:
+    """Files of a split recording in the order of their numbers."""
+    match = re.search(r"_(\d{1,9})$", path.stem)
+    return (int(match.group(1)) if match else -1, path.name)
+
+
+def _has_magic(path: Path) -> bool:
+    try:
+        with path.open("rb") as stream:
+            return stream.read(len(MAGIC)) == MAGIC
+    except OSError:
+        return False
+
+
+def _add(bag: BagWriter, channel: Channel, schema: Schema | None) -> None:
+    bag.add_topic(
+        channel.topic,
+        schema.name if schema else "",
+        qos=_qos(channel),
+        definition=schema.data.decode("utf-8", "replace") if schema else "",
+        type_hash=channel.metadata.get("topic_type_hash", ""),
+        encoding=channel.message_encoding,
+        schema_encoding=schema.encoding if schema else "",
+    )
+
+
+def _qos(channel: Channel) -> tuple[Qos, ...]:
+    try:
+        return parse_qos(load_yaml(channel.metadata.get("offered_qos_profiles", ""), channel.topic).value)
+    except SessionError:
+        return ()
+
+
+class _Salvage:
+    """Reads what is whole in one file; a damaged chunk costs itself, a damaged length the rest of the file."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.problems: list[str] = []
+        self.lost = 0
+        self._channels = Channels(path)
+
+    def messages(self) -> Iterator[tuple[Channel, Schema | None, RawMessage]]:
+        if not _has_magic(self.path):
+            size = self.path.stat().st_size
+            self._problem("does not begin as an MCAP file does", size)
+            return
+        for entry in self._entries():
+            if isinstance(entry, RawRecord):
+                self._channels.take(entry)
+                continue
+            channel = self._channels.channels.get(entry.channel)
+            if channel is None:
+                self._problem(f"a message of a channel {entry.channel} that was never registered", len(entry.data))
+                continue
+            yield channel, self._channels.schemas.get(channel.schema_id), entry
+
+    def _entries(self) -> Iterator[RawMessage | RawRecord]:
+        end = 0
+        try:
+            with self.path.open("rb") as stream:
+                budget = Budget(self.path)
+                for record in records(self.path, stream):
+                    yield from self._whole(record, budget)
+                    end = record.offset + 9 + record.length
+                    if record.opcode == Opcode.DATA_END:
+                        return
+        except UnfinishedError:
+            self._problem("the end is missing", self.path.stat().st_size - max(end, len(MAGIC)))
+        except RecordingError as error:
+            self._problem(_reason(error, self.path), self.path.stat().st_size - max(end, len(MAGIC)))
+        except OSError as error:
+            self._problem(f"cannot be read: {error.strerror}", 0)
+
+    def _whole(self, record: RawRecord, budget: Budget) -> list[RawMessage | RawRecord]:
+        """A record's messages and registrations; none where it is damaged."""
+        try:
+            if record.opcode == Opcode.CHUNK:
+                return list(messages_in(self.path, record, unpack_chunk(self.path, record, budget), None))
+            if record.opcode == Opcode.MESSAGE:
+                return [message_of(self.path, record)]
+        except RecordingError as error:
+            self._problem(_reason(error, self.path), record.length)
+            return []
+        return [record] if record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL) else []
+
+    def _problem(self, what: str, lost: int) -> None:
+        self.lost += lost
+        if len(self.problems) < 100:
+            self.problems.append(f"{self.path.name}: {what}")
+
+
+def _reason(error: RecordingError, path: Path) -> str:
+    return str(error).removeprefix(f"{path}: ").split(";")[0]
