@@ -32,9 +32,9 @@ One tracking reading at a time, as the nodes need it::
     path = sensed_path(actual_target, origin, direction)      # open loop
     path = distance(actual_target, true_station)              # a beam that follows the target
 
-`LiveMachine` adds flaws, time and temperature to that (see `live.py`). Other instruments: `mirror_path` (laser on a flat
-mirror), `probed` (stylus sphere on a surface). Other plans: `DiagonalPlan`, `RotaryPlan`, `ProbingPlan`, `DirectPlan`;
-`PRESETS` holds those of the papers by name.
+`LiveMachine` adds flaws, time and temperature to that (see `live.py`). Other instruments: `mirror_path` (a laser on a
+flat mirror), `probed` (a stylus sphere on a surface). Other plans: `DiagonalPlan`, `RotaryPlan`, `ProbingPlan`,
+`DirectPlan`; `PRESETS` holds those of the papers by name.
 """
 
 from machine_tool_calibration.simulation.diagonal_run import DiagonalPlan

@@ -23,8 +23,8 @@ class Sight:
             target, m.
         direction: (n, 3) unit vector along which a displacement is sensed.
         azimuth: (n,) azimuth of that direction (of the commanded beam, for a pointer), rad.
-        incidence: (n,) angle at the retroreflector between the beam and the retroreflector's axis,
-            about the vertical, rad.
+        incidence: (n,) direction from which the beam meets the retroreflector, in the frame that carries
+            it: an azimuth in the plane or on a table, an angle to the spindle's axis in space, rad.
         change: (n,) path minus that of the run's first reading, m.
     """
 

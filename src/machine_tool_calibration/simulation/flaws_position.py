@@ -11,6 +11,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.simulation.disturbance import Disturbance
 from machine_tool_calibration.simulation.flaw import Flaw, Parameters
 from machine_tool_calibration.simulation.motions import COMPONENTS, Table, constant, random_periodic, random_smooth
+from machine_tool_calibration.simulation.rotation import rotate
 from machine_tool_calibration.simulation.scene import Scene
 
 __all__ = ["POSITION_FLAWS"]
@@ -90,7 +91,7 @@ def shaped(name: str, size: float, parameters: Parameters, ends: Mapping[str, tu
         return random_periodic(rng, size) if shape == "random" else constant(0.0, 2 * np.pi, size)
     low, high = ends.get(axis, (0.0, 1.0))
     if shape == "random":
-        return random_smooth(np.random.default_rng(int(parameters["seed"])), low, high, size)
+        return random_smooth(np.random.default_rng(int(parameters["seed"])), low, high, size, knots=5)
     nodes = np.linspace(low, high, 33)
     u = 2.0 * (nodes - low) / (high - low) - 1.0
     shapes = {"constant": np.ones(33), "linear": u, "quadratic": u**2, "sine": np.sin(np.pi * u)}
@@ -100,20 +101,30 @@ def shaped(name: str, size: float, parameters: Parameters, ends: Mapping[str, tu
 
 
 def _motion(name: str) -> Flaw:
+    angular, axis = name[1] in "ABC", name[-1]
+
     def disturb(size: float, parameters: Parameters, scene: Scene) -> Disturbance:
-        return Disturbance(tables=((name, shaped(name, size, parameters, scene.ends)),))
+        table = shaped(name, size, parameters, scene.ends)
+        if parameters.get("about", "chain") == "chain":
+            return Disturbance(tables=((name, table),))
+        if parameters["about"] != "zero":
+            raise CalibrationError(f"{name}: about is {parameters['about']!r}, neither chain nor zero")
+        arm = scene.position * (np.arange(3) != "XYZ".index(axis))
+        turned = rotate(arm, table(scene.along(axis))[:, None] * np.eye(3)["ABC".index(name[1])])
+        return Disturbance(point=turned - arm)
 
     def draw(rng: np.random.Generator, _: Scene | None) -> dict[str, Any]:
         return {"seed": int(rng.integers(2**31))}
 
-    angular, axis = name[1] in "ABC", name[-1]
     return Flaw(
         name,
-        f"error motion {name} as a smooth function of {axis.lower()}, largest absolute value size",
+        f"error motion {name} as a smooth function of {axis.lower()}, largest absolute value size"
+        + ("; about: chain (rigid bodies) or zero (the carriage turns about the machine's zero)"
+           if angular and axis != "C" else ""),
         "rad" if angular else "m",
         2e-5 if angular else 3e-6,
         disturb,
-        {"shape": "random"},
+        {"shape": "random", "about": "chain"} if angular and axis != "C" else {"shape": "random"},
         draw,
         ("rotary_axis", "probing") if axis == "C" else LINEAR,
     )

@@ -143,8 +143,8 @@ READING_FLAWS: tuple[Flaw, ...] = (
     Flaw("table_thermal_growth", "targets move out by size * (temperature_table - 20) * radius, and up by axial times "
          "that of their height", "1/K", 1.2e-5, _table_growth, {"axial": 1.0, "reference": 20.0},
          methods=("rotary_axis",)),
-    Flaw("workpiece_thermal", "workpiece grows by size * (temperature_work - 20)", "1/K", 1.2e-5, _workpiece_growth,
-         {"reference": 20.0}, methods=("probing", "direct")),
+    Flaw("workpiece_thermal", "workpiece grows by size * (temperature_work - 20) about the table's centre", "1/K",
+         1.2e-5, _workpiece_growth, {"reference": 20.0}, methods=("probing", "direct")),
     Flaw("probe_pretravel", "reading: size * sum of w cos(k direction of the normal + phase)", "m", 3e-6, _pretravel,
          {"orders": [2, 3], "weights": [1.0, 0.6]}, _phases, ("probing",)),
 )

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from machine_tool_calibration.errors import CalibrationError, ModelError
 from machine_tool_calibration.machine.chain import Chain
+from machine_tool_calibration.session.yaml_text import load_yaml
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.motions import AxisMotion, Table
 from machine_tool_calibration.simulation.random_machine import Amplitudes, random_machine
 
-__all__ = ["MachineSpec", "TableSpec", "build_machine", "machine_document", "read_machine"]
+__all__ = ["MachineSpec", "TableSpec", "build_machine", "machine_document", "one_line", "read_machine", "read_record"]
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+R = TypeVar("R", bound=BaseModel)
 
 
 class _Record(BaseModel):
@@ -127,17 +128,27 @@ def read_machine(path: Path | str) -> MachineSpec:
     Raises:
         CalibrationError: the file cannot be read or a key or value is wrong; the message names it.
     """
-    path = Path(path)
+    return read_record(Path(path), MachineSpec)
+
+
+def read_record(path: Path, record: type[R]) -> R:
+    """A record from a YAML file.
+
+    Raises:
+        CalibrationError: the file cannot be read, or a key or value is wrong; one line names file, line and key.
+    """
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise CalibrationError(f"{path}: cannot be read: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise CalibrationError(f"{path}: not YAML: {' '.join(str(error).split())}") from None
+    except UnicodeDecodeError:
+        raise CalibrationError(f"{path}: not a text file") from None
+    document = load_yaml(text, str(path))
     try:
-        return MachineSpec.model_validate(content if content is not None else {})
+        return record.model_validate(document.value if document.value is not None else {})
     except ValidationError as error:
-        raise CalibrationError(f"{path}: {one_line(error)}") from None
+        line = document.line(tuple(error.errors()[0]["loc"]))
+        raise CalibrationError(f"{path}{'' if line is None else f' line {line}'}: {one_line(error)}") from None
 
 
 def one_line(error: ValidationError) -> str:

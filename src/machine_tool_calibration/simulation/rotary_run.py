@@ -120,8 +120,7 @@ def plan_rotary(plan: RotaryPlan, environment: Environment, rng: np.random.Gener
         source = station[setup] if disturbance.station is None else station[setup] + disturbance.station
         path = distance(actual, source)
         azimuth, _ = aim(source, actual)
-        axis = machine.table_direction(target[label], angle, plan.axis)  # a retroreflector looks away from the axis
-        incidence = np.angle(np.exp(1j * (azimuth + np.pi - np.arctan2(axis[:, 1], axis[:, 0]))))
+        incidence = azimuth - machine.rotation_sign * angle  # the retroreflectors turn with the table
         sight = Sight(path, (actual - source) / path[:, None], azimuth, incidence, since_first(path, run))
         return path + disturbance.added(sight)
 

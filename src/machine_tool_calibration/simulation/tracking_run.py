@@ -122,7 +122,6 @@ def plan_tracking(plan: TrackingPlan, environment: Environment, rng: np.random.G
     scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, environment(time),
                   rates=environment.rate(time), ends=plan.travel())
     azimuth, elevation = aim(estimate[setup], position, plan.dimension)
-    centre = targets.mean(axis=0)
     pointer = plan.pointer()
 
     def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
@@ -137,8 +136,8 @@ def plan_tracking(plan: TrackingPlan, environment: Environment, rng: np.random.G
             turn = 0.0 if disturbance.turn is None else disturbance.turn
             origin, direction = pointer.beam(azimuth, elevation, station, turn)
             path = sensed_path(actual, origin, direction)
-        facing = aim(truth[setup], np.broadcast_to(centre, position.shape), plan.dimension)[0]
-        incidence = np.angle(np.exp(1j * (azimuth - facing)))
+        # the spindle does not turn: in the plane the beam's azimuth counts, in space its angle to the spindle
+        incidence = azimuth if plan.dimension == 2 else np.arccos(np.clip(direction[:, 2], -1.0, 1.0))
         first = np.unique(setup, return_index=True)[1]
         sight = Sight(path, direction, azimuth, incidence, path - path[first][setup])
         return path + disturbance.added(sight)

@@ -1,0 +1,204 @@
+"""`mtcal simulate`: a session of any method from the virtual machine, with the truth beside it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from machine_tool_calibration.cli.output import console, json_option, to_json, write_json
+from machine_tool_calibration.errors import CalibrationError
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.simulation import Simulated, SimulationSpec
+
+__all__ = ["command"]
+
+_SHOWN = (("m", 1e6, "µm"), ("rad", 1e6, "µrad"), ("1/K", 1e6, "µm/(m K)"), ("m/s", 3.6e9, "µm/h"))
+METHODS = ("step_diagonal", "tracking_interferometer", "rotary_axis", "probing", "direct")
+
+
+@click.command("simulate", no_args_is_help=True)
+@click.argument("paths", nargs=-1, metavar="[SPEC.yaml] FOLDER", type=click.Path(path_type=Path))
+@click.option("--method", type=click.Choice(METHODS), help="Measuring method, with its usual plan.")
+@click.option("--preset", metavar="NAME", help="A named plan; --list shows them.")
+@click.option("--dimension", type=click.Choice(["2", "3"]), help="Tracking interferometer in the plane or in space.")
+@click.option("--plan", "settings", multiple=True, metavar="KEY=VALUE",
+              help="Another value of the plan, such as repeats=3 or pointing=tracking. May be repeated.")
+@click.option("--effect", "effects", multiple=True, metavar="ID[:KEY=VALUE,…]",
+              help="Put an effect in, such as backlash_y or warmup_x:size=4e-6,tau=900. May be repeated.")
+@click.option("--size", type=float, help="Size of the one effect: the coefficient of its formula, in its unit.")
+@click.option("--amplitude", type=float, help="Or the largest change of a reading that it shall make, m.")
+@click.option("--machine", type=click.Path(path_type=Path), help="True errors of the machine (YAML); random otherwise.")
+@click.option("--seed", type=click.IntRange(min=0), help="Of all that is random; 0 if not given.")
+@click.option("--noise", type=float, help="Standard uncertainty of a reading, m, as declared.")
+@click.option("--noise-factor", type=float, help="Actual noise over the declared one; 0: none.")
+@click.option("--repeatability", type=float, help="Standard deviation of the machine's position at each visit, m.")
+@click.option("--spread", type=float, help="Slope and bow of each mounting, standard deviation, m.")
+@click.option("--chips", type=click.FloatRange(0, 1), help="Fraction of readings with a gross error.")
+@click.option("--missing", type=click.FloatRange(0, 1, max_open=True), help="Fraction of readings that are lost.")
+@click.option("--overwrite", is_flag=True, help="Replace a session that is already in the folder.")
+@click.option("--list", "listed", is_flag=True, help="List presets and effects, and stop.")
+@json_option
+def command(
+    paths: tuple[Path, ...],
+    method: str | None,
+    preset: str | None,
+    dimension: str | None,
+    settings: tuple[str, ...],
+    effects: tuple[str, ...],
+    size: float | None,
+    amplitude: float | None,
+    machine: Path | None,
+    seed: int | None,
+    spread: float | None,
+    chips: float | None,
+    overwrite: bool,
+    listed: bool,
+    as_json: bool,
+    **numbers: float | None,
+) -> None:
+    r"""Simulate a measurement on a virtual machine.
+
+    Readings are computed from geometry: true distances, tilted mirrors, a stylus sphere on a surface, a machine with
+    smooth errors. FOLDER gets session.yaml and observations.csv, as from a real measurement, and truth.json, which says
+    what was put in: for judging a result, never an input to it. The same options and seed give the same session.
+
+    \b
+    mtcal simulate --method tracking_interferometer --dimension 3 --seed 5 --effect backlash_y --size 2e-6 OUT
+    mtcal simulate --preset probing_cam --effect workpiece_thermal --amplitude 6e-6 OUT
+    mtcal simulate --method step_diagonal --plan "orders=[xyz, yzx, zxy]" --spread 2e-7 OUT
+    mtcal simulate SPEC.yaml OUT
+
+    A SPEC.yaml holds `plan` (with its `method`), `seed`, `machine`, `effects` and so on; options come on top of it.
+    """
+    from machine_tool_calibration.simulation import simulate
+    from machine_tool_calibration.simulation.options import parse_effect, parse_setting, read_spec, spec_from
+
+    if listed:
+        _list(as_json)
+        return
+    if not 1 <= len(paths) <= 2:
+        raise click.UsageError("Give the FOLDER to write, and a SPEC.yaml before it if there is one.")
+    plan = dict(parse_setting(text) for text in settings)
+    if dimension is not None:
+        plan["dimension"] = int(dimension)
+    chosen = [parse_effect(text) for text in effects]
+    if size is not None or amplitude is not None:
+        if len(chosen) != 1:
+            raise click.UsageError("--size and --amplitude go with one --effect; else write --effect ID:size=VALUE.")
+        chosen[0] |= {k: v for k, v in (("size", size), ("amplitude", amplitude)) if v is not None}
+    fields: dict[str, Any] = {name: value for name, value in numbers.items() if value is not None}
+    if seed is not None:
+        fields["seed"] = seed
+    if spread is not None:
+        fields["spread"] = {"slope": spread, "bow": spread}
+    if chips is not None:
+        fields["chips"] = {"fraction": chips}
+    spec = spec_from(
+        read_spec(paths[0]) if len(paths) == 2 else None,
+        method=method,
+        preset=preset,
+        plan=plan,
+        machine=machine,
+        effects=chosen,
+        fields=fields,
+    )
+    simulated = simulate(spec)
+    _write(simulated, spec, paths[-1], overwrite)
+    summary = _summary(simulated, paths[-1])
+    if as_json:
+        write_json(summary)
+    else:
+        _show(summary, simulated)
+
+
+def _write(simulated: Simulated, spec: SimulationSpec, folder: Path, overwrite: bool) -> None:
+    from machine_tool_calibration.session.writer import write_session
+
+    truth = folder / "truth.json"
+    if truth.exists() and not overwrite:
+        raise CalibrationError(f"{folder}: holds a truth.json already; choose another folder, or --overwrite")
+    write_session(simulated.session, folder, overwrite=overwrite)
+    document = simulated.truth.document() | {"spec": spec.model_dump(mode="json", exclude_unset=True)}
+    part = truth.with_name("truth.json.part")
+    part.write_text(to_json(document) + "\n", encoding="utf-8")
+    part.replace(truth)
+
+
+def _summary(simulated: Simulated, folder: Path) -> dict[str, Any]:
+    session, truth = simulated.session, simulated.truth
+    missing = int((session.readings.displacement != session.readings.displacement).sum())
+    return {
+        "format": "mtcal-simulation/1",
+        "folder": str(folder),
+        "method": session.method,
+        "seed": truth.seed,
+        "observations": len(session.readings),
+        "missing": missing,
+        "outliers": len(truth.outliers),
+        "setups": list(session.setup_ids),
+        "standard_uncertainty": session.sigma,
+        "effects": [chosen.document() for chosen in truth.effects],
+        "amplitude": float(abs(truth.signal).max(initial=0.0)),
+    }
+
+
+def _show(summary: dict[str, Any], simulated: Simulated) -> None:
+    out = console()
+    lost = f", {summary['missing']} of them missing" if summary["missing"] else ""
+    gross = f", {summary['outliers']} with a gross error" if summary["outliers"] else ""
+    out.print(f"{summary['method']}: {summary['observations']} readings{lost}{gross}, "
+              f"{len(summary['setups'])} setups ({', '.join(summary['setups'])}), seed {summary['seed']}")
+    out.print(f"standard uncertainty of a reading {summary['standard_uncertainty'] * 1e6:.3g} µm")
+    for chosen in simulated.truth.effects:
+        extra = ", ".join(f"{key} {_short(value)}" for key, value in chosen.parameters.items())
+        size = _sized(chosen.size, chosen.flaw.unit)
+        out.print(f"effect {chosen.flaw.id}: size {size}{f' ({extra})' if extra else ''}")
+    if simulated.truth.effects:
+        out.print(f"the effects change the readings by up to {summary['amplitude'] * 1e6:.3g} µm")
+    else:
+        out.print("no effect beyond the machine's own errors")
+    out.print(f"written to {summary['folder']}: session.yaml, observations.csv, truth.json")
+    out.print(f"next: mtcal identify {summary['folder']}")
+
+
+def _sized(value: float, unit: str) -> str:
+    """A size as people write it: micrometres, microradians, ppm a kelvin."""
+    for plain, factor, shown in _SHOWN:
+        if unit == plain and abs(value * factor) < 1e5:
+            return f"{value * factor:.4g} {shown}"
+    return f"{value:.4g}" + ("" if unit == "1" else f" {unit}")
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return "[" + ", ".join(_short(v) for v in value) + "]" if isinstance(value, list | tuple) else str(value)
+
+
+def _list(as_json: bool) -> None:
+    from rich.table import Table
+
+    from machine_tool_calibration.simulation import FLAWS, PRESETS
+
+    if as_json:
+        write_json({
+            "presets": {name: plan.method for name, plan in PRESETS.items()},
+            "effects": [
+                {"id": f.id, "formula": f.formula, "unit": f.unit, "typical": f.typical, "methods": f.methods,
+                 "listed": f.listed} for f in FLAWS.values()
+            ],
+        })
+        return
+    out = console()
+    presets = Table("preset", "method", box=None, header_style="bold")
+    for name, plan in PRESETS.items():
+        presets.add_row(name, plan.method)
+    table = Table("effect", "what it does", "typical size", box=None, header_style="bold")
+    for flaw in FLAWS.values():
+        table.add_row(flaw.id, flaw.formula, _sized(flaw.typical, flaw.unit))
+    out.print(presets)
+    out.print()
+    out.print(table)

@@ -1,0 +1,107 @@
+"""A spec from what is said on a command line: presets, plan keys, effects with their parameters."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.session.yaml_text import load_yaml
+from machine_tool_calibration.simulation.machine_file import one_line, read_machine, read_record
+from machine_tool_calibration.simulation.plans import PLANS, PRESETS
+from machine_tool_calibration.simulation.spec import SimulationSpec
+
+__all__ = ["parse_effect", "parse_setting", "read_spec", "spec_from"]
+
+_COMMA = re.compile(r",(?![^\[]*\])")  # not one inside a list
+
+
+def read_spec(path: Path | str) -> SimulationSpec:
+    """The simulation that a YAML file describes.
+
+    Raises:
+        CalibrationError: one line that names file, line and key.
+    """
+    return read_record(Path(path), SimulationSpec)
+
+
+def parse_setting(text: str) -> tuple[str, Any]:
+    """`key=value` with a value in YAML, such as `repeats=3` or `stations=[[0, 0, 0], [1, 0, 0]]`.
+
+    Raises:
+        CalibrationError: no `=` or a value that is not YAML.
+    """
+    key, equals, value = text.partition("=")
+    if not equals or not key.strip():
+        raise CalibrationError(f"{text!r} is not KEY=VALUE")
+    return key.strip(), load_yaml(value, f"the value of {key.strip()}").value
+
+
+def parse_effect(text: str) -> dict[str, Any]:
+    """`ID` or `ID:size=2e-6,tau=900` as the mapping of a `FlawSpec`.
+
+    Raises:
+        CalibrationError: something after the colon is not `key=value`.
+    """
+    name, _, rest = text.partition(":")
+    spec: dict[str, Any] = {"id": name.strip()}
+    parameters: dict[str, Any] = {}
+    for part in filter(None, (p.strip() for p in _COMMA.split(rest))):
+        key, value = parse_setting(part)
+        (spec if key in ("size", "amplitude") else parameters)[key] = value
+    return spec | ({"parameters": parameters} if parameters else {})
+
+
+def spec_from(
+    base: SimulationSpec | None,
+    *,
+    method: str | None = None,
+    preset: str | None = None,
+    plan: Mapping[str, Any] | None = None,
+    machine: Path | str | None = None,
+    effects: Sequence[Mapping[str, Any]] = (),
+    fields: Mapping[str, Any] | None = None,
+) -> SimulationSpec:
+    """A spec from options, on top of one that was read from a file.
+
+    Args:
+        base: the file's spec, if there is one.
+        method: method of a plan without preset.
+        preset: name of a plan in `PRESETS`.
+        plan: keys of the plan that differ.
+        machine: YAML file of the machine's true errors.
+        effects: mappings of `FlawSpec`; they add to the file's.
+        fields: other fields of `SimulationSpec` that differ.
+
+    Raises:
+        CalibrationError: an unknown preset or method, a value out of range, neither file nor method nor preset.
+    """
+    if preset is not None and preset not in PRESETS:
+        raise CalibrationError(f"no preset {preset!r}; there are {', '.join(PRESETS)}")
+    if method is not None and method not in PLANS:
+        raise CalibrationError(f"no method {method!r}; there are {', '.join(PLANS)}")
+    if preset is not None:
+        chosen = PRESETS[preset]
+        if method is not None and chosen.method != method:
+            raise CalibrationError(f"preset {preset} is of the method {chosen.method}, not {method}")
+        planned = chosen.model_dump(exclude_unset=True) | {"method": chosen.method}
+    elif method is not None and (base is None or base.plan.method != method):
+        planned = {"method": method}
+    elif base is not None:
+        planned = base.plan.model_dump(exclude_unset=True) | {"method": base.plan.method}
+    else:
+        raise CalibrationError("say what to simulate: a SPEC.yaml, --method or --preset")
+    content: dict[str, Any] = base.model_dump(exclude_unset=True, exclude={"plan"}) if base is not None else {}
+    content |= {"plan": planned | dict(plan or {}), **(fields or {})}
+    if machine is not None:
+        content["machine"] = read_machine(machine)
+    if effects:
+        content["effects"] = [*content.get("effects", ()), *effects]
+    try:
+        return SimulationSpec.model_validate(content)
+    except ValidationError as error:
+        raise CalibrationError(one_line(error)) from None
