@@ -64,6 +64,20 @@ YAML_DEFECTS: list[tuple[str, str, str, str]] = [
         ".nan",
         "session.yaml line 14: setups[0].position[0] must be a finite number, not nan",
     ),
+    (
+        "tracking_2d",
+        "id: B",
+        "id: nan",
+        "session.yaml line 16: setups[1].id: 'nan' cannot be an id: printable text without spaces at its ends, and not "
+        "nan",
+    ),
+    (
+        "tracking_2d",
+        "id: B",
+        "id: ''",
+        "session.yaml line 16: setups[1].id: '' cannot be an id: printable text "
+        "without spaces at its ends, and not nan",
+    ),
     ("tracking_2d", "id: B", "id: A", "session.yaml: setups has the id 'A' twice"),
     (
         "tracking_2d",

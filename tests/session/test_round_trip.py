@@ -107,6 +107,10 @@ def test_an_existing_session_is_not_overwritten(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["observations.csv", "session.yaml"]
 
 
+def is_identifier(text: str) -> bool:
+    return text.isprintable() and text == text.strip() and text not in "BCD" and text.lower() != "nan"
+
+
 finite = st.floats(allow_nan=False, allow_infinity=False)
 
 
@@ -115,7 +119,7 @@ finite = st.floats(allow_nan=False, allow_infinity=False)
     x=finite,
     position=st.tuples(finite, finite, finite),
     sigma=st.floats(min_value=5e-324, max_value=1e300),
-    identifier=st.text(min_size=1, max_size=8),
+    identifier=st.text(min_size=1, max_size=8).filter(is_identifier),
 )
 def test_any_description_comes_back(
     x: float, position: tuple[float, float, float], sigma: float, identifier: str
@@ -129,6 +133,4 @@ def test_any_description_comes_back(
             "standard_uncertainty": description.standard_uncertainty.model_copy(update={"displacement": sigma}),
         }
     )
-    if identifier in "BCD":
-        return
     assert parse_description(description_yaml(changed), "session.yaml") == changed

@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from machine_tool_calibration.machine.chain import Chain
 
@@ -29,7 +29,19 @@ __all__ = [
     "WorkpiecePoint",
 ]
 
-Identifier = Annotated[str, BeforeValidator(lambda v: str(v) if isinstance(v, int) and not isinstance(v, bool) else v)]
+
+def _check_identifier(text: str) -> str:
+    """Only what comes back from a CSV field as it was."""
+    if not text or len(text) > 256 or text != text.strip() or not text.isprintable() or text.lower() == "nan":
+        raise ValueError(f"{text[:40]!r} cannot be an id: printable text without spaces at its ends, and not nan")
+    return text
+
+
+Identifier = Annotated[
+    str,
+    BeforeValidator(lambda v: str(v) if isinstance(v, int) and not isinstance(v, bool) else v),
+    AfterValidator(_check_identifier),
+]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Vector3 = tuple[Finite, Finite, Finite]
