@@ -19,22 +19,22 @@ def leverage(fit: Fit) -> Array:
         layout = part.groups[group]
         rows = part.rows(group, chunk, solution.theta, solution.local[fit.index])
         p, slots, n = rows.block.shape
-        dense = rows.dense.shape[0]
-        d = rows.local.shape[0]
-        index = np.concatenate([part.block_index[layout.block].reshape(-1), part.dense_index])
+        d, dense = rows.local.shape[0], rows.dense.shape[0]
+        index = part.columns(group)
         inner = solution.covariance[np.ix_(index, index)]
         taken = np.zeros((slots, n))
-        response = np.zeros((slots * p + dense, d, n))
+        response = np.zeros((len(index), d, n))
         if d:
             factor, _ = cholesky(local_normal(rows))
-            response = backward(factor, forward(factor, local_columns(rows)[:-1]))
+            response = backward(factor, forward(factor, local_columns(rows, layout.place)[:-1]))
             half = forward(factor, rows.local.transpose(1, 0, 2).copy())
             taken += np.einsum("sdn,sdn->sn", half, half)
         for s in range(slots):
             # Columns of this reading with the point's own unknowns projected off.
             column = -np.einsum("cdn,dn->cn", response, rows.local[:, s]) if d else np.zeros((len(index), n))
-            column[s * p : (s + 1) * p] += rows.block[:, s]
-            column[slots * p :] += rows.dense[:, s]
+            first = int(layout.place[s]) * p
+            column[first : first + p] += rows.block[:, s]
+            column[len(index) - dense :] += rows.dense[:, s]
             taken[s] += np.einsum("cn,cn->n", column, inner @ column)
         where = layout.rows[:, chunk]
         there = where >= 0

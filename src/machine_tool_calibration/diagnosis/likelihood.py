@@ -16,7 +16,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.estimation.projection import Projected
 
-__all__ = ["Data", "Likelihoods", "Reduced", "observed", "reduce", "scan", "simulate"]
+__all__ = ["Data", "Likelihoods", "Reduced", "directions", "observed", "reduce", "scan", "simulate", "weighted_products"]
 
 # Variance of the spread's coefficients in units of the readings' variance.
 RATIOS = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
@@ -201,3 +201,23 @@ def simulate(reduced: Reduced, ratio: Array, variance: float, count: int, rng: n
     squares = squares + 2 * np.einsum("ub,ub->b", coefficients, noise[k:]) + np.einsum("ub,ub->b", coefficients, moved[k:])
     root_variance = np.sqrt(variance)
     return Data((noise + moved) * root_variance, squares * variance)
+
+
+def weighted_products(reduced: Reduced, block: slice, data: Data, ratio: tuple[float, ...]) -> tuple[Array, Array, float]:
+    """Inner products of a block's columns and the first data set, weighted by the spread of the given variances.
+
+    Returns:
+        (k, k) of the columns, (k,) with the data, and the data's squared norm.
+    """
+    k = reduced.n_candidates
+    root = np.sqrt(np.array(ratio))[reduced.family] if len(ratio) else np.zeros(0)
+    inner, right, squares = reduced.gram[block, block], data.products[block, 0], float(data.squares[0])
+    used = np.flatnonzero(root > 0)
+    if len(used):
+        s = root[used]
+        core = np.eye(len(s)) + reduced.gram[k:, k:][np.ix_(used, used)] * np.outer(s, s)
+        lower = np.linalg.cholesky(core)
+        left = np.linalg.solve(lower, s[:, None] * reduced.gram[k + used, block])
+        own = np.linalg.solve(lower, s * data.products[k + used, 0])
+        inner, right, squares = inner - left.T @ left, right - left.T @ own, squares - float(own @ own)
+    return inner, right, squares

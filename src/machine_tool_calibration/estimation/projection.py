@@ -22,11 +22,13 @@ class Projected:
     Attributes:
         gram: (k + 1, k + 1) inner products of the k columns and, last, the residual.
         squares: (k + 1,) squared norms before anything was projected off.
+        after_points: (k + 1,) squared norms once the points' own unknowns have taken their share.
         response: (m, k) change of the model's shared unknowns per unit of each column that it absorbs.
     """
 
     gram: Array
     squares: Array
+    after_points: Array
     response: Array
 
 
@@ -43,4 +45,4 @@ def project(total: Array, squares: Array, covariance: Array, k: int) -> Projecte
     cross = total[:m, m:]
     response = covariance @ cross
     gram = total[m:, m:] - cross.T @ response
-    return Projected((gram + gram.T) / 2, squares[m:], response[:, :k])
+    return Projected((gram + gram.T) / 2, squares[m:], np.diag(total)[m:].copy(), response[:, :k])

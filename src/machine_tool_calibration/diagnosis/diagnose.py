@@ -1,0 +1,229 @@
+"""Which physical effect is missing? Search, test, accept, and say what cannot be known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from machine_tool_calibration.diagnosis.absorbed import absorbed_by
+from machine_tool_calibration.diagnosis.candidates import Candidate, effect_candidates, stack
+from machine_tool_calibration.diagnosis.crossvalidation import CrossValidation, cross_validate
+from machine_tool_calibration.diagnosis.likelihood import observed, reduce
+from machine_tool_calibration.diagnosis.noise import Noise, noise_of
+from machine_tool_calibration.diagnosis.outliers import Outlier, find_outliers
+from machine_tool_calibration.diagnosis.power import detectable_sizes
+from machine_tool_calibration.diagnosis.ranking import Ranked, alias_groups, rank_candidates
+from machine_tool_calibration.diagnosis.significance import search
+from machine_tool_calibration.diagnosis.spread import run_spreads
+from machine_tool_calibration.diagnosis.structure import structure_candidates
+from machine_tool_calibration.effects.catalogue import catalogue, find_effects
+from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.methods.identify import build_model
+from machine_tool_calibration.model.effect_terms import add_effects
+from machine_tool_calibration.model.fit import Fit, fit_models, screen
+from machine_tool_calibration.model.model import MethodModel
+from machine_tool_calibration.session.session import Session
+
+__all__ = ["Absorbed", "Diagnosis", "Look", "Structure", "diagnose"]
+
+_LEVEL = 0.05
+_ROUNDS = 3
+# Structure that is left after the accepted effects speaks against them if it is this share of all that was found.
+_LEFT_OVER = 0.2
+# How much better a structure without a cause must do than the best effect to speak against it.
+_STRUCTURE_MARGIN = 2.0
+# How many of the best effects are held against readings that were left out.
+_VALIDATED = 8
+
+
+@dataclass(frozen=True)
+class Absorbed:
+    """An effect that would not show: the model's own unknowns take it up."""
+
+    effect: str
+    by: str
+
+
+@dataclass(frozen=True)
+class Structure:
+    """How the residuals depend on a covariate."""
+
+    covariate: str
+    shape: str
+    p_value: float
+    share: float
+
+
+@dataclass(frozen=True)
+class Look:
+    """One look at what a fitted model leaves.
+
+    Attributes:
+        fit: of the model.
+        ranked: effects that are not in the model, best first.
+        groups: effects that this data cannot tell apart.
+        absorbed: effects that would not show.
+        structure: what the residuals depend on, most significant first.
+        structure_gain: by how much the information criterion falls at most with a structure.
+        validation: of the best effects, in their order.
+        detectable: smallest size of each effect found with a power of 80 %, by coefficient.
+    """
+
+    fit: Fit
+    ranked: tuple[Ranked, ...]
+    groups: tuple[tuple[str, ...], ...]
+    absorbed: tuple[Absorbed, ...]
+    structure: tuple[Structure, ...]
+    structure_gain: float
+    validation: CrossValidation | None
+    detectable: dict[str, dict[str, float]]
+
+    def winner(self) -> Ranked | None:
+        """The most probable effect that is significant, possible, and predicts readings that were held out."""
+        for k, r in enumerate(self.ranked):
+            if not r.rank or r.family_p_value > _LEVEL or not r.plausible:
+                continue
+            if self.validation is not None and k < _VALIDATED and self.validation.gain(k) <= 0:
+                continue
+            # A structure without a cause that does much better means that the cause is another.
+            return r if r.bic_gain >= self.structure_gain - _STRUCTURE_MARGIN else None
+        return None
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What is missing, what cannot be told apart and what could not have been seen.
+
+    Attributes:
+        session: the measurement, without outliers.
+        verdict: adequate, missing_effect, unexplained or outliers.
+        accepted: effects found, in the order in which they were found.
+        looks: at the first model and after every effect found.
+        noise: what is known of the readings' noise, with the first model.
+        excluded: effects that could not be looked for, with the reason.
+        outliers: readings that were set aside.
+    """
+
+    session: Session
+    verdict: str
+    accepted: tuple[str, ...]
+    looks: tuple[Look, ...]
+    noise: Noise
+    excluded: dict[str, str]
+    outliers: tuple[Outlier, ...]
+
+    @property
+    def ranked(self) -> tuple[Ranked, ...]:
+        """Candidates best first: those accepted, in their order, then the others as the first look ranked them."""
+        first = [next(r for r in look.ranked if r.candidate.name == name) for look, name in zip(self.looks, self.accepted, strict=False)]
+        return tuple(first) + tuple(r for r in self.looks[0].ranked if r.candidate.name not in self.accepted)
+
+
+def diagnose(
+    session: Session,
+    *,
+    model: str | None = None,
+    effects: Sequence[str] = (),
+    own: Sequence[Effect] = (),
+    seed: int = 1,
+    sets: int = 399,
+    progress: Callable[[str, float], None] = lambda what, share: None,
+) -> Diagnosis:
+    """Look for missing effects in a session: at most three, one after the other, then all fitted together.
+
+    Args:
+        session: the measurement.
+        model: the method's model; its default if absent.
+        effects: ids of effects that are in the model already.
+        own: the user's own effects, looked for beside the catalogue.
+        seed: of the simulated data sets.
+        sets: simulated data sets in which nothing is missing.
+        progress: told what is being done and the share that is finished.
+
+    Raises:
+        ModelError: the data does not allow the model.
+    """
+    rng = np.random.default_rng(seed)
+    present = find_effects(effects, own)
+    progress("looking for outliers", 0.0)
+
+    def build(part: Session) -> MethodModel:
+        return add_effects(build_model(part, model)[0], present)
+
+    outliers, session, fit = find_outliers(session, build)
+    base = build_model(session, model)[0]
+    candidates, excluded = effect_candidates(base.observations, [e for e in catalogue(own).values() if e.id not in effects])
+    structures = structure_candidates(base.observations)
+    looks: list[Look] = []
+    accepted: list[Effect] = []
+    while True:
+        progress(f"round {len(looks) + 1}: {len(candidates)} effects, {sets} simulated sets", (len(looks) + 0.2) / (_ROUNDS + 1))
+        left = [c for c in candidates if c.effect not in accepted]
+        looks.append(_look(fit, left, structures, rng, sets))
+        winner = looks[-1].winner()
+        if winner is None or len(accepted) == _ROUNDS:
+            break
+        assert winner.candidate.effect is not None
+        accepted.append(winner.candidate.effect)
+        fit = fit_models([add_effects(base, [*present, *accepted])]).fits[0]
+    progress("done", 1.0)
+    verdict = _verdict(looks, bool(accepted), bool(outliers))
+    return Diagnosis(
+        session=session,
+        verdict=verdict,
+        accepted=tuple(effect.id for effect in accepted) if verdict == "missing_effect" else (),
+        looks=tuple(looks),
+        noise=noise_of(looks[0].fit),
+        excluded=excluded,
+        outliers=tuple(outliers),
+    )
+
+
+def _verdict(looks: Sequence[Look], accepted: bool, outliers: bool) -> str:
+    first, last = looks[0].fit.solution.chi_square, looks[-1].fit.solution.chi_square
+    left = looks[-1].structure[0].share * last if looks[-1].structure else 0.0
+    if accepted:
+        return "unexplained" if left > _LEFT_OVER * (first - last + left) else "missing_effect"
+    if left:
+        return "unexplained"
+    return "outliers" if outliers else "adequate"
+
+
+def _look(
+    fit: Fit, candidates: Sequence[Candidate], structures: Sequence[Candidate], rng: np.random.Generator, sets: int
+) -> Look:
+    observations = fit.model.observations
+    n = len(observations)
+    spread = run_spreads(observations)
+    columns, places = stack([*candidates, *structures], n)
+    projected = screen(fit, np.concatenate([columns, spread.columns]))
+    reduced = reduce(projected, spread.family, fit.solution.degrees_of_freedom)
+    data = observed(projected.gram)
+    split = len(candidates)
+    found = search(reduced, places[:split], data, rng, sets=sets, level=_LEVEL)
+    ranked = rank_candidates(candidates, places[:split], found, reduced, data, observations, n)
+    shapes = search(reduced, places[split:], data, rng, sets=sets, level=_LEVEL)
+    seen = rank_candidates(structures, places[split:], shapes, reduced, data, observations, n)
+    sigma_squares = fit.solution.chi_square
+    structure = tuple(
+        Structure(*r.candidate.name.split(": ", 1), r.family_p_value, 1.0 - (r.rms_after / observations.session.sigma) ** 2 * n / sigma_squares)
+        for r in sorted(seen, key=lambda r: (r.family_p_value, -r.statistic))
+        if r.rank and r.family_p_value <= _LEVEL
+    )
+    absorbed = tuple(
+        Absorbed(r.candidate.name, absorbed_by(fit, projected, r.place)) for r in ranked if not r.rank
+    )
+    variance = float(found.likelihoods.null_variance[0])
+    top = [r.columns for r in ranked[:_VALIDATED] if r.rank]
+    return Look(
+        fit=fit,
+        ranked=ranked,
+        groups=alias_groups(ranked, reduced),
+        absorbed=absorbed,
+        structure=structure,
+        structure_gain=max((r.bic_gain for r in seen if r.family_p_value <= _LEVEL), default=-np.inf),
+        validation=cross_validate(fit, top, penalty=variance * float(np.log(n))),
+        detectable=detectable_sizes(ranked, found.threshold, variance),
+    )
