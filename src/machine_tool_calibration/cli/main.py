@@ -16,7 +16,7 @@ import click
 
 from machine_tool_calibration import __version__
 from machine_tool_calibration.cli.output import one_line
-from machine_tool_calibration.cli.verbs import Verbs
+from machine_tool_calibration.cli.verbs import OutputClosedError, Verbs
 from machine_tool_calibration.errors import CalibrationError
 
 __all__ = ["group", "main", "run"]
@@ -63,8 +63,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     """
     try:
         status = group.main(args=arguments, prog_name="mtcal", standalone_mode=False)
-        sys.stdout.flush()
-    except BrokenPipeError:
+    except OutputClosedError:
         # What is still buffered has no reader; without this the interpreter complains at its end.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
@@ -88,7 +87,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
             f"unexpected {type(error).__name__}: {error} (a fault of mtcal itself; "
             f"{TRACEBACK_VARIABLE}=1 shows where it comes from)"
         )
-    return status if isinstance(status, int) else 0
+    return status if type(status) is int else 0
 
 
 def _fail(reason: object, status: int = 1) -> int:

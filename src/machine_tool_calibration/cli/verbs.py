@@ -5,9 +5,11 @@ from __future__ import annotations
 import ast
 import importlib
 import pkgutil
+import sys
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -15,7 +17,7 @@ from machine_tool_calibration import cli
 from machine_tool_calibration.cli.output import note, one_line
 from machine_tool_calibration.errors import CalibrationError
 
-__all__ = ["PLUGIN_GROUP", "Verbs"]
+__all__ = ["PLUGIN_GROUP", "OutputClosedError", "Verbs"]
 
 PLUGIN_GROUP = "machine_tool_calibration.commands"
 ROS_MODULES = ("rclpy", "rosgraph_msgs", "sensor_msgs", "std_msgs", "std_srvs", "trajectory_msgs", "diagnostic_msgs")
@@ -25,6 +27,10 @@ SECTIONS = {
     "Find what the model lacks": ("compare", "diagnose", "improve", "effects"),
     "Recordings and exchange": ("record", "play", "recover", "convert", "export"),
 }
+
+
+class OutputClosedError(Exception):
+    """Whatever read the standard output has gone."""
 
 
 @dataclass(frozen=True)
@@ -40,8 +46,21 @@ class Verbs(click.Group):
 
     def __init__(self, *args: object, **kwargs: object) -> None:
         super().__init__(*args, **kwargs)  # type: ignore[arg-type]
-        self._built_in: dict[str, _BuiltIn] | None = None
+        self._found: dict[str, _BuiltIn] | None = None
         self._plugins: dict[str, EntryPoint] | None = None
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the verb.
+
+        Raises:
+            OutputClosedError: instead of the BrokenPipeError that click would answer with exit status 1.
+        """
+        try:
+            result = super().invoke(ctx)
+            sys.stdout.flush()
+        except BrokenPipeError as error:
+            raise OutputClosedError from error
+        return result
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Names of the verbs, plugins last."""
@@ -77,15 +96,9 @@ class Verbs(click.Group):
                 formatter.write_dl(rows)
 
     def _modules(self) -> dict[str, _BuiltIn]:
-        if self._built_in is None:
-            self._built_in = {}
-            for path in cli.__path__:
-                for module in pkgutil.iter_modules([path]):
-                    summary = _summary(Path(path) / f"{module.name}.py")
-                    if summary is not None and not module.name.startswith("_"):
-                        verb = _BuiltIn(f"{cli.__name__}.{module.name}", summary)
-                        self._built_in[module.name.replace("_", "-")] = verb
-        return self._built_in
+        if self._found is None:
+            self._found = _built_in()
+        return self._found
 
     def _entry_points(self) -> dict[str, EntryPoint]:
         if self._plugins is None:
@@ -94,12 +107,26 @@ class Verbs(click.Group):
         return self._plugins
 
 
+def _built_in() -> dict[str, _BuiltIn]:
+    """The verbs among the modules of this package, by name."""
+    verbs = {}
+    for path in cli.__path__:
+        for module in pkgutil.iter_modules([path]):
+            file = f"{module.name}/__init__.py" if module.ispkg else f"{module.name}.py"
+            summary = _summary(Path(path) / file)
+            if summary is not None and not module.name.startswith("_"):
+                verbs[module.name.replace("_", "-")] = _BuiltIn(f"{cli.__name__}.{module.name}", summary)
+    return verbs
+
+
 def _summary(source: Path) -> str | None:
     """First paragraph of the help of the module's `command`; None if the module is no verb."""
     try:
         tree = ast.parse(source.read_bytes())
-    except (OSError, SyntaxError, ValueError):
+    except OSError:
         return None
+    except (SyntaxError, ValueError):
+        return "(cannot be loaded)"
     for node in tree.body:
         if isinstance(node, ast.FunctionDef) and node.name == "command":
             return _paragraph(ast.get_docstring(node) or ast.get_docstring(tree))
