@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, IntArray
 
 __all__ = [
     "Rows",
@@ -129,53 +129,72 @@ def local_normal(rows: Rows) -> Array:
     return normal
 
 
-def local_columns(rows: Rows) -> Array:
-    """(S p + K + 1, d, n): G^T times the columns of the blocks by slot, of the dense unknowns, and the residual."""
+def local_columns(rows: Rows, place: IntArray) -> Array:
+    """G^T times the columns of the blocks, of the dense unknowns, and the residual.
+
+    Args:
+        rows: the chunk.
+        place: (S,) which of the group's B distinct blocks each slot belongs to.
+
+    Returns:
+        (B p + K + 1, d, n).
+    """
     d, slots, n = rows.local.shape
-    p = rows.block.shape[0]
-    dense = rows.dense.shape[0]
-    out = np.empty((slots * p + dense + 1, d, n))
+    p, dense, blocks = len(rows.block), len(rows.dense), int(place.max()) + 1
+    out = np.empty((blocks * p + dense + 1, d, n))
+    scratch = np.empty((d, n))
+    empty = [True] * blocks
     for s in range(slots):
         for q in range(p):
-            np.multiply(rows.local[:, s], rows.block[q, s], out=out[s * p + q])
+            target = out[place[s] * p + q]
+            if empty[place[s]]:
+                np.multiply(rows.local[:, s], rows.block[q, s], out=target)
+            else:
+                target += np.multiply(rows.local[:, s], rows.block[q, s], out=scratch)
+        empty[place[s]] = False
     for k in range(dense):
-        np.einsum("dsn,sn->dn", rows.local, rows.dense[k], out=out[slots * p + k])
+        np.einsum("dsn,sn->dn", rows.local, rows.dense[k], out=out[blocks * p + k])
     np.einsum("dsn,sn->dn", rows.local, rows.residual, out=out[-1])
     return out
 
 
-def reduced_gram(rows: Rows) -> Array:
-    """Gram matrix of [blocks by slot, dense, residual] with the points' own unknowns eliminated.
+def reduced_gram(rows: Rows, place: IntArray) -> Array:
+    """Gram matrix of [distinct blocks, dense, residual] with the points' own unknowns eliminated.
+
+    Args:
+        rows: the chunk.
+        place: (S,) which of the group's B distinct blocks each slot belongs to.
 
     Returns:
-        (S p + K + 1) square, symmetric.
+        (B p + K + 1) square, symmetric.
     """
     p, slots, n = rows.block.shape
-    dense = rows.dense.shape[0]
-    size = slots * p + dense + 1
+    dense, first = len(rows.dense), p * (int(place.max()) + 1)
+    size = first + dense + 1
     shared = np.concatenate([rows.dense, rows.residual[None]])
     gram = np.zeros((size, size))
-    tail = slice(slots * p, size)
+    tail = slice(first, size)
     flat = shared.reshape(dense + 1, slots * n)
     gram[tail, tail] = flat @ flat.T
     for s in range(slots):
-        own = slice(s * p, (s + 1) * p)
+        own = slice(int(place[s]) * p, (int(place[s]) + 1) * p)
         block = rows.block[:, s]
-        gram[own, own] = block @ block.T
-        gram[own, tail] = block @ shared[:, s].T
+        gram[own, own] += block @ block.T
+        gram[own, tail] += block @ shared[:, s].T
         gram[tail, own] = gram[own, tail].T
     if rows.local.shape[0]:
         factor, _ = cholesky(local_normal(rows))
-        seen = forward(factor, local_columns(rows)).reshape(size, -1)
+        seen = forward(factor, local_columns(rows, place)).reshape(size, -1)
         gram -= seen @ seen.T
     return gram
 
 
-def raw_squares(rows: Rows) -> Array:
-    """(S p + K + 1,) squared norms of the columns before the points' own unknowns take their share."""
-    blocks = np.einsum("psn,psn->sp", rows.block, rows.block).reshape(-1)
+def raw_squares(rows: Rows, place: IntArray) -> Array:
+    """(B p + K + 1,) squared norms of the columns before the points' own unknowns take their share."""
+    blocks = np.zeros((int(place.max()) + 1, len(rows.block)))
+    np.add.at(blocks, place, np.einsum("psn,psn->sp", rows.block, rows.block))
     dense = np.einsum("ksn,ksn->k", rows.dense, rows.dense)
-    return np.concatenate([blocks, dense, [np.vdot(rows.residual, rows.residual)]])
+    return np.concatenate([blocks.reshape(-1), dense, [np.vdot(rows.residual, rows.residual)]])
 
 
 def local_step(rows: Rows, block_step: Array, dense_step: Array) -> tuple[Array, Array]:

@@ -60,32 +60,41 @@ class MultilaterationPart(Part):
         self._station = station
         weight = 1.0 / sigma
         self._weight = [np.where(group.rows >= 0, weight[group.rows], 0.0) for group in groups]
-        self._path = [path[group.rows] for group in groups]
-        self._dense = [dense[:, group.rows] for group in groups]
-        self._beam = None if beam is None else [beam[:, group.rows] for group in groups]
+        self._path = [_weighted(path, group, w) for group, w in zip(groups, self._weight, strict=True)]
+        self._dense = [_weighted(dense, group, w) for group, w in zip(groups, self._weight, strict=True)]
+        self._beam = None if beam is None else [_weighted(beam, g, w) for g, w in zip(groups, self._weight, strict=True)]
 
     def rows(self, group: int, chunk: slice, theta: Array, local: Array) -> Rows:
         """Linearise at the given positions."""
         d = self.dimension
         layout = self.groups[group]
-        points = layout.points[chunk]
+        points = layout.pick(chunk)
         weight = self._weight[group][:, chunk]
         unknown = theta[self.block_index[layout.block]]
-        station = self._station[:, layout.block].T + unknown[:, :d]
+        station = self._station[:, layout.block] + unknown[:, :d].T
         where = self._target[:, points] + local[:, points]
-        line = where[:, None] - station.T[:, :, None]
+        line = where[:, None] - station[:, :, None]
+        residual = unknown[:, d, None] * weight
+        residual += self._path[group][:, chunk]
         if self._beam is None:
             length = np.sqrt(np.einsum("dsn,dsn->sn", line, line))
-            direction = line / length
+            residual -= length * weight
+            columns = line
+            columns *= weight / length
         else:
-            direction = self._beam[group][:, :, chunk]
-            length = np.einsum("dsn,dsn->sn", line, direction)
-        residual = (self._path[group][:, chunk] - length + unknown[:, d, None]) * weight
-        dense = self._dense[group][:, :, chunk] * weight
+            columns = self._beam[group][:, :, chunk]
+            residual -= np.einsum("dsn,dsn->sn", line, columns)
+        dense = self._dense[group][:, :, chunk]
         if len(self.dense_index):
             residual -= np.tensordot(theta[self.dense_index], dense, axes=1)
-        columns = direction * weight
         block = np.empty((d + 1, *weight.shape))
         np.negative(columns, out=block[:d])
         np.negative(weight, out=block[d])
         return Rows(residual, columns, block, dense)
+
+
+def _weighted(values: Array, group: Group, weight: Array) -> Array:
+    """Values of the readings (…, n) by slot and point (…, S, n), times their weights."""
+    out = np.take(values, group.rows, axis=-1, mode="wrap")
+    out *= weight
+    return out

@@ -18,18 +18,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
-from machine_tool_calibration.estimation.elimination import Rows, inverse, local_normal
-from machine_tool_calibration.estimation.problem import Part
+from machine_tool_calibration.estimation.elimination import Rows, inverse, local_columns, local_normal
+from machine_tool_calibration.estimation.problem import CHUNK, Part
 from machine_tool_calibration.estimation.solve import Solution, over_chunks
 
 __all__ = ["Motion", "PointResult", "points_in_inner_datum"]
 
-# Points of one chunk: more is kept of each point than in the solver, and it should stay in the cache.
-_CHUNK = 4096
 # A point moves with what is not determined if it does so by more than this share.
 _LOOSE = 1e-6
 
-Motion = Callable[[IntArray], Array]
+Motion = Callable[[slice | IntArray], Array]
 """From the indices of n points to (d, t, n): the displacement of each by each of t common motions."""
 
 
@@ -98,7 +96,7 @@ class _Work:
     def result(self) -> PointResult:
         """Both passes."""
         total = np.zeros((self.m + 2 * self.t + 1, self.t))
-        for value in over_chunks(self.part, self.sums, _CHUNK):
+        for value in over_chunks(self.part, self.sums):
             total += value
         pull, gram, noise = np.split(total[:-1], [self.m, self.m + self.t])
         datum = np.linalg.pinv(gram) if self.t else gram
@@ -110,7 +108,7 @@ class _Work:
         inner = self.q - moved - moved.T + self.theta_motion @ spread @ self.theta_motion.T
         self.half = _root(inner)
         self.datum_half = _root(datum)
-        over_chunks(self.part, self.spread, _CHUNK)
+        over_chunks(self.part, self.spread)
         return PointResult(
             self.local - self.common(shift), self.covariance, self.determined, self.theta - self.theta_motion @ shift, inner
         )
@@ -118,14 +116,14 @@ class _Work:
     def common(self, shift: Array) -> Array:
         """(d, n) displacement of the points by common motions."""
         out = np.zeros_like(self.local)
-        for first in range(0, self.n, _CHUNK):
-            points = np.arange(first, min(first + _CHUNK, self.n))
+        for first in range(0, self.n, CHUNK):
+            points = slice(first, first + CHUNK)
             out[:, points] = np.einsum("dtn,t->dn", self.motion(points), shift)
         return out
 
     def sums(self, group: int, chunk: slice) -> Array:
         """(m + 2 t + 1, t) sums over points of F^T H^-1 C, C^T C, C^T H^-1 C and u^T C."""
-        points = self.part.groups[group].points[chunk]
+        points = self.part.groups[group].pick(chunk)
         rows = self.part.rows(group, chunk, self.theta, self.local)
         normal_inverse = inverse(local_normal(rows))
         self.covariance[:, :, points] = normal_inverse
@@ -135,11 +133,7 @@ class _Work:
         out = np.zeros((self.m + 2 * self.t + 1, self.t))
         if self.t:
             c = self.motion(points) * self.determined[points]
-            weighted = np.zeros_like(c)
-            for a in range(self.d):
-                for b in range(self.d):
-                    weighted[a] += normal_inverse[a, b] * c[b]
-            flat = weighted.transpose(1, 0, 2).reshape(self.t, -1)
+            flat = _product(normal_inverse, c).transpose(1, 0, 2).reshape(self.t, -1)
             own = c.transpose(1, 0, 2).reshape(self.t, -1)
             # Two blocks may share an unknown.
             np.add.at(out, index, seen.reshape(len(index), -1) @ flat.T)
@@ -161,29 +155,19 @@ class _Work:
 
     def spread(self, group: int, chunk: slice) -> Array:
         """Fill in the covariances of a chunk: H^-1 + H^-1 F Q F^T H^-1, less what the point moves the datum."""
-        points = self.part.groups[group].points[chunk]
+        points = self.part.groups[group].pick(chunk)
         rows = self.part.rows(group, chunk, self.theta, self.local)
-        d, n = self.d, len(points)
         own = self.covariance[:, :, points]
+        d, _, n = own.shape
         seen, index = _seen(self.part, group, rows)
         spread = _gram((self.half[index].T @ seen.reshape(len(index), -1)).reshape(-1, d, n))
-        cov = own.copy()
-        middle = _product(own, spread)
-        for a in range(d):
-            for b in range(a + 1):
-                for k in range(d):
-                    cov[a, b] += middle[a, k] * own[k, b]
+        left = _product(own, spread)
         if self.t:
-            c = self.motion(points)
             # The point's own noise moves the datum, too.
-            share = _gram(np.tensordot(self.datum_half, c, axes=(0, 1))) * self.determined[points]
-            twice = _product(own, share)
-            for a in range(d):
-                for b in range(a + 1):
-                    cov[a, b] -= twice[a, b] + twice[b, a]
-        for a in range(d):
-            for b in range(a):
-                cov[b, a] = cov[a, b]
+            share = _gram(np.tensordot(self.datum_half, self.motion(points), axes=(0, 1)))
+            left -= 2.0 * self.determined[points] * share
+        half = _product(left, own)
+        cov = own + 0.5 * (half + half.transpose(1, 0, 2))
         self.covariance[:, :, points] = cov
         return cov[0, 0, :0]
 
@@ -191,24 +175,7 @@ class _Work:
 def _seen(part: Part, group: int, rows: Rows) -> tuple[Array, IntArray]:
     """(c, d, n) F^T: products of the shared unknowns' columns with the points', and their places."""
     layout = part.groups[group]
-    d, slots, n = rows.local.shape
-    blocks, where = np.unique(layout.block, return_inverse=True)
-    p, dense = len(rows.block), len(rows.dense)
-    out = np.empty((len(blocks) * p + dense, d, n))
-    first = np.ones(len(blocks), dtype=bool)
-    scratch = np.empty((d, n))
-    for s in range(slots):
-        block = where[s]
-        for q in range(p):
-            place = out[block * p + q]
-            if first[block]:
-                np.multiply(rows.local[:, s], rows.block[q, s], out=place)
-            else:
-                place += np.multiply(rows.local[:, s], rows.block[q, s], out=scratch)
-        first[block] = False
-    for k in range(dense):
-        np.einsum("dsn,sn->dn", rows.local, rows.dense[k], out=out[len(blocks) * p + k])
-    return out, np.concatenate([part.block_index[blocks].reshape(-1), part.dense_index])
+    return local_columns(rows, layout.place)[:-1], part.columns(group)
 
 
 def _gram(columns: Array) -> Array:
@@ -222,13 +189,11 @@ def _gram(columns: Array) -> Array:
 
 
 def _product(left: Array, right: Array) -> Array:
-    """(d, d, n) products of many small matrices."""
-    d, _, n = left.shape
-    out = np.zeros((d, d, n))
-    for a in range(d):
-        for b in range(d):
-            for k in range(d):
-                out[a, b] += left[a, k] * right[k, b]
+    """(a, b, n) products of many small matrices (a, k, n) and (k, b, n)."""
+    out = np.empty((len(left), *right.shape[1:]))
+    for a in range(out.shape[0]):
+        for b in range(out.shape[1]):
+            np.einsum("kn,kn->n", left[a], right[:, b], out=out[a, b])
     return out
 
 

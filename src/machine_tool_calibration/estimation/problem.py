@@ -63,6 +63,10 @@ class Part(ABC):
             out += [(index, slice(a, min(a + size, n))) for a in range(0, n, size)]
         return out
 
+    def columns(self, group: int) -> IntArray:
+        """(B p + K,) places in the shared vector of a group's distinct blocks and of the dense unknowns."""
+        return np.concatenate([self.block_index[self.groups[group].blocks].reshape(-1), self.dense_index])
+
 
 class LinearPart(Part):
     """Readings that depend linearly on every unknown."""
@@ -122,7 +126,7 @@ class LinearPart(Part):
         if len(self.dense_index):
             residual -= np.tensordot(theta[self.dense_index], dense, axes=1)
         if self.dimension:
-            residual -= np.einsum("dsn,dn->sn", g, local[:, layout.points[chunk]])
+            residual -= np.einsum("dsn,dn->sn", g, local[:, layout.pick(chunk)])
         return Rows(residual, g, b, dense)
 
 

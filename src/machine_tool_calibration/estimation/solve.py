@@ -147,16 +147,15 @@ def gram(problem: Problem, theta: Array, local: Sequence[Array]) -> tuple[Array,
     for part, own in zip(problem.parts, local, strict=True):
 
         def work(group: int, chunk: slice, part: Part = part, own: Array = own) -> Array:
-            rows = part.rows(group, chunk, theta, own)
-            return np.vstack([reduced_gram(rows), raw_squares(rows)])
+            rows, place = part.rows(group, chunk, theta, own), part.groups[group].place
+            return np.vstack([reduced_gram(rows, place), raw_squares(rows, place)])
 
         by_group: dict[int, Array] = {}
         for (group, _), value in zip(part.chunks(), over_chunks(part, work), strict=True):
             by_group[group] = by_group[group] + value if group in by_group else value
         for group, value in by_group.items():
-            blocks = part.block_index[part.groups[group].block].reshape(-1)
-            index = np.concatenate([blocks, part.dense_index, [m]])
-            # Two slots of one block add up in the same unknowns.
+            index = np.append(part.columns(group), m)
+            # Two blocks may share an unknown.
             np.add.at(total, (index[:, None], index[None, :]), value[:-1])
             np.add.at(squares, index, value[-1])
     if problem.priors is not None:
@@ -224,7 +223,7 @@ def _step_points(part: Part, theta: Array, local: Array, step: Array) -> tuple[A
         layout = part.groups[group]
         rows = part.rows(group, chunk, theta, local)
         change, good = local_step(rows, step[part.block_index[layout.block]], step[part.dense_index])
-        points = layout.points[chunk]
+        points = layout.pick(chunk)
         moved[:, points] += change
         determined[:, points] = good
         return change[:, :0]

@@ -1,0 +1,156 @@
+"""Eliminating the points gives what one dense system gives."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.estimation.elimination import cholesky, inverse
+from machine_tool_calibration.estimation.problem import PriorRows, Problem
+from machine_tool_calibration.estimation.solve import solve
+
+CASES = {
+    "3-D": {},
+    "2-D": {"dimension": 2},
+    "repeats": {"repeats": 3},
+    "dense": {"dense": 3},
+    "2-D, repeats, dense": {"dimension": 2, "repeats": 2, "dense": 2},
+}
+
+
+def agree(network, solution, dense):
+    """Equal to a millionth of each unknown's own uncertainty."""
+    size = np.sqrt(np.diag(dense.covariance))
+    own = np.sqrt(np.einsum("aan->an", dense.local_covariance))
+    assert np.abs((solution.theta - dense.theta) / size).max() < 1e-6
+    assert np.abs((solution.local[0] - dense.local) / own).max() < 1e-6
+    assert (np.abs(solution.covariance - dense.covariance) / np.outer(size, size)).max() < 1e-7
+    assert solution.chi_square == pytest.approx(dense.chi_square, rel=1e-9)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_all_read(case, make_network, solve_dense):
+    network = make_network(**CASES[case]).network
+    solution = solve(network.problem())
+    agree(network, solution, solve_dense(network))
+    assert solution.degrees_of_freedom == len(network.reading) - solve_dense(network).rank
+    assert solution.is_determined().all()
+    assert all(good.all() for good in solution.local_determined)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_tenth_missing(case, make_network, solve_dense):
+    """Points that lost too many readings are named, and the others are as if they had never been read."""
+    whole = make_network(seed=3, **CASES[case]).network
+    network = whole.select(np.random.default_rng(1).random(len(whole.reading)) > 0.1)
+    assert len(network.part().groups) == 1
+    solution = solve(network.problem())
+    good = solution.local_determined[0].all(axis=0)
+    d = len(network.local)
+    seen_from = np.array([len(set(network.block[network.point == k])) for k in range(network.n_points)])
+    assert np.array_equal(good, seen_from >= d)
+    kept = network.select(good[network.point])
+    kept = replace(kept, point=np.cumsum(good)[kept.point] - 1, n_points=int(good.sum()))
+    dense = solve_dense(kept)
+    agree(kept, replace(solution, local=(solution.local[0][:, good],)), dense)
+    assert solution.degrees_of_freedom == len(kept.reading) - dense.rank + _surplus(network, good)
+
+
+def _surplus(network, good):
+    """Readings of points that are not determined, less the unknowns of these that are."""
+    out = 0
+    for k in np.flatnonzero(~good):
+        g = network.local[:, network.point == k]
+        out += g.shape[1] - np.linalg.matrix_rank(g, tol=1e-6)
+    return out
+
+
+def test_each_point_from_few_of_many_stations(make_network, solve_dense):
+    rng = np.random.default_rng(5)
+    at = np.vstack([rng.random((4, 3)) + [1, 0, 0], rng.random((4, 3)) - [1, 0, 0], rng.random((4, 3)) + [0, 1, 1]])
+    network = make_network(n_points=60, stations_at=at).network
+    sees = np.array([np.isin(np.arange(12), rng.permutation(12)[:5]) for _ in range(60)])
+    network = network.select(sees[network.point, network.block])
+    assert len(network.part().groups) > 10
+    agree(network, solve(network.problem()), solve_dense(network))
+
+
+def test_one_point_read_very_often(make_network, solve_dense):
+    network = make_network(n_points=40).network
+    often = np.concatenate([np.arange(len(network.reading)), np.repeat(np.flatnonzero(network.point == 7), 50)])
+    network = network.select(often)
+    network = replace(network, reading=network.reading + np.random.default_rng(2).normal(size=len(often)) * network.sigma)
+    groups = network.part().groups
+    assert max(group.rows.size for group in groups) <= len(often)
+    agree(network, solve(network.problem()), solve_dense(network))
+
+
+def test_priors_and_constraint_values(make_network, solve_dense):
+    network = make_network(dense=2).network
+    rng = np.random.default_rng(9)
+    priors = PriorRows(rng.normal(size=(5, network.size)), rng.normal(size=5) * 1e-5, np.full(5, 2e-6))
+    network = replace(network, priors=priors, values=rng.normal(size=len(network.values)) * 1e-5)
+    solution = solve(network.problem())
+    agree(network, solution, solve_dense(network))
+    assert np.abs(network.constraints @ solution.theta - network.values).max() < 1e-15
+    assert solution.degrees_of_freedom == len(network.reading) + 5 - solve_dense(network).rank
+
+
+def test_repeated_constraints_count_once(make_network):
+    network = make_network().network
+    twice = np.vstack([network.constraints, 2 * network.constraints[:3]])
+    problem = Problem(network.problem().parts, network.size, twice, np.zeros(len(twice)))
+    one, two = solve(network.problem()), solve(problem)
+    assert two.degrees_of_freedom == one.degrees_of_freedom
+    assert np.allclose(one.theta, two.theta, rtol=0, atol=1e-14)
+
+
+def test_two_parts_share_an_unknown(make_network, solve_dense):
+    """Two networks and one dense unknown in common equal one network of twice the size."""
+    one, two = make_network(dense=1, seed=1).network, make_network(dense=1, seed=2).network
+    m = one.size - 1
+    first, second = one.part(), two.part()
+    first.block_index = first.block_index + 1
+    second.block_index = second.block_index + 1 + m
+    first.dense_index = second.dense_index = np.array([0])
+    constraints = np.zeros((12, 2 * m + 1))
+    constraints[:6, 1 : m + 1] = one.constraints[:, :m]
+    constraints[6:, m + 1 :] = two.constraints[:, :m]
+    solution = solve(Problem([first, second], 2 * m + 1, constraints, np.zeros(12)))
+    joint = replace(
+        one,
+        point=np.append(one.point, two.point + one.n_points),
+        block=np.append(one.block, two.block + one.n_blocks),
+        reading=np.append(one.reading, two.reading),
+        sigma=np.append(one.sigma, two.sigma),
+        local=np.hstack([one.local, two.local]),
+        columns=np.hstack([one.columns, two.columns]),
+        dense=np.hstack([one.dense, two.dense]),
+        n_points=2 * one.n_points,
+        n_blocks=2 * one.n_blocks,
+        constraints=np.roll(constraints, -1, axis=1),
+        values=np.zeros(12),
+    )
+    dense = solve_dense(joint)
+    order = np.roll(np.arange(2 * m + 1), -1)
+    assert np.abs(solution.theta[order] - dense.theta).max() < 1e-12
+    assert np.allclose(solution.covariance[np.ix_(order, order)], dense.covariance, rtol=1e-7, atol=1e-22)
+    assert np.abs(np.hstack(solution.local) - dense.local).max() < 1e-12
+
+
+@pytest.mark.parametrize("d", [1, 2, 3, 4])
+def test_inverse_of_small_matrices(d):
+    root = np.random.default_rng(d).normal(size=(d, d + 2, 50))
+    matrix = np.einsum("abn,cbn->acn", root, root)
+    product = np.einsum("abn,bcn->acn", matrix, inverse(matrix))
+    assert np.abs(product - np.eye(d)[:, :, None]).max() < 1e-9
+
+
+def test_a_direction_that_no_reading_senses_has_no_pivot():
+    direction = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    matrix = (direction.T @ direction)[:, :, None]
+    factor, determined = cholesky(matrix)
+    assert determined[:, 0].tolist() == [True, True, False]
+    assert np.isfinite(inverse(matrix)).all()
