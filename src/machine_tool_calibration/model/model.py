@@ -91,6 +91,10 @@ class MethodModel(ABC):
         """(n,) declared standard uncertainty of each reading, m."""
         return np.full(len(self.observations), self.observations.session.sigma)
 
+    def why_not_determined(self, name: str) -> str | None:
+        """Why the readings do not determine an unknown, where the method can say it better than the algebra."""
+        return None
+
     @abstractmethod
     def part(self, own_index: IntArray, dense_index: IntArray) -> Part:
         """The readings as a part of a problem, given the places of the unknowns in the shared vector."""

@@ -93,9 +93,10 @@ class Result:
 
     @property
     def not_determined(self) -> list[NotDetermined]:
-        """What the data cannot determine, with the reason."""
+        """What the data cannot determine, with the reason; a table without any value determined is named as a whole."""
         fit = self.fit
         names = [p.name for p in fit.model.parameters]
+        whole = _whole_terms(fit)
         out = list(fit.model.left_out) + list(self.error_map.not_determined)
         for k in np.flatnonzero(~fit.determined):
             # The unknowns that may change together with this one without any reading changing.
@@ -105,7 +106,10 @@ class Result:
             if others:
                 shown = ", ".join(others[:4]) + (" and others" if len(others) > 4 else "")
                 why = f"the readings do not change if it changes together with {shown}"
-            out.append(NotDetermined(names[k], why))
+            why = fit.model.why_not_determined(names[k]) or why
+            name = whole.get(names[k], names[k])
+            if name == names[k] or all(entry.name != name for entry in out):
+                out.append(NotDetermined(name, why))
         return out
 
     def document(self) -> dict[str, Any]:
@@ -131,6 +135,17 @@ class Result:
             "datum": self.fit.model.datum,
             "error_map": plain(self.error_map.content),
         }
+
+
+def _whole_terms(fit: Fit) -> dict[str, str]:
+    """Name of the term for each parameter of a table of which no value is determined."""
+    determined = dict(zip((p.name for p in fit.model.parameters), fit.determined, strict=True))
+    return {
+        parameter.name: term.name
+        for term in fit.model.terms
+        if len(term.parameters) > 1 and not any(determined[p.name] for p in term.parameters)
+        for parameter in term.parameters
+    }
 
 
 def plain(value: Any) -> Any:
