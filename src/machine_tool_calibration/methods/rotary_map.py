@@ -1,0 +1,101 @@
+"""What a fit of a rotary axis says: error motions, position errors of the targets, and the axis average line."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.methods.rotary_datum import ROTARY_DATUM
+from machine_tool_calibration.methods.rotary_geometry import TableReadings
+from machine_tool_calibration.methods.rotary_line import average_line, line_names
+from machine_tool_calibration.model.fit import Fit
+from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.session.description import RotaryAxis
+
+__all__ = ["rotary_map"]
+
+
+def rotary_map(
+    table: TableReadings, description: RotaryAxis, stations: Array, targets: Array, loose: Array, size: float, fit: Fit
+) -> ErrorMap:
+    """The contract's content for `rotary_axis`.
+
+    Args:
+        table: the readings.
+        description: of the session.
+        stations: (S, 3) first estimates, m.
+        targets: (T, 3) first estimates, m.
+        loose: what each angle's readings do not sense.
+        size: length by which it compares rotations with translations, m.
+        fit: of the model.
+    """
+    k, own = len(table.nodes), len(fit.model.own)
+    theta, covariance, good = fit.theta, fit.covariance, fit.determined
+    sigma = np.sqrt(np.diag(covariance).clip(0.0))
+    theta, sigma = np.where(good, theta, np.nan), np.where(good, sigma, np.nan)
+    content: dict[str, Any] = {table.axis.lower(): table.nodes}
+    for j, name in enumerate(table.motions):
+        mine = slice(own + j * k, own + (j + 1) * k)
+        content[name], content[f"{name}_u"] = theta[mine], sigma[mine]
+    points, error, cov = _position_errors(table, targets, fit, own)
+    uncertainty = np.sqrt(np.einsum("nii->ni", cov).clip(0.0))
+    place = slice(own + 6 * k, own + 6 * k + targets.size)
+    s = stations.size
+    content |= {
+        "points": points,
+        "position_error": error,
+        "position_error_u": uncertainty,
+        "target_ids": [target.id for target in description.targets],
+        "targets": targets + theta[place].reshape(-1, 3),
+        "targets_u": sigma[place].reshape(-1, 3),
+        "station_ids": [setup.id for setup in description.setups],
+        "stations": stations + theta[:s].reshape(-1, 3),
+        "stations_u": sigma[:s].reshape(-1, 3),
+        "axis_average_line": _line(table, description, stations, fit),
+        "datum": ROTARY_DATUM,
+    }
+    return ErrorMap(content, points, error, uncertainty, cov)
+
+
+def _position_errors(table: TableReadings, targets: Array, fit: Fit, own: int) -> tuple[Array, Array, Array]:
+    """(n, 3) nominal places of every target at every angle, their errors and (n, 3, 3) covariances."""
+    k, t = len(table.nodes), len(targets)
+    arm = np.einsum("kij,tj->kti", table.node_rotation, targets).reshape(-1, 3)
+    field = np.zeros((k * t, 3, 6))
+    field[:, :, :3] = np.eye(3)
+    for j in range(3):
+        field[:, :, 3 + j] = np.cross(np.eye(3)[j], arm)
+    index = own + np.arange(6)[None, :] * k + np.repeat(np.arange(k), t)[:, None]
+    error = np.einsum("nij,nj->ni", field, fit.theta[index])
+    inner = fit.covariance[index[:, :, None], index[:, None, :]]
+    covariance = np.einsum("nij,njk,nlk->nil", field, inner, field)
+    if fit.undetermined.size:
+        open_ = np.linalg.norm(np.einsum("nij,njk->nik", field, fit.undetermined[index]), axis=(1, 2)) > 1e-6
+        error[open_], covariance[open_] = np.nan, np.nan
+    return arm, error, covariance
+
+
+def _line(table: TableReadings, description: RotaryAxis, stations: Array, fit: Fit) -> dict[str, Any]:
+    """Position and orientation of the axis average line in the machine frame; None where stations do not give it."""
+    names = line_names(table.axis)
+    known = [
+        s
+        for s, setup in enumerate(description.setups)
+        if setup.position_uncertainty is not None and fit.determined[3 * s : 3 * s + 3].all()
+    ]
+    result = None
+    if known:
+        index = np.concatenate([3 * s + np.arange(3) for s in known])
+        result = average_line(
+            stations[known] + fit.theta[index].reshape(-1, 3),
+            fit.covariance[np.ix_(index, index)],
+            np.array([description.setups[s].position for s in known]),
+            np.array([description.setups[s].position_uncertainty for s in known]),
+        )
+    out: dict[str, Any] = {}
+    for name, j in names:
+        out[name] = None if result is None else float(result[0][j])
+        out[f"{name}_u"] = None if result is None else float(np.sqrt(result[1][j, j]))
+    return out
