@@ -100,6 +100,10 @@ class BagWriter:
             for name, topic in self._topics.items()
         )
 
+    def has(self, topic: str) -> bool:
+        """Whether a topic is registered."""
+        return topic in self._topics
+
     @property
     def summaries(self) -> tuple[FileSummary, ...]:
         """What each file holds so far."""

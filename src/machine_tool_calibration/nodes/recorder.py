@@ -1,0 +1,201 @@
+"""Node `recorder`: writes the graph's topics, or any others, to a bag."""
+
+from __future__ import annotations
+
+import sys
+from datetime import datetime
+from pathlib import Path
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.nodes.parameters import declare
+from machine_tool_calibration.nodes.process import run, use_sim_time
+from machine_tool_calibration.nodes.qos import LATCHED
+from machine_tool_calibration.nodes.stamps import now, to_message
+from machine_tool_calibration.nodes.status import Level
+from machine_tool_calibration.nodes.taps import Tap, Taps
+from machine_tool_calibration.recording.errors import RecordingError
+from machine_tool_calibration.recording.graph import GRAPH_TOPICS, belongs_to_graph
+from machine_tool_calibration.recording.qos import Qos
+from machine_tool_calibration.recording.writer import BagWriter
+
+__all__ = ["Recorder", "main"]
+
+_TAKE = 0.004  # s
+_DISCOVER = 0.2  # s
+_SHOW = 0.5  # s
+_NEVER = ("/rosout", "/parameter_events", "/clock")
+
+
+class Recorder(Node):
+    """Records serialized messages as they come; says on `recorder/status` what it has and what it lacks."""
+
+    def __init__(self) -> None:
+        """Declare the parameters, create the bag and subscribe.
+
+        Raises:
+            CalibrationError: the bag cannot be created, or a parameter is wrong.
+        """
+        super().__init__("recorder")
+        self._wanted = [name for name in self._declare_topics() if name]
+        self._everything = declare(self, "all_topics", False, "record every topic that is discovered")
+        output = declare(self, "output", "", "folder of the bag; recording_<date>_<time> if empty")
+        split_bytes = declare(self, "split_size", 0, "size at which a new file begins; 0 never", unit="B", low=0)
+        split_time = declare(self, "split_duration", 0.0, "duration of a file; 0 endless", unit="s", low=0.0)
+        flush = declare(self, "flush_period", 0.4, "longest age of what a kill may cost", unit="s", low=0.02, high=0.8)
+        self._status = self.create_publisher(DiagnosticArray, "recorder/status", LATCHED)
+        own = self.resolve_topic_name("recorder/status")
+        self._ignored = {*_NEVER, own}
+        self._refused: dict[str, str] = {}
+        self._trouble = ""
+        self._waiting = use_sim_time(self)
+        self.bag = BagWriter(
+            Path(output or f"recording_{datetime.now():%Y%m%d_%H%M%S}"),
+            flush_seconds=flush,
+            split_bytes=split_bytes,
+            split_seconds=split_time,
+        )
+        self.taps = Taps(self)
+        self._subscribe_known()
+        self._discover()
+        self._show()
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_TAKE, self._take, clock=steady)
+        self.create_timer(_DISCOVER, self._discover, clock=steady)
+        self.create_timer(_SHOW, self._show, clock=steady)
+        self.get_logger().info(f"recording to {self.bag.folder}")
+
+    def close(self) -> None:
+        """Take what has come, end the bag and say what it holds."""
+        try:
+            self._take()
+            self.bag.close()
+        except RecordingError as error:
+            self._trouble = str(error)
+            self.get_logger().error(str(error))
+        self._show()
+        lost = self.lost
+        text = f"{self.bag.folder}: {self.bag.messages} messages of {len(self.bag.topics)} topics, {lost} lost"
+        (self.get_logger().warning if lost else self.get_logger().info)(text)
+        self.taps.close()
+
+    @property
+    def lost(self) -> int:
+        """Messages that never came or could not be written."""
+        return self.bag.lost + sum(tap.lost for tap in self.taps.taps.values())
+
+    def _declare_topics(self) -> list[str]:
+        return list(
+            declare(self, "topics", [""], "names of the topics to record; those of a measurement if there are none")
+        )
+
+    def _subscribe_known(self) -> None:
+        """Topics whose type is known need no publisher to be subscribed to."""
+        for topic in GRAPH_TOPICS:
+            name = self.resolve_topic_name(topic.name)
+            if not self._wanted or name in map(self.resolve_topic_name, self._wanted):
+                durability = "transient_local" if topic.latched else "volatile"
+                self._add(name, topic.type, Qos(depth=20000 if topic.latched else 1000, durability=durability))
+
+    def _discover(self) -> None:
+        wanted = {self.resolve_topic_name(name) for name in self._wanted}
+        for name, types in self.get_topic_names_and_types():
+            if name in self._ignored or name in self._refused:
+                continue
+            if name not in self.taps.taps:
+                of_graph = not wanted and belongs_to_graph(name, self.get_namespace())
+                if not (name in wanted or of_graph or self._everything) or not self.count_publishers(name):
+                    continue
+                self._add(name, types[0])
+            if name in self.taps.taps and self.taps.discover(name):
+                self._register(self.taps.taps[name])
+
+    def _add(self, name: str, kind: str, request: Qos | None = None) -> None:
+        try:
+            self.taps.add(name, kind, request)
+        except CalibrationError as error:
+            self._refused[name] = str(error)
+            self.get_logger().warning(f"{name} is not recorded: {error}")
+
+    def _register(self, tap: Tap) -> None:
+        # a standard type's definition and hash are known; else the publisher tells the hash
+        self.bag.add_topic(tap.topic, tap.type, qos=tap.offered, type_hash=tap.type_hash or None)
+
+    def _take(self) -> None:
+        if self._waiting:
+            # in simulated time nothing can be dated before the first clock message; the middleware keeps what comes
+            self._waiting = now(self) == 0
+            if self._waiting:
+                return
+        simulated = now(self) if use_sim_time(self) else None
+        try:
+            for message in self.taps.take():
+                if not self.bag.has(message.topic):
+                    self.taps.discover(message.topic)
+                    self._register(self.taps.taps[message.topic])
+                self.bag.write(
+                    message.topic,
+                    message.data,
+                    message.received if simulated is None else simulated,
+                    message.sent,
+                    message.number,
+                )
+            self.bag.tick()
+        except RecordingError as error:
+            if not self._trouble:
+                self.get_logger().error(str(error))
+            self._trouble = str(error)
+
+    def _show(self) -> None:
+        """Latched, so that a starter learns at any time that all it needs is subscribed to."""
+        taps = self.taps.taps
+        lost = self.lost
+        level, text = Level.OK, "recording"
+        if self._waiting:
+            level, text = Level.WARN, "waiting for /clock"
+        elif self._trouble:
+            level, text = Level.ERROR, self._trouble
+        elif lost:
+            level, text = Level.WARN, f"recording; {lost} messages were lost"
+        overall = {
+            "bag": self.bag.folder.resolve(),
+            "topics": len(taps),
+            "messages": self.bag.messages,
+            "lost": lost,
+            "size": self.bag.size,
+            **{f"not recorded {name}": reason for name, reason in self._refused.items()},
+        }
+        message = DiagnosticArray(status=[_entry("recorder", level, text, overall)])
+        message.header.stamp = to_message(now(self))
+        for name, tap in sorted(taps.items()):
+            values = {
+                "type": tap.type,
+                "publishers": tap.publishers,
+                "messages": tap.messages,
+                "lost": tap.lost,
+                "sent before the first": tap.unseen,
+            }
+            message.status.append(_entry(name, Level.WARN if tap.lost else Level.OK, "subscribed", values))
+        self._status.publish(message)
+
+
+def _entry(name: str, level: Level, text: str, values: dict[str, object]) -> DiagnosticStatus:
+    return DiagnosticStatus(
+        level=bytes([level]),
+        name=name,
+        message=text,
+        hardware_id="machine_tool_calibration",
+        values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+    )
+
+
+def main(args: list[str] | None = None) -> int:
+    """Entry point of the executable `recorder`."""
+    return run(Recorder, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
