@@ -69,7 +69,7 @@ def _surplus(network, good):
 
 def test_each_point_from_few_of_many_stations(make_network, solve_dense):
     rng = np.random.default_rng(5)
-    at = np.vstack([rng.random((4, 3)) + [1, 0, 0], rng.random((4, 3)) - [1, 0, 0], rng.random((4, 3)) + [0, 1, 1]])
+    at = np.repeat([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 1.0]], 4, axis=0) + rng.random((12, 3))
     network = make_network(n_points=60, stations_at=at).network
     sees = np.array([np.isin(np.arange(12), rng.permutation(12)[:5]) for _ in range(60)])
     network = network.select(sees[network.point, network.block])
@@ -81,7 +81,8 @@ def test_one_point_read_very_often(make_network, solve_dense):
     network = make_network(n_points=40).network
     often = np.concatenate([np.arange(len(network.reading)), np.repeat(np.flatnonzero(network.point == 7), 50)])
     network = network.select(often)
-    network = replace(network, reading=network.reading + np.random.default_rng(2).normal(size=len(often)) * network.sigma)
+    noise = np.random.default_rng(2).normal(size=len(often)) * network.sigma
+    network = replace(network, reading=network.reading + noise)
     groups = network.part().groups
     assert max(group.rows.size for group in groups) <= len(often)
     agree(network, solve(network.problem()), solve_dense(network))
@@ -151,6 +152,6 @@ def test_inverse_of_small_matrices(d):
 def test_a_direction_that_no_reading_senses_has_no_pivot():
     direction = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     matrix = (direction.T @ direction)[:, :, None]
-    factor, determined = cholesky(matrix)
+    _, determined = cholesky(matrix)
     assert determined[:, 0].tolist() == [True, True, False]
     assert np.isfinite(inverse(matrix)).all()

@@ -60,9 +60,7 @@ class Group:
 def group_rows(block: IntArray) -> list[Group]:
     """Groups of a model without points: one group for each block (setup), one slot."""
     none = np.empty(0, dtype=np.int64)
-    return [
-        Group(np.array([b], dtype=np.int64), np.flatnonzero(block == b)[None, :], none) for b in np.unique(block)
-    ]
+    return [Group(np.array([b], dtype=np.int64), np.flatnonzero(block == b)[None, :], none) for b in np.unique(block)]
 
 
 def group_points(point: IntArray, block: IntArray) -> list[Group]:

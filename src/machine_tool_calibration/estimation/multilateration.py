@@ -60,9 +60,17 @@ class MultilaterationPart(Part):
         self._station = station
         weight = 1.0 / sigma
         self._weight = [np.where(group.rows >= 0, weight[group.rows], 0.0) for group in groups]
-        self._path = [_weighted(path, group, w) for group, w in zip(groups, self._weight, strict=True)]
-        self._dense = [_weighted(dense, group, w) for group, w in zip(groups, self._weight, strict=True)]
-        self._beam = None if beam is None else [_weighted(beam, g, w) for g, w in zip(groups, self._weight, strict=True)]
+        self._path, self._dense = self._in_slots(path), self._in_slots(dense)
+        self._beam = None if beam is None else self._in_slots(beam)
+
+    def _in_slots(self, values: Array) -> list[Array]:
+        """Values of the readings (…, n) by slot and point (…, S, n) of every group, times their weights."""
+        out = []
+        for group, weight in zip(self.groups, self._weight, strict=True):
+            # A missing reading has the index -1 and the weight 0.
+            out.append(np.take(values, group.rows, axis=-1, mode="wrap"))
+            out[-1] *= weight
+        return out
 
     def rows(self, group: int, chunk: slice, theta: Array, local: Array) -> Rows:
         """Linearise at the given positions."""
@@ -91,10 +99,3 @@ class MultilaterationPart(Part):
         np.negative(columns, out=block[:d])
         np.negative(weight, out=block[d])
         return Rows(residual, columns, block, dense)
-
-
-def _weighted(values: Array, group: Group, weight: Array) -> Array:
-    """Values of the readings (…, n) by slot and point (…, S, n), times their weights."""
-    out = np.take(values, group.rows, axis=-1, mode="wrap")
-    out *= weight
-    return out

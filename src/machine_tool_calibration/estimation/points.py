@@ -109,9 +109,8 @@ class _Work:
         self.half = _root(inner)
         self.datum_half = _root(datum)
         over_chunks(self.part, self.spread)
-        return PointResult(
-            self.local - self.common(shift), self.covariance, self.determined, self.theta - self.theta_motion @ shift, inner
-        )
+        value, theta = self.local - self.common(shift), self.theta - self.theta_motion @ shift
+        return PointResult(value, self.covariance, self.determined, theta, inner)
 
     def common(self, shift: Array) -> Array:
         """(d, n) displacement of the points by common motions."""

@@ -174,7 +174,8 @@ class FunctionPart(Part):
         residual, block, dense = self._values
         pick = self.groups[group].rows[:, chunk]
         weight = self._weight[pick]
-        return Rows(residual[pick] * weight, np.zeros((0, *pick.shape)), block[:, pick] * weight, dense[:, pick] * weight)
+        none = np.zeros((0, *pick.shape))
+        return Rows(residual[pick] * weight, none, block[:, pick] * weight, dense[:, pick] * weight)
 
 
 @dataclass(frozen=True)

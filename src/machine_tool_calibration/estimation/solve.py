@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-import threadpoolctl
+import threadpoolctl  # type: ignore[import-untyped]
 
 from machine_tool_calibration.arrays import Array, BoolArray
 from machine_tool_calibration.errors import ModelError
