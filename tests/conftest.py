@@ -1,5 +1,6 @@
 """What all tests share: quiet libraries, and a ROS domain that no other test process on this machine uses."""
 
+import atexit
 import fcntl
 import os
 import tempfile
@@ -51,8 +52,14 @@ class Domains:
         """Give an id back."""
         self._held.pop(domain).close()
 
+    def release_all(self) -> None:
+        """Give every id back."""
+        for domain in list(self._held):
+            self.release(domain)
+
 
 _domains = Domains()
+atexit.register(_domains.release_all)
 os.environ["ROS_DOMAIN_ID"] = str(_domains.claim())
 
 

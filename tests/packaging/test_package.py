@@ -1,0 +1,161 @@
+"""What an installation consists of, and that what it needs is declared."""
+
+import ast
+import configparser
+import re
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+import zipfile
+from importlib.metadata import packages_distributions
+from pathlib import Path
+
+import pytest
+
+from machine_tool_calibration import __version__
+
+PACKAGE = "machine_tool_calibration"
+ROOT = Path(__file__).parents[2]
+SOURCE = ROOT / "src" / PACKAGE
+EXECUTABLES = sorted(path.name for path in (ROOT / "scripts" / "nodes").iterdir())
+DATA = f"{PACKAGE}-{__version__}.data/data"
+NODES = ("axis_simulator", "rotary_pointer", "instrument", "procedure", "estimator", "recorder")
+# ROS packages: exec_depend of package.xml, the extra `ros` of setup.cfg.
+ROS = re.compile(r"rclpy|ament_index_python|launch|launch_ros|std_srvs|[a-z]+_(msgs|interfaces)")
+# Name of the distribution in package.xml, where it is not python3-<name>; None where rosdep has no key for it.
+ROSDEP = {"mcap": "mcap-ros2-support", "zstandard": "mcap-ros2-support", "lz4": "mcap-ros2-support",
+          "threadpoolctl": None, "pyserial": "python3-serial",
+          "pyyaml": "python3-yaml", "rosbags": "python3-rosbags-pip"}  # fmt: skip
+
+
+def imported(path: Path) -> set[str]:
+    """First names of the modules that a file imports when it is imported or run."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_bytes())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            names.add(node.module.split(".")[0])
+    return names - set(sys.stdlib_module_names) - {PACKAGE}
+
+
+def all_imported() -> dict[str, Path]:
+    return {name: path for path in sorted(SOURCE.rglob("*.py")) for name in imported(path)}
+
+
+def normal(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def required() -> set[str]:
+    config = configparser.ConfigParser()
+    config.read(ROOT / "setup.cfg")
+    lines = config["options"]["install_requires"].split("\n")
+    return {normal(re.split(r"[<>=!~ ;\[]", line)[0]) for line in lines if line}
+
+
+def described() -> ET.Element:
+    return ET.parse(ROOT / "package.xml").getroot()
+
+
+def depends() -> set[str]:
+    return {element.text or "" for element in described() if element.tag in ("depend", "exec_depend")}
+
+
+def test_every_imported_distribution_is_required() -> None:
+    distributions = packages_distributions()
+    for module, path in all_imported().items():
+        if not ROS.fullmatch(module):
+            names = {normal(name) for name in distributions.get(module, [module])}
+            assert names & required(), f"{path} imports {module}: add it to install_requires in setup.cfg"
+
+
+def test_every_ros_package_is_named_in_package_xml() -> None:
+    for module, path in all_imported().items():
+        if ROS.fullmatch(module) and module != "ament_index_python":
+            assert module in depends(), f"{path} imports {module}: add it to package.xml"
+
+
+def test_rosdep_names_every_requirement() -> None:
+    for name in required():
+        key = ROSDEP.get(name, f"python3-{name}")
+        assert key is None or key in depends(), f"{name} of setup.cfg is missing in package.xml"
+
+
+def test_optional_requirements_are_not_needed_to_import_the_command() -> None:
+    assert not {module for module in imported(SOURCE / "cli" / "main.py")} - {"click"}
+
+
+def test_one_version() -> None:
+    assert described().findtext("version") == __version__
+    assert described().findtext("name") == PACKAGE
+    assert described().findtext("export/build_type") == "ament_python"
+
+
+def test_wheel_has_what_ros_looks_for(wheel: zipfile.ZipFile) -> None:
+    names = set(wheel.namelist())
+    assert f"{DATA}/share/ament_index/resource_index/packages/{PACKAGE}" in names
+    assert f"{DATA}/share/{PACKAGE}/package.xml" in names
+    for folder in ("launch", "config", "msg_docs"):
+        for path in (ROOT / folder).rglob("*"):
+            if path.is_file() and "__pycache__" not in path.parts:
+                assert f"{DATA}/share/{PACKAGE}/{path.relative_to(ROOT)}" in names
+
+
+def test_wheel_has_the_whole_package(wheel: zipfile.ZipFile) -> None:
+    names = set(wheel.namelist())
+    for path in SOURCE.rglob("*"):
+        if path.is_file() and path.suffix in (".py", ".typed", ".yaml", ".json"):
+            assert str(path.relative_to(SOURCE.parent)) in names
+    assert not [name for name in names if name.startswith(("tests/", "scripts/"))]
+
+
+def test_wheel_has_executables_for_ros2_run(wheel: zipfile.ZipFile) -> None:
+    for name in EXECUTABLES:
+        entry = wheel.getinfo(f"{DATA}/lib/{PACKAGE}/{name}")
+        assert entry.external_attr >> 16 & 0o111 == 0o111, f"{name} cannot be executed"
+        assert wheel.read(entry).startswith(b"#!/bin/sh\n")
+
+
+def test_wheel_has_the_commands(wheel: zipfile.ZipFile) -> None:
+    text = wheel.read(f"{PACKAGE}-{__version__}.dist-info/entry_points.txt").decode()
+    parser = configparser.ConfigParser()
+    parser.read_string(text)
+    scripts = dict(parser["console_scripts"])
+    assert scripts.pop("mtcal") == f"{PACKAGE}.cli.main:main"
+    assert scripts == {f"mtcal-{n.replace('_', '-')}": f"{PACKAGE}.nodes.{n}:main" for n in EXECUTABLES}
+
+
+def test_every_node_is_an_executable() -> None:
+    with_main = {
+        path.stem
+        for path in (SOURCE / "nodes").glob("*.py")
+        if any(isinstance(n, ast.FunctionDef) and n.name == "main" for n in ast.parse(path.read_bytes()).body)
+    }
+    assert with_main == set(EXECUTABLES), "each node has a link in scripts/nodes, and each link a node"
+    assert set(NODES) <= with_main
+
+
+@pytest.mark.parametrize("name", EXECUTABLES)
+def test_an_executable_starts_the_script_of_its_installation(tmp_path: Path, name: str) -> None:
+    (tmp_path / "bin").mkdir()
+    script = tmp_path / "bin" / f"mtcal-{name.replace('_', '-')}"
+    script.write_text('#!/bin/sh\necho "$0" "$@"\n')
+    script.chmod(0o755)
+    executable = tmp_path / "a folder" / "lib" / PACKAGE / name
+    executable.parent.mkdir(parents=True)
+    (tmp_path / "a folder" / "bin").symlink_to(tmp_path / "bin")
+    executable.symlink_to(ROOT / "scripts" / "nodes" / name)  # as colcon installs with --symlink-install
+    done = subprocess.run([executable, "--ros-args", "a b"], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.endswith(f"{script.name} --ros-args a b\n")
+
+
+def test_an_executable_without_a_script_starts_the_module(tmp_path: Path) -> None:
+    python = tmp_path / "python3"
+    python.write_text('#!/bin/sh\necho "$@"\n')
+    python.chmod(0o755)
+    done = subprocess.run(
+        [ROOT / "scripts" / "nodes" / "rotary_pointer", "-x"],
+        capture_output=True, text=True, timeout=60, check=True, env={"PATH": f"{tmp_path}:/usr/bin:/bin"},
+    )  # fmt: skip
+    assert done.stdout == f"-m {PACKAGE}.nodes.rotary_pointer -x\n"
