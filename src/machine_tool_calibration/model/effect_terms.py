@@ -139,4 +139,4 @@ def add_effects(model: MethodModel, effects: Sequence[Effect]) -> MethodModel:
             others = [effect_term(e, observations, *shapes[e.id]) for e in curved if e.id in shapes and e is not effect]
             fit = fit_models([base.with_terms(others)]).fits[0]
             shapes[effect.id] = best_shape(fit, effect)
-    return base.with_terms([effect_term(effect, observations, *shapes[effect.id]) for effect in curved])
+    return base.with_terms([effect_term(effect, observations, *shapes[effect.id]) for effect in curved]).settled()

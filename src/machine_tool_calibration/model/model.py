@@ -81,6 +81,13 @@ class MethodModel(ABC):
         """The same model with further terms."""
         return replace(self, terms=self.terms + tuple(terms))
 
+    def settled(self) -> Self:
+        """The same model with what it draws from the readings besides unknowns (a spread) estimated again.
+
+        To be called when terms were added for good: a spread that was estimated without them would hold them too.
+        """
+        return self
+
     def dense(self) -> Array:
         """(K, n) columns of the terms' unknowns."""
         n = len(self.observations)

@@ -25,6 +25,8 @@ class Observations:
             probe, the direction to a target on the table; 0 where the table does not matter.
         path: (n,) nominal optical path from the instrument to the functional point, m; 0 for a probe.
         run: (n,) index of the run: readings that count from the same datum reading.
+        rotation_direction: (n, 3) r: a rotation E of the tool against the workpiece changes the reading by r.E beside
+            the displacement that it gives the functional point (a flat mirror turns); None where it does not.
     """
 
     session: Session
@@ -34,6 +36,7 @@ class Observations:
     table_direction: Array
     path: Array
     run: IntArray
+    rotation_direction: Array | None = None
 
     def __len__(self) -> int:
         return len(self.readings)
