@@ -1,0 +1,9 @@
+"""Laser step diagonal: a linear interferometer on a flat mirror, diagonals as sequences of single-axis moves.
+
+Ibaraki and Hata 2010, A new formulation of laser step diagonal measurement, Precision Engineering 34(3).
+"""
+
+from machine_tool_calibration.methods.step_diagonal.build import MODELS, build
+from machine_tool_calibration.methods.step_diagonal.model import StepDiagonalModel
+
+__all__ = ["MODELS", "StepDiagonalModel", "build"]

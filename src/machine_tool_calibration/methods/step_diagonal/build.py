@@ -1,0 +1,162 @@
+"""From a session to the model of its step diagonals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.estimation.solve import solve
+from machine_tool_calibration.machine.chain import Chain
+from machine_tool_calibration.machine.tables import MachineTable, linear_axis_errors
+from machine_tool_calibration.methods.rigid_body import map_field, table_datum
+from machine_tool_calibration.methods.step_diagonal.geometry import Run, across, block_positions, runs_of, step_diagonal_of
+from machine_tool_calibration.methods.step_diagonal.model import DATUM, Spread, StepDiagonalModel
+from machine_tool_calibration.methods.step_diagonal.orders import free_angles
+from machine_tool_calibration.methods.step_diagonal.second_order import second_order
+from machine_tool_calibration.methods.step_diagonal.spread import SMALLEST, coarse_nodes
+from machine_tool_calibration.methods.step_diagonal.terms import angle_term, sensed_tables, tilt_terms
+from machine_tool_calibration.model.model import NotDetermined, assemble
+from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.terms import Parameter, Term
+from machine_tool_calibration.session.session import Readings, Session
+
+__all__ = ["MODELS", "build"]
+
+MODELS = ("small_angles", "translations", "angular", "angular_one_mirror", "aligned_mirror")
+"""Models of a step diagonal; the first is the default.
+
+`small_angles`: position errors of the axes; angular errors are small smooth random functions whose size the readings
+tell. `translations`: no angular errors. `angular`: those angular errors that the orders of the moves tell are free;
+`angular_one_mirror`: and the mirror was not touched between the orders of a diagonal. `aligned_mirror`: no angular
+errors and no tilts, as the conventional formulation assumes.
+"""
+
+_SMALL = "only its size is told by the readings (angular_size); it is taken for a small smooth random function"
+_ZERO = "the model takes it to be zero"
+
+
+def build(session: Session, model: str = "small_angles") -> StepDiagonalModel:
+    """The model of a step diagonal's session (Ibaraki and Hata 2010), by weighted least squares over all readings.
+
+    Args:
+        session: diagonals and linear runs, in any number, orders and repeats; what they do not determine is found by
+            the solver.
+        model: one of `MODELS`.
+
+    Raises:
+        ModelError: an unknown model, no readings, or a machine without the axes that move.
+    """
+    if model not in MODELS:
+        raise ModelError(f"step_diagonal has no model {model!r}; known are {', '.join(MODELS)}")
+    description = step_diagonal_of(session)
+    runs = runs_of(description)
+    readings = session.readings.select(np.isfinite(session.readings.displacement) & np.isfinite(session.readings.position()).all(axis=1))
+    if not len(readings):
+        raise ModelError(f"{session.source}: no reading to identify from")
+    chain = Chain.parse(description.machine.chain)
+    blocks = block_positions(description, readings)
+    moved = {axis: nodes for axis, nodes in zip("XYZ", blocks, strict=True) if len(nodes) > 1}
+    for axis in moved:
+        if axis not in chain.linear:
+            raise ModelError(f"the runs move {axis.lower()}, which the chain {description.machine.chain} does not have")
+    candidates = linear_axis_errors(chain, moved)
+    translations = [t for t in candidates if t.is_squareness or not t.is_rotation]
+    rotations = [t for t in candidates if t.is_rotation and not t.is_squareness]
+    observations, displacement = _observations(session, readings, runs)
+    tables, left_out = sensed_tables(translations, blocks, observations, observations.position)
+    terms = tuple(Term(t.name, t.parameters, t.columns(observations.position, observations.direction)) for t in tables)
+    if model != "aligned_mirror":
+        terms += tilt_terms(runs, observations, displacement, model == "angular_one_mirror")
+    base = StepDiagonalModel(
+        observations=observations,
+        terms=terms,
+        constraints=table_datum(tables),
+        priors=(),
+        left_out=left_out,
+        datum=DATUM,
+        runs=runs,
+        blocks=blocks,
+        tables=tables,
+        angles=(),
+        spread=None,
+        nominal=observations.path,
+        run_names=_run_names(session, readings),
+    )
+    base = replace(base, nominal=base.nominal + _second_order(base, displacement))
+    if model in ("translations", "aligned_mirror"):
+        return replace(base, left_out=base.left_out + tuple(NotDetermined(t.name, _ZERO) for t in rotations))
+    if model == "small_angles":
+        return _with_spread(base, rotations)
+    return free_angles(base, rotations)
+
+
+def _observations(session: Session, readings: Readings, runs: Sequence[Run]) -> tuple[Observations, Array]:
+    """Readings with the direction in which each senses the mirror, and its displacement since the start of the run.
+
+    The path begins at the start of the run: how far the laser stood from there is dead path.
+    """
+    pairs = np.stack([readings.setup, readings.repeat])
+    run = np.unique(pairs, axis=1, return_inverse=True)[1].reshape(-1).astype(np.int64)
+    position = readings.position()
+    beam = np.array([r.beam for r in runs])[readings.setup]
+    displacement = position - np.array([r.start for r in runs])[readings.setup]
+    path = np.einsum("nj,nj->n", beam, displacement)
+    turned = np.asarray(np.cross(beam, displacement))
+    observations = Observations(session, readings, position, beam, np.zeros_like(beam), path, run, turned)
+    return observations, displacement
+
+
+def _run_names(session: Session, readings: Readings) -> tuple[str, ...]:
+    pairs = np.unique(np.stack([readings.setup, readings.repeat]), axis=1).T
+    return tuple(f"{session.setup_ids[setup]}.offset_{repeat}" for setup, repeat in pairs)
+
+
+def _second_order(model: StepDiagonalModel, displacement: Array) -> Array:
+    """(n,) what the first-order readings leave out, at the solution of the first-order model."""
+    assembly = assemble([model])
+    theta = solve(assembly.problem).theta[assembly.places[0]]
+    first, count = len(model.own), sum(len(table.labels) for table in model.tables)
+    table_theta = theta[first : first + count]
+    setup = model.observations.readings.setup
+    start = np.array([run.start for run in model.runs])
+    end = start + np.array([run.motion for run in model.runs])
+
+    def error(at: Array) -> Array:
+        return np.asarray(np.einsum("k,knj->nj", table_theta, map_field(model.tables, at)))
+
+    at_start = error(start)
+    moved = error(model.observations.position) - at_start[setup]
+    return second_order(model.runs, setup, displacement, moved, error(end) - at_start, _tilts(model, theta))
+
+
+def _tilts(model: StepDiagonalModel, theta: Array) -> Array:
+    """(runs, 3) tilt of each setup's mirror across its beam."""
+    value = dict(zip([p.name for p in model.parameters], theta, strict=True))
+    out = np.zeros((len(model.runs), 3))
+    for k, run in enumerate(model.runs):
+        for number, direction in enumerate(across(run.beam), start=1):
+            own, shared = f"{run.id}.tilt_{number}", f"{run.name}.tilt_{number}"
+            out[k] += value.get(own, value.get(shared, 0.0)) * direction
+    return out
+
+
+def _with_spread(base: StepDiagonalModel, rotations: list[MachineTable]) -> StepDiagonalModel:
+    """The model with all angular errors as small random functions."""
+    angles = []
+    for table in rotations:
+        nodes = coarse_nodes(base.blocks["XYZ".index(table.name[2])])
+        angle = angle_term(replace(table, nodes=nodes), base.observations, base.observations.position)
+        if _matters(angle.columns):
+            angles.append(angle)
+    spread = Spread(tuple(angles), SMALLEST)
+    left_out = base.left_out + tuple(NotDetermined(t.name, _SMALL) for t in rotations)
+    return replace(base, terms=base.terms + spread.terms, spread=spread, left_out=left_out).settled()
+
+
+def _matters(columns: Array) -> bool:
+    return bool(np.abs(columns).max(initial=0.0) > 1e-9)
+

@@ -1,0 +1,127 @@
+"""Runs of a step diagonal: beam, order of the single-axis moves, block positions."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.session.description import DiagonalSetup, StepDiagonal
+from machine_tool_calibration.session.session import Readings, Session
+
+__all__ = ["Run", "across", "block_positions", "runs_of", "step_diagonal_of"]
+
+_ORDER = re.compile(r"^(?P<name>.+?)[_.-](?P<order>[xyzXYZ]{2,3})$")
+# A reading this close to a block position, as a share of the step, was taken there.
+_NEAR = 1e-2
+
+
+@dataclass(frozen=True)
+class Run:
+    """One setup: a flat mirror that moves along a diagonal or along one axis.
+
+    Attributes:
+        id: of the setup.
+        name: the id without the order of the moves.
+        order: order of the single-axis moves, such as `yzx`; one letter for a linear run.
+        diagonal: whether the mirror's tilt enters; a linear run senses its own axis whatever the tilt.
+        start: (3,) where the run begins, m.
+        motion: (3,) nominal motion of the whole run, m.
+        beam: (3,) nominal direction of the laser beam l, a unit vector: along the motion.
+        sign: (3,) -1, 0 or +1 for each axis.
+    """
+
+    id: str
+    name: str
+    order: str
+    diagonal: bool
+    start: Array
+    motion: Array
+    beam: Array
+    sign: Array
+
+    def path(self, blocks: int) -> Array:
+        """(len(order) * blocks + 1, 3) nominal positions at which the run is read, in their order, m."""
+        steps = np.zeros((len(self.order) * blocks + 1, 3))
+        for place, letter in enumerate(self.order):
+            axis = "xyz".index(letter)
+            steps[1 + place :: len(self.order), axis] = self.motion[axis] / blocks
+        return self.start + np.cumsum(steps, axis=0)
+
+
+def step_diagonal_of(session: Session) -> StepDiagonal:
+    """The session's description.
+
+    Raises:
+        ModelError: the session is of another method.
+    """
+    if not isinstance(session.description, StepDiagonal):
+        raise ModelError(f"{session.source}: a {session.method} session has no step diagonals")
+    return session.description
+
+
+def runs_of(description: StepDiagonal) -> tuple[Run, ...]:
+    """The setups' runs, in the order of the description.
+
+    Raises:
+        ModelError: a direction that does not fit the setup's kind, or an order of moves that leaves out an axis.
+    """
+    return tuple(_run(setup, description) for setup in description.setups)
+
+
+def _run(setup: DiagonalSetup, description: StepDiagonal) -> Run:
+    motion = np.asarray(setup.direction) * np.asarray(description.step) * description.blocks
+    sign = np.sign(motion)
+    moving = "".join("xyz"[k] for k in range(3) if sign[k])
+    if setup.kind == "linear" and len(moving) != 1:
+        raise ModelError(f"setup {setup.id!r}: a linear run moves one axis, its direction {setup.direction} moves {len(moving)}")
+    if setup.kind == "diagonal" and len(moving) < 2:
+        raise ModelError(f"setup {setup.id!r}: a diagonal moves two or three axes, its direction {setup.direction} moves {len(moving)}")
+    name, order = setup.id, moving
+    found = _ORDER.match(setup.id)
+    if found and len(set(found["order"].lower())) == len(found["order"]):
+        name, stated = found["name"], found["order"].lower()
+        order = "".join(letter for letter in stated if letter in moving)
+        if len(order) < len(moving):
+            raise ModelError(f"setup {setup.id!r}: the order {stated} leaves out a moving axis; it moves {', '.join(moving)}")
+    beam = motion / np.linalg.norm(motion)
+    return Run(setup.id, name, order, setup.kind == "diagonal", np.asarray(setup.start), motion, beam, sign)
+
+
+def block_positions(description: StepDiagonal, readings: Readings) -> tuple[Array, Array, Array]:
+    """Block positions of x, y and z: increasing, N + 1 of each axis that some run moves, m.
+
+    Those of the description; where the readings were taken elsewhere (unequal steps), the commanded positions.
+    """
+    start = np.array([setup.start for setup in description.setups])
+    stride = np.array([setup.direction for setup in description.setups]) * np.asarray(description.step)
+    count = np.arange(description.blocks + 1)
+    position = readings.position()
+    out = []
+    for axis in range(3):
+        moved = stride[:, axis] != 0
+        places = start[moved, axis, None] + stride[moved, axis, None] * count if moved.any() else start[:1, axis]
+        nominal = _distinct(places)
+        here = position[:, axis] if len(position) else nominal
+        off = np.abs(here[:, None] - nominal[None]).min(axis=1)
+        commanded = _distinct(here)
+        if off.max(initial=0.0) > _NEAR * description.step[axis] and len(commanded) <= 2 * len(nominal):
+            nominal = commanded
+        out.append(nominal)
+    return out[0], out[1], out[2]
+
+
+def _distinct(values: Array) -> Array:
+    """Values equal to the nanometre taken together, increasing."""
+    return np.unique(np.round(values, 9)) + 0.0
+
+
+def across(beam: Array) -> tuple[Array, Array]:
+    """Two unit vectors across a beam and each other: the first is horizontal (along y for a vertical beam)."""
+    up = np.array([0.0, 0.0, 1.0]) if abs(beam[2]) < 0.999 else np.array([0.0, 1.0, 0.0])
+    first = np.cross(up, beam)
+    first = first / np.linalg.norm(first)
+    return first, np.asarray(np.cross(beam, first))

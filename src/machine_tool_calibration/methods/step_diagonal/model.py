@@ -1,0 +1,237 @@
+"""The model of a step diagonal's session: tables of the axes' position errors, tilts of the mirrors, an offset a run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.estimation.layout import group_rows
+from machine_tool_calibration.estimation.problem import LinearPart, Part
+from machine_tool_calibration.machine.error_motions import parse_motion
+from machine_tool_calibration.machine.table import interpolation
+from machine_tool_calibration.machine.tables import MachineTable
+from machine_tool_calibration.methods.rigid_body import map_field
+from machine_tool_calibration.methods.step_diagonal.geometry import Run
+from machine_tool_calibration.methods.step_diagonal.profiles import Profiles, eq17
+from machine_tool_calibration.methods.step_diagonal.spread import angular_priors, angular_size
+from machine_tool_calibration.methods.step_diagonal.terms import Angle
+from machine_tool_calibration.model.fit import Fit
+from machine_tool_calibration.model.model import MethodModel, NotDetermined
+from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.model.terms import Parameter, Term
+
+__all__ = ["DATUM", "Spread", "StepDiagonalModel"]
+
+DATUM = (
+    "position errors are zero at the first block position of each axis; e_y(x), e_z(x) and e_y(z) are zero at the last "
+    "one too (Ibaraki and Hata 2010, Eq. (17)): the orientation of the coordinate system; lengths are the interferometer's"
+)
+# Share of a position error that may be undetermined before it is not published.
+_LOOSE = 1e-6
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Angular errors as small random functions.
+
+    Attributes:
+        angles: the nine angular error motions.
+        size: standard deviation of their change between the ends of the travel, rad.
+    """
+
+    angles: tuple[Angle, ...]
+    size: float
+
+    @property
+    def names(self) -> list[list[str]]:
+        """Names of their unknowns."""
+        return [[f"angle.{label}" for label in angle.table.labels] for angle in self.angles]
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """Their terms."""
+        return tuple(
+            Term(f"angle.{angle.table.name}", tuple(Parameter(label, "rad") for label in labels), angle.columns)
+            for angle, labels in zip(self.angles, self.names, strict=True)
+        )
+
+
+@dataclass(frozen=True)
+class StepDiagonalModel(MethodModel):
+    """Readings of a flat mirror's displacement along a few diagonals and axes.
+
+    Attributes:
+        runs: the setups.
+        blocks: block positions of x, y, z, m.
+        tables: position errors of the axes and squareness, the first terms of the model.
+        angles: angular errors that are free unknowns.
+        spread: angular errors as small random functions; None where the model takes them to be zero or free.
+        nominal: (n,) reading with all unknowns zero, m.
+        run_names: for each run (setup and repeat) the name of its offset.
+    """
+
+    runs: tuple[Run, ...]
+    blocks: tuple[Array, Array, Array]
+    tables: tuple[MachineTable, ...]
+    angles: tuple[Angle, ...]
+    spread: Spread | None
+    nominal: Array
+    run_names: tuple[str, ...]
+
+    @property
+    def own(self) -> tuple[Parameter, ...]:
+        """The offset of every run: its first reading, from which it counts, has an error too."""
+        return tuple(Parameter(name, "m") for name in self.run_names)
+
+    def part(self, own_index: IntArray, dense_index: IntArray) -> Part:
+        """All columns are known beforehand."""
+        n = len(self.observations)
+        return LinearPart(
+            group_rows(self.observations.run),
+            self.observations.readings.displacement - self.nominal,
+            self.sigma,
+            np.zeros((0, n)),
+            np.ones((1, n)),
+            self.dense(),
+            own_index.reshape(-1, 1),
+            dense_index,
+        )
+
+    def settled(self) -> Self:
+        """The size of the angular errors estimated again, with the terms that were added."""
+        if self.spread is None:
+            return self
+        random = {term.name for term in self.spread.terms}
+        others = [term for term in self.terms if term.name not in random]
+        n = len(self.observations)
+        offsets = np.zeros((len(self.run_names), n))
+        offsets[self.observations.run, np.arange(n)] = 1.0
+        names = [p.name for p in self.own] + [p.name for term in others for p in term.parameters]
+        place = {name: k for k, name in enumerate(names)}
+        rows = np.zeros((len(self.constraints), len(names)))
+        for k, constraint in enumerate(self.constraints):
+            for name, weight in constraint.weights.items():
+                rows[k, place[name]] = weight
+        size = angular_size(
+            self.spread.angles,
+            np.concatenate([offsets, *(term.columns for term in others)]),
+            rows,
+            self.observations.readings.displacement - self.nominal,
+            self.sigma,
+        )
+        spread = replace(self.spread, size=size)
+        return replace(self, spread=spread, priors=angular_priors(spread.angles, spread.names, size))
+
+    def _map_rows(self) -> Array:
+        """(M, K) position errors at the block positions, in the published datum, per unit of the tables' unknowns."""
+        places = []
+        for axis, nodes in enumerate(self.blocks):
+            at = np.tile([b[0] for b in self.blocks], (len(nodes), 1))
+            at[:, axis] = nodes
+            places.append(at)
+        field = map_field(self.tables, np.concatenate(places))
+        return eq17(self.blocks, field.reshape(len(field), -1)).T
+
+    def _there(self) -> Array:
+        """(M,) whether the model holds a value for each of the map's entries: 1, or NaN."""
+        out = []
+        tables = {(parse_motion(t.name).axis, parse_motion(t.name).component): t for t in self.tables if not t.is_squareness}
+        for axis, nodes in zip("XYZ", self.blocks, strict=True):
+            there = np.full((len(nodes), 3), np.nan)
+            for j, component in enumerate("XYZ"):
+                table = tables.get((axis, component))
+                if table is not None:
+                    there[np.isin(np.round(nodes, 9), np.round(table.nodes, 9)), j] = 1.0
+            out.append(there.ravel())
+        return np.concatenate(out)
+
+    def profiles(self, fit: Fit, method: str = "least_squares") -> Profiles:
+        """Position errors at the block positions in the coordinate system of Eq. (17), with their covariance."""
+        rows = self._map_rows()
+        first = len(self.own)
+        mine = slice(first, first + rows.shape[1])
+        value = rows @ fit.theta[mine] * self._there()
+        if fit.undetermined.size:
+            # A direction's entries are of mixed units: what matters is what it does to the map.
+            loose = np.abs(rows @ fit.undetermined[mine]).max(axis=1)
+            value[loose > _LOOSE * max(float(loose.max()), 1e-3)] = np.nan
+        covariance = rows @ fit.covariance[mine, mine] @ rows.T
+        parts = np.split(value, np.cumsum([3 * len(b) for b in self.blocks])[:-1])
+        x, y, z = (p.reshape(-1, 3) for p in parts)
+        return Profiles(method, self.blocks, (x, y, z), covariance)
+
+    def _angular(self, fit: Fit) -> dict[str, Any]:
+        """Free angular errors at the block positions: x_angular … (N + 1, 3) EA, EB, EC with `_u`."""
+        if not self.angles:
+            return {}
+        names = [p.name for p in self.parameters]
+        place = {name: k for k, name in enumerate(names)}
+        out: dict[str, Any] = {}
+        for axis, letter in enumerate("xyz"):
+            nodes = self.blocks[axis]
+            value, uncertainty = np.full((len(nodes), 3), np.nan), np.full((len(nodes), 3), np.nan)
+            for angle in self.angles:
+                motion = parse_motion(angle.table.name)
+                if motion.axis != letter.upper():
+                    continue
+                at = [place[label] for label in angle.table.labels]
+                weights = interpolation(angle.table.nodes, nodes)
+                column = "ABC".index(motion.component)
+                value[:, column] = weights.T @ fit.theta[at]
+                uncertainty[:, column] = np.sqrt(
+                    np.maximum(np.einsum("kn,kl,ln->n", weights, fit.covariance[np.ix_(at, at)], weights), 0.0)
+                )
+                lost = ~fit.determined[at].all()
+                value[:, column] = np.nan if lost else value[:, column]
+                uncertainty[:, column] = np.nan if lost else uncertainty[:, column]
+            out[f"{letter}_angular"], out[f"{letter}_angular_u"] = value, uncertainty
+        return out
+
+    def error_map(self, fit: Fit) -> ErrorMap:
+        """Position errors of each axis at its block positions, straightness and squareness."""
+        profiles = self.profiles(fit)
+        content: dict[str, Any] = {}
+        for letter, nodes, error, uncertainty in zip(
+            "xyz", self.blocks, profiles.error, profiles.uncertainty, strict=True
+        ):
+            content[letter], content[f"{letter}_u"] = error, uncertainty
+            content[f"{letter}_position"] = nodes
+        figures = profiles.figures()
+        for kind in ("positioning", "straightness", "squareness"):
+            content[kind] = _paired({f.name: (f.value, f.uncertainty) for f in figures if f.kind == kind})
+        content |= self._angular(fit)
+        if self.spread is not None:
+            content["angular_size"] = self.spread.size
+        content["datum"] = self.datum
+        points = np.concatenate([
+            np.where(np.arange(3) == axis, nodes[:, None], [b[0] for b in self.blocks]) for axis, nodes in enumerate(self.blocks)
+        ])  # fmt: skip
+        error, uncertainty = np.concatenate(profiles.error), np.concatenate(profiles.uncertainty)
+        assert profiles.covariance is not None
+        n = len(points)
+        blocks = profiles.covariance.reshape(n, 3, n, 3)[np.arange(n), :, np.arange(n), :]
+        known = np.isfinite(error)
+        blocks = np.where(known[:, :, None] & known[:, None, :], blocks, np.nan)
+        lost = tuple(
+            NotDetermined(f"error_map.{letter}: e{component}", _why(part[:, j]))
+            for letter, part in zip("xyz", profiles.error, strict=True)
+            for j, component in enumerate("xyz")
+            if not np.isfinite(part[:, j]).all() and len(part) > 1
+        )
+        return ErrorMap(content, points, error, uncertainty, blocks, lost)
+
+
+def _paired(values: Mapping[str, tuple[float, float]]) -> dict[str, float]:
+    """Each `name` with its `name_u`."""
+    return {key: v for name, (value, u) in values.items() for key, v in ((name, value), (f"{name}_u", u))}
+
+
+def _why(values: Array) -> str:
+    count = int(np.count_nonzero(~np.isfinite(values)))
+    if count == len(values):
+        return "the runs that were measured do not determine it in the published coordinate system"
+    return f"{count} of {len(values)} block positions were not reached by a reading that senses it"

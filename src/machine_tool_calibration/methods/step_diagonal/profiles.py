@@ -1,0 +1,167 @@
+"""Position errors along the three axes in the paper's coordinate system, and the figures that are read from them.
+
+The coordinate system is that of Ibaraki and Hata 2010, Eq. (17): every error is zero at the first block position, and
+e_y(x), e_z(x) and e_y(z) are zero at the last one too (the means of their increments are zero). Orientation cannot
+be measured with a laser that is aligned on the machine's own motion; squareness and straightness do not depend on it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+
+__all__ = ["Figure", "Profiles", "eq17"]
+
+# Squareness as ISO 230-1 names it: sign, then the two slopes that add up to it (component, axis).
+_SQUARENESS = {"C0Y": (-1.0, (0, 1), (1, 0)), "B0Z": (1.0, (0, 2), (2, 0)), "A0Z": (-1.0, (2, 1), (1, 2))}
+_TURNS = (("y", 0, 1, 2), ("z", 0, 2, 1), ("y", 2, 1, 0))
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure of the paper's Table 1.
+
+    Attributes:
+        name: EXX … (position error at the last block position), EYX … (straightness), C0Y, B0Z, A0Z.
+        kind: positioning, straightness or squareness.
+        value: m; rad for a squareness. NaN where it is not determined.
+        uncertainty: standard uncertainty, k = 1.
+    """
+
+    name: str
+    kind: str
+    value: float
+    uncertainty: float
+
+
+@dataclass(frozen=True)
+class Profiles:
+    """Position errors at the block positions of each axis.
+
+    Attributes:
+        method: how they were estimated.
+        blocks: block positions of x, y, z, m.
+        error: for each axis (N + 1, 3): ex, ey, ez, m; NaN where not determined.
+        covariance: of all errors, axis after axis, position after position, component after component, m^2; None
+            where it was not propagated.
+    """
+
+    method: str
+    blocks: tuple[Array, Array, Array]
+    error: tuple[Array, Array, Array]
+    covariance: Array | None = None
+
+    @cached_property
+    def uncertainty(self) -> tuple[Array, Array, Array]:
+        """For each axis (N + 1, 3) standard uncertainties, m; NaN where not determined or not propagated."""
+        size = [error.size for error in self.error]
+        flat = np.full(sum(size), np.nan) if self.covariance is None else np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        parts = np.split(flat, np.cumsum(size)[:-1])
+        shaped = [np.where(np.isfinite(e), p.reshape(e.shape), np.nan) for e, p in zip(self.error, parts, strict=True)]
+        return shaped[0], shaped[1], shaped[2]
+
+    def figures(self) -> list[Figure]:
+        """The figures of the paper's Table 1: positioning, straightness, squareness.
+
+        Straightness is the extent (largest minus smallest) of the deviations from the least-squares line; squareness
+        the slope of one axis's least-squares line against the other's, with the sign of ISO 230-1.
+        """
+        out = []
+        for axis, letter in enumerate("XYZ"):
+            row = self._pick(axis, axis, -1) - self._pick(axis, axis, 0)
+            out.append(self._figure(f"E{letter}{letter}", "positioning", row))
+        for axis, letter in enumerate("XYZ"):
+            for component, along in enumerate("XYZ"):
+                if component != axis:
+                    out.append(self._figure(f"E{along}{letter}", "straightness", self._extent(component, axis)))
+        for name, (sign, one, other) in _SQUARENESS.items():
+            out.append(self._figure(name, "squareness", sign * (self._slope(*one) + self._slope(*other))))
+        return out
+
+    @cached_property
+    def _flat(self) -> Array:
+        return np.concatenate([error.ravel() for error in self.error])
+
+    def _first(self, axis: int) -> int:
+        return sum(error.size for error in self.error[:axis])
+
+    def _pick(self, component: int, axis: int, number: int) -> Array:
+        row = np.zeros(len(self._flat))
+        row[self._first(axis) + 3 * (number % len(self.blocks[axis])) + component] = 1.0
+        return row
+
+    def _places(self, component: int, axis: int) -> Array:
+        count = len(self.blocks[axis])
+        return self._first(axis) + 3 * np.arange(count) + component
+
+    def _line(self, component: int, axis: int) -> tuple[Array, Array]:
+        """Places of the determined values and, for them, the least-squares line's (2, k) operator."""
+        places = self._places(component, axis).astype(np.int64)
+        good = np.isfinite(self._flat[places])
+        design = np.column_stack([np.ones(good.sum()), self.blocks[axis][good]])
+        return places[good], np.linalg.pinv(design) if good.sum() > 1 else np.full((2, int(good.sum())), np.nan)
+
+    def _slope(self, component: int, axis: int) -> Array:
+        places, operator = self._line(component, axis)
+        row = np.zeros(len(self._flat))
+        if len(places) < 2:
+            row[:] = np.nan
+        else:
+            row[places] = operator[1]
+        return row
+
+    def _extent(self, component: int, axis: int) -> Array:
+        places, operator = self._line(component, axis)
+        row = np.zeros(len(self._flat))
+        if len(places) < 2:
+            row[:] = np.nan
+            return row
+        where = self.blocks[axis][((places - self._first(axis)) // 3).astype(np.int64)]
+        residual = np.eye(len(places)) - np.column_stack([np.ones(len(places)), where]) @ operator
+        deviation = residual @ self._flat[places]
+        row[places] = residual[int(np.argmax(deviation))] - residual[int(np.argmin(deviation))]
+        return row
+
+    def _figure(self, name: str, kind: str, row: Array) -> Figure:
+        used = row != 0
+        value = float(row[used] @ self._flat[used]) if np.isfinite(row).all() else np.nan
+        uncertainty = np.nan
+        if np.isfinite(value) and self.covariance is not None:
+            inner = self.covariance[np.ix_(used, used)]
+            uncertainty = float(np.sqrt(max(row[used] @ inner @ row[used], 0.0)))
+        return Figure(name, kind, value, uncertainty)
+
+
+def eq17(blocks: Sequence[Array], error: Array) -> Array:
+    """Position errors in the coordinate system of Eq. (17).
+
+    Args:
+        blocks: block positions of x, y, z, m.
+        error: (…, M) errors in any orientation: axis after axis, position after position, component after component;
+            all zero where an axis has no positions of its own.
+
+    Returns:
+        (…, M) the same, zero at the first position of each axis and turned as a whole.
+    """
+    sizes = [3 * len(b) for b in blocks]
+    parts = [p.reshape(*p.shape[:-1], -1, 3).copy() for p in np.split(error, np.cumsum(sizes)[:-1], axis=-1)]
+    for part in parts:
+        part -= part[..., :1, :].copy()
+    spans = [float(b[-1] - b[0]) for b in blocks]
+    turn = np.zeros((*error.shape[:-1], 3))
+    # e_y(x) and e_z(x) fix the turns about z and y, e_y(z) that about x; e_z(y) where z did not move.
+    if spans[0]:
+        turn[..., 2] = -parts[0][..., -1, 1] / spans[0]
+        turn[..., 1] = parts[0][..., -1, 2] / spans[0]
+    if spans[2]:
+        turn[..., 0] = parts[2][..., -1, 1] / spans[2]
+    elif spans[1]:
+        turn[..., 0] = -parts[1][..., -1, 2] / spans[1]
+    for axis, (part, b) in enumerate(zip(parts, blocks, strict=True)):
+        part += (b - b[0])[:, None] * np.cross(turn, np.eye(3)[axis])[..., None, :]
+    return np.concatenate([part.reshape(*part.shape[:-2], -1) for part in parts], axis=-1)

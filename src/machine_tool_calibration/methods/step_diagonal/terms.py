@@ -1,0 +1,147 @@
+"""What a reading of a step diagonal is a sum of: errors of the axes, tilts of the mirrors, rotations of the mirror.
+
+To first order, with l the beam, d the nominal displacement since the start of the run, e the position error and t the
+mirror's tilt (the normal is l + t, t across l), a reading n.d / (n.l) is
+
+    l.d + l.(e - e_start) + t.d.
+
+A rotation E of the tool against the workpiece (the sum of the angular errors of the axes) turns the mirror about the
+functional point, which by then has moved by d off the beam's axis: the reading changes by E.(l x d), beside the
+displacement E x arm that the same rotation gives the functional point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.machine.error_motions import parse_motion
+from machine_tool_calibration.machine.table import interpolation
+from machine_tool_calibration.machine.tables import MachineTable
+from machine_tool_calibration.methods.step_diagonal.geometry import Run, across
+from machine_tool_calibration.model.model import NotDetermined
+from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.terms import Parameter, Term
+
+__all__ = ["Angle", "angle_term", "sensed_tables", "tilt_groups", "tilt_terms"]
+
+_SENSED = 1e-6
+
+
+@dataclass(frozen=True)
+class Angle:
+    """An angular error motion with its table.
+
+    Attributes:
+        table: the motion's table.
+        columns: (k, n) change of each reading per unit of each node's value.
+    """
+
+    table: MachineTable
+    columns: Array
+
+
+def sensed_tables(
+    tables: Sequence[MachineTable], blocks: Sequence[Array], observations: Observations, position: Array
+) -> tuple[tuple[MachineTable, ...], tuple[NotDetermined, ...]]:
+    """Tables of translations at those block positions at which a reading senses them; squareness as it is.
+
+    Args:
+        tables: translations and squareness errors of the machine.
+        blocks: block positions of x, y, z, m.
+        observations: the readings.
+        position: (n, 3) commanded positions.
+
+    Returns:
+        The tables that readings depend on, and what no reading depends on.
+    """
+    kept, left_out = [], []
+    for table in tables:
+        if table.is_squareness:
+            if np.abs(table.columns(position, observations.direction)).max() < 1e-12:
+                left_out.append(NotDetermined(table.name, "no reading depends on it"))
+            else:
+                kept.append(table)
+            continue
+        motion = parse_motion(table.name)
+        axis, along = "XYZ".index(motion.axis), "XYZ".index(motion.component)
+        sees = np.abs(observations.direction[:, along]) > _SENSED
+        nodes = _visited(blocks[axis], position[sees, axis])
+        moved = sees & (np.abs(position[:, axis] - blocks[axis][0]) > 0)
+        if nodes.sum() < 2 or not moved.any():
+            left_out.append(NotDetermined(table.name, "no reading depends on it: no run senses this direction along this axis"))
+            continue
+        kept.append(MachineTable(table.chain, table.name, blocks[axis][nodes]))
+    return tuple(kept), tuple(left_out)
+
+
+def _visited(nodes: Array, position: Array) -> BoolArray:
+    """(k,) nodes that enter the interpolation at some of the positions by more than rounding."""
+    if not len(position):
+        return np.zeros(len(nodes), dtype=bool)
+    return np.asarray(np.abs(interpolation(nodes, position)).max(axis=1) > 1e-3)
+
+
+def tilt_groups(runs: Sequence[Run], one_mirror: bool) -> tuple[tuple[str, IntArray], ...]:
+    """Names of the mirror's settings and the setups that share each.
+
+    Args:
+        runs: the setups.
+        one_mirror: whether the mirror stays as it is between the orders of the same diagonal.
+    """
+    names: dict[str, list[int]] = {}
+    for k, run in enumerate(runs):
+        if run.diagonal:
+            names.setdefault(run.name if one_mirror else run.id, []).append(k)
+    return tuple((name, np.array(members, dtype=np.int64)) for name, members in names.items())
+
+
+def tilt_terms(
+    runs: Sequence[Run], observations: Observations, displacement: Array, one_mirror: bool
+) -> tuple[Term, ...]:
+    """Two tilts of the mirror for each of its settings.
+
+    Args:
+        runs: the setups.
+        observations: the readings.
+        displacement: (n, 3) of the mirror since the start of the run, m.
+        one_mirror: see `tilt_groups`.
+
+    Returns:
+        Terms `ppp.tilt` with `ppp.tilt_1` towards the horizontal direction across the beam and `ppp.tilt_2` towards
+        the other (`geometry.across`), rad. A tilt that no reading shows (a diagonal in a plane) is left out.
+    """
+    setup = observations.readings.setup
+    out = []
+    for name, members in tilt_groups(runs, one_mirror):
+        mine = np.isin(setup, members)
+        if not mine.any():
+            continue
+        columns, parameters = [], []
+        for number, direction in enumerate(across(runs[members[0]].beam), start=1):
+            column = np.where(mine, displacement @ direction, 0.0)
+            if np.abs(column).max() > 1e-9:
+                columns.append(column)
+                parameters.append(Parameter(f"{name}.tilt_{number}", "rad", -0.02, 0.02))
+        if columns:
+            out.append(Term(f"{name}.tilt", tuple(parameters), np.array(columns)))
+    return tuple(out)
+
+
+def angle_term(table: MachineTable, observations: Observations, position: Array) -> Angle:
+    """Columns of an angular error motion: what it displaces, and what it turns.
+
+    Args:
+        table: the motion with its nodes.
+        observations: the readings; `rotation_direction` is the effect of the mirror's rotation.
+        position: (n, 3) commanded positions, m.
+    """
+    motion = parse_motion(table.name)
+    turned = observations.rotation_direction
+    assert turned is not None
+    along = table.scalar(position, observations.direction) + turned[:, "ABC".index(motion.component)]
+    weights = interpolation(table.nodes, position[:, "XYZ".index(motion.axis)])
+    return Angle(table, weights * along)
