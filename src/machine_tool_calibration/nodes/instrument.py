@@ -259,7 +259,7 @@ class Instrument(Node):
 
     def _refuse_or_wait(self, request: _Request, reason: NotYet) -> None:
         patience = self._timeout
-        if self._simulated_time and reason.kind in ("beam", "unstable"):
+        if self._simulated_time:
             patience = _GRACE  # simulated time does not go on by itself
         waited = time.monotonic() - request.since
         if waited < patience and not self._lost_for_good(reason):

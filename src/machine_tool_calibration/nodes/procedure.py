@@ -74,6 +74,15 @@ class ProcedureNode(Node):
                 low=0.05,
                 high=100.0,
             ),
+            answer=declare(
+                self,
+                "answer",
+                2.0 if simulated else 5.0,
+                "a request to the instrument without an answer is sent again after this",
+                unit="s",
+                low=0.05,
+                high=1e4,
+            ),
             patience=declare(
                 self,
                 "patience",
@@ -146,6 +155,7 @@ class ProcedureNode(Node):
         self.create_subscription(DiagnosticArray, "axes/status", self._axes_status, STATE)
         self.create_subscription(JointState, "joint_states", self._joint_states, STATE)
         self.create_subscription(JointState, "pointer/state", self._pointer_state, STATE)
+        self.create_subscription(DiagnosticArray, "instrument/status", self._instrument_status, LATCHED)
         self._datum = self.create_client(Trigger, "instrument/datum")
         self._capture = self.create_client(Trigger, "instrument/capture")
         for name, handler in (
@@ -226,6 +236,12 @@ class ProcedureNode(Node):
         stamp = from_message(message.header.stamp)
         self._hear(Aimed(message.header.frame_id, angles["azimuth"], angles.get("elevation", 0.0), stamp))
 
+    def _instrument_status(self, message: DiagnosticArray) -> None:
+        if values(message).get("state") == "no signal":
+            self._seen.discard("instrument")
+        else:
+            self._seen.add("instrument")
+
     def _answer(self, token: int, response: Trigger.Response | None, *, is_datum: bool) -> None:
         if response is None:
             return
@@ -293,10 +309,8 @@ class ProcedureNode(Node):
         self._session.publish(String(data=description_yaml(self.sequencer.plan.procedure.session)))
 
     def _partners(self) -> str:
-        missing = [name for name in ("axes", "pointer") if name not in self._seen]
-        if "pointer" in missing and self.count_publishers("pointer/state"):
-            missing.remove("pointer")
-        if not (self._capture.service_is_ready() and self._datum.service_is_ready()):
+        missing = [name for name in ("axes", "pointer", "instrument") if name not in self._seen]
+        if "instrument" not in missing and not (self._capture.service_is_ready() and self._datum.service_is_ready()):
             missing.append("instrument")
         return ", ".join(missing)
 
@@ -320,7 +334,7 @@ class ProcedureNode(Node):
         }
         text = sequencer.message
         if waiting and sequencer.state in (State.RUNNING, State.IDLE):
-            text = f"waiting for {waiting}"
+            text = sequencer.reason or f"waiting for {waiting}"
         if (text, entries) == self._shown:
             return
         self._shown = (text, entries)

@@ -31,6 +31,7 @@ from machine_tool_calibration.session.parse import parse_description
 __all__ = ["RotaryPointer", "main"]
 
 _ANGLES = ("azimuth", "elevation")
+_HEARTBEAT = 0.2  # s of the wall clock: who has just found this node hears where the beam is
 
 
 class RotaryPointer(Node):
@@ -66,7 +67,7 @@ class RotaryPointer(Node):
         self._waiting: PointStamped | None = None
         self._setup = ""
         self._setup_starts: dict[str, int] = {}
-        self._start = 0
+        self._start = self._arrival = 0
         rest = dict.fromkeys(_ANGLES, 0.0)
         self._motion = Move(rest, rest, 0.0, 0.0)
 
@@ -74,8 +75,8 @@ class RotaryPointer(Node):
         self._truth = self.create_publisher(PoseStamped, "truth/beam", STATE)
         self.create_subscription(String, "session", self._described, LATCHED)
         self.create_subscription(PointStamped, "pointer/command", self._commanded, COMMAND)
-        if not self._simulated:
-            self.create_timer(1.0 / rate, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        period = _HEARTBEAT if self._simulated else 1.0 / rate
+        self.create_timer(period, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _described(self, message: String) -> None:
         try:
@@ -109,11 +110,11 @@ class RotaryPointer(Node):
         turn = math.remainder(goal["azimuth"] - here["azimuth"], math.tau)  # the shorter way round
         self._motion = move(here, {**goal, "azimuth": here["azimuth"] + turn}, self._limits)
         self._start = begin
-        self._publish(begin + nanoseconds(self._motion.duration) if self._simulated else begin)
+        self._arrival = begin + nanoseconds(self._motion.duration)
+        self._publish(self._arrival if self._simulated else begin)
 
     def _tick(self) -> None:
-        if self._setup:
-            self._publish(now(self))
+        self._publish(self._arrival if self._simulated else now(self))
 
     def _publish(self, stamp: int) -> None:
         since = seconds(stamp - self._start) if self._simulated is False else self._motion.duration
@@ -130,7 +131,19 @@ class RotaryPointer(Node):
         self._states.publish(message)
 
     def _publish_truth(self, stamp: int, azimuth: float, elevation: float) -> None:
-        assert self._session is not None
+        beam = self._beam(stamp, azimuth, elevation)
+        message = PoseStamped()
+        message.header.stamp = to_message(stamp)
+        message.header.frame_id = self._setup
+        message.pose.position.x, message.pose.position.y, message.pose.position.z = map(float, beam.origin)
+        turned = message.pose.orientation
+        turned.x, turned.y, turned.z, turned.w = quaternion(beam)
+        self._truth.publish(message)
+
+    def _beam(self, stamp: int, azimuth: float, elevation: float) -> Beam:
+        """The true beam; from the machine's zero as long as no setup has been commanded."""
+        if self._session is None or not self._setup:
+            return self.site.beam(np.zeros(3), azimuth, elevation, Moment(0.0, {}, {}))
         index = [entry.id for entry in self._session.setups].index(self._setup)
         moment = Moment(
             time=seconds(stamp - self._origin),
@@ -139,14 +152,7 @@ class RotaryPointer(Node):
             setup=index,
             setup_start=seconds(self._setup_starts[self._setup] - self._origin),
         )
-        beam = self.site.beam(self.site.station(self._session, index), azimuth, elevation, moment)
-        message = PoseStamped()
-        message.header.stamp = to_message(stamp)
-        message.header.frame_id = self._setup
-        message.pose.position.x, message.pose.position.y, message.pose.position.z = map(float, beam.origin)
-        turned = message.pose.orientation
-        turned.x, turned.y, turned.z, turned.w = quaternion(beam)
-        self._truth.publish(message)
+        return self.site.beam(self.site.station(self._session, index), azimuth, elevation, moment)
 
 
 def quaternion(beam: Beam) -> tuple[float, float, float, float]:

@@ -70,6 +70,7 @@ class Timing:
 
     Attributes:
         resend: a command without an answer is sent again after this.
+        answer: a request to the instrument without an answer is sent again after this; longer than it takes to answer.
         patience: then an error is stated after this.
         paced: whether moves take as long as they say; not in simulated time.
         pointing_tolerance: greatest deviation of the beam's angles from the commanded ones, rad.
@@ -78,7 +79,8 @@ class Timing:
     """
 
     resend: float = 1.0
-    patience: float = 10.0
+    answer: float = 5.0
+    patience: float = 15.0
     paced: bool = True
     pointing_tolerance: float = 1e-4
     revisits: int = 4
@@ -122,6 +124,7 @@ class _Pending:
     arrived: Arrived | None = None
     aimed: int | None = None
     token: int = -1
+    reason: str = ""
     stale: int = 0
     since: float = 0.0
     sent: float = 0.0
@@ -188,6 +191,11 @@ class Sequencer:
         """What the current step waits for."""
         return self._pending.phase
 
+    @property
+    def reason(self) -> str:
+        """Why the instrument gives no reading now; empty if it has not said."""
+        return self._pending.reason
+
     # --- what a person asks
 
     def start(self, now: int, wall: float, here: Mapping[str, float] | None = None) -> list[Action]:
@@ -245,7 +253,8 @@ class Sequencer:
         pending = self._pending
         if self.state is not State.RUNNING or pending.phase is Phase.NONE:
             return []
-        if wall - pending.sent < self.timing.resend + pending.expected:
+        is_asked = pending.phase is not Phase.MOVE and pending.token >= 0
+        if wall - pending.sent < (self.timing.answer if is_asked else self.timing.resend) + pending.expected:
             return []
         if pending.phase is Phase.MOVE:
             missing = {
@@ -256,7 +265,7 @@ class Sequencer:
         else:
             self.waiting_for = "instrument"
         if wall - pending.since > self.timing.patience + pending.expected:
-            self._fail(f"no answer from {self.waiting_for} for {wall - pending.since:.0f} s")
+            self._fail(pending.reason or f"no answer from {self.waiting_for} for {wall - pending.since:.0f} s")
             return []
         self.counters.resent += 1
         pending.sent = wall
@@ -452,7 +461,9 @@ class Sequencer:
             return self._hold(now, wall)
         if event.kind in ("beam", "datum"):
             return self._recover(event.reason, now, wall)
-        self._fail(f"instrument: {event.reason}")
+        # asked again by `tick`, until patience ends
+        self._pending.token, self._pending.reason = -1, f"instrument: {event.reason}"
+        self._pending.sent = wall
         return []
 
     def _recover(self, reason: str, now: int, wall: float) -> list[Action]:

@@ -1,0 +1,104 @@
+"""Run a measurement procedure: start the nodes, measure, record, identify the machine's errors."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from machine_tool_calibration.cli.measuring import bar, graph_options, show_files, show_result
+from machine_tool_calibration.cli.output import console, json_option, write_json
+from machine_tool_calibration.nodes.measurement import NODES, Setting, free_folder, measure
+from machine_tool_calibration.nodes.shared import procedure_file
+from machine_tool_calibration.nodes.site import SiteSpec, read_site
+from machine_tool_calibration.procedure import read_procedure
+
+__all__ = ["command"]
+
+
+@click.command("run")
+@click.argument("procedure")
+@graph_options
+@click.option("--site", type=click.Path(path_type=Path), help="YAML file with what is true in the simulated workshop.")
+@click.option("--seed", type=click.IntRange(min=0), help="Seed of the simulated workshop; of the site file if absent.")
+@click.option(
+    "--driver",
+    default="simulated",
+    show_default=True,
+    help="`simulated`, or the YAML file of a real instrument's driver (needs --real-time).",
+)
+@click.option(
+    "--real-time", is_flag=True, help="Move and wait as long as it takes, instead of as fast as the computer can."
+)
+@click.option(
+    "--external",
+    multiple=True,
+    type=click.Choice(NODES),
+    help="A node that runs elsewhere and is not started, such as a real machine's axes. May be repeated.",
+)
+@click.option("--model", default="", help="Variant of the method's model, such as free or rigid_body.")
+@click.option(
+    "--effect", "effects", multiple=True, help="Physical effect to add to the model. May be given several times."
+)
+@click.option("--no-identify", is_flag=True, help="Measure and record only.")
+@click.option("--no-record", is_flag=True, help="No recording (MCAP bag).")
+@json_option
+def command(
+    procedure: str,
+    output: Path | None,
+    domain_id: int | None,
+    namespace: str,
+    site: Path | None,
+    seed: int | None,
+    driver: str,
+    real_time: bool,
+    external: tuple[str, ...],
+    model: str,
+    effects: tuple[str, ...],
+    no_identify: bool,
+    no_record: bool,
+    as_json: bool,
+) -> None:
+    """Run a measurement procedure: start the nodes, measure, record, identify.
+
+    PROCEDURE is a YAML file, or the name of one that the package brings, such as tracking_2d. The machine and the
+    instrument are simulated unless --driver and --external say otherwise; --site describes what is true about them.
+
+    Everything is written to a new folder, ./mtcal_output/<name of the procedure> by default: the recording (bag/), the
+    session (session/), the result (result.json), and what the nodes said (log/).
+    """
+    file = procedure_file(procedure)
+    world = read_site(str(site)) if site is not None else SiteSpec()
+    if seed is not None:
+        world = world.model_copy(update={"seed": seed})
+    setting = Setting(
+        output=free_folder(read_procedure(file).name, output),
+        site=world,
+        simulated_time=not real_time,
+        driver=driver,
+        namespace=namespace,
+        domain=domain_id,
+        record=not no_record,
+        identify=not no_identify,
+        model=model,
+        effects=effects,
+        external=external,
+    )
+    with bar() as progress:
+        measured = measure(file, setting, progress)
+    if as_json:
+        write_json(
+            {
+                "format": "mtcal-run/1",
+                "output": measured.output,
+                "session": measured.session_folder,
+                "bag": measured.bag,
+                "readings": len(measured.session.readings),
+                "seconds": measured.seconds[1],
+                "counters": measured.counters,
+                "result": measured.result,
+            }
+        )
+        return
+    show_result(console(), measured)
+    show_files(console(), measured)

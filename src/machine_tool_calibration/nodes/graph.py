@@ -1,0 +1,147 @@
+"""Starts the graph's processes, watches them and ends them: what `ros2 launch` does where it is not installed."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.nodes.process import default_environment
+
+__all__ = ["Graph", "Program"]
+
+_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG
+_POLL = 0.02  # s
+
+
+@dataclass(frozen=True)
+class Program:
+    """A node to be started.
+
+    Attributes:
+        name: of the executable, which is also the node's.
+        parameters: values by name.
+        grace: time to end by itself after SIGINT, s.
+    """
+
+    name: str
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    grace: float = 2.0
+
+
+class Graph:
+    """The processes of one graph, as a context; leaving it ends them all.
+
+    Args:
+        programs: what to start.
+        folder: for logs and parameter files.
+        domain: ROS domain id.
+        namespace: of all nodes, such as `/cell_1`; empty for none.
+    """
+
+    def __init__(self, programs: Sequence[Program], folder: Path, domain: int, namespace: str = "") -> None:
+        self._programs = {program.name: program for program in programs}
+        self._folder, self._domain = folder, domain
+        self.namespace = "/" + namespace.strip("/") if namespace.strip("/") else ""
+        self._running: dict[str, subprocess.Popen[bytes]] = {}
+
+    def __enter__(self) -> Graph:
+        self._folder.mkdir(parents=True, exist_ok=True)
+        try:
+            for name in self._programs:
+                self.start(name)
+        except BaseException:
+            self.stop()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def start(self, name: str) -> None:
+        """Start one program, or start it again."""
+        program = self._programs[name]
+        parameters = self._folder / f"{name}.yaml"
+        content = {"/**": {"ros__parameters": dict(program.parameters)}}
+        parameters.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+        command = [sys.executable, "-m", f"machine_tool_calibration.nodes.{name}", "--ros-args"]
+        command += ["--params-file", str(parameters)]
+        if self.namespace:  # /clock is absolute: without this two graphs would share one clock
+            command += ["-r", f"__ns:={self.namespace}", "-r", f"/clock:={self.namespace}/clock"]
+        default_environment()
+        # small matrices and several processes: more threads only get in each other's way
+        environment = {**os.environ, "ROS_DOMAIN_ID": str(self._domain), "OMP_NUM_THREADS": "1"}
+        environment["PYTHONPATH"] = os.pathsep.join(entry for entry in sys.path if entry)
+        with (self._folder / f"{name}.log").open("ab") as log:
+            self._running[name] = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                env=environment,
+                start_new_session=True,  # Ctrl+C reaches this process only, which then ends the others in order
+                preexec_fn=_end_with_parent if sys.platform == "linux" else None,
+            )
+
+    def check(self) -> None:
+        """Raise if a process has ended by itself.
+
+        Raises:
+            CalibrationError: with the last line of its log.
+        """
+        for name, process in self._running.items():
+            if process.poll() is not None:
+                raise CalibrationError(f"{name} ended with status {process.returncode}: {self._last_line(name)}")
+
+    def process_id(self, name: str) -> int:
+        """Of a running program."""
+        return self._running[name].pid
+
+    def kill(self, name: str, number: int = signal.SIGKILL) -> int:
+        """End one program by a signal, and give its exit status."""
+        process = self._running.pop(name)
+        process.send_signal(number)
+        try:
+            return process.wait(timeout=10.0)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            return process.wait()
+
+    def stop(self, names: Sequence[str] | None = None) -> None:
+        """End programs, all by default: SIGINT, and SIGKILL for one that takes longer than its grace."""
+        chosen = [name for name in (names or list(self._running)) if name in self._running]
+        for name in chosen:
+            if self._running[name].poll() is None:
+                self._running[name].send_signal(signal.SIGINT)
+        begin = time.monotonic()
+        for name in chosen:
+            process = self._running.pop(name)
+            left = begin + self._programs[name].grace + 1.0 - time.monotonic()
+            try:
+                process.wait(timeout=max(left, _POLL))
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+    def _last_line(self, name: str) -> str:
+        try:
+            lines = (self._folder / f"{name}.log").read_text(encoding="utf-8", errors="replace").split("\n")
+        except OSError:
+            lines = []
+        kept = [line.strip() for line in lines if line.strip()]
+        return kept[-1] if kept else "it left no message"
+
+
+def _end_with_parent() -> None:
+    """In the child: end when the starter is killed, so that nothing stays behind."""
+    ctypes.CDLL(None).prctl(_DEATH_SIGNAL, signal.SIGTERM)

@@ -1,0 +1,264 @@
+"""A whole measurement: start the graph, run a procedure, record, identify, end, and say where everything is."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import shutil
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.nodes.domain import claimed_domain
+from machine_tool_calibration.nodes.graph import Graph, Program
+from machine_tool_calibration.nodes.operator import Operator
+from machine_tool_calibration.nodes.site import SiteSpec
+from machine_tool_calibration.procedure import Procedure, plan, read_procedure
+from machine_tool_calibration.session.collect import Collector
+from machine_tool_calibration.session.parse import parse_description
+from machine_tool_calibration.session.place import Place
+from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.session.writer import write_session
+
+__all__ = ["NODES", "Measured", "Progress", "Setting", "free_folder", "measure"]
+
+NODES = ("axis_simulator", "rotary_pointer", "instrument", "estimator", "procedure", "recorder")
+_START = 60.0  # s until all nodes have found each other, on a slow machine
+_IDENTIFY = 600.0
+_COLLECT = 10.0
+
+Progress = Callable[[str, int, int], None]
+"""Called with what is going on, and how many of how many readings there are."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """How a measurement is run.
+
+    Attributes:
+        output: folder for everything that is written; must be free.
+        site: what is true in the simulated workshop; its machine's chain and travel come from the procedure.
+        simulated_time: run as fast as the machine can, instead of in real time.
+        driver: `simulated`, or the YAML file of a real instrument's driver.
+        namespace: of the graph.
+        domain: ROS domain id; a free one by default.
+        record: whether the recorder runs.
+        identify: whether the errors are identified at the end.
+        model: variant of the model; empty: the default.
+        effects: effects added to the model.
+        external: nodes that run elsewhere and are not started.
+    """
+
+    output: Path
+    site: SiteSpec = field(default_factory=SiteSpec)
+    simulated_time: bool = True
+    driver: str = "simulated"
+    namespace: str = ""
+    domain: int | None = None
+    record: bool = True
+    identify: bool = True
+    model: str = ""
+    effects: tuple[str, ...] = ()
+    external: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What a measurement has left.
+
+    Attributes:
+        output: folder of everything.
+        session: what was measured.
+        session_folder: the same as files.
+        bag: the recording, if there is one.
+        result: the result document, if the errors were identified.
+        result_file: its file.
+        domain: ROS domain id of the graph.
+        seconds: from the start of the graph, and of the procedure alone.
+        counters: what did not go straight, by name.
+    """
+
+    output: Path
+    session: Session
+    session_folder: Path
+    bag: Path | None
+    result: dict[str, Any] | None
+    result_file: Path | None
+    domain: int
+    seconds: tuple[float, float]
+    counters: dict[str, int]
+
+
+def free_folder(name: str, given: Path | None) -> Path:
+    """The folder for the output: the one given if it is free, else `mtcal_output/<name>` or the next number.
+
+    Raises:
+        CalibrationError: the one given holds something.
+    """
+    if given is not None:
+        if given.exists() and (not given.is_dir() or any(given.iterdir())):
+            raise CalibrationError(f"{given}: is there already; choose another output folder")
+        return given
+    for number in range(1, 100_000):
+        folder = Path("mtcal_output", name if number == 1 else f"{name}-{number}")
+        if not folder.exists():
+            return folder
+    raise CalibrationError("mtcal_output: holds too many measurements")
+
+
+def measure(file: Path, setting: Setting, progress: Progress = lambda text, done, total: None) -> Measured:
+    """Run a procedure from the first process to the last file.
+
+    Args:
+        file: the procedure's YAML file.
+        setting: how.
+        progress: hears how it goes.
+
+    Raises:
+        CalibrationError: the procedure or the setting is wrong, a node does not start or ends, or the procedure ends
+            in an error; what was measured until then stays in the output folder.
+    """
+    procedure = read_procedure(file)
+    total = len(plan(procedure).steps)
+    output = setting.output
+    output.mkdir(parents=True, exist_ok=True)
+    copy = output / "procedure.yaml"
+    shutil.copyfile(file, copy)
+    site = output / "site.yaml"
+    site.write_text(yaml.safe_dump(_site_document(procedure, setting.site), sort_keys=False), encoding="utf-8")
+    begin = time.monotonic()
+    with claimed_domain(setting.domain) as domain:
+        programs = _programs(setting, copy, site)
+        graph = Graph(programs, output / "log", domain, setting.namespace)
+        progress("starting the nodes", 0, total)
+        with graph, Operator(domain, graph.namespace, graph.check) as operator:
+            try:
+                _await_ready(operator, [program.name for program in programs])
+                started = time.monotonic()
+                _run(operator, total, progress)
+                measured = time.monotonic() - started
+                document = _identify(operator, setting, total, progress) if setting.identify else None
+            except (CalibrationError, KeyboardInterrupt):
+                _save(operator, output)  # what was measured until then
+                raise
+            progress("closing the recording", total, total)
+            graph.stop(["recorder"])
+            session = _save(operator, output)
+            assert session is not None
+            counters = {
+                name: operator.procedure.number(name)
+                for name in ("resent", "stale", "unstable", "recoveries", "restarts")
+            }
+    result_file = None
+    if document is not None:
+        result_file = output / "result.json"
+        result_file.write_text(json.dumps(document, allow_nan=False, indent=1), encoding="utf-8")
+    bag = output / "bag"
+    return Measured(
+        output=output,
+        session=session,
+        session_folder=output / "session",
+        bag=bag if bag.exists() else None,
+        result=document,
+        result_file=result_file,
+        domain=domain,
+        seconds=(time.monotonic() - begin, measured),
+        counters=counters,
+    )
+
+
+def _site_document(procedure: Procedure, site: SiteSpec) -> dict[str, Any]:
+    document = site.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+    machine = procedure.session.machine
+    own = {"chain": machine.chain, "travel": {name: list(ends) for name, ends in machine.travel.items()}}
+    document["machine"] = {**own, **document.get("machine", {})}
+    return {"seed": site.seed, "noise": site.noise, **document}
+
+
+def _programs(setting: Setting, procedure: Path, site: Path) -> list[Program]:
+    common: dict[str, Any] = {"use_sim_time": setting.simulated_time}
+    # one origin for all simulating nodes, whole seconds so that it is exact
+    world = {**common, "site": str(site.resolve()), "time_origin": float(int(time.time()))}
+    parameters: dict[str, dict[str, Any]] = {
+        "axis_simulator": world,
+        "rotary_pointer": world,
+        "instrument": {**world, "driver": setting.driver},
+        "procedure": {**common, "procedure": str(procedure.resolve())},
+        "estimator": {**common, "model": setting.model, "effects": list(setting.effects) or [""]},
+        "recorder": {"output": str((setting.output / "bag").resolve())},
+    }
+    for name in setting.external:
+        if name not in NODES:
+            raise CalibrationError(f"{name!r} is not a node of the graph; these are {', '.join(NODES)}")
+    left_out = set(setting.external)
+    if not setting.record:
+        left_out.add("recorder")
+    if not setting.identify:
+        left_out.add("estimator")
+    return [
+        Program(name, parameters[name], grace=30.0 if name == "recorder" else 2.0)
+        for name in ("recorder", *(name for name in NODES if name != "recorder"))
+        if name not in left_out and importlib.util.find_spec(f"machine_tool_calibration.nodes.{name}") is not None
+    ]
+
+
+def _await_ready(operator: Operator, names: Sequence[str]) -> None:
+    def ready() -> bool:
+        status = operator.procedure
+        return status.entries.get("state") == "idle" and not status.entries.get("waiting_for", "?")
+
+    def all_there() -> bool:
+        return ready() and all(operator.has_node(name) for name in names)
+
+    if not operator.wait(all_there, _START):
+        missing = [name for name in names if not operator.has_node(name)]
+        waiting = ", ".join(missing) or operator.procedure.entries.get("waiting_for") or "the procedure"
+        raise CalibrationError(f"the graph is not complete after {_START:g} s: no sign of {waiting}")
+
+
+def _run(operator: Operator, total: int, progress: Progress) -> None:
+    operator.call("procedure/start", _COLLECT)
+
+    def over() -> bool:
+        status = operator.procedure
+        progress(status.message, status.number("captured"), total)
+        return status.entries.get("state") in ("finished", "error", "aborted")
+
+    try:
+        operator.wait(over, float("inf"))
+    except KeyboardInterrupt:
+        operator.call("procedure/abort", 2.0)
+        raise
+    if operator.procedure.entries["state"] != "finished":
+        raise CalibrationError(f"the procedure ended: {operator.procedure.message}")
+    if not operator.wait(lambda: len(operator.readings) >= total, _COLLECT):
+        raise CalibrationError(f"only {len(operator.readings)} of {total} readings were received")
+
+
+def _identify(operator: Operator, setting: Setting, total: int, progress: Progress) -> dict[str, Any]:
+    progress("identifying", total, total)
+    if not operator.wait(lambda: operator.estimator.number("readings") >= total, _COLLECT):
+        raise CalibrationError(f"the estimator has {operator.estimator.number('readings')} of {total} readings")
+    operator.call("estimator/identify", _IDENTIFY)
+    if not operator.wait(lambda: bool(operator.document), _COLLECT):
+        raise CalibrationError("the estimator's result did not arrive")
+    document: dict[str, Any] = json.loads(operator.document)
+    return document
+
+
+def _save(operator: Operator, output: Path) -> Session | None:
+    """Write the readings received so far as a session folder; None if there are none."""
+    if not operator.readings or not operator.session:
+        return None
+    collector = Collector(parse_description(operator.session, "session"), Place("session", "reading"))
+    for message in operator.readings:
+        collector.add(message.header.frame_id, list(message.name), np.asarray(message.position))
+    session = collector.session("live readings", check=False)
+    write_session(session, output / "session")
+    return session

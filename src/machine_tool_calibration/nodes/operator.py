@@ -1,0 +1,129 @@
+"""Operates a running graph from a program: calls its services, hears its states, and gathers what it publishes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.context import Context
+from rclpy.experimental import EventsExecutor
+from sensor_msgs.msg import JointState, PointCloud2
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.nodes.process import default_environment
+from machine_tool_calibration.nodes.qos import LATCHED, READINGS
+from machine_tool_calibration.nodes.status import values
+
+__all__ = ["Operator", "Status"]
+
+_SPIN = 0.05  # s
+
+
+@dataclass(frozen=True)
+class Status:
+    """The newest status of a node: its sentence and its values."""
+
+    message: str = ""
+    entries: dict[str, str] = field(default_factory=dict)
+
+    def number(self, key: str) -> int:
+        """A count among the values; 0 where it is missing."""
+        return int(self.entries.get(key, "0") or 0)
+
+
+class Operator:
+    """A node in this process, as a context.
+
+    Args:
+        domain: ROS domain id.
+        namespace: of the graph.
+        watch: called between messages; raises to end a wait.
+    """
+
+    def __init__(self, domain: int, namespace: str = "", watch: Callable[[], None] = lambda: None) -> None:
+        default_environment()
+        self._watch = watch
+        self._context = Context()
+        self._context.init(domain_id=domain)
+        self._node = rclpy.create_node(
+            f"mtcal_{int(time.monotonic() * 1e3) % 1_000_000}", context=self._context, namespace=namespace or None
+        )
+        self._executor = EventsExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self.procedure = Status()
+        self.estimator = Status()
+        self.session = ""
+        self.readings: list[JointState] = []
+        self.document = ""
+        self.error_map: PointCloud2 | None = None
+        self._clients: dict[str, object] = {}
+        for topic, kind, keep, qos in (
+            ("procedure/status", DiagnosticArray, self._keep_procedure, LATCHED),
+            ("estimator/status", DiagnosticArray, self._keep_estimator, LATCHED),
+            ("session", String, self._keep_session, LATCHED),
+            ("reading", JointState, self.readings.append, READINGS),
+            ("error_map/result", String, self._keep_document, LATCHED),
+            ("error_map", PointCloud2, self._keep_map, LATCHED),
+        ):
+            self._node.create_subscription(kind, topic, keep, qos)
+
+    def __enter__(self) -> Operator:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._executor.shutdown()
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+    def _keep_procedure(self, message: DiagnosticArray) -> None:
+        self.procedure = Status(message.status[0].message, values(message))
+
+    def _keep_estimator(self, message: DiagnosticArray) -> None:
+        self.estimator = Status(message.status[0].message, values(message))
+
+    def _keep_session(self, message: String) -> None:
+        self.session = message.data
+
+    def _keep_document(self, message: String) -> None:
+        self.document = message.data
+
+    def _keep_map(self, message: PointCloud2) -> None:
+        self.error_map = message
+
+    def wait(self, until: Callable[[], bool], timeout: float) -> bool:
+        """Hear messages until something holds; False if it does not within the timeout, s."""
+        deadline = time.monotonic() + timeout
+        while not until():
+            if time.monotonic() > deadline:
+                return False
+            self._watch()
+            self._executor.spin_once(timeout_sec=_SPIN)
+        return True
+
+    def has_node(self, name: str) -> bool:
+        """Whether a node of that name is in the graph's namespace."""
+        space = self._node.get_namespace()
+        return (name, space) in self._node.get_node_names_and_namespaces()
+
+    def call(self, service: str, timeout: float) -> str:
+        """Call a `std_srvs/Trigger` and give its message.
+
+        Raises:
+            CalibrationError: the service is missing, refuses, or does not answer in time.
+        """
+        client = self._clients.get(service) or self._node.create_client(Trigger, service)
+        self._clients[service] = client
+        if not self.wait(client.service_is_ready, timeout):
+            raise CalibrationError(f"the service {service} is not there after {timeout:g} s")
+        future = client.call_async(Trigger.Request())
+        if not self.wait(future.done, timeout):
+            raise CalibrationError(f"the service {service} did not answer within {timeout:g} s")
+        response = future.result()
+        if not response.success:
+            raise CalibrationError(f"{service}: {response.message}")
+        return str(response.message)

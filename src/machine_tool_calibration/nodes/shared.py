@@ -1,0 +1,61 @@
+"""Files that the package brings: procedures and parameters, wherever it was installed."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from importlib.metadata import PackageNotFoundError, distribution
+from pathlib import Path
+
+from machine_tool_calibration.errors import CalibrationError
+
+__all__ = ["procedure_file", "shared_file"]
+
+_PACKAGE = "machine_tool_calibration"
+
+
+def _shares() -> Iterator[Path]:
+    source = Path(__file__).parents[3]
+    if (source / "package.xml").is_file():
+        yield source
+    try:
+        for file in distribution(_PACKAGE).files or ():
+            if file.name == "package.xml" and file.parent.name == _PACKAGE:
+                yield Path(str(file.locate())).resolve().parent
+    except PackageNotFoundError:
+        pass
+    yield Path(sys.prefix, "share", _PACKAGE)
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        if prefix:
+            yield Path(prefix, "share", _PACKAGE)
+
+
+def shared_file(name: str) -> Path:
+    """A file of the package by its path below the package's share folder, such as `config/procedures/tracking_2d.yaml`.
+
+    Raises:
+        CalibrationError: it is not installed.
+    """
+    for share in _shares():
+        if (share / name).is_file():
+            return share / name
+    raise CalibrationError(f"the package's file {name} is not installed")
+
+
+def procedure_file(name: str) -> Path:
+    """A procedure by its file, or by the name of one that the package brings.
+
+    Raises:
+        CalibrationError: there is no such file; the message names those that there are.
+    """
+    path = Path(name)
+    if path.is_file() or path.suffix or path.parent != Path():
+        return path
+    known: set[str] = set()
+    for share in _shares():
+        file = share / "config" / "procedures" / f"{name}.yaml"
+        if file.is_file():
+            return file
+        known |= {entry.stem for entry in (share / "config" / "procedures").glob("*.yaml")}
+    raise CalibrationError(f"{name}: no such file, and no procedure of that name; known are {', '.join(sorted(known))}")
