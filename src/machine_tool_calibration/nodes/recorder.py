@@ -42,7 +42,7 @@ class Recorder(Node):
         super().__init__("recorder")
         self._wanted = [name for name in self._declare_topics() if name]
         self._everything = declare(self, "all_topics", False, "record every topic that is discovered")
-        output = declare(self, "output", "", "folder of the bag; recording_<date>_<time> if empty")
+        folder = declare(self, "folder", "", "folder of the bag; recording_<date>_<time> if empty")
         split_bytes = declare(self, "split_size", 0, "size at which a new file begins; 0 never", unit="B", low=0)
         split_time = declare(self, "split_duration", 0.0, "duration of a file; 0 endless", unit="s", low=0.0)
         flush = declare(self, "flush_period", 0.4, "longest age of what a kill may cost", unit="s", low=0.02, high=0.8)
@@ -50,10 +50,10 @@ class Recorder(Node):
         own = self.resolve_topic_name("recorder/status")
         self._ignored = {*_NEVER, own}
         self._refused: dict[str, str] = {}
-        self._trouble = ""
+        self.trouble = ""
         self._waiting = use_sim_time(self)
         self.bag = BagWriter(
-            Path(output or f"recording_{datetime.now():%Y%m%d_%H%M%S}"),
+            Path(folder or f"recording_{datetime.now():%Y%m%d_%H%M%S}"),
             flush_seconds=flush,
             split_bytes=split_bytes,
             split_seconds=split_time,
@@ -74,7 +74,7 @@ class Recorder(Node):
             self._take()
             self.bag.close()
         except RecordingError as error:
-            self._trouble = str(error)
+            self.trouble = str(error)
             self.get_logger().error(str(error))
         self._show()
         lost = self.lost
@@ -145,9 +145,9 @@ class Recorder(Node):
                 )
             self.bag.tick()
         except RecordingError as error:
-            if not self._trouble:
+            if not self.trouble:
                 self.get_logger().error(str(error))
-            self._trouble = str(error)
+            self.trouble = str(error)
 
     def _show(self) -> None:
         """Latched, so that a starter learns at any time that all it needs is subscribed to."""
@@ -156,8 +156,8 @@ class Recorder(Node):
         level, text = Level.OK, "recording"
         if self._waiting:
             level, text = Level.WARN, "waiting for /clock"
-        elif self._trouble:
-            level, text = Level.ERROR, self._trouble
+        elif self.trouble:
+            level, text = Level.ERROR, self.trouble
         elif lost:
             level, text = Level.WARN, f"recording; {lost} messages were lost"
         overall = {

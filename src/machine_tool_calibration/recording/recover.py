@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
+import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,23 +13,25 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
 from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.recording.chunks import (
+    Budget,
+    RawMessage,
+    message_of,
+    messages_in,
+    unpack_chunk,
+    unpack_cut_chunk,
+)
 from machine_tool_calibration.recording.errors import RecordingError, UnfinishedError
 from machine_tool_calibration.recording.mcap_file import MAGIC
 from machine_tool_calibration.recording.mcap_reader import Channels
 from machine_tool_calibration.recording.qos import Qos, parse_qos
-from machine_tool_calibration.recording.records import (
-    Budget,
-    RawMessage,
-    RawRecord,
-    message_of,
-    messages_in,
-    records,
-    unpack_chunk,
-)
+from machine_tool_calibration.recording.records import RawRecord, records
 from machine_tool_calibration.recording.writer import BagWriter
 from machine_tool_calibration.session.yaml_text import load_yaml
 
 __all__ = ["Recovered", "recover"]
+
+_LARGEST_CUT = 64 << 20  # bytes
 
 
 @dataclass(frozen=True)
@@ -83,6 +87,10 @@ def recover(path: Path, output: Path) -> Recovered:
         bag.flush()
         summaries = bag.summaries
         topics = len(bag.topics)
+    if not sum(summary.messages for summary in summaries):
+        shutil.rmtree(output)
+        reason = f": {problems[0]}" if problems else ""
+        raise RecordingError(f"{path}: no message could be saved{reason}")
     saved = [summary for summary in summaries if summary.messages]
     return Recovered(
         folder=Path(output),
@@ -175,11 +183,25 @@ class _Salvage:
                     if record.opcode == Opcode.DATA_END:
                         return
         except UnfinishedError:
-            self._problem("the end is missing", self.path.stat().st_size - max(end, len(MAGIC)))
+            end = max(end, len(MAGIC))
+            saved = 0
+            for saved, entry in enumerate(self._cut(end), 1):  # noqa: B007 (the last one counts)
+                yield entry
+            self._problem("the end is missing", 0 if saved else self.path.stat().st_size - end)
         except RecordingError as error:
             self._problem(_reason(error, self.path), self.path.stat().st_size - max(end, len(MAGIC)))
         except OSError as error:
             self._problem(f"cannot be read: {error.strerror}", 0)
+
+    def _cut(self, start: int) -> Iterator[RawMessage | RawRecord]:
+        """The whole messages in a chunk whose end is missing."""
+        with self.path.open("rb") as stream:
+            stream.seek(start)
+            head = stream.read(9)
+            content = stream.read(_LARGEST_CUT) if head[:1] == bytes([Opcode.CHUNK]) else b""
+        record = RawRecord(Opcode.CHUNK, start, len(content), content)
+        with contextlib.suppress(RecordingError):  # where the whole ones end
+            yield from messages_in(self.path, record, unpack_cut_chunk(content, _LARGEST_CUT), None)
 
     def _whole(self, record: RawRecord, budget: Budget) -> list[RawMessage | RawRecord]:
         """A record's messages and registrations; none where it is damaged."""

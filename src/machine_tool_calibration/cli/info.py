@@ -1,0 +1,215 @@
+"""`mtcal info`: what a measurement holds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from machine_tool_calibration.cli.output import console, json_option, plain, write_json
+from machine_tool_calibration.errors import CalibrationError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from machine_tool_calibration.recording.reader import BagReader
+    from machine_tool_calibration.session.session import Session
+    from machine_tool_calibration.session.summary import ColumnSummary, SessionSummary
+
+__all__ = ["command", "topic_names", "topic_option"]
+
+_MICRO = 1e6
+_UNITS = {"x": ("mm", 1e3), "y": ("mm", 1e3), "z": ("mm", 1e3), "displacement": ("mm", 1e3), "time": ("s", 1.0)}
+_ANGLES = ("a", "b", "c", "azimuth", "elevation")
+
+topic_option = click.option(
+    "--topic",
+    "topics",
+    multiple=True,
+    metavar="ROLE=NAME",
+    help="Topic in a recording that holds the role `session` or `reading`, where it has another name.",
+)
+
+
+@click.command("info")
+@click.argument("measurement", type=click.Path(path_type=Path))
+@topic_option
+@json_option
+def command(measurement: Path, topics: tuple[str, ...], as_json: bool) -> None:
+    """Show what was measured: setups, readings, columns; and the topics of a recording.
+
+    MEASUREMENT is a session folder, a recording (rosbag2 folder) or a single .mcap file. A measurement that can be read
+    but not identified as it is (too few stations, a wrong unit) is shown all the same, with the reason, and the exit
+    status is 1.
+
+    \b
+    mtcal info measurements/2024-05-03
+    mtcal info bag --topic reading=/cell_2/reading
+    """
+    from machine_tool_calibration.recording.errors import RecordingError
+    from machine_tool_calibration.recording.graph_topics import find_topics
+    from machine_tool_calibration.recording.reader import BagReader, is_bag
+    from machine_tool_calibration.session.open import is_session_folder, open_measurement
+    from machine_tool_calibration.session.summary import summarize
+
+    names = topic_names(topics)
+    bag, session, absent = None, None, ""
+    if not is_session_folder(measurement) and is_bag(measurement):
+        bag = BagReader(measurement)
+        try:
+            find_topics(measurement, bag.topics, names)
+        except RecordingError as error:
+            if names:
+                raise
+            absent = str(error)
+    if not absent:
+        session = open_measurement(measurement, names, check=False)
+    summary = summarize(session) if session is not None else None
+    if as_json:
+        write_json(_document(measurement, bag, session, summary, absent))
+    else:
+        out = console()
+        if bag is not None:
+            _show_bag(out, bag, absent)
+        if session is not None and summary is not None:
+            _show_session(out, session, summary)
+    if summary is not None and summary.problem:
+        raise CalibrationError(summary.problem)
+
+
+def topic_names(options: tuple[str, ...]) -> dict[str, str]:
+    """`--topic ROLE=NAME` options as a mapping.
+
+    Raises:
+        click.UsageError: an option without `=`.
+    """
+    names = {}
+    for option in options:
+        role, equals, name = option.partition("=")
+        if not equals or not name:
+            raise click.UsageError(f"--topic {option}: write ROLE=NAME, such as reading=/cell/reading")
+        names[role] = name
+    return names
+
+
+def _document(
+    path: Path, bag: BagReader | None, session: Session | None, summary: SessionSummary | None, absent: str
+) -> Mapping[str, Any]:
+    document: dict[str, Any] = {"format": "mtcal-info/1", "path": path, "kind": "bag" if bag else "session"}
+    if session is not None and summary is not None:
+        document["measurement"] = {
+            **plain(summary),
+            "description": session.description.model_dump(mode="json", exclude_none=True),
+        }
+    else:
+        document["measurement"] = None
+        document["why_no_measurement"] = absent
+    if bag is not None:
+        document["bag"] = {
+            "files": bag.files,
+            "size": sum(file.stat().st_size for file in bag.files),
+            "messages": bag.messages_in_all,
+            "start": bag.first,
+            "duration": bag.duration,
+            "topics": [
+                {
+                    "name": topic.name,
+                    "type": topic.type,
+                    "messages": topic.messages,
+                    "type_hash": topic.type_hash,
+                    "latched": any(profile.latched for profile in topic.qos),
+                }
+                for topic in sorted(bag.topics.values(), key=lambda topic: topic.name)
+            ],
+        }
+    return document
+
+
+def _show_bag(out: Console, bag: BagReader, absent: str) -> None:
+    from rich.table import Table
+
+    size = sum(file.stat().st_size for file in bag.files)
+    try:
+        start = datetime.fromtimestamp(bag.first / 1e9, UTC).isoformat(sep=" ", timespec="seconds")
+    except (ValueError, OverflowError, OSError):
+        start = f"{bag.first} ns"
+    files = f"{len(bag.files)} file" + ("s" if len(bag.files) != 1 else "")
+    out.print(f"[bold]{bag.path}[/]: recording, {files}, {size / 1e6:.2f} MB")
+    out.print(f"{bag.messages_in_all} messages in {bag.duration:.1f} s, from {start}")
+    table = Table("topic", "type", "messages", "per second", "latched")
+    for column in (2, 3):
+        table.columns[column].justify = "right"
+    for topic in sorted(bag.topics.values(), key=lambda topic: topic.name):
+        rate = f"{topic.messages / bag.duration:.1f}" if bag.duration > 0 else ""
+        latched = "yes" if any(profile.latched for profile in topic.qos) else ""
+        table.add_row(topic.name, topic.type, str(topic.messages), rate, latched)
+    out.print(table)
+    if absent:
+        out.print(f"No measurement in it: {absent.split(': ', 1)[-1]}")
+
+
+def _show_session(out: Console, session: Session, summary: SessionSummary) -> None:
+    from rich.table import Table
+
+    duration = "" if summary.duration is None else f" in {_time(summary.duration)}"
+    out.print(f"[bold]{session.source}[/]: {summary.method}, machine {session.description.machine.chain}")
+    out.print(
+        f"{summary.readings} readings{duration}, {summary.missing} missing, {summary.targets} targets; "
+        f"declared standard uncertainty {summary.standard_uncertainty * _MICRO:g} µm"
+    )
+    table = Table("setup", "where", "readings", "missing", "repeats", "from", "to")
+    for column in table.columns[2:]:
+        column.justify = "right"
+    for setup, entry in zip(summary.setups, session.description.setups, strict=True):
+        table.add_row(
+            setup.id,
+            _where(entry),
+            str(setup.readings),
+            str(setup.missing or ""),
+            str(setup.repeats),
+            "" if setup.first_time is None else _time(setup.first_time),
+            "" if setup.last_time is None else _time(setup.last_time),
+        )
+    out.print(table)
+    table = Table("column", "from", "to", "unit", "missing")
+    for column in table.columns[1:3]:
+        column.justify = "right"
+    for summary_of in summary.columns:
+        table.add_row(*_column(summary_of))
+    out.print(table)
+    if summary.labels:
+        out.print(f"Text columns: {', '.join(summary.labels)}")
+
+
+def _where(setup: Any) -> str:
+    if hasattr(setup, "position"):
+        return "(" + ", ".join(f"{1e3 * value:.1f}" for value in setup.position) + ") mm"
+    if hasattr(setup, "direction"):
+        signs = "".join("+" if value > 0 else "-" if value < 0 else "0" for value in setup.direction)
+        return f"{setup.kind} {signs}"
+    if hasattr(setup, "c"):
+        return f"c = {setup.c * 57.29577951308232:.2f}°"
+    return ""
+
+
+def _column(column: ColumnSummary) -> tuple[str, str, str, str, str]:
+    unit, factor = _UNITS.get(column.name, ("", 1.0))
+    if column.name in _ANGLES:
+        unit, factor = "°", 57.29577951308232
+    elif column.name.startswith("temperature_"):
+        unit = "°C"
+    elif column.name == "air_pressure":
+        unit, factor = "hPa", 0.01
+    low, high = (("" if value is None else f"{value * factor:.6g}") for value in (column.low, column.high))
+    return column.name, low, high, unit, str(column.missing or "")
+
+
+def _time(seconds: float) -> str:
+    if abs(seconds) < 100:
+        return f"{seconds:.3g} s"
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"

@@ -1,0 +1,105 @@
+"""`mtcal record`: topics to a bag, until Ctrl-C."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from pathlib import Path
+
+import click
+
+from machine_tool_calibration.cli.output import console, json_option, write_json
+from machine_tool_calibration.errors import CalibrationError
+
+__all__ = ["command"]
+
+
+@click.command("record")
+@click.argument("topics", nargs=-1)
+@click.option(
+    "--output", "-o", type=click.Path(path_type=Path), help="Folder of the bag; recording_DATE_TIME by default."
+)
+@click.option("--all", "-a", "everything", is_flag=True, help="Every topic that there is, also those that come later.")
+@click.option("--namespace", default="", help="Namespace of the measurement's graph.")
+@click.option("--split-size", type=click.IntRange(min=0), default=0, help="Begin a new file at this size, bytes.")
+@click.option(
+    "--split-duration", type=click.FloatRange(min=0), default=0.0, help="Begin a new file after this time, s."
+)
+@click.option("--duration", type=click.FloatRange(min=0, min_open=True), help="Stop after this time, s.")
+@click.option("--sim-time", is_flag=True, help="Date messages by /clock.")
+@json_option
+def command(
+    topics: tuple[str, ...],
+    output: Path | None,
+    everything: bool,
+    namespace: str,
+    split_size: int,
+    split_duration: float,
+    duration: float | None,
+    sim_time: bool,
+    as_json: bool,
+) -> None:
+    """Record topics into an MCAP bag, as `ros2 bag record` does, until Ctrl-C.
+
+    Without TOPICS all topics of a measurement are recorded, latched ones included. What is recorded reaches the disk
+    within half a second, so a kill costs no more than that; `mtcal recover` then makes the bag whole.
+
+    \b
+    mtcal record
+    mtcal record -o bag /cell/instrument/displacement /joint_states
+    """
+    from machine_tool_calibration.nodes.process import run
+    from machine_tool_calibration.nodes.recorder import Recorder
+
+    arguments = ["--ros-args"]
+    if namespace:
+        arguments += ["-r", f"__ns:=/{namespace.strip('/')}"]
+    parameters: dict[str, str] = {"all_topics": str(everything).lower(), "use_sim_time": str(sim_time).lower()}
+    parameters |= {"split_size": str(split_size), "split_duration": repr(split_duration)}
+    if output is not None:
+        parameters["folder"] = f"'{_quoted(str(output))}'"
+    if topics:
+        parameters["topics"] = "[" + ", ".join(f"'{_quoted(topic)}'" for topic in topics) + "]"
+    for name, value in parameters.items():
+        arguments += ["-p", f"{name}:={value}"]
+    made: list[Recorder] = []
+
+    def create() -> Recorder:
+        made.append(Recorder())
+        return made[0]
+
+    timer = threading.Timer(duration, os.kill, (os.getpid(), signal.SIGINT)) if duration else None
+    if timer is not None:
+        timer.daemon = True
+        timer.start()
+    status = run(create, arguments)
+    if timer is not None:
+        timer.cancel()
+    if status or not made:
+        raise CalibrationError("the recorder did not start")
+    recorder = made[0]
+    if as_json:
+        write_json(
+            {
+                "format": "mtcal-recording/1",
+                "bag": recorder.bag.folder,
+                "messages": recorder.bag.messages,
+                "lost": recorder.lost,
+                "topics": [
+                    {"name": topic.name, "type": topic.type, "messages": topic.messages}
+                    for topic in recorder.bag.topics
+                ],
+            }
+        )
+    else:
+        lost = f", [bold]{recorder.lost} lost[/]" if recorder.lost else ", none lost"
+        held = f"{recorder.bag.messages} messages of {len(recorder.bag.topics)} topics"
+        console().print(f"[bold]{recorder.bag.folder}[/]: {held}{lost}")
+    if recorder.trouble:
+        raise CalibrationError(recorder.trouble)
+
+
+def _quoted(text: str) -> str:
+    """For a YAML text in single quotes, which is how ROS reads parameters on a command line."""
+    return text.replace("'", "''")

@@ -1,0 +1,55 @@
+"""`mtcal recover`: a valid bag from what a killed recorder left."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from machine_tool_calibration.cli.output import console, json_option, note, write_json
+
+__all__ = ["command"]
+
+
+@click.command("recover")
+@click.argument("bag", type=click.Path(path_type=Path))
+@click.option(
+    "--output", "-o", type=click.Path(path_type=Path), help="The new bag's folder; BAG_recovered if not given."
+)
+@json_option
+def command(bag: Path, output: Path | None, as_json: bool) -> None:
+    """Save what is whole in an unfinished or damaged recording.
+
+    A recorder that was killed, or whose disk was full, leaves a file without an end, which rosbag2 cannot read. All
+    that reached the disk, up to the last second, is written into a new and valid bag; BAG itself is only read.
+
+    \b
+    mtcal recover recording_20240503_101500
+    mtcal recover damaged.mcap -o saved
+    """
+    from machine_tool_calibration.recording.recover import recover
+
+    target = output or bag.with_name(f"{bag.stem if bag.suffix == '.mcap' else bag.name}_recovered")
+    saved = recover(bag, target)
+    if as_json:
+        write_json(
+            {
+                "format": "mtcal-recovered/1",
+                "bag": saved.folder,
+                "files": saved.files,
+                "messages": saved.messages,
+                "topics": saved.topics,
+                "start": saved.first,
+                "duration": (saved.last - saved.first) / 1e9,
+                "lost_bytes": saved.lost_bytes,
+                "problems": saved.problems,
+            }
+        )
+        return
+    out = console()
+    seconds = (saved.last - saved.first) / 1e9
+    out.print(f"[bold]{saved.folder}[/]: {saved.messages} messages of {saved.topics} topics, {seconds:.1f} s")
+    for problem in saved.problems:
+        note(problem)
+    if saved.lost_bytes:
+        note(f"{saved.lost_bytes} bytes could not be used")

@@ -1,0 +1,185 @@
+"""Topics of a bag as tables of numbers and text: one row per message, or per sample of a batch."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from machine_tool_calibration.recording.cdr import JOINT_STATE, NUMBERS
+from machine_tool_calibration.recording.errors import RecordingError
+from machine_tool_calibration.recording.reader import BagReader, Message, Topic
+
+__all__ = ["file_name", "save_table", "save_tables", "tables"]
+
+_ROWS = 50_000  # rows that are kept in memory
+_DEPTH = 8
+
+
+def tables(bag: BagReader, topic: Topic) -> Iterator[pd.DataFrame]:
+    """A topic's messages in pieces; the columns of the first piece are those of all.
+
+    Every row begins with `log_time` and `publish_time` (ns since 1970). A JointState has a column for each name, a
+    Float64MultiArray a row for each sample, with the columns that its layout names; other fields are named by their
+    path; lists become JSON text.
+
+    Raises:
+        RecordingError: the type cannot be read, or a message is damaged.
+    """
+    flatten = {JOINT_STATE: _joint_state, NUMBERS: _numbers}.get(topic.type, _any)
+    rows: list[dict[str, Any]] = []
+    columns: list[str] = []
+    for message in bag.messages([topic.name]):
+        rows += flatten(bag, message)
+        if len(rows) >= _ROWS:
+            yield _frame(rows, columns)
+            rows = []
+    if rows or not columns:
+        yield _frame(rows, columns)
+
+
+def _frame(rows: list[dict[str, Any]], columns: list[str]) -> pd.DataFrame:
+    frame = pd.DataFrame(rows)
+    if not columns:
+        columns += list(frame.columns) or ["log_time", "publish_time"]
+    return frame.reindex(columns=columns)
+
+
+def _times(message: Message) -> dict[str, Any]:
+    return {"log_time": message.log_time, "publish_time": message.publish_time}
+
+
+def _joint_state(bag: BagReader, message: Message) -> list[dict[str, Any]]:
+    state = bag.decode(message)
+    stamp = state.header.stamp
+    row = {**_times(message), "stamp": stamp.sec * 10**9 + stamp.nanosec, "frame_id": state.header.frame_id}
+    for kind, values in (("", state.position), ("velocity.", state.velocity), ("effort.", state.effort)):
+        row.update({f"{kind}{name}": float(value) for name, value in zip(state.name, values, strict=False)})
+    return [row]
+
+
+def _numbers(bag: BagReader, message: Message) -> list[dict[str, Any]]:
+    content = bag.decode(message)
+    names = content.layout.dim[-1].label.split(",") if content.layout.dim else ["data"]
+    width = content.layout.dim[-1].size if content.layout.dim else 1
+    if len(names) != width or len(content.data) % max(1, width):
+        names, width = ["data"], 1
+    table = np.asarray(content.data, dtype=np.float64).reshape(-1, width)
+    times = _times(message)
+    return [{**times, **dict(zip(names, row, strict=True))} for row in table.tolist()]
+
+
+def _any(bag: BagReader, message: Message) -> list[dict[str, Any]]:
+    row = _times(message)
+    _fields(bag.decode(message), "", row, 0)
+    return [row]
+
+
+def _fields(value: Any, name: str, row: dict[str, Any], depth: int) -> None:
+    if hasattr(value, "__dataclass_fields__") and depth < _DEPTH:
+        for field in value.__dataclass_fields__:
+            if not field.startswith("_"):
+                _fields(getattr(value, field), f"{name}.{field}" if name else field, row, depth + 1)
+    elif isinstance(value, list | np.ndarray | tuple):
+        row[name] = json.dumps(_plain(value, depth), ensure_ascii=False)
+    elif isinstance(value, bytes | bytearray):
+        row[name] = value.hex()
+    else:
+        row[name] = value
+
+
+def _plain(value: Any, depth: int) -> Any:
+    if isinstance(value, np.ndarray):
+        return [_plain(entry, depth + 1) for entry in value.tolist()]
+    if isinstance(value, list | tuple):
+        return [_plain(entry, depth + 1) for entry in value]
+    if hasattr(value, "__dataclass_fields__"):
+        fields = [field for field in value.__dataclass_fields__ if not field.startswith("_")]
+        return {field: _plain(getattr(value, field), depth + 1) for field in fields} if depth < _DEPTH else None
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value.hex() if isinstance(value, bytes | bytearray) else value
+
+
+def file_name(topic: str) -> str:
+    """Name of a topic's file without its ending: only letters, digits, `_`, `-` and `.` between the parts."""
+    parts = ["".join(c if c.isalnum() or c in "_-" else "_" for c in part) for part in topic.split("/") if part]
+    return ".".join(parts)[:200] or "topic"
+
+
+def save_tables(bag: BagReader, folder: Path, form: str) -> tuple[dict[str, Path], list[str]]:
+    """Write each topic's table into a folder.
+
+    Args:
+        bag: the recording.
+        folder: must not exist or be empty.
+        form: `csv` or `parquet`.
+
+    Returns:
+        The file of each topic, and the topics whose type cannot be read.
+
+    Raises:
+        RecordingError: the folder is not empty or cannot be written, or a message is damaged.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if any(folder.iterdir()):
+            raise RecordingError(f"{folder}: is not empty; choose another folder")
+    except OSError as error:
+        raise RecordingError(f"{folder}: cannot be made: {error.strerror}") from None
+    files: dict[str, Path] = {}
+    skipped: list[str] = []
+    for name, topic in sorted(bag.topics.items()):
+        if not topic.readable:
+            skipped.append(name)
+        elif topic.messages:
+            path = folder / f"{file_name(name)}.{form}"
+            if path in files.values():
+                path = folder / f"{file_name(name)}_{len(files)}.{form}"
+            save_table(tables(bag, topic), path)
+            files[name] = path
+    return files, skipped
+
+
+def save_table(pieces: Iterator[pd.DataFrame], path: Path) -> None:
+    """Write a table in pieces; the ending says whether CSV or Parquet.
+
+    Raises:
+        RecordingError: it cannot be written, or Parquet is not installed.
+    """
+    part = path.with_name(path.name + ".part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _parquet(pieces, part) if path.suffix == ".parquet" else _csv(pieces, part)
+        part.replace(path)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def _csv(pieces: Iterator[pd.DataFrame], path: Path) -> None:
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        for number, piece in enumerate(pieces):
+            piece.to_csv(stream, index=False, header=number == 0, lineterminator="\n")
+
+
+def _parquet(pieces: Iterator[pd.DataFrame], path: Path) -> None:
+    try:
+        import pyarrow as arrow  # type: ignore[import-untyped]
+        from pyarrow import parquet
+    except ImportError:
+        raise RecordingError(f"{path.stem}: Parquet needs the package pyarrow (pip install pyarrow)") from None
+    writer: Any = None
+    try:
+        for piece in pieces:
+            table = arrow.Table.from_pandas(piece, preserve_index=False)
+            if writer is None:
+                writer = parquet.ParquetWriter(path, table.schema)
+            writer.write_table(table.cast(writer.schema))
+    finally:
+        if writer is not None:
+            writer.close()

@@ -1,0 +1,121 @@
+"""What a session holds, in figures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.session.checks import check_session
+from machine_tool_calibration.session.session import Session
+
+__all__ = ["ColumnSummary", "SessionSummary", "SetupSummary", "summarize"]
+
+
+@dataclass(frozen=True)
+class SetupSummary:
+    """One setup: how many readings and repetitions it has, and when it was measured (s)."""
+
+    id: str
+    readings: int
+    missing: int
+    repeats: int
+    first_time: float | None
+    last_time: float | None
+
+
+@dataclass(frozen=True)
+class ColumnSummary:
+    """One numeric column: its range, and in how many rows it is missing."""
+
+    name: str
+    low: float | None
+    high: float | None
+    missing: int
+
+
+@dataclass(frozen=True)
+class SessionSummary:
+    """A session in figures.
+
+    Attributes:
+        method: the measuring method.
+        readings: rows.
+        missing: rows without a displacement.
+        duration: from the first to the last reading, s; None without times.
+        standard_uncertainty: declared, of one reading, m.
+        targets: positions, or points of the workpiece, that were measured.
+        setups: each setup.
+        columns: each numeric column.
+        labels: text columns.
+        problem: why the session cannot be identified as it is; None if nothing is wrong.
+    """
+
+    method: str
+    readings: int
+    missing: int
+    duration: float | None
+    standard_uncertainty: float
+    targets: int
+    setups: tuple[SetupSummary, ...]
+    columns: tuple[ColumnSummary, ...]
+    labels: tuple[str, ...]
+    problem: str | None
+
+
+def summarize(session: Session) -> SessionSummary:
+    """The session in figures; a session that is not enough for its method is summarized too."""
+    readings = session.readings
+    missing = ~np.isfinite(readings.displacement)
+    time = readings.columns.get("time")
+    try:
+        check_session(session)
+        problem = None
+    except SessionError as error:
+        problem = str(error)
+    first, last = _range(time)
+    columns = {**readings.columns, "displacement": readings.displacement}
+    return SessionSummary(
+        method=session.method,
+        readings=len(readings),
+        missing=int(np.count_nonzero(missing)),
+        duration=None if first is None or last is None else last - first,
+        standard_uncertainty=session.sigma,
+        targets=_targets(session),
+        setups=tuple(_setup(session, index, missing, time) for index in range(len(session.setup_ids))),
+        columns=tuple(
+            ColumnSummary(name, *_range(values), int(np.count_nonzero(np.isnan(values))))
+            for name, values in columns.items()
+        ),
+        labels=tuple(readings.labels),
+        problem=problem,
+    )
+
+
+def _setup(session: Session, index: int, missing: Any, time: Any) -> SetupSummary:
+    mine = session.readings.setup == index
+    first, last = _range(None if time is None else time[mine])
+    return SetupSummary(
+        id=session.setup_ids[index],
+        readings=int(np.count_nonzero(mine)),
+        missing=int(np.count_nonzero(mine & missing)),
+        repeats=len(np.unique(session.readings.repeat[mine])),
+        first_time=first,
+        last_time=last,
+    )
+
+
+def _range(values: Any) -> tuple[float | None, float | None]:
+    if values is None or not np.isfinite(values).any():
+        return None, None
+    return float(np.nanmin(values)), float(np.nanmax(values))
+
+
+def _targets(session: Session) -> int:
+    readings = session.readings
+    for label in ("point", "target"):
+        if label in readings.labels and session.method in ("probing", "rotary_axis"):
+            return len(np.unique(readings.labels[label]))
+    return len(np.unique(np.round(readings.position(), 9), axis=0))
