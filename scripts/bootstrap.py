@@ -106,7 +106,7 @@ def work_in_a_writable_checkout() -> None:
     copy = folder / name
     say(f"{ROOT} is not yours to write: working in the copy {copy}")
     for entry in copy.iterdir() if copy.exists() else ():
-        if entry.name != ".venv":
+        if entry.name not in (".venv", "mtcal_output"):
             shutil.rmtree(entry) if entry.is_dir() and not entry.is_symlink() else entry.unlink()
     shutil.copytree(ROOT, copy, symlinks=True, dirs_exist_ok=True, ignore=shutil.ignore_patterns(*NOT_COPIED))
     os.chdir(copy)
