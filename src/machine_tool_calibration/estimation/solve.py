@@ -184,11 +184,11 @@ def solve(problem: Problem, theta: Array | None = None, local: Sequence[Array] |
     linear = all(part.linear for part in problem.parts)
     for count in range(1, _MAX_STEPS + 1):
         total, squares = gram(problem, theta, local)
-        distance = problem.constraint_values - problem.constraints @ theta
-        normal = solve_normal(total[:m, :m], total[:m, m], problem.constraints, distance, squares[:m])
         cost = float(total[m, m])
         if not np.isfinite(cost):
             raise ModelError("the fit does not converge: a predicted reading is not finite; check the first estimates")
+        distance = problem.constraint_values - problem.constraints @ theta
+        normal = solve_normal(total[:m, :m], total[:m, m], problem.constraints, distance, squares[:m])
         for i, part in enumerate(problem.parts):
             if part.dimension:
                 local[i], determined[i] = _step_points(part, theta, local[i], normal.step)

@@ -87,7 +87,7 @@ def motion_field(chain: Chain, motion: ErrorMotion, position: Array) -> Array:
     if motion.axis not in chain.linear:
         raise ModelError(f"E{motion.component}{motion.axis}: the chain has no linear axis {motion.axis}")
     if not motion.is_rotation:
-        return np.tile(np.eye(3)[_TRANSLATIONS.index(motion.component)], (len(position), 1))
+        return np.asarray(np.tile(np.eye(3)[_TRANSLATIONS.index(motion.component)], (len(position), 1)))
     unit = np.eye(3)[_ROTATIONS.index(motion.component)]
     return np.asarray(np.cross(unit, lever_arm(chain, motion.axis, position)))
 

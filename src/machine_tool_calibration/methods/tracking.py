@@ -7,21 +7,23 @@ error motions and squareness; what these cannot explain stays in the residuals.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.estimation.layout import group_points, group_rows
 from machine_tool_calibration.estimation.multilateration import MultilaterationPart
-from machine_tool_calibration.estimation.points import points_in_inner_datum
 from machine_tool_calibration.estimation.problem import FunctionPart, Part
-from machine_tool_calibration.instruments.tracking import beam_direction, distance
+from machine_tool_calibration.instruments.tracking import beam_direction
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.machine.tables import MachineTable, axis_nodes, linear_axis_errors
-from machine_tool_calibration.methods.rigid_body import RIGID_BODY_DATUM, machine_terms, map_field, table_datum
+from machine_tool_calibration.methods.rigid_body import RIGID_BODY_DATUM, machine_terms, table_datum
+from machine_tool_calibration.methods.tracking_datum import MAP_DATUM, NetworkMotion, carried_stations
+from machine_tool_calibration.methods.tracking_map import free_map, table_map
 from machine_tool_calibration.model.fit import Fit
-from machine_tool_calibration.model.model import Constraint, MethodModel, NotDetermined
+from machine_tool_calibration.model.model import Constraint, MethodModel
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.model.terms import Parameter
@@ -32,10 +34,8 @@ __all__ = ["MODELS", "TrackingModel", "build"]
 
 MODELS = ("free", "rigid_body")
 
-_MAP_DATUM = (
-    "no shift and no turn of all targets together against their commanded positions (least squares); the length is "
-    "the interferometer's"
-)
+# Large odd numbers: products and sums wrap around in 64 bits.
+_MIX = np.array([0x1E3779B97F4A7C15, 0x3F58476D1CE4E5B9, 0x14D049BB133111EB])
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,8 @@ class TrackingModel(MethodModel):
     tables: tuple[MachineTable, ...] | None
 
     @property
-    def _description(self) -> TrackingInterferometer:
+    def description(self) -> TrackingInterferometer:
+        """What `session.yaml` says."""
         description = self.observations.session.description
         assert isinstance(description, TrackingInterferometer)
         return description
@@ -65,14 +66,25 @@ class TrackingModel(MethodModel):
     @property
     def dimension(self) -> int:
         """2 or 3."""
-        return self._description.dimension
+        return self.description.dimension
+
+    @property
+    def follows(self) -> bool:
+        """Whether the beam follows the target, rather than staying on the commanded direction."""
+        return self.description.pointing == "tracking"
+
+    @cached_property
+    def motion(self) -> NetworkMotion:
+        """Shifts and turns of the whole network."""
+        return NetworkMotion(self.targets[:, : self.dimension])
 
     @property
     def own(self) -> tuple[Parameter, ...]:
         """Rotation centre and dead path of every station."""
         out = []
-        for setup, position, path in zip(self._description.setups, self.stations, self.path, strict=True):
-            out += [Parameter(f"{setup.id}.{axis}", "m", reference=float(position[j])) for j, axis in enumerate("xyz"[: self.dimension])]
+        for setup, position, path in zip(self.description.setups, self.stations, self.path, strict=True):
+            axes = zip("xyz"[: self.dimension], position, strict=False)
+            out += [Parameter(f"{setup.id}.{axis}", "m", reference=float(value)) for axis, value in axes]
             out.append(Parameter(f"{setup.id}.dead_path", "m", reference=float(path)))
         return tuple(out)
 
@@ -82,7 +94,7 @@ class TrackingModel(MethodModel):
         readings = self.observations.readings
         block_index = own_index.reshape(-1, d + 1)
         path = readings.displacement + self.path[readings.setup]
-        beam = self.observations.direction.T[:d] if self._description.pointing == "open_loop" else None
+        beam = None if self.follows else self.observations.direction.T[:d]
         if self.tables is None:
             return MultilaterationPart(
                 group_points(self.point, readings.setup),
@@ -95,8 +107,9 @@ class TrackingModel(MethodModel):
                 block_index,
                 dense_index,
             )
+        linearise = self._linearise(path, beam)
         return FunctionPart(
-            group_rows(readings.setup), self.sigma, self._linearise(path, beam), block_index, dense_index, beam is not None
+            group_rows(readings.setup), self.sigma, linearise, block_index, dense_index, not self.follows
         )
 
     def _linearise(self, path: Array, beam: Array | None) -> Callable[[Array, Array], tuple[Array, Array, Array]]:
@@ -119,97 +132,9 @@ class TrackingModel(MethodModel):
 
         return linearise
 
-    def _motion(self) -> tuple[Array, Array]:
-        """Common motions: (d, t, N) of the targets and (stations (d + 1), t) of the stations' unknowns."""
-        d = self.dimension
-        centre = self.targets[:, :d].mean(axis=0)
-        stations = self.stations[:, :d]
-        turns = [(0, 1)] if d == 2 else [(1, 2), (2, 0), (0, 1)]
-        size = np.abs(self.targets[:, :d] - centre).max() or 1.0
-        targets = np.zeros((d, d + len(turns), len(self.targets)))
-        blocks = np.zeros((len(stations), d + 1, d + len(turns)))
-        for j in range(d):
-            targets[j, j] = 1.0
-            blocks[:, j, j] = 1.0
-        for k, (a, b) in enumerate(turns, start=d):
-            targets[a, k], targets[b, k] = -(self.targets[:, b] - centre[b]) / size, (self.targets[:, a] - centre[a]) / size
-            blocks[:, a, k], blocks[:, b, k] = -(stations[:, b] - centre[b]) / size, (stations[:, a] - centre[a]) / size
-        return targets, blocks.reshape(-1, d + len(turns))
-
     def error_map(self, fit: Fit) -> ErrorMap:
         """Position error of every target in the datum in which they have no common motion."""
-        d = self.dimension
-        n = len(self.targets)
-        motion, station_motion = self._motion()
-        if self.tables is None:
-            theta_motion = np.zeros((len(fit.solution.theta), motion.shape[1]))
-            theta_motion[fit.places[: len(station_motion)]] = station_motion
-            result = points_in_inner_datum(fit.part, fit.solution, fit.index, motion, theta_motion)
-            good = fit.solution.local_determined[fit.index].all(axis=0)
-            error, covariance = result.value.T, result.covariance.transpose(2, 0, 1)
-            own = fit.places[: len(station_motion)]
-            stations, station_u = result.theta[own], np.sqrt(np.diag(result.theta_covariance)[own])
-        else:
-            field = map_field(self.tables, self.targets)[:, :, :d]
-            first = len(self.own)
-            tables = slice(first, first + len(field))
-            flat = field.reshape(len(field), -1)
-            common = motion.transpose(2, 0, 1).reshape(n * d, -1)
-            fitted = np.linalg.lstsq(common, flat.T, rcond=None)[0]
-            flat = flat - (common @ fitted).T
-            error = (fit.theta[tables] @ flat).reshape(n, d)
-            inner = fit.covariance[tables, tables]
-            blocks = flat.reshape(len(field), n, d)
-            covariance = np.einsum("knd,kl,lne->nde", blocks, inner, blocks, optimize=True)
-            # The stations move with the common motion that is taken out of the targets.
-            change = np.eye(len(fit.theta))[:first]
-            change[:, tables] -= station_motion @ fitted
-            stations = change @ fit.theta
-            station_u = np.sqrt(np.einsum("ij,jk,ik->i", change, fit.covariance, change))
-            loose = np.linalg.norm(flat.T @ fit.undetermined[tables], axis=1) if fit.undetermined.size else np.zeros(n * d)
-            good = (loose.reshape(n, d) < 1e-9).all(axis=1)
-        error = np.where(good[:, None], error, np.nan)
-        covariance = np.where(good[:, None, None], covariance, np.nan)
-        uncertainty = np.sqrt(np.einsum("nii->ni", covariance))
-        stations, station_u = stations.reshape(-1, d + 1), station_u.reshape(-1, d + 1)
-        fixed = fit.determined[: stations.size].reshape(-1, d + 1)
-        stations, station_u = np.where(fixed, stations, np.nan), np.where(fixed, station_u, np.nan)
-        place = np.full((len(stations), 3), np.nan)
-        place_u = place.copy()
-        place[:, :d] = self.stations[:, :d] + stations[:, :d]
-        place_u[:, :d] = station_u[:, :d]
-        content = {
-            "points": self.targets,
-            "position_error": error,
-            "position_error_u": uncertainty,
-            "station_ids": [setup.id for setup in self._description.setups],
-            "stations": place,
-            "stations_u": place_u,
-            "dead_path": self.path + stations[:, d],
-            "dead_path_u": station_u[:, d],
-            "datum": _MAP_DATUM,
-        }
-        lost = tuple(
-            NotDetermined(f"target {_place(self.targets[k])}", "it was read from too few stations") for k in np.flatnonzero(~good)
-        )
-        return ErrorMap(content, self.targets, _three(error), _three(uncertainty), _three_by_three(covariance), lost)
-
-
-def _place(position: Array) -> str:
-    return "(" + ", ".join(f"{1e3 * v:.6g}" for v in position) + ") mm"
-
-
-def _three(values: Array) -> Array:
-    out = np.full((len(values), 3), np.nan)
-    out[:, : values.shape[1]] = values
-    return out
-
-
-def _three_by_three(values: Array) -> Array:
-    out = np.full((len(values), 3, 3), np.nan)
-    d = values.shape[1]
-    out[:, :d, :d] = values
-    return out
+        return free_map(self, fit) if self.tables is None else table_map(self, fit, self.tables)
 
 
 def build(session: Session, model: str = "free") -> TrackingModel:
@@ -225,48 +150,65 @@ def build(session: Session, model: str = "free") -> TrackingModel:
     readings = session.readings.select(np.isfinite(session.readings.displacement))
     position = readings.position()
     targets, point = _distinct(position[:, :d])
-    targets = np.column_stack([targets, np.full((len(targets), 3 - d), position[0, 2] if d == 2 else 0.0)])
     stations = np.array([setup.position for setup in description.setups])
     if d == 2:
-        stations = np.column_stack([stations[:, :2], np.full(len(stations), position[0, 2])])
-    length = distance(position, stations[readings.setup])
-    path = np.zeros(len(stations))
-    for s in range(len(stations)):
-        mine = np.flatnonzero(readings.setup == s)
-        if len(mine):
-            path[s] = length[mine[0]] - readings.displacement[mine[0]]
+        # The plane of the targets is that of the measurement.
+        level = position[0, 2] if len(position) else 0.0
+        targets = np.column_stack([targets, np.full(len(targets), level)])
+        stations[:, 2] = level
+    line = position - stations[readings.setup]
+    line[:, d:] = 0.0
+    length = np.sqrt(np.einsum("nj,nj->n", line, line))
+    direction = line / length[:, None]
     if description.pointing == "open_loop":
         elevation = readings.columns.get("elevation", np.zeros(len(readings))) if d == 3 else np.zeros(len(readings))
         direction = beam_direction(readings.column("azimuth"), elevation)
-    else:
-        direction = (position - stations[readings.setup]) / length[:, None]
-    observations = Observations(session, readings, position, direction, np.zeros_like(direction), length, readings.setup)
-    common = {"observations": observations, "targets": targets, "point": point, "stations": stations, "path": path, "priors": ()}
+    path = np.zeros(len(stations))
+    read, first = np.unique(readings.setup, return_index=True)
+    path[read] = length[first] - readings.displacement[first]
+    free = TrackingModel(
+        observations=Observations(
+            session, readings, position, direction, np.zeros_like(direction), length, readings.setup
+        ),
+        terms=(),
+        constraints=(),
+        priors=(),
+        left_out=(),
+        datum=MAP_DATUM,
+        targets=targets,
+        point=point,
+        stations=stations,
+        path=path,
+        tables=None,
+    )
     if model == "free":
-        free = TrackingModel(**common, terms=(), constraints=(), left_out=(), datum=_MAP_DATUM, tables=None)
-        _, motion = free._motion()
-        names = [parameter.name for parameter in free.own]
-        datum = tuple(Constraint({n: float(v) for n, v in zip(names, column, strict=True) if v}) for column in motion.T)
-        return TrackingModel(**common, terms=(), constraints=datum, left_out=(), datum=_MAP_DATUM, tables=None)
+        return replace(free, constraints=_station_datum(free))
     chain = Chain.parse(description.machine.chain)
-    nodes = {axis: axis_nodes(position[:, j]) for j, axis in enumerate("XYZ"[:d])}
-    tables, terms, left_out = machine_terms(observations, linear_axis_errors(chain, nodes))
-    return TrackingModel(
-        **common, terms=terms, constraints=table_datum(tables), left_out=left_out,
-        datum=f"{RIGID_BODY_DATUM}; map: {_MAP_DATUM}", tables=tables,
-    )  # fmt: skip
+    nodes = {axis: axis_nodes(targets[:, j]) for j, axis in enumerate("XYZ"[:d])}
+    tables, terms, left_out = machine_terms(free.observations, linear_axis_errors(chain, nodes))
+    datum = f"{RIGID_BODY_DATUM}; map: {MAP_DATUM}"
+    return replace(free, terms=terms, constraints=table_datum(tables), left_out=left_out, datum=datum, tables=tables)
+
+
+def _station_datum(model: TrackingModel) -> tuple[Constraint, ...]:
+    """No shift and no turn of the stations that the network carries; the map is carried over to the targets' datum."""
+    d, count = model.dimension, len(model.stations)
+    setup = model.observations.readings.setup
+    carried = carried_stations(model.point, setup, len(model.targets), count, d)
+    motion = model.motion.of_stations(model.stations[:, :d]) * np.repeat(carried, d + 1)[:, None]
+    names = [parameter.name for parameter in model.own]
+    return tuple(Constraint({n: float(v) for n, v in zip(names, column, strict=True) if v}) for column in motion.T)
 
 
 def _distinct(position: Array) -> tuple[Array, IntArray]:
     """Distinct commanded positions, equal to the nanometre, in the order of their first reading; and which is which."""
     keys = np.round(position * 1e9).astype(np.int64)
-    code = np.zeros(len(keys), dtype=np.int64)
-    for j in range(keys.shape[1]):
-        # Ranks keep the code small however large the travel is.
-        _, rank = np.unique(keys[:, j], return_inverse=True)
-        code = code * (int(rank.max()) + 1) + rank
-    _, first, inverse = np.unique(code, return_index=True, return_inverse=True)
+    # One sort of a mixed code instead of one by rows; should two places ever mix to the same code, by rows.
+    code: IntArray = keys @ _MIX[: keys.shape[1]]
+    first, point = np.unique(code, return_index=True, return_inverse=True)[1:]
+    if not np.array_equal(keys[first][point], keys):
+        first, point = np.unique(keys, axis=0, return_index=True, return_inverse=True)[1:]
     order = np.argsort(first)
     place = np.empty(len(order), dtype=np.int64)
     place[order] = np.arange(len(order))
-    return position[first[order]], place[inverse.reshape(-1)]
+    return position[first[order]], place[point.reshape(-1)]

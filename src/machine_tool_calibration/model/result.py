@@ -153,7 +153,9 @@ def plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {str(key): plain(entry) for key, entry in value.items()}
     if isinstance(value, np.ndarray):
-        return plain(value.tolist())
+        # A map may have a hundred thousand points: element by element only where something is not determined.
+        whole = value.dtype.kind == "f" and bool(np.isfinite(value).all())
+        return value.tolist() if whole else plain(value.tolist())
     if isinstance(value, (list, tuple)):
         return [plain(entry) for entry in value]
     if isinstance(value, (float, np.floating)):

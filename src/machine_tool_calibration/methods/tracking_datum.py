@@ -1,0 +1,103 @@
+"""What readings between stations and targets cannot fix: a shift and a turn of the whole network."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+
+__all__ = ["MAP_DATUM", "NetworkMotion", "carried_stations", "turned_back"]
+
+MAP_DATUM = (
+    "no shift and no turn of all targets together against their commanded positions (least squares); the length is "
+    "the interferometer's"
+)
+
+
+class NetworkMotion:
+    """Common motions of targets and stations: shifts along and turns about the axes, about the targets' centre.
+
+    Attributes:
+        count: t, 3 in the plane and 6 in space.
+    """
+
+    def __init__(self, targets: Array) -> None:
+        """Take centre and size from the targets (n, d)."""
+        self._centre = targets.mean(axis=0)
+        self._size = float(np.abs(targets - self._centre).max()) or 1.0
+        self._d = targets.shape[1]
+        self._turns = [(0, 1)] if self._d == 2 else [(1, 2), (2, 0), (0, 1)]
+        self.count = self._d + len(self._turns)
+
+    def at(self, position: Array) -> Array:
+        """(d, t, n) displacement of places (d, n) by a unit of each motion; a turn moves the farthest target by 1."""
+        arm = (position - self._centre[:, None]) / self._size
+        out = np.zeros((self._d, self.count, position.shape[1]))
+        for j in range(self._d):
+            out[j, j] = 1.0
+        for k, (a, b) in enumerate(self._turns, start=self._d):
+            out[a, k], out[b, k] = -arm[b], arm[a]
+        return out
+
+    def of_targets(self, position: Array) -> Callable[[slice | IntArray], Array]:
+        """The same for some of the targets at (d, n), so that memory holds only these."""
+        return lambda points: self.at(position[:, points])
+
+    def of_stations(self, stations: Array) -> Array:
+        """(S (d + 1), t) change of the stations' unknowns: rotation centre (S, d) and dead path."""
+        moved = np.zeros((len(stations), self._d + 1, self.count))
+        moved[:, : self._d] = self.at(stations.T).transpose(2, 0, 1)
+        return moved.reshape(-1, self.count)
+
+
+def carried_stations(point: IntArray, station: IntArray, n_points: int, n_stations: int, dimension: int) -> BoolArray:
+    """Stations that the network carries, so that the datum may rest on them.
+
+    A target read from more than d stations says something of these; a station read on more than d such targets is
+    held by them. What hangs on fewer could take up a condition of the datum without any reading changing.
+
+    Args:
+        point: (n,) target of each reading.
+        station: (n,) station of each reading.
+        n_points: number of targets.
+        n_stations: S.
+        dimension: d.
+
+    Returns:
+        (S,); all stations that were read at all, where no network is left.
+    """
+    seen = np.zeros((n_points, n_stations), dtype=bool)
+    seen[point, station] = True
+    carried: BoolArray = np.asarray(seen.any(axis=0))
+    read = carried
+    while carried.any():
+        strong = seen[:, carried].sum(axis=1) > dimension
+        still = carried & (seen[strong].sum(axis=0) > dimension)
+        if (still == carried).all():
+            return carried
+        carried = still
+    return read
+
+
+def turned_back(nominal: Array, actual: Array, others: Array) -> tuple[Array, Array]:
+    """Turn and shift places so that they have no common motion against the nominal ones (Kabsch 1976).
+
+    The turn is finite: with stations known to a millimetre the network may have turned by a milliradian, and the linear
+    datum would leave its square, half a micrometre on a metre.
+
+    Args:
+        nominal: (n, d).
+        actual: (n, d).
+        others: (k, d) places that go with them.
+
+    Returns:
+        The actual and the other places after the motion.
+    """
+    centre, middle = nominal.mean(axis=0), actual.mean(axis=0)
+    u, _, vt = np.linalg.svd((actual - middle).T @ (nominal - centre))
+    sign = np.ones(len(u))
+    sign[-1] = np.sign(np.linalg.det(u @ vt))
+    turn = (u * sign) @ vt
+    return (actual - middle) @ turn + centre, (others - middle) @ turn + centre

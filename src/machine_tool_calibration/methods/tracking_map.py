@@ -1,0 +1,135 @@
+"""The error map of a tracking interferometer's session: every target's position error, and the stations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, BoolArray
+from machine_tool_calibration.estimation.points import points_in_inner_datum
+from machine_tool_calibration.machine.tables import MachineTable
+from machine_tool_calibration.methods.rigid_body import map_field
+from machine_tool_calibration.methods.tracking_datum import MAP_DATUM, turned_back
+from machine_tool_calibration.model.fit import Fit
+from machine_tool_calibration.model.model import NotDetermined
+from machine_tool_calibration.model.result import ErrorMap
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.methods.tracking import TrackingModel
+
+__all__ = ["free_map", "table_map"]
+
+
+@dataclass(frozen=True)
+class _Network:
+    """Targets and stations in the map's datum.
+
+    Attributes:
+        error: (n, d) position error of the targets.
+        covariance: (n, d, d).
+        good: (n,) whether a target is determined.
+        own: (S (d + 1),) the stations' unknowns.
+        own_u: their standard uncertainties.
+        why: reason for each target that is not determined.
+    """
+
+    error: Array
+    covariance: Array
+    good: BoolArray
+    own: Array
+    own_u: Array
+    why: dict[int, str]
+
+
+def free_map(model: TrackingModel, fit: Fit) -> ErrorMap:
+    """Every target's position error, from its own unknowns."""
+    d, own = model.dimension, fit.places[: len(model.own)]
+    local, theta = fit.solution.local[fit.index], fit.solution.theta
+    nominal, stations = model.targets[:, :d].T, model.stations[:, :d]
+    where, at = nominal, stations
+    if model.follows:
+        # The motions that change no reading are those of the places found.
+        where, at = nominal + local, stations + theta[own].reshape(-1, d + 1)[:, :d]
+    theta_motion = np.zeros((len(theta), model.motion.count))
+    theta_motion[own] = model.motion.of_stations(at)
+    result = points_in_inner_datum(fit.part, fit.solution, fit.index, model.motion.of_targets(where), theta_motion)
+    good, error, unknown = result.determined, result.value.T, result.theta[own]
+    if model.follows and good.any():
+        places = np.vstack([where.T[~good], at])
+        error = np.full_like(error, np.nan)
+        turned, others = turned_back(nominal.T[good], where.T[good], places)
+        error[good] = turned - nominal.T[good]
+        unknown = theta[own].reshape(-1, d + 1).copy()
+        unknown[:, :d] = others[-len(at) :] - stations
+    seen = np.asarray(fit.solution.local_determined[fit.index].all(axis=0))
+    why = {
+        int(k): "a station that it needs is not determined" if seen[k] else "it was read from too few stations"
+        for k in np.flatnonzero(~good)
+    }
+    own_u = np.sqrt(np.diag(result.theta_covariance)[own])
+    return _published(
+        model, fit, _Network(error, result.covariance.transpose(2, 0, 1), good, unknown.reshape(-1), own_u, why)
+    )
+
+
+def table_map(model: TrackingModel, fit: Fit, tables: tuple[MachineTable, ...]) -> ErrorMap:
+    """Every target's position error from the machine's error motions."""
+    d, n = model.dimension, len(model.targets)
+    field = map_field(tables, model.targets)[:, :, :d]
+    first = len(model.own)
+    place = slice(first, first + len(field))
+    flat = field.reshape(len(field), -1)
+    common = model.motion.at(model.targets[:, :d].T).transpose(2, 0, 1).reshape(n * d, -1)
+    fitted = np.linalg.lstsq(common, flat.T, rcond=None)[0]
+    flat = flat - (common @ fitted).T
+    blocks = flat.reshape(len(field), n, d)
+    covariance = np.einsum("knd,kl,lne->nde", blocks, fit.covariance[place, place], blocks, optimize=True)
+    # The stations move with the common motion that is taken out of the targets.
+    change = np.eye(len(fit.theta))[:first]
+    change[:, place] -= model.motion.of_stations(model.stations[:, :d]) @ fitted
+    own_u = np.sqrt(np.einsum("ij,jk,ik->i", change, fit.covariance, change))
+    loose = fit.solution.loose_directions()[fit.places][place]
+    good = np.ones(n, dtype=bool)
+    if loose.shape[1]:
+        good = (np.linalg.norm(flat.T @ loose, axis=1).reshape(n, d) < 1e-9).all(axis=1)
+    why = {int(k): "an error motion that it needs is not determined" for k in np.flatnonzero(~good)}
+    error = (fit.theta[place] @ flat).reshape(n, d)
+    return _published(model, fit, _Network(error, covariance, good, change @ fit.theta, own_u, why))
+
+
+def _published(model: TrackingModel, fit: Fit, network: _Network) -> ErrorMap:
+    """The contract's arrays; NaN where not determined."""
+    d, good = model.dimension, network.good
+    error = np.where(good[:, None], network.error, np.nan)
+    covariance = np.where(good[:, None, None], network.covariance, np.nan)
+    uncertainty = np.sqrt(np.einsum("nii->ni", covariance))
+    fixed = fit.determined[: len(network.own)].reshape(-1, d + 1)
+    own = np.where(fixed, network.own.reshape(-1, d + 1), np.nan)
+    own_u = np.where(fixed, network.own_u.reshape(-1, d + 1), np.nan)
+    content = {
+        "points": model.targets,
+        "position_error": error,
+        "position_error_u": uncertainty,
+        "station_ids": [setup.id for setup in model.description.setups],
+        "stations": _three(model.stations[:, :d] + own[:, :d]),
+        "stations_u": _three(own_u[:, :d]),
+        "dead_path": model.path + own[:, d],
+        "dead_path_u": own_u[:, d],
+        "datum": MAP_DATUM,
+    }
+    lost = tuple(NotDetermined(f"target {_place(model.targets[k])}", why) for k, why in network.why.items())
+    full = np.full((len(covariance), 3, 3), np.nan)
+    full[:, :d, :d] = covariance
+    return ErrorMap(content, model.targets, _three(error), _three(uncertainty), full, lost)
+
+
+def _place(position: Array) -> str:
+    return "(" + ", ".join(f"{1e3 * v:.6g}" for v in position) + ") mm"
+
+
+def _three(values: Array) -> Array:
+    out = np.full((len(values), 3), np.nan)
+    out[:, : values.shape[1]] = values
+    return out
