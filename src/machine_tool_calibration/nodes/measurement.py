@@ -191,7 +191,7 @@ def _programs(setting: Setting, procedure: Path, site: Path) -> list[Program]:
         "instrument": {**world, "driver": setting.driver},
         "procedure": {**common, "procedure": str(procedure.resolve())},
         "estimator": {**common, "model": setting.model, "effects": list(setting.effects) or [""]},
-        "recorder": {"output": str((setting.output / "bag").resolve())},
+        "recorder": {"folder": str((setting.output / "bag").resolve())},
     }
     for name in setting.external:
         if name not in NODES:

@@ -9,6 +9,10 @@ from dataclasses import dataclass
 __all__ = ["AxisLimits", "Move", "brake", "move"]
 
 
+_NO_TIME = 1e-9  # s
+_NO_TRAVEL = 1e-15  # m or rad: far below what any encoder resolves
+
+
 @dataclass(frozen=True)
 class AxisLimits:
     """Greatest speed and acceleration of one axis, m/s and m/s^2 (rad for a rotary axis)."""
@@ -78,9 +82,10 @@ def move(
         limits: of each axis that moves.
         duration: wanted time, s; 0 asks for the shortest.
     """
-    travels = {name: abs(end[name] - begin) for name, begin in start.items() if end[name] != begin}
+    travels = {name: abs(end[name] - begin) for name, begin in start.items() if abs(end[name] - begin) > _NO_TRAVEL}
     if not travels:
-        return Move(dict(start), dict(end), max(duration, 0.0), max(duration, 0.0) / 2)
+        wait = duration if duration > _NO_TIME else 0.0
+        return Move(dict(start), dict(end), wait, wait / 2)
     speed = min(limits[name].speed / travel for name, travel in travels.items())
     acceleration = min(limits[name].acceleration / travel for name, travel in travels.items())
     if speed * speed >= acceleration:  # never reaches the greatest speed
@@ -104,7 +109,7 @@ def brake(current: Move, time: float, limits: Mapping[str, AxisLimits]) -> Move:
         limits: of each axis that moves.
     """
     here, velocity = current.position(time), current.velocity(time)
-    needed = [abs(rate) / limits[name].acceleration for name, rate in velocity.items() if rate]
+    needed = [abs(rate) / limits[name].acceleration for name, rate in velocity.items() if abs(rate) > _NO_TRAVEL]
     if not needed:
         return Move(here, here, 0.0, 0.0)
     duration = max(needed)

@@ -1,0 +1,94 @@
+from pathlib import Path
+
+import pytest
+
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.procedure import plan, read_procedure
+from machine_tool_calibration.procedure.description import Spread
+from machine_tool_calibration.session.parse import description_yaml, parse_description
+
+from .procedures import TEXT, small
+
+CONFIG = Path(__file__).parents[2] / "config" / "procedures"
+
+
+def test_runs_every_target_from_every_station_and_back():
+    steps = small().steps
+    assert len(steps) == 2 * 2 * 6
+    assert [step.number for step in steps] == list(range(24))
+    assert [(step.setup, step.repeat) for step in steps[::6]] == [("A", 0), ("A", 1), ("B", 0), ("B", 1)]
+    first = [(step.position["x"], step.position["y"]) for step in steps[:6]]
+    assert first == [(0.0, 0.1), (0.2, 0.1), (0.4, 0.1), (0.0, 0.2), (0.2, 0.2), (0.4, 0.2)]
+    assert [(step.position["x"], step.position["y"]) for step in steps[6:12]] == first[::-1]
+
+
+def test_zeroes_at_the_first_target_of_each_setup():
+    assert [step.number for step in small().steps if step.datum] == [0, 12]
+
+
+def test_directions_are_those_of_the_last_moves():
+    steps = small().steps
+    # x at the end of its travel is approached from above, y from below
+    assert steps[0].via == ({"x": 0.005, "y": 0.1 - 0.005},)
+    assert steps[0].direction == {"x": -1, "y": 1}
+    assert [step.direction["x"] for step in steps[1:6]] == [1, 1, -1, 1, 1]
+    assert steps[6].direction == {"x": 1, "y": 1}  # the same target again: no move
+    assert steps[7].direction == {"x": -1, "y": 1}
+    assert steps[9].direction == {"x": 1, "y": -1}
+
+
+def test_serpentine_runs_every_second_line_back():
+    steps = small(TEXT.replace("y: [0.1, 0.2]}", "y: [0.1, 0.2]}\n  order: serpentine")).steps
+    assert [step.position["x"] for step in steps[:6]] == [0.0, 0.2, 0.4, 0.4, 0.2, 0.0]
+
+
+def test_without_alternation_every_repetition_runs_alike():
+    steps = small(TEXT.replace("y: [0.1, 0.2]}", "y: [0.1, 0.2]}\n  alternate: false")).steps
+    assert [step.position for step in steps[6:12]] == [step.position for step in steps[:6]]
+
+
+def test_ends_of_a_spread_are_exact():
+    assert Spread(first=0.1, last=0.7, count=7).values()[::6] == [0.1, 0.7]
+    assert Spread(first=0.1, last=0.7, count=1).values() == [0.1]
+
+
+def test_duration_counts_moves_and_dwells():
+    assert small().duration == pytest.approx(24 * 1.0, rel=2.0)
+    assert small().duration > 24.0
+
+
+def test_session_is_the_contracts():
+    text = description_yaml(small().procedure.session)
+    assert parse_description(text, "session.yaml") == small().procedure.session
+
+
+@pytest.mark.parametrize("file", sorted(CONFIG.glob("*.yaml")), ids=lambda file: file.stem)
+def test_procedures_that_the_package_brings_can_be_planned(file):
+    made = plan(read_procedure(file))
+    session = made.procedure.session
+    assert len(made.steps) % (len(session.setups) * session.repeats) == 0
+    assert made.procedure.name == file.stem
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("dwell: 1.0", "dwel: 1.0", "small.yaml line 16: unknown key 'motion.dwel'"),
+        ("dwell: 1.0", "dwell: 0", "small.yaml line 16: motion.dwell: input should be greater than 0"),
+        ("dimension: 2", "dimension: 4", "small.yaml line 6: dimension is 4, not 2 or 3"),
+        ("id: B", "id: A", "small.yaml: setups has the id 'A' twice"),
+        ("y: [0.1, 0.2]", "y: [0.1, 0.5]", "procedure small: target 3 at y = 0.5 is outside the travel 0 to 0.4"),
+        ("y: [0.1, 0.2]", "a: [0.1, 0.2]", "procedure small: path names the axis 'a'; the machine has c, x, y, z"),
+        ("y: [0.1, 0.2]", "y: []", "small.yaml line 14: path: grid.y has no position"),
+        ("count: 3", "count: 1000000", "small.yaml line 14: path: grid has 2000000 targets; at most 1000000"),
+        ("{dwell: 1.0}", "{speed: {q: 1.0}}", "procedure small: motion.speed names the axis 'q'; the machine has"),
+        ("path:\n  grid", "path:\n  gird", "small.yaml line 15: unknown key 'path.gird'"),
+        ("format: mtcal-procedure/1\n", "", "small.yaml: the key 'format' is missing"),
+    ],
+)
+def test_defects_are_named_with_their_place(old, new, message):
+    assert old in TEXT
+    with pytest.raises(SessionError) as caught:
+        small(TEXT.replace(old, new))
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)

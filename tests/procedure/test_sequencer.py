@@ -1,0 +1,226 @@
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from machine_tool_calibration.procedure.events import Aimed, Arrived, Captured, Motion, Refused
+from machine_tool_calibration.procedure.sequencer import State, Timing
+
+from .procedures import TEXT, small
+from .world import SECOND, World
+
+QUICK = Timing(paced=False, resend=0.5, answer=0.5, patience=5.0)
+
+
+def test_measures_every_step():
+    world = World(small())
+    world.run()
+    assert world.sequencer.state is State.FINISHED
+    world.check()
+    assert vars(world.sequencer.counters) == {"resent": 0, "stale": 0, "unstable": 0, "recoveries": 0, "restarts": 0}
+
+
+def test_commands_of_the_next_step_leave_before_the_reading_is_published():
+    world = World(small())
+    actions = []
+    do = world.do
+    world.do = lambda some: (actions.append([type(action).__name__ for action in some]), do(some))
+    world.run()
+    assert ["Motion", "Aim", "Emit"] in actions
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10**6), st.floats(0.0, 0.15), st.integers(0, 12))
+def test_never_pairs_wrongly_however_messages_come(seed, loss, disorder):
+    world = World(small(), seed, loss, disorder)
+    world.run()
+    assert world.sequencer.state is State.FINISHED, world.sequencer.message
+    world.check()
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(0, 10**6),
+    st.lists(
+        st.tuples(st.integers(1, 400), st.sampled_from(["lose_datum", "restart_instrument", "restart_axes"])),
+        max_size=3,
+    ),
+    st.integers(0, 8),
+)
+def test_broken_beams_and_restarts_in_the_middle(seed, mishaps, disorder):
+    world = World(small(), seed, 0.02, disorder)
+    deliver = world.deliver
+
+    def delivered(to, content):
+        for turn, mishap in list(mishaps):
+            if world.turn >= turn:
+                getattr(world, mishap)()
+                mishaps.remove((turn, mishap))
+        deliver(to, content)
+
+    world.deliver = delivered
+    world.run()
+    assert world.sequencer.state is State.FINISHED, world.sequencer.message
+    world.check()
+
+
+def test_a_lost_beam_is_tied_to_known_targets():
+    world = World(small())
+    deliver = world.deliver
+
+    def delivered(to, content):
+        if len(world.emitted) == 9 and world.datum.endswith("-1"):
+            world.lose_datum()
+        deliver(to, content)
+
+    world.deliver = delivered
+    world.run()
+    world.check()
+    assert world.sequencer.counters.recoveries == 1
+    datums = [emit.columns["datum"] for emit in world.emitted]
+    assert datums == [0.0] * 9 + [1.0] * 3 + [2.0] * 12
+
+
+def test_a_datum_that_does_not_fit_ends_in_an_error():
+    world = World(small())
+    deliver, count = world.deliver, [0]
+
+    def delivered(to, content):
+        if len(world.emitted) == 9 and world.datum.endswith("-1"):
+            world.lose_datum()
+        if isinstance(content, Captured) and world.datum.endswith("-2"):
+            count[0] += 1
+            # the instrument has been pushed: it moves on between the targets
+            content = Captured(**{**vars(content), "displacement": content.displacement + 1e-4 * count[0]})
+        deliver(to, content)
+
+    world.deliver = delivered
+    world.run()
+    assert world.sequencer.state is State.ERROR
+    assert "the datum could not be found again" in world.sequencer.message
+    assert len(world.emitted) == 9
+
+
+@pytest.mark.parametrize("partner", ["axes", "pointer", "instrument"])
+def test_a_partner_that_died_is_named_and_the_procedure_can_be_resumed(partner):
+    world = World(small(), timing=QUICK)
+    deliver = world.deliver
+
+    def delivered(to, content):
+        if len(world.emitted) == 5:
+            world.dead.add(partner)
+        deliver(to, content)
+
+    world.deliver = delivered
+    world.run()
+    assert world.sequencer.state is State.ERROR
+    name = "rotary pointer" if partner == "pointer" else partner
+    assert world.sequencer.message == f"no answer from {name} for 5 s"
+    world.dead, world.deliver = set(), deliver
+    world.do(world.sequencer.resume(world.clock, world.wall))
+    world.run()
+    assert world.sequencer.state is State.FINISHED
+    world.check()
+
+
+def test_pause_and_resume():
+    world = World(small())
+    deliver = world.deliver
+
+    def delivered(to, content):
+        if len(world.emitted) == 7 and world.sequencer.state is State.RUNNING and not paused:
+            paused.append(world.sequencer.pause())
+        deliver(to, content)
+
+    paused = []
+    world.deliver = delivered
+    world.run()
+    assert world.sequencer.state is State.PAUSED
+    world.mail.clear()
+    world.do(world.sequencer.resume(world.clock, world.wall))
+    world.run()
+    world.check()
+
+
+def test_late_answers_after_a_pause_belong_to_nothing():
+    world = World(small())
+    world.do(world.sequencer.start(world.clock, world.wall))
+    world.sequencer.pause()
+    for event in (Arrived(world.clock, world.clock, world.clock + SECOND), Aimed("A", 0.0, 0.0, world.clock)):
+        assert world.sequencer.handle(event, world.clock, world.wall) == []
+
+
+def test_abort_stops_the_axes():
+    world = World(small())
+    world.do(world.sequencer.start(world.clock, world.wall))
+    assert [type(action).__name__ for action in world.sequencer.abort(world.clock)] == ["Stop"]
+    assert world.sequencer.state is State.ABORTED
+    assert world.sequencer.message == "aborted after 0 of 24 readings"
+
+
+def test_a_refused_command_is_an_error_with_its_reason():
+    world = World(small())
+    (motion, _) = world.sequencer.start(world.clock, world.wall)
+    world.sequencer.handle(Refused(motion.stamp + 1, "another command"), world.clock, world.wall)
+    assert world.sequencer.state is State.RUNNING
+    world.sequencer.handle(Refused(motion.stamp, "refused: x = 9"), world.clock, world.wall)
+    assert (world.sequencer.state, world.sequencer.message) == (State.ERROR, "axes: refused: x = 9")
+
+
+def test_waits_for_the_instrument_to_be_moved():
+    world = World(small(), timing=Timing(paced=False, wait_between_setups=True))
+    world.run()
+    assert world.sequencer.state is State.PAUSED
+    assert world.sequencer.message == "bring the instrument to setup B, then resume"
+    assert len(world.emitted) == 12
+    world.do(world.sequencer.resume(world.clock, world.wall))
+    world.run()
+    world.check()
+
+
+def test_a_slow_pointer_makes_the_axes_wait():
+    world = World(small())
+    (motion, _aim) = world.sequencer.start(world.clock, world.wall)
+    handle = lambda event: world.sequencer.handle(event, world.clock, world.wall)  # noqa: E731
+    assert handle(Arrived(motion.stamp, motion.stamp + SECOND, motion.stamp + 2 * SECOND, "a")) == []
+    azimuth, elevation = world.sequencer._pending.angles
+    late = motion.stamp + 5 * SECOND
+    (hold, _again) = handle(Aimed("A", azimuth, elevation, late))
+    assert isinstance(hold, Motion)
+    assert hold.stamp >= late
+    assert hold.points[-1][0] == motion.points[-1][0]
+
+
+def test_commands_carry_times_for_a_real_controller():
+    world = World(small(), timing=Timing(paced=True))
+    (motion, _) = world.sequencer.start(world.clock, world.wall, {"x": 0.2, "y": 0.2})
+    times = [clock for _, clock in motion.points]
+    assert times == sorted(set(times))
+    assert times[0] > 0.2 / 0.25  # 0.195 m at 0.25 m/s, with the ramps
+    assert times[-1] - times[-2] == pytest.approx(1.0)
+
+
+def test_an_unsteady_path_is_given_time_and_then_up():
+    from machine_tool_calibration.procedure.events import CaptureFailed, SetDatum
+
+    world = World(small())
+    (motion, _aim) = world.sequencer.start(world.clock, world.wall)
+    for attempt in range(4):
+        handle = lambda event: world.sequencer.handle(event, world.clock, world.wall)  # noqa: E731
+        handle(Aimed("A", *world.sequencer._pending.angles, motion.stamp))
+        (request,) = handle(Arrived(motion.stamp, motion.stamp + 1, motion.stamp + 2 * SECOND, "a"))
+        assert isinstance(request, SetDatum)
+        world.clock += 2 * SECOND
+        actions = handle(CaptureFailed(request.token, "unstable", "the path still changes"))
+        if attempt < 3:
+            motion = actions[0]
+    assert actions == []
+    assert (world.sequencer.state, world.sequencer.message) == (State.ERROR, "instrument: the path still changes")
+
+
+def test_three_dimensions_point_upwards():
+    text = TEXT.replace("dimension: 2", "dimension: 3").replace("y: [0.1, 0.2]}", "y: [0.1], z: [0.05]}")
+    world = World(small(text))
+    world.sequencer.start(world.clock, world.wall)
+    azimuth, elevation = world.sequencer._pending.angles
+    assert elevation == pytest.approx(__import__("math").atan2(0.05, __import__("math").hypot(0.35, 0.05)))
+    assert azimuth == pytest.approx(__import__("math").atan2(0.05, 0.35))
