@@ -11,6 +11,7 @@ from scipy import optimize
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.model.effect_field import displacement_field
 from machine_tool_calibration.model.fit import Fit, fit_models, screen
 from machine_tool_calibration.model.model import MethodModel, NotDetermined
 from machine_tool_calibration.model.observations import Observations
@@ -24,7 +25,11 @@ _ABSORBED = 1e-10
 
 
 def effect_term(
-    effect: Effect, observations: Observations, shape: tuple[float, ...] = (), size: Array | None = None
+    effect: Effect,
+    observations: Observations,
+    shape: tuple[float, ...] = (),
+    size: Array | None = None,
+    mapped: bool = True,
 ) -> Term:
     """An effect's columns, linearised at given nonlinear coefficients.
 
@@ -33,6 +38,7 @@ def effect_term(
         observations: the readings.
         shape: nonlinear coefficients.
         size: (k,) linear coefficients at which the nonlinear ones are linearised; without them they are held.
+        mapped: whether to say where the effect moves the functional point, if the method maps that.
     """
     columns = effect.columns(observations, shape)
     parameters = [
@@ -52,7 +58,10 @@ def effect_term(
                     f"{effect.id}.{coefficient.name}", coefficient.unit, coefficient.low, coefficient.high, shape[j], True
                 )
             )
-    return Term(effect.id, tuple(parameters), columns)
+    field = None
+    if mapped:
+        field = displacement_field(effect, observations, lambda o: effect_term(effect, o, shape, size, False).columns)
+    return Term(effect.id, tuple(parameters), columns, field)
 
 
 def best_shape(fit: Fit, effect: Effect, start: Sequence[tuple[float, ...]] | None = None) -> tuple[tuple[float, ...], Array]:

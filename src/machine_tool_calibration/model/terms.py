@@ -38,8 +38,11 @@ class Term:
         name: what it is: an effect's id, an error motion, an instrument's unknown.
         parameters: k unknowns.
         columns: (k, n) change of each reading per unit of each unknown.
+        field: (k, n, 3) displacement of the functional point per unit of each unknown, for a map of position errors;
+            None for what changes the reading itself.
     """
 
     name: str
     parameters: tuple[Parameter, ...]
     columns: Array
+    field: Array | None = None
