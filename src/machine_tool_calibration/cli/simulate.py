@@ -18,8 +18,23 @@ __all__ = ["command"]
 _SHOWN = (("m", 1e6, "µm"), ("rad", 1e6, "µrad"), ("1/K", 1e6, "µm/(m K)"), ("m/s", 3.6e9, "µm/h"))
 METHODS = ("step_diagonal", "tracking_interferometer", "rotary_axis", "probing", "direct")
 
+HELP = """Simulate a measurement on a virtual machine.
 
-@click.command("simulate", no_args_is_help=True)
+Readings are computed from geometry: true distances, tilted mirrors, a stylus sphere on a surface, a machine with
+smooth errors. FOLDER gets session.yaml and observations.csv, as from a real measurement, and truth.json, which says
+what was put in: for judging a result, never an input to it. The same options and seed give the same session.
+
+\b
+mtcal simulate --method tracking_interferometer --dimension 3 --seed 5 --effect backlash_y --size 2e-6 OUT
+mtcal simulate --preset probing_cam --effect workpiece_thermal --amplitude 6e-6 OUT
+mtcal simulate --method step_diagonal --plan "orders=[xyz, yzx, zxy]" --spread 2e-7 OUT
+mtcal simulate SPEC.yaml OUT
+
+A SPEC.yaml holds `plan` (with its `method`), `seed`, `machine`, `effects` and so on; options come on top of it.
+"""
+
+
+@click.command("simulate", help=HELP, no_args_is_help=True)
 @click.argument("paths", nargs=-1, metavar="[SPEC.yaml] FOLDER", type=click.Path(path_type=Path))
 @click.option("--method", type=click.Choice(METHODS), help="Measuring method, with its usual plan.")
 @click.option("--preset", metavar="NAME", help="A named plan; --list shows them.")
@@ -59,20 +74,7 @@ def command(
     as_json: bool,
     **numbers: float | None,
 ) -> None:
-    r"""Simulate a measurement on a virtual machine.
-
-    Readings are computed from geometry: true distances, tilted mirrors, a stylus sphere on a surface, a machine with
-    smooth errors. FOLDER gets session.yaml and observations.csv, as from a real measurement, and truth.json, which says
-    what was put in: for judging a result, never an input to it. The same options and seed give the same session.
-
-    \b
-    mtcal simulate --method tracking_interferometer --dimension 3 --seed 5 --effect backlash_y --size 2e-6 OUT
-    mtcal simulate --preset probing_cam --effect workpiece_thermal --amplitude 6e-6 OUT
-    mtcal simulate --method step_diagonal --plan "orders=[xyz, yzx, zxy]" --spread 2e-7 OUT
-    mtcal simulate SPEC.yaml OUT
-
-    A SPEC.yaml holds `plan` (with its `method`), `seed`, `machine`, `effects` and so on; options come on top of it.
-    """
+    """Simulate a measurement on a virtual machine."""
     from machine_tool_calibration.simulation import simulate
     from machine_tool_calibration.simulation.options import parse_effect, parse_setting, read_spec, spec_from
 

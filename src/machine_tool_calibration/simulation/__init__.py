@@ -14,12 +14,13 @@ A whole session, with the truth behind it::
     simulated.truth.document()           # for judging only: effect, true errors, true stations
 
 Another machine, other noise, spread between setups, gross errors, lost readings: fields of `SimulationSpec`.
-An effect is given by its `size` (coefficient of its formula) or its `amplitude` (largest change of a reading).
-`FLAWS` holds every effect that can be put in.
+An effect is given by its `size` (coefficient of its formula) or its `amplitude` (largest change of a reading);
+`FLAWS` holds every effect that can be put in. `measured_again(simulated, seed)` gives the same measurement with
+other noise, for Monte Carlo.
 
 A machine of one's own::
 
-    machine = build_machine(read_machine("config/machines/vertical.yaml"))
+    machine = build_machine(read_machine("config/machines/five_axis_vertical.yaml"))
     machine.position([[0.1, 0.2, 0.0]])          # (n, 3) where the functional point really is, m
     machine.position_error([[0.1, 0.2, 0.0]])    # actual minus commanded
     machine.tool_rotation([[0.1, 0.2, 0.0]])     # (n, 3, 3) orientation error of the tool, as a rotation
@@ -58,7 +59,7 @@ from machine_tool_calibration.simulation.probe import probed
 from machine_tool_calibration.simulation.probing_run import ProbingPlan
 from machine_tool_calibration.simulation.random_machine import Amplitudes, random_machine
 from machine_tool_calibration.simulation.rotary_run import RotaryPlan
-from machine_tool_calibration.simulation.simulate import Simulated, simulate, simulate_many
+from machine_tool_calibration.simulation.simulate import Simulated, measured_again, simulate, simulate_many
 from machine_tool_calibration.simulation.spec import Chips, FlawSpec, SimulationSpec, Spread
 from machine_tool_calibration.simulation.tracking import Pointer, aim, beam_direction, distance, sensed_path
 from machine_tool_calibration.simulation.tracking_run import TrackingPlan
@@ -99,6 +100,7 @@ __all__ = [
     "choose_flaw",
     "distance",
     "machine_document",
+    "measured_again",
     "mirror_path",
     "probed",
     "random_environment",

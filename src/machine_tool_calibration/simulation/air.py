@@ -1,9 +1,8 @@
-"""Refractive index of air: the modified Edlén equation.
+"""Refractive index of air: the updated Edlén equation.
 
-G. Bönsch and E. Potulski, "Measurement of the refractive index of air and comparison with modified Edlén's
-formulae", Metrologia 35 (1998) 133-139, Eqs. (5a), (6a), (9a), for 400 ppm of carbon dioxide; the vapour
-pressure from the relative humidity by the Magnus formula of the World Meteorological Organization (Guide to
-instruments, WMO-No. 8, 2008, Annex 4.B).
+K. P. Birch and M. J. Downs, "Correction to the updated Edlén equation for the refractive index of air", Metrologia 31
+(1994) 315-316, with the vapour term as a density (referred to 292.75 K, as NIST's Engineering Metrology Toolbox does)
+and the saturation vapour pressure of the CIPM equation for moist air (R. S. Davis, Metrologia 29 (1992) 67-70).
 """
 
 from __future__ import annotations
@@ -23,13 +22,14 @@ STANDARD = (20.0, 101325.0, 0.5)
 
 def vapour_pressure(temperature: Array | float, humidity: Array | float) -> Array:
     """Partial pressure of water vapour, Pa, in air at a temperature in °C and a relative humidity of 0 … 1."""
-    t = np.asarray(temperature, float)
-    saturated: Array = 611.2 * np.exp(17.62 * t / (243.12 + t))
+    kelvin = np.asarray(temperature, float) + 273.15
+    exponent = 1.2378847e-5 * kelvin**2 - 1.9121316e-2 * kelvin + 33.93711047 - 6.3431645e3 / kelvin
+    saturated: Array = np.exp(exponent)
     return saturated * humidity
 
 
 def refractivity(temperature: Array | float, pressure: Array | float, humidity: Array | float = 0.0) -> Array:
-    """Refractive index of air minus one, for the helium-neon laser.
+    """Refractive index of air minus one, for the helium-neon laser and 450 ppm of carbon dioxide.
 
     Args:
         temperature: °C.
@@ -38,9 +38,10 @@ def refractivity(temperature: Array | float, pressure: Array | float, humidity: 
     """
     t, p = np.asarray(temperature, float), np.asarray(pressure, float)
     s = HELIUM_NEON**-2
-    dispersion = 1e-8 * (8091.37 + 2333983.0 / (130.0 - s) + 15518.0 / (38.9 - s))
-    dry = dispersion * p / 93214.60 * (1.0 + 1e-8 * (0.5953 - 0.009876 * t) * p) / (1.0 + 0.0036610 * t)
-    moist: Array = dry - vapour_pressure(t, humidity) * (3.8020 - 0.0384 * s) * 1e-10
+    dispersion = 1e-8 * (8342.54 + 2406147.0 / (130.0 - s) + 15998.0 / (38.9 - s))
+    dry = dispersion * p / 96095.43 * (1.0 + 1e-8 * (0.601 - 0.00972 * t) * p) / (1.0 + 0.0036610 * t)
+    vapour = vapour_pressure(t, humidity) * 292.75 / (t + 273.15)
+    moist: Array = dry - vapour * (3.7345 - 0.0401 * s) * 1e-10
     return moist
 
 

@@ -64,13 +64,34 @@ class Environment:
 
     drifts: Mapping[str, Drift]
 
+    def __post_init__(self) -> None:
+        waves = max((len(drift.waves) for drift in self.drifts.values()), default=0)
+        table = np.zeros((3, len(self.drifts), waves))
+        table[1] = 1.0
+        for row, drift in enumerate(self.drifts.values()):
+            for column, wave in enumerate(drift.waves):
+                table[:, row, column] = wave
+        object.__setattr__(self, "_waves", table)  # all columns at once: nodes ask for one moment at a time
+
     def __call__(self, time: Array) -> dict[str, Array]:
         """Every recorded column at times (n,), s."""
-        return {name: drift(time) for name, drift in self.drifts.items()}
+        amplitude, turns, phase = self._parts(time)
+        swing = np.einsum("cw,cwn->cn", amplitude, np.sin(turns + phase[..., None]))
+        return {
+            name: drift.mean + drift.slope * time + swing[row]
+            for row, (name, drift) in enumerate(self.drifts.items())
+        }
 
     def rate(self, time: Array) -> dict[str, Array]:
         """How fast every recorded column changes at times (n,), per second."""
-        return {name: drift.rate(time) for name, drift in self.drifts.items()}
+        amplitude, turns, phase = self._parts(time)
+        speed = amplitude * 2.0 * np.pi / self._waves[1]  # type: ignore[attr-defined]
+        rates = np.einsum("cw,cwn->cn", speed, np.cos(turns + phase[..., None]))
+        return {name: drift.slope + rates[row] for row, (name, drift) in enumerate(self.drifts.items())}
+
+    def _parts(self, time: Array) -> tuple[Array, Array, Array]:
+        amplitude, period, phase = self._waves  # type: ignore[attr-defined]
+        return amplitude, 2.0 * np.pi * time / period[..., None], phase
 
 
 def random_environment(

@@ -20,7 +20,7 @@ STATIONS = ("tracking_interferometer", "rotary_axis")
 
 
 def _air(scene: Scene) -> Array:
-    """Refractive index of the air minus that of standard air (modified Edlén equation)."""
+    """Refractive index of the air minus that of standard air (updated Edlén equation)."""
     return deviation(
         scene.sensed("temperature_air"), scene.sensed("air_pressure"), scene.sensed("relative_humidity")
     )

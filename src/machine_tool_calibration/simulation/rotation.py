@@ -8,8 +8,6 @@ from machine_tool_calibration.arrays import Array
 
 __all__ = ["cross", "matrix", "rotate", "turn"]
 
-_NEGLIGIBLE = 1e-24  # squared angle under which sin(a)/a and (1 - cos(a))/a^2 are their limits to the last bit
-
 
 def cross(a: Array, b: Array) -> Array:
     """Vector product of (…, 3) arrays; several times faster than `numpy.cross` for a few vectors."""
@@ -28,21 +26,33 @@ def rotate(vector: Array, rotation: Array) -> Array:
     Returns:
         (…, 3) turned vectors.
     """
-    square = np.einsum("...i,...i->...", rotation, rotation)[..., None]
-    angle = np.sqrt(square)
-    safe = np.where(square < _NEGLIGIBLE, 1.0, square)
-    sine = np.where(square < _NEGLIGIBLE, 1.0, np.sin(angle) / np.sqrt(safe))
-    # 1 - cos(a) = 2 sin(a/2)^2 keeps its digits where the angle is small
-    versine = np.where(square < _NEGLIGIBLE, 0.5, 2.0 * np.sin(0.5 * angle) ** 2 / safe)
+    angle = _angle(rotation)
     first = cross(rotation, vector)
-    turned: Array = vector + sine * first + versine * cross(rotation, first)
+    turned: Array = vector + np.sin(angle) / angle * first + _versine(angle) * cross(rotation, first)
     return turned
 
 
 def matrix(rotation: Array) -> Array:
     """(…, 3, 3) matrices of the rotation vectors (…, 3), rad."""
-    columns = [rotate(np.broadcast_to(unit, rotation.shape), rotation) for unit in np.eye(3)]
-    return np.stack(columns, axis=-1)
+    angle = _angle(rotation)[..., None]
+    skew = np.zeros((*rotation.shape, 3))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        skew[..., i, j], skew[..., j, i] = -rotation[..., k], rotation[..., k]
+    turned: Array = np.eye(3) + np.sin(angle) / angle * skew + _versine(angle) * (skew @ skew)
+    return turned
+
+
+def _angle(rotation: Array) -> Array:
+    """(…, 1) length of rotation vectors; never zero, where sin(a)/a and (1 - cos(a))/a^2 have their limits."""
+    square = rotation[..., 0] ** 2 + rotation[..., 1] ** 2 + rotation[..., 2] ** 2
+    length: Array = np.sqrt(np.maximum(square, 1e-30))[..., None]
+    return length
+
+
+def _versine(angle: Array) -> Array:
+    """(1 - cos(a)) / a^2; by the half angle it keeps its digits where the angle is small."""
+    half: Array = 2.0 * (np.sin(0.5 * angle) / angle) ** 2
+    return half
 
 
 def turn(vector: Array, axis: str, angle: Array | float) -> Array:

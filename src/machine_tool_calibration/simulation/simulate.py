@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -26,9 +26,10 @@ from machine_tool_calibration.simulation.scene import blocks
 from machine_tool_calibration.simulation.spec import FlawSpec, SimulationSpec
 from machine_tool_calibration.simulation.truth import Truth
 
-__all__ = ["Simulated", "simulate", "simulate_many"]
+__all__ = ["Simulated", "measured_again", "simulate", "simulate_many"]
 
 _STREAMS = ("machine", "setup", "environment", "effects", "noise", "spread", "chips", "missing", "repeatability")
+_UNSEEN = 1e-10  # an effect of typical size that changes no reading by more than this does not show, m
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,8 @@ def simulate(spec: SimulationSpec) -> Simulated:
     displacement[rng["missing"].random(len(raw)) < spec.missing] = np.nan
     session = Session(_describe(spec, measurement, flawed, noise), _readings(measurement, displacement), "simulation")
     truth = Truth(
-        spec.seed, flawed, chosen, clean, clean - before, np.flatnonzero(hit), measurement.truth(flawed)
+        spec.seed, flawed, chosen, clean, clean - before, np.flatnonzero(hit), measurement.datum,
+        measurement.truth(flawed),
     )
     return Simulated(session, truth)
 
@@ -87,6 +89,21 @@ def simulate_many(spec: SimulationSpec, seeds: Sequence[int]) -> Iterator[Simula
     """One session for each seed."""
     for seed in seeds:
         yield simulate(spec.model_copy(update={"seed": int(seed)}))
+
+
+def measured_again(simulated: Simulated, seed: int, noise: float | None = None) -> Session:
+    """The same measurement with other noise and nothing else random: fast, for Monte Carlo.
+
+    Args:
+        simulated: a simulated session.
+        seed: of the noise.
+        noise: standard deviation of a reading, m; the declared one if absent.
+    """
+    sigma = simulated.session.sigma if noise is None else noise
+    clean, readings = simulated.truth.clean, simulated.session.readings
+    total = clean + sigma * np.random.default_rng(seed).normal(size=len(clean))
+    displacement = np.where(np.isnan(readings.displacement), np.nan, since_first(total, simulated.truth.datum))
+    return simulated.session.with_readings(replace(readings, displacement=displacement))
 
 
 def _streams(seed: int) -> dict[str, np.random.Generator]:
@@ -119,14 +136,27 @@ def _choose(
     if effect.amplitude is None:
         return chosen
     without = since_first(measurement.read(machine, Disturbance()), measurement.datum)
-    for _ in range(3):  # most effects are linear in their size; a cosine error is not
-        flawed, disturbance = _apply(machine, measurement, [chosen], Disturbance())
+
+    def peak(size: float) -> float:
+        sized = Chosen(chosen.flaw, size, chosen.parameters)
+        flawed, disturbance = _apply(machine, measurement, [sized], Disturbance())
         change = since_first(measurement.read(flawed, disturbance), measurement.datum) - without
-        peak = float(np.max(np.abs(change), initial=0.0))
-        if peak < 1e-15:
-            raise CalibrationError(f"effect {effect.id} changes no reading of this plan; an amplitude cannot be met")
-        chosen = Chosen(chosen.flaw, chosen.size * effect.amplitude / peak, chosen.parameters)
-    return chosen
+        return float(np.max(np.abs(change), initial=0.0))
+
+    if peak(chosen.size) < _UNSEEN:
+        raise CalibrationError(f"effect {effect.id} changes no reading of this plan; an amplitude cannot be met")
+    return Chosen(chosen.flaw, _solve(peak, chosen.size, effect.amplitude), chosen.parameters)
+
+
+def _solve(peak: Callable[[float], float], size: float, amplitude: float) -> float:
+    """The size that makes the largest change: most effects are linear in it, a cosine error is quadratic."""
+    for _ in range(20):
+        reached = peak(size)
+        if abs(reached / amplitude - 1.0) < 1e-4:
+            break
+        power = max(np.log(reached / peak(0.9 * size)) / -np.log(0.9), 0.5)
+        size *= float((amplitude / reached) ** (1.0 / power))
+    return size
 
 
 def _spread(spec: SimulationSpec, measurement: Measurement, rng: np.random.Generator) -> Array:

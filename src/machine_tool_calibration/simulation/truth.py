@@ -27,6 +27,7 @@ class Truth:
         clean: (n,) readings without noise, spread and gross errors, m, in the session's datum.
         signal: (n,) what the effects changed in the clean readings, m.
         outliers: rows with a gross error.
+        datum: (n,) readings of the same number are changes since the first of them; None: absolute readings.
         judged: the method's own figures: `position_error` at `points`, `stations`, …
     """
 
@@ -36,6 +37,7 @@ class Truth:
     clean: Array
     signal: Array
     outliers: IntArray
+    datum: IntArray | None = None
     judged: Mapping[str, Any] = field(default_factory=dict)
 
     def document(self) -> dict[str, Any]:

@@ -1,0 +1,181 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from machine_tool_calibration import simulation
+from machine_tool_calibration.cli.main import run
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.session.reader import read_session
+from machine_tool_calibration.simulation import (
+    MachineSpec,
+    SimulationSpec,
+    TrackingPlan,
+    build_machine,
+    machine_document,
+    read_machine,
+)
+from machine_tool_calibration.simulation.options import parse_effect, parse_setting, read_spec, spec_from
+
+MACHINES = sorted((Path(__file__).parents[2] / "config" / "machines").glob("*.yaml"))
+
+
+def simulate(capsys, *words):
+    """Exit status, standard output, standard error."""
+    status = run(["simulate", *map(str, words)])
+    out = capsys.readouterr()
+    return status, out.out, out.err
+
+
+def test_written_session_reads_back_to_the_last_bit(tmp_path, capsys):
+    folder = tmp_path / "out"
+    status, out, _ = simulate(capsys, "--method", "tracking_interferometer", "--dimension", "3", "--seed", "5",
+                              "--effect", "backlash_y", "--size", "2e-6", folder, "--json")
+    assert status == 0
+    summary = json.loads(out)
+    assert summary["observations"] == 1000
+    assert summary["effects"][0] | {"size": 2e-6} == {"id": "backlash_y", "size": 2e-6, "unit": "m"}
+    session = read_session(folder)
+    truth = json.loads((folder / "truth.json").read_text())
+    again = spec_from(None, plan=truth["spec"]["plan"], method="tracking_interferometer",
+                      effects=[{"id": "backlash_y", "size": 2e-6}], fields={"seed": 5})
+    simulated = simulation.simulate(again)
+    np.testing.assert_array_equal(session.readings.displacement, simulated.session.readings.displacement)
+    assert session.description == simulated.session.description
+    assert truth["effect"] == "backlash_y"
+    assert truth["amplitude"] == pytest.approx(np.max(np.abs(simulated.truth.signal)))
+    assert len(truth["position_error"]) == len(truth["points"]) == 125
+
+
+@pytest.mark.parametrize("method", ["step_diagonal", "tracking_interferometer", "rotary_axis", "probing", "direct"])
+def test_every_method_is_written_and_read(method, tmp_path, capsys):
+    status, out, err = simulate(capsys, "--method", method, tmp_path / "s")
+    assert (status, err) == (0, "")
+    assert f"mtcal identify {tmp_path / 's'}" in out.replace("\n", "")
+    session = read_session(tmp_path / "s")
+    assert session.method == method
+    assert np.isfinite(session.readings.displacement).all()
+
+
+def test_a_session_in_the_way_is_kept(tmp_path, capsys):
+    assert simulate(capsys, "--method", "direct", tmp_path)[0] == 0
+    before = (tmp_path / "observations.csv").read_bytes()
+    status, _, err = simulate(capsys, "--method", "direct", "--seed", "1", tmp_path)
+    assert status == 1
+    assert err.count("\n") == 1
+    assert (tmp_path / "observations.csv").read_bytes() == before
+    assert simulate(capsys, "--method", "direct", "--seed", "1", "--overwrite", tmp_path)[0] == 0
+    assert (tmp_path / "observations.csv").read_bytes() != before
+    assert json.loads((tmp_path / "truth.json").read_text())["seed"] == 1
+
+
+def test_spec_file_and_options_on_top(tmp_path, capsys):
+    spec = tmp_path / "spec.yaml"
+    spec.write_text("plan: {method: probing, part: pins}\nseed: 3\nnoise: 2e-6\neffects: [{id: probe_pretravel}]\n")
+    status, out, _ = simulate(capsys, spec, tmp_path / "s", "--seed", "4", "--plan", "repeats=2", "--json",
+                              "--effect", "workpiece_thermal:amplitude=5e-6", "--chips", "0.03", "--missing", "0.01")
+    assert status == 0
+    summary = json.loads(out)
+    assert (summary["seed"], summary["observations"], summary["standard_uncertainty"]) == (4, 2 * 704, 2e-6)
+    assert [e["id"] for e in summary["effects"]] == ["probe_pretravel", "workpiece_thermal"]
+    assert summary["outliers"] > 0
+    assert summary["missing"] > 0
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--method", "direct", "--effect", "backlash_q"], "no effect 'backlash_q' can be simulated"),
+        (["--method", "direct", "--effect", "dead_path"], "does not occur in direct"),
+        (["--preset", "nonsense"], "no preset 'nonsense'; there are tracking_2d"),
+        (["--preset", "tracking_2d", "--method", "direct"], "is of the method tracking_interferometer, not direct"),
+        (["--method", "direct", "--plan", "repeats=0"], "plan.repeats: "),
+        (["--method", "direct", "--plan", "colour=red"], "plan.colour: "),
+        (["--method", "direct", "--plan", "repeats"], "'repeats' is not KEY=VALUE"),
+        (["--method", "direct", "--noise", "-1"], "noise: "),
+        (["--method", "direct", "--machine", "nowhere.yaml"], "nowhere.yaml: cannot be read"),
+        ([], "say what to simulate"),
+        (["missing_spec.yaml"], "missing_spec.yaml: cannot be read"),
+    ],
+)
+def test_wrong_requests_get_one_line(words, said, tmp_path, capsys):
+    status, out, err = simulate(capsys, *words, tmp_path / "s")
+    assert (status, out) == (1, "")
+    assert said in err
+    assert err.count("\n") == 1
+    assert not (tmp_path / "s").exists()
+
+
+def test_spec_errors_name_file_line_and_key(tmp_path):
+    spec = tmp_path / "spec.yaml"
+    spec.write_text("seed: 1\nplan:\n  method: probing\n  form: -1\n")
+    with pytest.raises(CalibrationError, match=r"spec\.yaml line 4: plan\.form: "):
+        read_spec(spec)
+    spec.write_text("sede: 1\nplan: {method: probing}\n")
+    with pytest.raises(CalibrationError, match=r"spec\.yaml line 1: sede: "):
+        read_spec(spec)
+
+
+def test_list_and_help(capsys):
+    status, out, _ = simulate(capsys, "--list")
+    assert status == 0
+    for word in ("tracking_3d", "backlash_x", "unlisted_step", "station_drift"):
+        assert word in out
+    listed = json.loads(simulate(capsys, "--list", "--json")[1])
+    assert listed["presets"]["probing_pins"] == "probing"
+    assert {"id", "formula", "unit", "typical", "methods", "listed"} == set(listed["effects"][0])
+    assert run(["simulate", "--help"]) == 0
+    assert "mtcal simulate SPEC.yaml OUT" in capsys.readouterr().out
+
+
+def test_wrong_command_line_is_status_2(tmp_path, capsys):
+    assert simulate(capsys, "--method", "direct")[0] == 2
+    assert simulate(capsys, "--method", "direct", "--size", "1e-6", tmp_path / "s")[0] == 2
+    assert simulate(capsys, "--method", "nonsense", tmp_path / "s")[0] == 2
+
+
+def test_effects_and_settings_from_words():
+    assert parse_effect("EXX") == {"id": "EXX"}
+    assert parse_effect("pointer_radial_error:size=1e-6,orders=[5, 3],weights=[1, 0.5]") == {
+        "id": "pointer_radial_error", "size": 1e-6, "parameters": {"orders": [5, 3], "weights": [1, 0.5]}}
+    assert parse_setting("stations=[[0, 0, 1e-3]]") == ("stations", [[0, 0, 1e-3]])
+
+
+@pytest.mark.parametrize("path", MACHINES, ids=lambda p: p.stem)
+def test_example_machines_can_be_built_and_written_again(path):
+    machine = build_machine(read_machine(path))
+    document = yaml.safe_load(yaml.safe_dump(machine_document(machine)))
+    again = build_machine(MachineSpec.model_validate(document))
+    points = np.random.default_rng(1).uniform(0, 0.1, (20, 3))
+    np.testing.assert_allclose(again.position(points), machine.position(points), atol=2e-9)
+    np.testing.assert_allclose(again.on_table(points, points[:, 0] * 30), machine.on_table(points, points[:, 0] * 30),
+                               atol=2e-7)
+
+
+def test_a_machine_file_decides_the_errors(tmp_path, capsys):
+    file = tmp_path / "machine.yaml"
+    file.write_text("random: null\nsquareness: {C0Y: 2e-5}\n")
+    assert simulate(capsys, "--preset", "tracking_2d", "--machine", file, tmp_path / "s")[0] == 0
+    truth = json.loads((tmp_path / "s" / "truth.json").read_text())
+    points, error = np.array(truth["points"]), np.array(truth["position_error"])
+    np.testing.assert_allclose(error[:, 0], -2e-5 * points[:, 1], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("motions: {EXX: {nodes: [0, 0], values: [1, 2]}}", r"error motion EXX: .* must increase"),
+        ("motions: {EXA: {nodes: [0, 1], values: [1, 2]}}", r"'EXA': the chain .* has no such axis"),
+        ("travel: {x: [1, 0]}", "travel of x must run from low to high"),
+        ("chain: w-X-t", "must run from w through one b to t"),
+        ("squareness: {C0C: 1e-5}", "'C0C' is no squareness"),
+    ],
+)
+def test_unfit_machines_are_refused(text, said, tmp_path):
+    file = tmp_path / "machine.yaml"
+    file.write_text(text)
+    spec = SimulationSpec(plan=TrackingPlan(), machine=read_machine(file))
+    with pytest.raises(CalibrationError, match=said):
+        simulation.simulate(spec)

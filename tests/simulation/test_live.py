@@ -1,0 +1,92 @@
+"""One reading at a time gives what a whole session gives."""
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.simulation import (
+    Environment,
+    FlawSpec,
+    LiveMachine,
+    RotaryPlan,
+    SimulationSpec,
+    TrackingPlan,
+    choose_flaw,
+    random_environment,
+    simulate,
+)
+from machine_tool_calibration.simulation.tracking import sensed_path
+
+
+def test_live_readings_are_those_of_the_session():
+    effects = ["backlash_y", "thermal_expansion_x", "warmup_x", "refractive_index", "linear_drift", "station_drift",
+               "pointer_zero_offset", "pointer_radial_error", "EYX", "C0Y", "unlisted_wave", "retroreflector_form"]
+    plan = TrackingPlan(dimension=2, repeats=1, radial={2: (1e-6, 2e-6)}, eccentricity=1e-4)
+    simulated = simulate(SimulationSpec(plan=plan, seed=3, noise_factor=0, effects=[FlawSpec(id=e) for e in effects]))
+    plain = simulate(SimulationSpec(plan=plan, seed=3, noise_factor=0))
+    session, column = simulated.session, simulated.session.readings.columns
+
+    def recorded(time):
+        row = int(np.flatnonzero(column["time"] == time[0])[0])
+        return {k: v[row : row + 1] for k, v in column.items() if k in environment.drifts}
+
+    environment = random_environment(np.random.default_rng(0))
+
+    class Recorded(Environment):
+        def __call__(self, time):
+            return recorded(time)
+
+    live = LiveMachine.prepare(plain.truth.machine, simulated.truth.effects, Recorded(environment.drifts))
+    path, first = [], {}
+    for row in range(len(session.readings)):
+        setup = int(session.readings.setup[row])
+        start = column["time"][session.readings.setup == setup][0]
+        now = live.scene(column["time"][row], session.readings.position()[row],
+                         {a: column[f"dir_{a.lower()}"][row] for a in "XYZ"}, setup=setup, start=start)
+        station = np.array(simulated.truth.judged["stations"])[setup]
+        azimuth = column["azimuth"][row]
+        origin, direction = live.beam(now, plan.pointer(), azimuth, 0.0, station)
+        length = sensed_path(live.functional_point(now), origin, direction)
+        first.setdefault(setup, length[0])
+        sight = live.sight(length, direction, azimuth, first[setup], incidence=azimuth)
+        path.append(float((length + live.added(now, sight))[0]))
+    path = np.array(path)
+    begin = np.unique(session.readings.setup, return_index=True)[1]
+    np.testing.assert_allclose(path - path[begin][session.readings.setup], session.readings.displacement, atol=1e-14)
+
+
+def test_live_table_is_that_of_the_session():
+    effects = [FlawSpec(id="backlash_c"), FlawSpec(id="table_thermal_growth", size=2e-5)]
+    simulated = simulate(SimulationSpec(plan=RotaryPlan(both_ways=True), seed=3, noise_factor=0, effects=effects))
+    column, judged = simulated.session.readings.columns, simulated.truth.judged
+    row = 25
+    warm = Environment({})
+    live = LiveMachine.prepare(simulated.truth.machine, simulated.truth.effects, warm)
+    now = live.scene(column["time"][row], np.zeros(3), {"C": column["dir_c"][row]}, angle=column["c"][row])
+    moved = live.on_table(now, np.array(judged["targets"]["P"]))[0]
+    still = simulated.truth.machine.on_table(np.array(judged["targets"]["P"]), column["c"][row : row + 1])[0]
+    # at 20 degrees Celsius only the backlash is left
+    turned = np.cross([0, 0, -1.3e-5 * column["dir_c"][row]], still)
+    np.testing.assert_allclose(moved - still, turned, atol=1e-9)
+
+
+def test_many_moments_at_once_are_each_alone():
+    machine = simulate(SimulationSpec(plan=TrackingPlan(), seed=1)).truth.machine
+    flaws = [choose_flaw(e, seed=2) for e in ("warmup_y", "pitch_periodic_x", "unlisted_rate", "backlash_x")]
+    live = LiveMachine.prepare(machine, flaws, random_environment(np.random.default_rng(2)))
+    time = np.linspace(0, 100, 11)
+    place = np.column_stack([np.linspace(0, 0.3, 11), np.full(11, 0.1), np.zeros(11)])
+    together = live.functional_point(live.scene(time, place, {"X": 1.0}))
+    alone = [live.functional_point(live.scene(t, p, {"X": 1.0}))[0] for t, p in zip(time, place, strict=True)]
+    np.testing.assert_allclose(together, alone, atol=1e-17)
+
+
+def test_environment_drifts_smoothly_and_its_rate_is_its_slope():
+    environment = random_environment(np.random.default_rng(5))
+    time = np.linspace(0, 5000, 5001)
+    values, rates = environment(time), environment.rate(time)
+    for name, value in values.items():
+        np.testing.assert_allclose(np.gradient(value, time)[1:-1], rates[name][1:-1], atol=1e-5 * np.ptp(value))
+    assert 15 < values["temperature_air"].mean() < 25
+    still = random_environment(np.random.default_rng(5), swing=0.0)(time)
+    assert all(np.ptp(v) == 0 for v in still.values())
+    assert still["air_pressure"][0] == pytest.approx(101325, abs=2000)
