@@ -152,6 +152,8 @@ def messages_in(
                 yield RawMessage(channel, sequence, log_time, publish_time, data)
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             yield RawRecord(opcode, record.offset, length, content[start:offset])
+        else:  # nothing else may stand in a chunk
+            raise RecordingError(f"{path}: the chunk at byte {record.offset} is damaged")
 
 
 def message_of(path: Path, record: RawRecord) -> RawMessage:

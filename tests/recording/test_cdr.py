@@ -1,0 +1,78 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.recording import cdr
+from machine_tool_calibration.recording.graph import GRAPH_TOPICS
+
+names = st.lists(st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=9), max_size=6)
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    messages=st.lists(
+        st.tuples(st.integers(0, 2**31 - 1), st.text("abc", max_size=9), names, st.integers(0, 3)),
+        min_size=1,
+        max_size=4,
+    )
+)
+def test_joint_states_as_the_library_reads_them(messages: list[tuple[int, str, list[str], int]]) -> None:
+    reader = cdr.JointStateReader()  # one for all: it remembers names
+    rng = np.random.default_rng(0)
+    for sec, frame, labels, repeats in messages:
+        for _ in range(repeats + 1):
+            positions = rng.normal(size=len(labels))
+            data = cdr.encode_joint_state(sec * 10**9 + 7, frame, labels, positions)
+            state = reader.read(data)
+            assert state.stamp == sec * 10**9 + 7
+            assert state.frame == frame
+            assert state.names == tuple(labels)
+            assert state.positions.tobytes() == positions.tobytes()
+            theirs = cdr.decode(cdr.JOINT_STATE, data)
+            assert list(theirs.name) == labels
+            assert theirs.position.tobytes() == positions.tobytes()
+
+
+def test_value_by_name() -> None:
+    state = cdr.joint_state(cdr.encode_joint_state(5, "A", ["time", "x"], np.array([1.5, np.nan])))
+    assert state.value("time") == 1.5
+    assert np.isnan(state.value("x"))
+    assert np.isnan(state.value("y"))
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.floats(), max_size=40), st.text("ab,", max_size=5))
+def test_numbers_as_the_library_reads_them(values: list[float], label: str) -> None:
+    dims = [cdr.part("std_msgs/msg/MultiArrayDimension", label, len(values), 1)] * (len(values) % 3)
+    data = cdr.encode(cdr.NUMBERS, cdr.part("std_msgs/msg/MultiArrayLayout", dims, 0), np.array(values, dtype=float))
+    assert cdr.numbers(data).tobytes() == np.array(values, dtype=float).tobytes()
+
+
+def test_big_endian() -> None:
+    text = b"\x00\x00\x00\x00" + b"\x00\x00\x00\x03hi\x00"
+    assert cdr.text(text) == "hi"
+    numbers = b"\x00\x00\x00\x00" + bytes(8) + b"\x00\x00\x00\x01" + bytes(4) + np.array([2.5], dtype=">f8").tobytes()
+    assert cdr.numbers(numbers).tolist() == [2.5]
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.binary(max_size=200), st.sampled_from([0, 1]))
+def test_noise_gives_session_errors_only(data: bytes, order: int) -> None:
+    for read in (cdr.joint_state, cdr.numbers, cdr.text, *(_reader(topic.type) for topic in GRAPH_TOPICS)):
+        try:
+            read(bytes([0, order, 0, 0]) + data)
+        except SessionError as error:
+            assert "damaged" in str(error)
+
+
+def _reader(kind: str):
+    return lambda data: cdr.decode(kind, data)
+
+
+def test_an_unknown_type() -> None:
+    with pytest.raises(SessionError, match="not a standard message type"):
+        cdr.decode("own_msgs/msg/Thing", b"")

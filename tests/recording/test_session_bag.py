@@ -1,0 +1,206 @@
+"""A session goes into a bag and comes back, beside whatever else is in the bag."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.recording.cdr import JOINT_STATE, TEXT, encode, encode_joint_state
+from machine_tool_calibration.recording.session_from_bag import session_from_bag
+from machine_tool_calibration.recording.session_to_bag import reading_columns, session_to_bag
+from machine_tool_calibration.recording.writer import BagWriter
+from machine_tool_calibration.session.open import open_measurement
+from machine_tool_calibration.session.parse import description_yaml
+from machine_tool_calibration.session.reader import read_session
+from machine_tool_calibration.session.session import Session
+
+DATA = Path(__file__).parents[1] / "data"
+NAMES = ("tracking_2d", "rotary_axis", "step_diagonal", "probing_cross")
+
+
+def assert_equal(one: Session, other: Session) -> None:
+    assert one.description == other.description
+    assert one.readings.displacement.tobytes() == other.readings.displacement.tobytes()
+    for name in ("setup", "repeat", "row"):
+        assert np.array_equal(getattr(one.readings, name), getattr(other.readings, name))
+    assert set(one.readings.columns) == set(other.readings.columns)
+    for name, values in one.readings.columns.items():
+        assert values.tobytes() == other.readings.columns[name].tobytes(), name
+    assert set(one.readings.labels) == set(other.readings.labels)
+    for name, labels in one.readings.labels.items():
+        assert np.array_equal(labels, other.readings.labels[name]), name
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("namespace", ["", "cell_2/left"])
+def test_there_and_back(name: str, namespace: str, tmp_path: Path) -> None:
+    session = read_session(DATA / name)
+    session_to_bag(session, tmp_path / "bag", start=1_700_000_000_000_000_000, namespace=namespace)
+    assert_equal(session, session_from_bag(tmp_path / "bag"))
+    assert_equal(session, open_measurement(tmp_path / "bag"))
+    assert_equal(session, open_measurement(tmp_path / "bag" / "bag_0.mcap"))
+
+
+def test_missing_values_and_text_columns(tmp_path: Path) -> None:
+    session = read_session(DATA / "rotary_axis")
+    readings = session.readings
+    displacement = readings.displacement.copy()
+    displacement[[3, 9]] = np.nan
+    operator = np.array([f"Änne {i % 3}" for i in range(len(readings))])
+    load = np.where(np.arange(len(readings)) % 5 == 0, np.nan, np.arange(len(readings)) / 7)
+    changed = session.with_readings(
+        replace(
+            readings,
+            displacement=displacement,
+            labels={**readings.labels, "operator": operator},
+            columns={**readings.columns, "load": load},
+        )
+    )
+    session_to_bag(changed, tmp_path / "bag")
+    assert_equal(changed, session_from_bag(tmp_path / "bag"))
+
+
+def write(bag: BagWriter, session: Session, prefix: str = "", *, rows: slice = slice(None), at: int = 0) -> None:
+    names, table = reading_columns(session)
+    bag.add_topic(f"{prefix}/session", TEXT)
+    bag.add_topic(f"{prefix}/reading", JOINT_STATE)
+    bag.write(f"{prefix}/session", encode(TEXT, description_yaml(session.description)), at)
+    for setup, row in list(zip(session.readings.setup, table, strict=True))[rows]:
+        at += 1
+        bag.write(f"{prefix}/reading", encode_joint_state(at, session.setup_ids[setup], names, row), at)
+
+
+def test_foreign_topics_are_ignored(tmp_path: Path) -> None:
+    session = read_session(DATA / "tracking_2d")
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add_topic("/other/session", JOINT_STATE)
+        bag.add_topic("/reading", TEXT)
+        bag.add_topic("/joint_states", JOINT_STATE)
+        bag.add_topic("/own", "own_msgs/msg/Thing")
+        for i, topic in enumerate(["/other/session", "/reading", "/joint_states", "/own"]):
+            bag.write(topic, b"\x00\x01\x00\x00rubbish", i)
+        write(bag, session, "/cell", at=100)
+    assert_equal(session, session_from_bag(tmp_path / "bag"))
+
+
+def test_two_graphs_need_a_name(tmp_path: Path) -> None:
+    first, second = read_session(DATA / "tracking_2d"), read_session(DATA / "step_diagonal")
+    with BagWriter(tmp_path / "bag") as bag:
+        write(bag, first, "/a")
+        write(bag, second, "/b")
+    with pytest.raises(SessionError, match=r"several measurements: /a/reading, /b/reading; say which, as in reading="):
+        session_from_bag(tmp_path / "bag")
+    assert_equal(second, session_from_bag(tmp_path / "bag", {"reading": "/b/reading"}))
+    assert_equal(first, session_from_bag(tmp_path / "bag", {"session": "/a/session", "reading": "a/reading"}))
+
+
+def test_other_names(tmp_path: Path) -> None:
+    session = read_session(DATA / "tracking_2d")
+    names, table = reading_columns(session)
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add_topic("/what", TEXT)
+        bag.add_topic("/values", JOINT_STATE)
+        # the description may come last
+        for at, (setup, row) in enumerate(zip(session.readings.setup, table, strict=True)):
+            bag.write("/values", encode_joint_state(at, session.setup_ids[setup], names, row), at)
+        bag.write("/what", encode(TEXT, description_yaml(session.description)), 10_000)
+    assert_equal(session, session_from_bag(tmp_path / "bag", {"session": "/what", "reading": "/values"}))
+    path = tmp_path / "bag"
+    for mapping, expected in (
+        (None, f"{path}: no topic 'session' of type {TEXT} with messages; it holds /values, /what"),
+        ({"session": "/x", "reading": "/values"}, f"{path}: no topic '/x'; it holds /values, /what"),
+        ({"session": "/values"}, f"{path}: /values has the type {JOINT_STATE}, not {TEXT}"),
+        ({"sessions": "/x"}, f"{path}: unknown role 'sessions' of a topic; the roles are session, reading"),
+    ):
+        with pytest.raises(SessionError) as caught:
+            session_from_bag(path, mapping)
+        assert str(caught.value) == expected
+
+
+def test_the_last_run_counts(tmp_path: Path) -> None:
+    first, second = read_session(DATA / "tracking_2d"), read_session(DATA / "step_diagonal")
+    with BagWriter(tmp_path / "bag") as bag:
+        write(bag, first, rows=slice(0, 20))
+        write(bag, second, at=1000)
+    assert_equal(second, session_from_bag(tmp_path / "bag"))
+
+
+def test_the_same_procedure_started_again(tmp_path: Path) -> None:
+    session = read_session(DATA / "tracking_2d")
+    with BagWriter(tmp_path / "bag") as bag:
+        write(bag, session, rows=slice(0, 20))
+        write(bag, session, at=1000)
+    assert_equal(session, session_from_bag(tmp_path / "bag"))
+
+
+def test_a_description_that_is_sent_again_changes_nothing(tmp_path: Path) -> None:
+    session = read_session(DATA / "tracking_2d")
+    with BagWriter(tmp_path / "bag") as bag:
+        write(bag, session, rows=slice(0, 20))
+        write(bag, session, rows=slice(20, None), at=1000)
+    assert_equal(session, session_from_bag(tmp_path / "bag"))
+
+
+def damaged(tmp_path: Path, setup: str, names: list[str], values: list[float]) -> str:
+    session = read_session(DATA / "rotary_axis")
+    with BagWriter(tmp_path / "bag") as bag:
+        write(bag, session, rows=slice(0, 3))
+        bag.write("/reading", encode_joint_state(9, setup, names, np.array(values)), 10)
+    with pytest.raises(SessionError) as caught:
+        session_from_bag(tmp_path / "bag")
+    return str(caught.value).removeprefix(f"{tmp_path}/bag ")
+
+
+GOOD = ["time", "repeat", "target_index", "c", "displacement"]
+
+
+@pytest.mark.parametrize(
+    ("setup", "names", "values", "expected"),
+    [
+        ("E", GOOD, [9, 0, 0, 0, 0], "/reading row 3: unknown setup 'E'; session has A, B, C, D"),
+        ("A", GOOD, [9, 0, 7, 0, 0], "/reading row 3: target_index is 7, not 0 to 2"),
+        ("A", GOOD, [9, 0, 0.5, 0, 0], "/reading row 3: target_index is 0.5, not 0 to 2"),
+        ("A", GOOD, [9, 0, np.nan, 0, 0], "/reading row 3: target is empty; session has P, Q, K"),
+        ("A", GOOD, [9, 0.5, 0, 0, 0], "/reading row 3: repeat is 0.5, not 0, 1, 2 …"),
+        ("A", GOOD, [9, 0, 0, 0], "/reading row 3: 5 names and 4 values"),
+        ("A", ["c", "c"], [0, 0], "/reading row 3: a name stands twice in c, c"),
+        ("A", GOOD, [1, 0, 0, 0, 0], "/reading row 3: time runs backwards, from 6 s to 1 s"),
+        ("A", GOOD, [9, 0, 0, 0, 0], "/reading: 1 station; rotary_axis needs at least 4 (no reading from B, C, D)"),
+    ],
+)
+def test_defects(tmp_path: Path, setup: str, names: list[str], values: list[float], expected: str) -> None:
+    assert damaged(tmp_path, setup, names, values) == expected
+
+
+def test_a_damaged_description(tmp_path: Path) -> None:
+    session = read_session(DATA / "tracking_2d")
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add_topic("/session", TEXT)
+        bag.write("/session", encode(TEXT, description_yaml(session.description).replace("repeats", "repeatz")), 0)
+        write(bag, session)
+    with pytest.raises(SessionError) as caught:
+        session_from_bag(tmp_path / "bag")
+    assert str(caught.value) == (f"{tmp_path}/bag /session line 9: unknown key 'repeatz' (did you mean 'repeats'?)")
+
+
+def test_neither_session_nor_recording(tmp_path: Path) -> None:
+    for path, expected in (
+        (
+            tmp_path,
+            "neither a session (session.yaml, observations.csv) nor a recording (metadata.yaml, .mcap) is in "
+            "this folder",
+        ),
+        (tmp_path / "x", "no such file or folder"),
+        (Path(__file__), "is neither a session folder nor a recording (.mcap)"),
+    ):
+        with pytest.raises(SessionError) as caught:
+            open_measurement(path)
+        assert str(caught.value) == f"{path}: {expected}"
+
+
+def test_a_file_of_the_session_names_it() -> None:
+    assert_equal(read_session(DATA / "tracking_2d"), open_measurement(DATA / "tracking_2d" / "session.yaml"))
