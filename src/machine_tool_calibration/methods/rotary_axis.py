@@ -200,7 +200,7 @@ def build(session: Session, model: str = "free") -> RotaryAxisModel:
     priors = weak_places(fit_models([first]).fits[0], names, nominal, max(HELD_WITHIN, 10 * stated))
     if not priors:
         return first
-    held = f"{len(priors)} directions of stations and targets that the readings leave open are held where they are stated"
+    held = f"{len(priors)} directions of stations and targets that the readings leave open stay where they are stated"
     return replace(first, priors=priors, datum=f"{first.datum}; {held}")
 
 

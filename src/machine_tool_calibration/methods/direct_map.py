@@ -1,0 +1,128 @@
+"""What a fit of direct deviations says: position errors where readings were, the tables, and figures of ISO 230-2."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.machine.tables import MachineTable
+from machine_tool_calibration.methods.direct_datum import SetupDatum
+from machine_tool_calibration.methods.iso230_2_run import positioning_runs
+from machine_tool_calibration.methods.rigid_body import map_field
+from machine_tool_calibration.model.fit import Fit
+from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.model.terms import Term
+
+__all__ = ["direct_map"]
+
+_LOOSE = 1e-9
+
+
+def direct_map(
+    observations: Observations,
+    tables: Sequence[MachineTable],
+    setups: SetupDatum,
+    effects: Sequence[Term],
+    fixed: Array,
+    fit: Fit,
+) -> ErrorMap:
+    """The contract's content for `direct`.
+
+    What the setups' unknowns leave open is taken out of the position errors by least squares over the points, so that
+    neither the errors nor their uncertainties hinge on a single node.
+
+    Args:
+        observations: the readings.
+        tables: machine errors in the model.
+        setups: what each setup leaves open.
+        effects: terms of added effects, which follow those of the tables; only displacements count.
+        fixed: (unknowns, q) what the readings leave open of setups and tables and the datum fixes.
+        fit: of the model.
+    """
+    own, n = len(setups.parameters), len(observations)
+    fields = [map_field(tables, observations.position)]
+    for term in effects:
+        size = len(term.parameters)
+        fields.append(np.zeros((size, n, 3)) if term.field is None else term.field)
+    field = np.concatenate(fields)
+    first = _states(observations.position, np.concatenate([np.zeros((0, n, 3)), *fields[1:]]))
+    points, field = observations.position[first], field[:, first]
+    flat = field.reshape(len(field), 3 * len(points))
+    mine = slice(own, own + len(field))
+    common = _common(flat[: len(fields[0])].T @ fixed[own:], setups, points, observations.direction)
+    if common.shape[1]:
+        flat = flat - (common @ np.linalg.lstsq(common, flat.T, rcond=1e-9)[0]).T
+    error = (fit.theta[mine] @ flat).reshape(-1, 3)
+    parts = flat.reshape(len(field), len(points), 3)
+    covariance = np.einsum("knd,kl,lne->nde", parts, fit.covariance[mine, mine], parts, optimize=True)
+    loose = np.linalg.norm(flat.T @ fit.solution.loose_directions()[fit.places][mine], axis=1).reshape(-1, 3) > _LOOSE
+    error = np.where(loose, np.nan, error)
+    uncertainty = np.where(loose, np.nan, np.sqrt(np.einsum("nii->ni", covariance).clip(0.0)))
+    covariance = np.where(loose.any(axis=1)[:, None, None], np.nan, covariance)
+    content: dict[str, Any] = {
+        "points": points,
+        "position_error": error,
+        "position_error_u": uncertainty,
+        "tables": _tables(tables, fit, own),
+        # More than one: the readings scatter more than was declared, and the uncertainties may be too small by this.
+        "spread_over_declared": float(np.sqrt(fit.joint.reduced_chi_square)),
+        "datum": _words(setups, bool(common.shape[1])),
+    }
+    runs = positioning_runs(observations)
+    if runs:
+        content["iso230_2"] = runs
+    return ErrorMap(content, points, error, uncertainty, covariance)
+
+
+def _words(setups: SetupDatum, reduced: bool) -> str:
+    what = {"none": "the tables share", "offset": "the offsets leave open", "rigid": "shifts and turns leave open"}[
+        setups.kind
+    ]
+    if not reduced:
+        return setups.words
+    return f"{setups.words}; position errors hold nothing of what {what} (least squares over the points)"
+
+
+def _common(tables: Array, setups: SetupDatum, points: Array, direction: Array) -> Array:
+    """(3 n, q) displacements of all points that the setups' unknowns leave open, of unit size.
+
+    Beside what the tables can follow, these are shift and turn of everything; with offsets, a shift along the
+    direction that was read, if there is only one.
+    """
+    n = len(points)
+    parts = [tables]
+    if setups.kind == "rigid":
+        arm = points - points.mean(axis=0)
+        shifts = np.tile(np.eye(3), (n, 1))
+        turns = np.stack([np.cross(np.eye(3)[j], arm) for j in range(3)], axis=-1).reshape(3 * n, 3)
+        parts += [shifts, turns]
+    elif setups.kind == "offset" and np.allclose(np.abs(direction @ direction[0]), 1.0, atol=1e-9):
+        parts.append(np.tile(direction[0], n)[:, None])
+    common = np.concatenate(parts, axis=1)
+    size = np.linalg.norm(common, axis=0)
+    return np.asarray(common[:, size > 1e-9] / size[size > 1e-9])
+
+
+def _states(position: Array, field: Array) -> IntArray:
+    """The first reading of each position, once for every different state of the effects there."""
+    key = np.concatenate([np.round(position * 1e9), field.transpose(1, 0, 2).reshape(len(position), -1)], axis=1)
+    return np.sort(np.unique(key, axis=0, return_index=True)[1])
+
+
+def _tables(tables: Sequence[MachineTable], fit: Fit, first: int) -> dict[str, Any]:
+    """Nodes, values and uncertainties of each error motion; value and uncertainty of a squareness."""
+    sigma = np.sqrt(np.diag(fit.covariance).clip(0.0))
+    theta, sigma = np.where(fit.determined, fit.theta, np.nan), np.where(fit.determined, sigma, np.nan)
+    out: dict[str, Any] = {}
+    for table in tables:
+        mine = slice(first, first + len(table.labels))
+        first = mine.stop
+        if table.is_squareness:
+            out[table.name] = {"value": theta[mine][0], "value_u": sigma[mine][0]}
+        else:
+            out[table.name] = {"nodes": table.nodes, "value": theta[mine], "value_u": sigma[mine]}
+    return out

@@ -1,0 +1,125 @@
+"""Positioning of one axis by ISO 230-2:2014: reversal, repeatability, systematic deviation, accuracy.
+
+Clause 3 of the standard: at m positions P_i, each approached n times in the positive direction (up) and n times in the
+negative one (down), the deviations x_ij are actual minus target position.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.errors import ModelError
+
+__all__ = ["Positioning", "positioning"]
+
+
+@dataclass(frozen=True)
+class Positioning:
+    """Figures of one axis; NaN where the readings do not give them (a direction or repeats missing).
+
+    Attributes:
+        position: (m,) target positions, m.
+        mean_up, mean_down: (m,) mean unidirectional deviations, 3.10.
+        s_up, s_down: (m,) estimators of the unidirectional repeatability (standard deviation with n - 1), 3.13.
+        count_up, count_down: (m,) readings in each direction.
+        reversal: (m,) mean_up - mean_down, 3.11.
+        repeatability: (m,) R_i = max(2 s_up + 2 s_down + |B_i|, 4 s_up, 4 s_down), 3.15.
+        B, B_mean: largest absolute, and mean reversal of the axis, 3.11, 3.12.
+        R_up, R_down, R: uni- and bidirectional repeatability of the axis, 3.14, 3.15.
+        E_up, E_down, E: uni- and bidirectional systematic positioning deviation, 3.16, 3.17.
+        M: range of the mean bidirectional positioning deviation, 3.18.
+        A_up, A_down, A: uni- and bidirectional positioning accuracy (two standard deviations), 3.19, 3.20.
+    """
+
+    position: Array
+    mean_up: Array
+    mean_down: Array
+    s_up: Array
+    s_down: Array
+    count_up: IntArray
+    count_down: IntArray
+    reversal: Array
+    repeatability: Array
+    B: float
+    B_mean: float
+    R_up: float
+    R_down: float
+    R: float
+    E_up: float
+    E_down: float
+    E: float
+    M: float
+    A_up: float
+    A_down: float
+    A: float
+
+
+def positioning(position: Array, direction: Array, deviation: Array) -> Positioning:
+    """The figures of ISO 230-2:2014 from the readings of one axis.
+
+    A figure that takes the worst of all positions is given only where every position has what it needs.
+
+    Args:
+        position: (n,) target position of each reading, m; readings of one position hold the same number.
+        direction: (n,) +1 approached in the positive direction, -1 in the negative one.
+        deviation: (n,) actual minus target position, m.
+
+    Raises:
+        ModelError: the arrays differ in length, no reading, or a direction that is not +1 or -1.
+    """
+    if not len(position) == len(direction) == len(deviation):
+        raise ModelError("ISO 230-2: position, direction and deviation must have the same length")
+    good = np.isfinite(deviation) & np.isfinite(position)
+    position, direction, deviation = position[good], np.asarray(direction)[good], deviation[good]
+    if not len(position):
+        raise ModelError("ISO 230-2: no reading")
+    if not np.isin(direction, (-1, 1)).all():
+        raise ModelError("ISO 230-2: the direction of approach must be +1 or -1 for every reading")
+    target, index = np.unique(position, return_inverse=True)
+    m = len(target)
+    up_mean, up_s, up_n = _statistics(index.reshape(-1), deviation, direction > 0, m)
+    down_mean, down_s, down_n = _statistics(index.reshape(-1), deviation, direction < 0, m)
+    reversal = up_mean - down_mean
+    mean = (up_mean + down_mean) / 2
+    repeatability = np.max([2 * up_s + 2 * down_s + np.abs(reversal), 4 * up_s, 4 * down_s], axis=0)
+    means = np.concatenate([up_mean, down_mean])
+    return Positioning(
+        position=target,
+        mean_up=up_mean,
+        mean_down=down_mean,
+        s_up=up_s,
+        s_down=down_s,
+        count_up=up_n,
+        count_down=down_n,
+        reversal=reversal,
+        repeatability=repeatability,
+        B=float(np.max(np.abs(reversal))),
+        B_mean=float(np.mean(reversal)),
+        R_up=float(np.max(4 * up_s)),
+        R_down=float(np.max(4 * down_s)),
+        R=float(np.max(repeatability)),
+        E_up=float(np.ptp(up_mean)),
+        E_down=float(np.ptp(down_mean)),
+        E=float(np.ptp(means)),
+        M=float(np.ptp(mean)),
+        A_up=_accuracy(up_mean, up_s),
+        A_down=_accuracy(down_mean, down_s),
+        A=_accuracy(means, np.concatenate([up_s, down_s])),
+    )
+
+
+def _accuracy(mean: Array, s: Array) -> float:
+    return float(np.max(mean + 2 * s) - np.min(mean - 2 * s))
+
+
+def _statistics(index: IntArray, deviation: Array, mine: BoolArray, m: int) -> tuple[Array, Array, IntArray]:
+    """Mean, standard deviation and number of the readings of one direction at each position."""
+    count = np.bincount(index[mine], minlength=m)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.bincount(index[mine], deviation[mine], minlength=m) / np.where(count > 0, count, np.nan)
+        square = np.bincount(index[mine], (deviation[mine] - mean[index[mine]]) ** 2, minlength=m)
+        s = np.sqrt(square / np.where(count > 1, count - 1, np.nan))
+    return mean, s, count
