@@ -1,0 +1,121 @@
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+import yaml
+
+pytest.importorskip("rclpy", reason="the graph needs ROS 2")
+
+from machine_tool_calibration.nodes.graph import Graph, Program
+from machine_tool_calibration.nodes.operator import Operator
+
+ORIGIN = 1_700_000_000.0
+
+PROCEDURE = {
+    "format": "mtcal-procedure/1",
+    "name": "small",
+    "session": {
+        "method": "tracking_interferometer",
+        "dimension": 2,
+        "pointing": "open_loop",
+        "machine": {"chain": "w-C-b-Y-X-Z-t", "travel": {"x": [0.0, 0.4], "y": [0.0, 0.4], "z": [0.0, 0.05]}},
+        "repeats": 2,
+        "setups": [
+            {"id": "A", "position": [-0.35, 0.05, 0.0]},
+            {"id": "B", "position": [0.15, -0.4, 0.0]},
+            {"id": "C", "position": [0.7, 0.3, 0.0]},
+            {"id": "D", "position": [0.1, 0.85, 0.0]},
+        ],
+        "standard_uncertainty": {"displacement": 3.0e-7},
+    },
+    "path": {
+        "grid": {
+            "x": {"first": 0.02, "last": 0.38, "count": 4},
+            "y": {"first": 0.02, "last": 0.38, "count": 4},
+            "z": [0.0],
+        }
+    },
+    "motion": {"speed": {"x": 0.4, "y": 0.4}, "acceleration": {"x": 2.0, "y": 2.0}, "dwell": 0.5},
+}
+
+SITE = {
+    "seed": 5,
+    "noise": 0.0,
+    "station_uncertainty": 0.0,
+    "machine": {"chain": "w-C-b-Y-X-Z-t", "travel": {"x": [0.0, 0.4], "y": [0.0, 0.4], "z": [0.0, 0.05]}, "seed": 77},
+}
+
+
+class Bench:
+    """Starts graphs in simulated time for a test and ends them all."""
+
+    def __init__(self, folder: Path, domain: int) -> None:
+        self.folder, self.domain = folder, domain
+        self.stack = ExitStack()
+        self.count = 0
+
+    def write(self, name: str, content: object) -> str:
+        path = self.folder / name
+        path.write_text(yaml.safe_dump(content, sort_keys=False))
+        return str(path)
+
+    def graph(
+        self,
+        names: tuple[str, ...] = ("axis_simulator", "rotary_pointer", "instrument", "procedure"),
+        *,
+        procedure: object = PROCEDURE,
+        site: object = SITE,
+        namespace: str = "",
+        simulated_time: bool = True,
+        more: dict[str, dict[str, object]] | None = None,
+    ) -> Graph:
+        self.count += 1
+        site_file = self.write(f"site{self.count}.yaml", site)
+        world = {"use_sim_time": simulated_time, "site": site_file, "time_origin": ORIGIN if simulated_time else 0.0}
+        file = self.write(f"procedure{self.count}.yaml", procedure)
+        parameters: dict[str, dict[str, object]] = {
+            "axis_simulator": world,
+            "rotary_pointer": world,
+            "instrument": {**world, "sample_noise": 0.0},
+            "procedure": {"use_sim_time": simulated_time, "procedure": file},
+            "estimator": {"use_sim_time": simulated_time},
+            "recorder": {"folder": str(self.folder / f"bag{self.count}")},
+        }
+        programs = [Program(name, {**parameters[name], **(more or {}).get(name, {})}) for name in names]
+        return self.stack.enter_context(Graph(programs, self.folder / f"log{self.count}", self.domain, namespace))
+
+    def operator(self, graph: Graph | None = None, namespace: str = "") -> Operator:
+        space = graph.namespace if graph is not None else namespace
+        return self.stack.enter_context(Operator(self.domain, space))
+
+
+@pytest.fixture
+def bench(tmp_path: Path, ros_domain: int) -> Iterator[Bench]:
+    made = Bench(tmp_path, ros_domain)
+    with made.stack:
+        yield made
+
+
+@pytest.fixture
+def finish() -> Callable[[Operator, float], None]:
+    """Start the procedure as soon as it is ready and wait for its end."""
+
+    def run(operator: Operator, timeout: float = 60.0) -> None:
+        begin(operator)
+        assert operator.wait(lambda: operator.procedure.entries["state"] != "running", timeout), operator.procedure
+        assert operator.procedure.entries["state"] == "finished", operator.procedure
+        total = operator.procedure.number("total")
+        assert operator.wait(lambda: len(operator.readings) >= total, 10.0)
+
+    return run
+
+
+def begin(operator: Operator) -> None:
+    assert operator.wait(
+        lambda: operator.procedure.entries.get("state") == "idle" and not operator.procedure.entries["waiting_for"], 60.0
+    ), operator.procedure
+    operator.call("procedure/start", 10.0)
+    deadline = time.monotonic() + 10.0
+    assert operator.wait(lambda: operator.procedure.entries["state"] != "idle", 10.0) and time.monotonic() < deadline

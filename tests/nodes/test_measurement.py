@@ -1,0 +1,106 @@
+"""The whole graph in simulated time."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from .conftest import PROCEDURE, SITE
+from .reference import reference
+
+EFFECTS = {
+    **SITE,
+    "effects": [{"id": "backlash_x", "size": 2e-6}],
+    "pointer": {"zero_offset": 3e-5, "radial": {"2": [1.0e-6, -0.5e-6]}},
+}
+
+# what any program can do: no package of ours, only messages of ROS
+SUBSCRIBER = """
+import json, struct, sys
+import rclpy
+from rclpy.qos import QoSProfile, DurabilityPolicy
+from sensor_msgs.msg import PointCloud2
+rclpy.init()
+node = rclpy.create_node("second_program")
+got = []
+qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+node.create_subscription(PointCloud2, "error_map", got.append, qos)
+for _ in range(200):
+    rclpy.spin_once(node, timeout_sec=0.1)
+    if got:
+        break
+message = got[0]
+fields = [(f.name, f.offset, f.datatype) for f in message.fields]
+rows = [struct.unpack_from("<9d", bytes(message.data), i * message.point_step) for i in range(message.width)]
+print(json.dumps({"fields": fields, "rows": rows}))
+"""
+
+
+def readings(operator):
+    names = list(operator.readings[0].name)
+    table = np.array([list(message.position) for message in operator.readings])
+    return {name: table[:, index] for index, name in enumerate(names)}
+
+
+def since_first(operator, displacement):
+    setups = [message.header.frame_id for message in operator.readings]
+    first = {}
+    for setup, value in zip(setups, displacement, strict=True):
+        first.setdefault(setup, value)
+    return displacement - np.array([first[setup] for setup in setups])
+
+
+@pytest.mark.timeout(120)
+def test_readings_are_those_of_the_simulator_and_the_map_reaches_a_second_program(bench, finish):
+    graph = bench.graph(("axis_simulator", "rotary_pointer", "instrument", "procedure", "estimator"), site=EFFECTS)
+    operator = bench.operator(graph)
+    finish(operator)
+    table = readings(operator)
+    expected = reference(PROCEDURE, EFFECTS)
+    assert np.abs(since_first(operator, table["displacement"]) - expected).max() < 1e-12
+    assert np.ptp(expected) > 0.1
+    assert set(table["dir_x"]) == {-1.0, 1.0}
+    assert all(np.diff(table["time"]) > 0)
+    stamps = [message.header.stamp.sec + message.header.stamp.nanosec * 1e-9 for message in operator.readings]
+    assert np.allclose(np.diff(stamps), np.diff(table["time"]), atol=1e-6)
+    assert {"temperature_air", "temperature_work", "air_pressure", "relative_humidity"} <= set(table)
+
+    assert operator.wait(lambda: operator.estimator.number("readings") == 128, 10.0)
+    summary = json.loads(operator.call("estimator/identify", 60.0))
+    assert summary["observations"] == summary["used"] == 128
+    assert operator.wait(lambda: bool(operator.document) and operator.error_map is not None, 10.0)
+    document = json.loads(operator.document)
+    printed = subprocess.run([sys.executable, "-c", SUBSCRIBER], capture_output=True, text=True, timeout=60, check=True)
+    latched = json.loads(printed.stdout)
+    assert [name for name, _, _ in latched["fields"]] == ["x", "y", "z", "ex", "ey", "ez", "ux", "uy", "uz"]
+    assert all(kind == 8 for _, _, kind in latched["fields"])  # FLOAT64
+    rows = np.array(latched["rows"])
+    assert rows[:, 3:5].tolist() == [row[:2] for row in document["error_map"]["position_error"]]
+    assert np.isnan(rows[:, 5]).all()  # the plane says nothing of z
+
+
+@pytest.mark.timeout(120)
+def test_an_estimator_that_comes_late_gets_every_reading(bench, finish):
+    graph = bench.graph(("axis_simulator", "rotary_pointer", "instrument", "procedure", "estimator"))
+    graph.stop(["estimator"])
+    operator = bench.operator(graph)
+    finish(operator)
+    graph.start("estimator")
+    assert operator.wait(lambda: operator.estimator.number("readings") == 128, 30.0)
+    assert json.loads(operator.call("estimator/identify", 60.0))["observations"] == 128
+
+
+@pytest.mark.timeout(120)
+def test_two_graphs_in_one_domain(bench, finish):
+    other = {**SITE, "machine": {**SITE["machine"], "seed": 78}}
+    first = bench.graph(namespace="cell_1")
+    second = bench.graph(namespace="cell_2", site=other)
+    operators = bench.operator(first), bench.operator(second)
+    for operator in operators:
+        finish(operator)
+    for operator, site in zip(operators, (SITE, other), strict=True):
+        table = readings(operator)
+        assert len(operator.readings) == 128
+        assert np.abs(since_first(operator, table["displacement"]) - reference(PROCEDURE, site)).max() < 1e-12
