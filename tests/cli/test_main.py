@@ -193,7 +193,7 @@ def test_plugins(verb: Write, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Ca
     plugins(monkeypatch, extra=f"{module}:command", bad="no_such_module:command", good=f"{module}:command")
     assert run(["--help"]) == 0
     captured = capsys.readouterr()
-    assert "extra  Do what is tested." in captured.out
+    assert "extra  Do what is tested\n" in captured.out
     assert "bad" not in captured.out
     assert captured.err.count("\n") == 1
     assert "plugin 'bad' is skipped" in captured.err

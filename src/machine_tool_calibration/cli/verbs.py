@@ -81,16 +81,15 @@ class Verbs(click.Group):
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the verbs by what they are for, without importing those of this package."""
         summaries = {name: verb.summary for name, verb in self._modules().items()}
-        limit = formatter.width - 6 - max((len(name) for name in summaries), default=0)
         known = [name for names in SECTIONS.values() for name in names]
         sections = SECTIONS | {"More": tuple(sorted(set(summaries) - set(known)))}
         for title, names in sections.items():
-            rows = [(name, _shorten(summaries[name], limit)) for name in names if name in summaries]
+            rows = [(name, _first_sentence(summaries[name])) for name in names if name in summaries]
             if rows:
                 with formatter.section(title):
                     formatter.write_dl(rows)
         plugins = [(name, _load_plugin(entry)) for name, entry in sorted(self._entry_points().items())]
-        rows = [(name, command.get_short_help_str(limit)) for name, command in plugins if command is not None]
+        rows = [(name, _first_sentence(_paragraph(command.help))) for name, command in plugins if command is not None]
         if rows:
             with formatter.section("Plugins"):
                 formatter.write_dl(rows)
@@ -140,9 +139,8 @@ def _paragraph(text: str | None) -> str:
     return one_line((text or "").strip().split("\n\n")[0])
 
 
-def _shorten(text: str, limit: int) -> str:
-    sentence = text.split(". ")[0].rstrip(".")
-    return sentence if len(sentence) <= limit else sentence[: limit - 1].rsplit(" ", 1)[0] + "…"
+def _first_sentence(text: str) -> str:
+    return text.split(". ")[0].rstrip(".")
 
 
 def _load(name: str, module: str) -> click.Command:
