@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray
-from machine_tool_calibration.methods.probing_null import NullSpace
+from machine_tool_calibration.methods.probing_null import SHARE, NullSpace
 
 __all__ = ["Condition", "Place", "choose_places"]
 
@@ -80,14 +80,19 @@ class _Search:
         picked = [rows[k] for i, (rows, k) in enumerate(zip(self.rows, choice, strict=True)) if i != without]
         return np.array(picked).reshape(-1, len(self.null.names))
 
-    def score(self, choice: Sequence[int]) -> int:
-        """Number of unknowns that are determined."""
-        return int(self.null.determined(self.stack(choice)).sum())
+    def score(self, choice: Sequence[int]) -> tuple[int, float]:
+        """Number of unknowns that are determined; and how little the others are tied to each other.
+
+        The second counts where two conditions must move before anything more is determined.
+        """
+        free = self.null.free(self.stack(choice))
+        share = np.linalg.norm(free, axis=1)
+        return int((share < SHARE).sum()), round(-float(share.sum()), 6)
 
     def best(self) -> list[int]:
         """The choice that determines most unknowns; the paper's if none is better."""
         paper = [0] * len(self.rows)
-        return paper if self.score(paper) == len(self.null.basis) else self._climb(paper)
+        return paper if self.score(paper)[0] == len(self.null.basis) else self._climb(paper)
 
     def _climb(self, choice: list[int]) -> list[int]:
         """Move one condition at a time while that helps; from random starts this never found better on real plans."""
@@ -109,7 +114,7 @@ class _Search:
 
     def steadier(self, choice: list[int]) -> list[int]:
         """Move directions and a length that was not measured off nodes that are hardly reached."""
-        score = self.score(choice)
+        score = self.score(choice)[0]
         for index, condition in enumerate(self.conditions):
             if not condition.is_far or condition.places[choice[index]].is_measured:
                 continue
@@ -118,7 +123,7 @@ class _Search:
                 continue
             places = [k for k, place in enumerate(condition.places) if not place.is_measured]
             trials = [[*choice[:index], k, *choice[index + 1 :]] for k in places]
-            trials = [trial for trial in trials if self.score(trial) == score]
+            trials = [trial for trial in trials if self.score(trial)[0] == score]
             spread = [float(np.median(self.null.uncertainty(self.stack(trial))[fixed])) for trial in trials]
             choice = next(t for t, s in zip(trials, spread, strict=True) if s <= _WORSE * min(spread))
         return choice

@@ -60,7 +60,7 @@ def rigid_motion(position: Array, normal: Array) -> Array:
     Returns:
         (3, n) displacement along the normal per metre, metre and radian.
     """
-    return np.stack([normal[:, 0], normal[:, 1], position[:, 0] * normal[:, 1] - position[:, 1] * normal[:, 0]])
+    return np.stack([normal[:, 0], normal[:, 1], _lever(position, normal)])
 
 
 def touches(description: Probing, readings: Readings, rotation_sign: int) -> Touches:
@@ -86,7 +86,12 @@ def touches(description: Probing, readings: Readings, rotation_sign: int) -> Tou
     normal = normal / np.linalg.norm(normal, axis=1)[:, None]
     angle = rotation_sign * readings.column("c")
     at, along = turn(position[point], angle), turn(normal[point], angle)
-    lever = at[:, 0] * along[:, 1] - at[:, 1] * along[:, 0]
-    lever[np.abs(lever) < _NO_LEVER * np.linalg.norm(at, axis=1)] = 0.0
     zero = np.zeros(len(angle))
-    return Touches(point, np.column_stack([at, zero]), np.column_stack([along, zero]), lever)
+    return Touches(point, np.column_stack([at, zero]), np.column_stack([along, zero]), _lever(at, along))
+
+
+def _lever(position: Array, normal: Array) -> Array:
+    """(n,) n . (R(90 deg) p)."""
+    lever = position[:, 0] * normal[:, 1] - position[:, 1] * normal[:, 0]
+    lever[np.abs(lever) < _NO_LEVER * np.linalg.norm(position, axis=1)] = 0.0
+    return np.asarray(lever)

@@ -10,12 +10,12 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 
-__all__ = ["NullSpace", "null_space"]
+__all__ = ["SHARE", "NullSpace", "null_space"]
 
 # As the solver's: the smallest singular value of the scaled columns that still counts.
 _RANK = float(np.sqrt(1e-11))
 # Share in an undetermined direction below which an unknown does not take part in it.
-_SHARE = 1e-6
+SHARE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -61,11 +61,11 @@ class NullSpace:
 
     def determined(self, rows: Array) -> BoolArray:
         """(K + N,) which unknowns are determined under the conditions (c, K)."""
-        return np.asarray(np.linalg.norm(self.free(rows), axis=1) < _SHARE)
+        return np.asarray(np.linalg.norm(self.free(rows), axis=1) < SHARE)
 
     def fixes(self, rows: Array, row: Array) -> bool:
         """Whether the conditions (c, K) determine a further sum of shared unknowns (K,)."""
-        return bool(np.linalg.norm(row @ self.free(rows)[: len(row)]) < _SHARE)
+        return bool(np.linalg.norm(row @ self.free(rows)[: len(row)]) < SHARE)
 
     def uncertainty(self, rows: Array) -> Array:
         """(K + N,) standard uncertainty under the conditions (c, K) for touches of unit uncertainty.
@@ -73,7 +73,7 @@ class NullSpace:
         It means something only for what they determine.
         """
         shared = self.basis[: len(self.names)]
-        moved = self.half - shared @ (np.linalg.pinv(rows @ shared, rcond=_SHARE) @ (rows @ self.half))
+        moved = self.half - shared @ (np.linalg.pinv(rows @ shared, rcond=SHARE) @ (rows @ self.half))
         return np.asarray(np.sqrt(self.own + np.sum((self.response @ moved) ** 2, axis=1)))
 
 
@@ -82,7 +82,7 @@ def _kernel(rows: Array) -> Array:
     if not len(rows):
         return np.eye(rows.shape[1])
     _, s, vt = np.linalg.svd(rows, full_matrices=True)
-    return np.asarray(vt[int((s > _SHARE).sum()) :].T)
+    return np.asarray(vt[int((s > SHARE).sum()) :].T)
 
 
 def null_space(names: Sequence[str], dense: Array, point: IntArray, n_points: int) -> NullSpace:
