@@ -1,0 +1,66 @@
+"""A program for the tests: publishes a stream, and a description that is latched, once the recorder listens.
+
+Arguments: namespace, batches, batches per second (0: as they fit), samples per batch. Prints a line for each event.
+Every sample is its own number, and every batch's first value of `joint_states` is the wall time at which it was sent.
+"""
+
+import sys
+import time
+from array import array
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState, Temperature
+from std_msgs.msg import Float64MultiArray, String
+
+DEADLINE = 60.0
+
+
+def main() -> None:
+    namespace, batches, rate, samples = sys.argv[1], int(sys.argv[2]), float(sys.argv[3]), int(sys.argv[4])
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    stream_qos = QoSProfile(depth=100)
+    rclpy.init()
+    node = rclpy.create_node("stream_publisher", namespace=namespace)
+    node.create_publisher(String, "session", latched).publish(String(data="before the recorder"))
+    stream = node.create_publisher(Float64MultiArray, "instrument/displacement", stream_qos)
+    states = node.create_publisher(JointState, "joint_states", stream_qos)
+    sensor = node.create_publisher(Temperature, "environment/extra_sensor", stream_qos)
+    loose = node.create_publisher(String, "loose", QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT))
+    heard: list[DiagnosticArray] = []
+    node.create_subscription(DiagnosticArray, "recorder/status", heard.append, latched)
+    print("up", flush=True)
+    end = time.monotonic() + DEADLINE
+    while not heard or not matched(heard[-1], node.resolve_topic_name("instrument/displacement")):
+        rclpy.spin_once(node, timeout_sec=0.1)
+        if time.monotonic() > end:
+            raise SystemExit("the recorder did not come")
+    print("matched", flush=True)
+    start = time.monotonic()
+    for k in range(batches):
+        stream.publish(Float64MultiArray(data=array("d", range(k * samples, (k + 1) * samples))))
+        states.publish(JointState(name=["wall"], position=[time.time()]))
+        if k % 10 == 0:
+            sensor.publish(Temperature(temperature=20.0))
+            loose.publish(String(data=str(k)))
+        if rate:
+            time.sleep(max(0.0, start + (k + 1) / rate - time.monotonic()))
+    # reliable writers keep what was not yet acknowledged only as long as they live
+    stream.wait_for_all_acked(rclpy.duration.Duration(seconds=10))
+    states.wait_for_all_acked(rclpy.duration.Duration(seconds=10))
+    print("sent", batches, flush=True)
+    sys.stdin.read()
+    node.destroy_node()
+    rclpy.shutdown()
+
+
+def matched(message: DiagnosticArray, topic: str) -> bool:
+    for status in message.status:
+        if status.name == topic:
+            return any(entry.key == "publishers" and int(entry.value) > 0 for entry in status.values)
+    return False
+
+
+if __name__ == "__main__":
+    main()

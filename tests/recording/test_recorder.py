@@ -1,0 +1,175 @@
+"""The recorder's process: nothing lost, stopped cleanly, killed without harm."""
+
+from __future__ import annotations
+
+import importlib.util
+import itertools
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.recording.cdr import joint_state, numbers, text
+from machine_tool_calibration.recording.errors import UnfinishedError
+from machine_tool_calibration.recording.reader import BagReader
+from machine_tool_calibration.recording.recover import recover
+
+pytestmark = pytest.mark.skipif(importlib.util.find_spec("rclpy") is None, reason="needs ROS 2")
+
+PUBLISHER = Path(__file__).with_name("stream_publisher.py")
+PATIENCE = 60  # s
+
+
+@contextmanager
+def program(*arguments: str) -> Iterator[subprocess.Popen[str]]:
+    process = subprocess.Popen(
+        [sys.executable, *arguments],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"},
+    )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate(timeout=PATIENCE)
+
+
+def recorder(*parameters: str, namespace: str = "/"):
+    arguments = [word for parameter in parameters for word in ("-p", parameter)]
+    return program(
+        "-m", "machine_tool_calibration.nodes.recorder", "--ros-args", "-r", f"__ns:={namespace}", *arguments
+    )
+
+
+def publisher(namespace: str, batches: int, rate: float, samples: int):
+    return program(str(PUBLISHER), namespace, str(batches), str(rate), str(samples))
+
+
+def expect(process: subprocess.Popen[str], word: str) -> str:
+    assert process.stdout is not None
+    for line in process.stdout:
+        if line.startswith(word):
+            return line
+    raise AssertionError(f"ended before {word!r}: {process.stderr.read() if process.stderr else ''}")
+
+
+def stop(process: subprocess.Popen[str], number: int = signal.SIGINT) -> str:
+    """Ask it to stop; returns what it said."""
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 0, errors
+    return errors
+
+
+def samples_of(bag: BagReader, topic: str = "/instrument/displacement") -> np.ndarray:
+    return np.concatenate([numbers(message.data) for message in bag.messages([topic])])
+
+
+def test_a_graph_in_its_namespace(tmp_path: Path, ros_domain: int) -> None:
+    folder = tmp_path / "bag"
+    with publisher("/cell_2", 200, 400, 5) as sender:
+        expect(sender, "up")  # so that the description is older than the recorder
+        with recorder(f"folder:={folder}", namespace="/cell_2") as process:
+            expect(sender, "sent")
+            assert "0 lost" in stop(process)
+    bag = BagReader(folder)
+    assert set(bag.topics) == {
+        "/cell_2/session",
+        "/cell_2/instrument/displacement",
+        "/cell_2/joint_states",
+        "/cell_2/environment/extra_sensor",
+    }
+    assert [text(message.data) for message in bag.messages(["/cell_2/session"])] == ["before the recorder"]
+    assert bag.topics["/cell_2/session"].qos[0].latched
+    assert not bag.topics["/cell_2/joint_states"].qos[0].latched
+    assert bag.topics["/cell_2/joint_states"].messages == 200
+    assert np.array_equal(samples_of(bag, "/cell_2/instrument/displacement"), np.arange(1000))
+    messages = list(bag.messages(["/cell_2/joint_states"]))
+    assert [message.sequence for message in messages] == list(range(1, 201))
+    # the middleware's times: sent before received, and in order
+    assert all(message.publish_time <= message.log_time for message in messages)
+    assert all(b.log_time >= a.log_time for a, b in itertools.pairwise(messages))
+
+
+def test_ten_thousand_samples_a_second(tmp_path: Path, ros_domain: int) -> None:
+    folder = tmp_path / "bag"
+    with recorder(f"folder:={folder}", "split_size:=100000") as process, publisher("/", 2000, 500, 20) as sender:
+        expect(sender, "sent")
+        said = stop(process, signal.SIGTERM)
+    assert "0 lost" in said
+    bag = BagReader(folder)
+    assert len(bag.files) > 1
+    assert np.array_equal(samples_of(bag), np.arange(40_000))
+    assert bag.topics["/joint_states"].messages == 2000
+
+
+def test_chosen_topics_of_any_quality(tmp_path: Path, ros_domain: int) -> None:
+    folder = tmp_path / "bag"
+    with recorder(f"folder:={folder}", "topics:=['loose', '/instrument/displacement']") as process:
+        with publisher("/", 1000, 500, 1) as sender:
+            expect(sender, "sent")
+        stop(process)
+    bag = BagReader(folder)
+    assert set(bag.topics) == {"/loose", "/instrument/displacement"}
+    assert bag.topics["/loose"].qos[0].reliability == "best_effort"
+    assert bag.topics["/loose"].messages > 0
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_kill_costs_less_than_a_second(tmp_path: Path, ros_domain: int, seed: int) -> None:
+    folder = tmp_path / "bag"
+    with recorder(f"folder:={folder}") as process, publisher("/", 100_000, 200, 20) as sender:
+        expect(sender, "matched")
+        time.sleep(random.Random(seed).uniform(1.2, 2.5))
+        killed = time.time()
+        process.kill()
+        process.wait(timeout=PATIENCE)
+    with pytest.raises(UnfinishedError, match=f"`mtcal recover {folder}` makes it whole"):
+        BagReader(folder)
+    recover(folder, tmp_path / "saved")
+    bag = BagReader(tmp_path / "saved")
+    walls = [float(joint_state(message.data).positions[0]) for message in bag.messages(["/joint_states"])]
+    assert killed - walls[-1] < 1.0
+    samples = samples_of(bag)
+    assert np.array_equal(samples, np.arange(len(samples)))  # and no gap before
+
+
+def test_a_wrong_request_is_one_line(tmp_path: Path, ros_domain: int) -> None:
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "file").write_text("kept")
+    for parameter, expected in (
+        (f"folder:={tmp_path}/full", f"{tmp_path}/full: is not empty; a recording needs a new folder"),
+        ("split_size:=-1", "split_size"),
+        ("flush_period:=5.0", "flush_period"),
+    ):
+        with recorder(parameter) as process:
+            _, errors = process.communicate(timeout=PATIENCE)
+            assert process.returncode == 1
+            assert len(errors.strip().splitlines()) == 1
+            assert expected in errors
+
+
+def test_the_command_records_for_a_time(tmp_path: Path, ros_domain: int) -> None:
+    with publisher("/", 100_000, 100, 5) as sender:
+        expect(sender, "up")
+        words = ["-m", "machine_tool_calibration", "record", "-o", str(tmp_path / "b 'ag"), "--duration", "4", "--json"]
+        with program(*words) as process:
+            output, errors = process.communicate(timeout=PATIENCE)
+            assert process.returncode == 0, errors
+    document = json.loads(output)
+    assert document["format"] == "mtcal-recording/1"
+    assert document["lost"] == 0
+    assert document["messages"] == BagReader(tmp_path / "b 'ag").messages_in_all > 0
+    assert "/session" in {topic["name"] for topic in document["topics"]}
