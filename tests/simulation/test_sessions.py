@@ -13,8 +13,11 @@ from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.simulation import (
     PRESETS,
     Chips,
+    Chosen,
     DiagonalPlan,
     DirectPlan,
+    Disturbance,
+    Flaw,
     FlawSpec,
     MachineSpec,
     ProbingPlan,
@@ -293,7 +296,7 @@ def test_drilled_plate_is_the_machines_error_and_a_rigid_misplacement():
     columns = np.column_stack([readings.columns["gx"], readings.columns["gy"],
                                np.where(readings.columns["gx"] == 1, -y, x)])
     rigid, *_ = np.linalg.lstsq(columns, rest, rcond=None)
-    turned = simulated.truth.judged["misplacement"]["rotation"][2]
+    turned = simulated.truth.judged["misplacement"]["rotation"][0][2]
     assert rigid[2] == pytest.approx(turned, rel=1e-2)
     np.testing.assert_allclose(columns @ rigid, rest, atol=3 * np.max(np.abs(turned)) ** 2 + 2e-7)
 
@@ -365,3 +368,44 @@ def test_an_independent_multilateration_finds_the_points():
     a, b = found - found.mean(axis=0), truth - truth.mean(axis=0)
     u, _, vt = np.linalg.svd(a.T @ b)
     np.testing.assert_allclose(a @ (u @ vt), b, atol=5e-9)
+
+
+def test_each_mounting_has_its_own_misplacement():
+    plan = DirectPlan(kind="grid_plate", count=4, mountings=3, repeats=2)
+    simulated = perfect(plan)
+    session = simulated.session
+    assert session.setup_ids == ("grid_plate1", "grid_plate2", "grid_plate3")
+    moved = simulated.truth.judged["misplacement"]
+    for setup in range(3):
+        at_zero = (session.readings.setup == setup) & ~session.readings.position().any(axis=1)
+        read = session.readings.displacement[at_zero].reshape(-1, 2)
+        np.testing.assert_allclose(read, np.tile(moved["translation"][setup][:2], (2, 1)), atol=1e-15)
+    assert np.ptp(np.array(moved["translation"])[:, 0]) > 1e-6
+
+
+def test_step_diagonal_in_a_plane():
+    session = perfect(DiagonalPlan(diagonals=("pp0", "np0"), linear=("x", "y"), mirror_tilt=0.0)).session
+    assert session.setup_ids == ("pp0", "np0", "X", "Y")
+    one = (session.readings.setup == 0) & (session.readings.repeat == 0)
+    np.testing.assert_allclose(np.diff(session.readings.displacement[one]), 0.01 / np.sqrt(2), atol=1e-15)
+    assert not session.readings.position()[:, 2].any()
+
+
+def test_one_machine_for_several_measurements():
+    travel = {"x": (0.0, 0.4), "y": (0.0, 0.4), "z": (0.0, 0.4)}
+    spec = MachineSpec(seed=7, random={}, chain="w-C-b-Y-X-Z-t", travel=travel)
+    one = simulate(SimulationSpec(plan=TrackingPlan(dimension=3), seed=1, machine=spec)).truth.machine
+    two = simulate(SimulationSpec(plan=DirectPlan(), seed=2, machine=spec)).truth.machine
+    three = simulate(SimulationSpec(plan=DirectPlan(kind="grid_plate"), seed=3), machine=one).truth.machine
+    points = np.random.default_rng(0).uniform(0, 0.4, (9, 3))
+    np.testing.assert_array_equal(one.position(points), two.position(points))
+    np.testing.assert_array_equal(one.position(points), three.position(points))
+
+
+def test_a_flaw_of_ones_own():
+    flaw = Flaw("unlisted_mine", "reading: size * x^2", "m", 1e-6,
+                lambda size, parameters, scene: Disturbance(reading=(lambda sight: size * scene.position[:, 0] ** 2,)))
+    simulated = simulate(SimulationSpec(plan=DirectPlan(), seed=1), extra=[Chosen(flaw, 2e-6, {})])
+    x = simulated.session.readings.columns["x"]
+    np.testing.assert_allclose(simulated.truth.signal, 2e-6 * x**2, atol=1e-16)
+    assert simulated.truth.document()["effect"] == "unlisted_mine"

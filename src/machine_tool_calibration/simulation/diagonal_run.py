@@ -21,7 +21,7 @@ from machine_tool_calibration.simulation.scene import Scene, blocks, last_direct
 __all__ = ["DiagonalPlan", "plan_diagonals"]
 
 Order = Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
-Signs = Literal["ppp", "npp", "pnp", "ppn", "nnp", "npn", "pnn", "nnn"]
+Signs = Annotated[str, Field(pattern=r"^([pn]{3}|0[pn]{2}|[pn]0[pn]|[pn]{2}0)$")]
 Letter = Literal["x", "y", "z"]
 
 
@@ -32,7 +32,8 @@ class DiagonalPlan(Plan):
         step: length of a move along x, y, z, m.
         blocks: number of blocks.
         corner: lowest corner of the measured volume, m.
-        diagonals: signs of the motion along x, y, z (p or n).
+        diagonals: signs of the motion along x, y, z (p or n); 0 for an axis that stands still, as in `pp0`
+            and `np0` of a measurement in the XY plane.
         orders: orders of the single-axis moves; each diagonal is run in each of them.
         linear: axes that are also measured one by one, along the edges from the corner.
         mirror_tilt: angle between each setup's mirror normal and its beam, in a random direction, rad.
@@ -69,11 +70,12 @@ class DiagonalPlan(Plan):
         corner, step = np.asarray(self.corner), np.asarray(self.step)
         out = []
         for signs in self.diagonals:
-            sign = np.array([1.0 if letter == "p" else -1.0 for letter in signs])
-            start = np.where(sign > 0, corner, corner + self.blocks * step)
+            sign = np.array([{"p": 1.0, "n": -1.0, "0": 0.0}[letter] for letter in signs])
+            start = np.where(sign < 0, corner + self.blocks * step, corner)
             for order in self.orders:
                 name = signs if self.orders == ("xyz",) else f"{signs}_{order}"
-                out.append(_Run(name, "diagonal", sign, start, _moves(order, sign, step, self.blocks)))
+                moving = "".join(letter for letter in order if sign["xyz".index(letter)])
+                out.append(_Run(name, "diagonal", sign, start, _moves(moving, sign, step, self.blocks)))
         for letter in self.linear:
             sign = np.array([1.0 if letter == other else 0.0 for other in "xyz"])
             out.append(_Run(letter.upper(), "linear", sign, corner, _moves(letter, sign, step, self.blocks)))

@@ -44,6 +44,7 @@ class DirectPlan(Plan):
             by twice that per 0.1 m.
         terms: machine errors that the session asks for; the kind's usual ones if absent.
         both_ways: every run goes back (always so for iso230_2).
+        mountings: how often part or instrument is set up; each is a setup with its own misplacement.
     """
 
     method: Literal["direct"] = "direct"
@@ -59,6 +60,7 @@ class DirectPlan(Plan):
     misplacement: Annotated[float, Field(ge=0)] = 2e-5
     terms: tuple[str, ...] | None = None
     both_ways: bool = False
+    mountings: Annotated[int, Field(ge=1, le=1000)] = 1
     repeats: Annotated[int, Field(ge=1, le=10000)] = 1
     interval: Positive = 5.0
     pause: Annotated[float, Field(ge=0)] = 0.0
@@ -97,7 +99,7 @@ class DirectPlan(Plan):
         usual: dict[str, tuple[str, ...]] = {
             "iso230_2": (f"E{axis}{axis}",),
             "straightness": (f"E{sense}{axis}",),
-            "grid_plate": ("EXX", "EYX", "EXY", "EYY", "C0Y"),
+            "grid_plate": ("EXX", "EYX", "EXY", "EYY", "ECY", "C0Y"),
         }
         return usual.get(self.kind, ())
 
@@ -113,19 +115,20 @@ def plan_direct(plan: DirectPlan, environment: Environment, rng: np.random.Gener
     run = plan.run()
     forth = np.arange(len(run.points))
     one = np.concatenate([forth, forth[::-1]]) if plan.both_ways or plan.kind == "iso230_2" else forth
-    index = np.tile(one, plan.repeats)
-    repeat = np.repeat(np.arange(plan.repeats), len(one))
-    setup = np.zeros(len(index), np.int64)
+    index = np.tile(one, plan.repeats * plan.mountings)
+    repeat = np.tile(np.repeat(np.arange(plan.repeats), len(one)), plan.mountings)
+    setup = np.repeat(np.arange(plan.mountings), plan.repeats * len(one))
     position, sense = run.points[index], run.sense[index]
-    # readings at the same point are taken together
     time = ordered_times(setup, plan.interval, plan.pause)
-    time = time[0] + blocks(*np.round(position.T * 1e9).astype(np.int64)) * plan.interval
+    if plan.kind not in ("iso230_2", "straightness"):  # readings at the same point are taken together
+        visit = blocks(setup, *np.round(position.T * 1e9).astype(np.int64))
+        time = visit * plan.interval + setup * plan.pause
     direction = {axis: last_direction(position[:, i]) for i, axis in enumerate("XYZ")}
     _approach_from_below(plan, direction, len(forth))
     scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, environment(time),
                   rates=environment.rate(time), ends=plan.travel())
     datum = plan.datum or _DATUM[plan.kind]
-    place, turned = rng.normal(size=3), rng.normal(size=3)
+    place, turned = rng.normal(size=(2, plan.mountings, 3))
     place = plan.misplacement * place * (datum != "none")
     turned = plan.misplacement * 20.0 * turned * (datum == "rigid")
 
@@ -136,7 +139,7 @@ def plan_direct(plan: DirectPlan, environment: Environment, rng: np.random.Gener
         if disturbance.growth is not None:
             # made or compared while the part is warm: at 20 degrees Celsius the distances are smaller
             actual = actual / (1.0 + disturbance.growth[:, None])
-        seen = rotate(actual, np.broadcast_to(turned, actual.shape)) + place
+        seen = rotate(actual, turned[setup]) + place[setup]
         deviation: Array = np.einsum("ni,ni->n", sense, seen - position)
         nothing = np.zeros(len(deviation))
         path = np.einsum("ni,ni->n", sense, position)
@@ -150,12 +153,13 @@ def plan_direct(plan: DirectPlan, environment: Environment, rng: np.random.Gener
             out["misplacement"] = {"translation": place.tolist(), "rotation": turned.tolist()}
         return out
 
+    name = plan.axis.upper() if plan.kind in ("iso230_2", "straightness") else plan.kind
     description = {
         "method": "direct",
         "machine": {"chain": plan.chain, "travel": {a.lower(): list(e) for a, e in plan.travel().items()}},
         "datum": datum,
         "terms": list(plan.asked()),
-        "setups": [{"id": plan.axis.upper() if plan.kind in ("iso230_2", "straightness") else plan.kind}],
+        "setups": [{"id": name if plan.mountings == 1 else f"{name}{i + 1}"} for i in range(plan.mountings)],
     }
     columns = {
         **{axis.lower(): position[:, i] for i, axis in enumerate("XYZ")},
@@ -170,4 +174,4 @@ def _approach_from_below(plan: DirectPlan, direction: dict[str, Array], count: i
     if plan.kind == "iso230_2":
         sign = 1.0 if plan.end > plan.start else -1.0
         ahead = np.concatenate([np.full(count, sign), np.full(count, -sign)])
-        direction[plan.axis.upper()] = np.tile(ahead, plan.repeats)
+        direction[plan.axis.upper()] = np.tile(ahead, plan.repeats * plan.mountings)

@@ -36,7 +36,8 @@ class VirtualMachine:
     R of the vector (EA, EB, EC). To first order a rotation acts with the lever arm made of the positions
     of the axes after it: for w-X-Y-b-Z-t (0,0,z) for X, (x,0,z) for Y, 0 for Z (Ibaraki and Hata 2010,
     Eq. (23)); for w-C-b-Y-X-Z-t (x,0,z) for Y, (0,0,z) for X, 0 for Z (the probing paper, Eqs. (4)(5)).
-    All errors are of the tool with respect to the workpiece, for axes on either side.
+    All errors are of the tool with respect to the workpiece, for axes on either side; of two tables on top of
+    each other the lower one comes first, as Eq. (23) has it.
 
     Squareness turns an axis's direction of motion and nothing that it carries: C0Y turns d of Y about +Z
     (e_x = -y C0Y), B0Z turns d of Z about +Y (e_x = +z B0Z), A0Z turns d of Z about +X (e_y = -z A0Z).

@@ -42,8 +42,8 @@ class MachineSpec(_Record):
         travel: ends of the axes, m; the measurement's own if absent.
         rotation_sign: +1 counter-clockwise, -1 clockwise for a rotary axis commanded positive.
         seed: of the random errors; the simulation's own if absent.
-        random: sizes of random errors (an empty mapping: the usual sizes); `null`: no random errors.
-            A machine without any key has random errors.
+        random: sizes of random errors (an empty mapping: those of an ordinary machining centre); `null`: no
+            random errors. Without this key the errors are random, of sizes that suit the measurement.
         motions: error motions by name, added to the random ones.
         squareness: likewise, rad.
         average_line: X0C, Y0C, A0C, B0C, likewise, m and rad.
@@ -78,7 +78,7 @@ def build_machine(
         travel: ends of axes that the spec does not name, by letter.
         rotation_sign: for a spec that names none.
         seed: for a spec that names none.
-        random: sizes of random errors for a spec that leaves them at the usual ones.
+        random: sizes of random errors for a spec that says nothing of them.
 
     Raises:
         CalibrationError: no chain, an error motion of an axis that the chain lacks, unfit tables.
@@ -96,7 +96,7 @@ def build_machine(
             raise ModelError(f"travel of {axis.lower()} must run from low to high, not {low} to {high}")
     sign = spec.rotation_sign or rotation_sign
     if spec.random is not None:
-        sizes = random if random is not None and spec.random == Amplitudes() else spec.random
+        sizes = spec.random if random is None or "random" in spec.model_fields_set else random
         machine = random_machine(
             parsed, ends, seed if spec.seed is None else spec.seed, sizes, rotation_sign=sign
         )

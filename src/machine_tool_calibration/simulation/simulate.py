@@ -40,8 +40,15 @@ class Simulated:
     truth: Truth
 
 
-def simulate(spec: SimulationSpec) -> Simulated:
+def simulate(
+    spec: SimulationSpec, *, machine: VirtualMachine | None = None, extra: Sequence[Chosen] = ()
+) -> Simulated:
     """The session of a spec; the same spec gives the same numbers.
+
+    Args:
+        spec: what to simulate.
+        machine: the machine itself instead of the spec's: the same one for several measurements.
+        extra: flaws that are in no list, beside the spec's effects.
 
     Raises:
         CalibrationError: an effect that does not exist or does not occur in this method, a machine that
@@ -49,22 +56,24 @@ def simulate(spec: SimulationSpec) -> Simulated:
     """
     rng = _streams(spec.seed)
     plan = spec.plan
-    machine = build_machine(
-        spec.machine,
-        chain=plan.chain,
-        travel=plan.travel(),
-        rotation_sign=plan.sign,
-        seed=rng["machine"],
-        random=plan.errors(),
-    )
+    if machine is None:
+        machine = build_machine(
+            spec.machine,
+            chain=plan.chain,
+            travel=plan.travel(),
+            rotation_sign=plan.sign,
+            seed=rng["machine"],
+            random=plan.errors(),
+        )
     machine = plan.prepared(machine)
     environment = random_environment(
         rng["environment"], swing=spec.environment_swing, columns=spec.environment_columns
     )
     measurement = measure(plan, environment, rng["setup"])
     shaken = _repeatability(spec, measurement, rng["repeatability"])
-    chosen = tuple(
-        _choose(effect, index, spec, measurement, machine) for index, effect in enumerate(spec.effects)
+    chosen = (
+        *(_choose(effect, index, spec, measurement, machine) for index, effect in enumerate(spec.effects)),
+        *extra,
     )
     before = since_first(measurement.read(machine, shaken), measurement.datum)
     flawed, disturbance = _apply(machine, measurement, chosen, shaken)
