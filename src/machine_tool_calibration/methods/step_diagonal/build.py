@@ -13,7 +13,13 @@ from machine_tool_calibration.estimation.solve import solve
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.machine.tables import MachineTable, linear_axis_errors
 from machine_tool_calibration.methods.rigid_body import map_field, table_datum
-from machine_tool_calibration.methods.step_diagonal.geometry import Run, across, block_positions, runs_of, step_diagonal_of
+from machine_tool_calibration.methods.step_diagonal.geometry import (
+    Run,
+    across,
+    block_positions,
+    runs_of,
+    step_diagonal_of,
+)
 from machine_tool_calibration.methods.step_diagonal.model import DATUM, Spread, StepDiagonalModel
 from machine_tool_calibration.methods.step_diagonal.orders import free_angles
 from machine_tool_calibration.methods.step_diagonal.second_order import second_order
@@ -21,7 +27,7 @@ from machine_tool_calibration.methods.step_diagonal.spread import SMALLEST, coar
 from machine_tool_calibration.methods.step_diagonal.terms import angle_term, sensed_tables, tilt_terms
 from machine_tool_calibration.model.model import NotDetermined, assemble
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.model.terms import Parameter, Term
+from machine_tool_calibration.model.terms import Term
 from machine_tool_calibration.session.session import Readings, Session
 
 __all__ = ["MODELS", "build"]
@@ -54,7 +60,9 @@ def build(session: Session, model: str = "small_angles") -> StepDiagonalModel:
         raise ModelError(f"step_diagonal has no model {model!r}; known are {', '.join(MODELS)}")
     description = step_diagonal_of(session)
     runs = runs_of(description)
-    readings = session.readings.select(np.isfinite(session.readings.displacement) & np.isfinite(session.readings.position()).all(axis=1))
+    readings = session.readings.select(
+        np.isfinite(session.readings.displacement) & np.isfinite(session.readings.position()).all(axis=1)
+    )
     if not len(readings):
         raise ModelError(f"{session.source}: no reading to identify from")
     chain = Chain.parse(description.machine.chain)
@@ -159,4 +167,3 @@ def _with_spread(base: StepDiagonalModel, rotations: list[MachineTable]) -> Step
 
 def _matters(columns: Array) -> bool:
     return bool(np.abs(columns).max(initial=0.0) > 1e-9)
-

@@ -76,17 +76,20 @@ def _run(setup: DiagonalSetup, description: StepDiagonal) -> Run:
     motion = np.asarray(setup.direction) * np.asarray(description.step) * description.blocks
     sign = np.sign(motion)
     moving = "".join("xyz"[k] for k in range(3) if sign[k])
+    what = f"its direction {setup.direction} moves {len(moving)}"
     if setup.kind == "linear" and len(moving) != 1:
-        raise ModelError(f"setup {setup.id!r}: a linear run moves one axis, its direction {setup.direction} moves {len(moving)}")
+        raise ModelError(f"setup {setup.id!r}: a linear run moves one axis, {what}")
     if setup.kind == "diagonal" and len(moving) < 2:
-        raise ModelError(f"setup {setup.id!r}: a diagonal moves two or three axes, its direction {setup.direction} moves {len(moving)}")
+        raise ModelError(f"setup {setup.id!r}: a diagonal moves two or three axes, {what}")
     name, order = setup.id, moving
     found = _ORDER.match(setup.id)
     if found and len(set(found["order"].lower())) == len(found["order"]):
         name, stated = found["name"], found["order"].lower()
         order = "".join(letter for letter in stated if letter in moving)
         if len(order) < len(moving):
-            raise ModelError(f"setup {setup.id!r}: the order {stated} leaves out a moving axis; it moves {', '.join(moving)}")
+            raise ModelError(
+                f"setup {setup.id!r}: the order {stated} leaves out a moving axis; it moves {', '.join(moving)}"
+            )
     beam = motion / np.linalg.norm(motion)
     return Run(setup.id, name, order, setup.kind == "diagonal", np.asarray(setup.start), motion, beam, sign)
 

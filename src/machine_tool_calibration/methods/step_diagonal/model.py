@@ -1,4 +1,4 @@
-"""The model of a step diagonal's session: tables of the axes' position errors, tilts of the mirrors, an offset a run."""
+"""The model of a step diagonal's session: position errors of the axes, tilts of the mirrors, an offset a run."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ __all__ = ["DATUM", "Spread", "StepDiagonalModel"]
 
 DATUM = (
     "position errors are zero at the first block position of each axis; e_y(x), e_z(x) and e_y(z) are zero at the last "
-    "one too (Ibaraki and Hata 2010, Eq. (17)): the orientation of the coordinate system; lengths are the interferometer's"
+    "one too (Ibaraki and Hata 2010, Eq. (17)), which orients the coordinate system; lengths are the interferometer's"
 )
 # Share of a position error that may be undetermined before it is not published.
 _LOOSE = 1e-6
@@ -139,7 +139,9 @@ class StepDiagonalModel(MethodModel):
     def _there(self) -> Array:
         """(M,) whether the model holds a value for each of the map's entries: 1, or NaN."""
         out = []
-        tables = {(parse_motion(t.name).axis, parse_motion(t.name).component): t for t in self.tables if not t.is_squareness}
+        tables = {
+            (parse_motion(t.name).axis, parse_motion(t.name).component): t for t in self.tables if not t.is_squareness
+        }
         for axis, nodes in zip("XYZ", self.blocks, strict=True):
             there = np.full((len(nodes), 3), np.nan)
             for j, component in enumerate("XYZ"):
@@ -207,9 +209,10 @@ class StepDiagonalModel(MethodModel):
         if self.spread is not None:
             content["angular_size"] = self.spread.size
         content["datum"] = self.datum
-        points = np.concatenate([
-            np.where(np.arange(3) == axis, nodes[:, None], [b[0] for b in self.blocks]) for axis, nodes in enumerate(self.blocks)
-        ])  # fmt: skip
+        corner = np.array([nodes[0] for nodes in self.blocks])
+        points = np.concatenate(
+            [np.where(np.arange(3) == axis, nodes[:, None], corner) for axis, nodes in enumerate(self.blocks)]
+        )
         error, uncertainty = np.concatenate(profiles.error), np.concatenate(profiles.uncertainty)
         assert profiles.covariance is not None
         n = len(points)

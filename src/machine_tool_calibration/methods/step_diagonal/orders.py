@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.solve import solve
 from machine_tool_calibration.machine.tables import MachineTable
@@ -62,7 +62,7 @@ def told_by_orders(model: StepDiagonalModel, angles: Sequence[Angle]) -> list[An
     return out
 
 
-def _one_hot(index: Array) -> Array:
+def _one_hot(index: IntArray) -> Array:
     values, place = np.unique(index, return_inverse=True)
     out = np.zeros((len(values), len(index)))
     out[place.reshape(-1), np.arange(len(index))] = 1.0
@@ -122,7 +122,9 @@ def _without_loose_slopes(full: StepDiagonalModel, base: StepDiagonalModel) -> S
     if not len(open_ones):
         return full
     labels = [label for angle in full.angles for label in angle.table.labels]
-    constraints = tuple(Constraint({label: float(w) for label, w in zip(labels, row, strict=True)}) for row in open_ones)
+    constraints = tuple(
+        Constraint({label: float(w) for label, w in zip(labels, row, strict=True)}) for row in open_ones
+    )
     sharing, first = [], 0
     for angle in full.angles:
         size = len(angle.table.labels)
@@ -131,8 +133,8 @@ def _without_loose_slopes(full: StepDiagonalModel, base: StepDiagonalModel) -> S
         first += size
     lost = NotDetermined(
         f"{len(open_ones)} slopes of {', '.join(sharing)}",
-        "a slope over the whole travel looks like a mirror set anew for each order; the smallest slopes that agree with "
-        "the readings are taken (angular_one_mirror: the mirror was not touched)",
+        "a slope over the whole travel looks like a mirror set anew for each order; the smallest slopes that agree "
+        "with the readings are taken (angular_one_mirror: the mirror was not touched)",
     )
     return replace(full, constraints=full.constraints + constraints, left_out=(*full.left_out, lost))
 

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, IntArray
 
 __all__ = ["Figure", "Profiles", "eq17"]
 
@@ -60,7 +60,11 @@ class Profiles:
     def uncertainty(self) -> tuple[Array, Array, Array]:
         """For each axis (N + 1, 3) standard uncertainties, m; NaN where not determined or not propagated."""
         size = [error.size for error in self.error]
-        flat = np.full(sum(size), np.nan) if self.covariance is None else np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        flat = (
+            np.full(sum(size), np.nan)
+            if self.covariance is None
+            else np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        )
         parts = np.split(flat, np.cumsum(size)[:-1])
         shaped = [np.where(np.isfinite(e), p.reshape(e.shape), np.nan) for e, p in zip(self.error, parts, strict=True)]
         return shaped[0], shaped[1], shaped[2]
@@ -95,13 +99,13 @@ class Profiles:
         row[self._first(axis) + 3 * (number % len(self.blocks[axis])) + component] = 1.0
         return row
 
-    def _places(self, component: int, axis: int) -> Array:
+    def _places(self, component: int, axis: int) -> IntArray:
         count = len(self.blocks[axis])
-        return self._first(axis) + 3 * np.arange(count) + component
+        return np.asarray(self._first(axis) + 3 * np.arange(count) + component, dtype=np.int64)
 
-    def _line(self, component: int, axis: int) -> tuple[Array, Array]:
+    def _line(self, component: int, axis: int) -> tuple[IntArray, Array]:
         """Places of the determined values and, for them, the least-squares line's (2, k) operator."""
-        places = self._places(component, axis).astype(np.int64)
+        places = self._places(component, axis)
         good = np.isfinite(self._flat[places])
         design = np.column_stack([np.ones(good.sum()), self.blocks[axis][good]])
         return places[good], np.linalg.pinv(design) if good.sum() > 1 else np.full((2, int(good.sum())), np.nan)
@@ -121,7 +125,7 @@ class Profiles:
         if len(places) < 2:
             row[:] = np.nan
             return row
-        where = self.blocks[axis][((places - self._first(axis)) // 3).astype(np.int64)]
+        where = self.blocks[axis][(places - self._first(axis)) // 3]
         residual = np.eye(len(places)) - np.column_stack([np.ones(len(places)), where]) @ operator
         deviation = residual @ self._flat[places]
         row[places] = residual[int(np.argmax(deviation))] - residual[int(np.argmin(deviation))]

@@ -72,7 +72,9 @@ def sensed_tables(
         nodes = _visited(blocks[axis], position[sees, axis])
         moved = sees & (np.abs(position[:, axis] - blocks[axis][0]) > 0)
         if nodes.sum() < 2 or not moved.any():
-            left_out.append(NotDetermined(table.name, "no reading depends on it: no run senses this direction along this axis"))
+            left_out.append(
+                NotDetermined(table.name, "no reading depends on it: no run senses this direction along this axis")
+            )
             continue
         kept.append(MachineTable(table.chain, table.name, blocks[axis][nodes]))
     return tuple(kept), tuple(left_out)

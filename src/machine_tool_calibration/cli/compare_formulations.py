@@ -1,0 +1,149 @@
+"""`mtcal compare-formulations`: a step diagonal by every formulation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import numpy as np
+
+from machine_tool_calibration.cli.output import console, json_option, note, write_json
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.methods.step_diagonal.compare import Comparison
+    from machine_tool_calibration.methods.step_diagonal.profiles import Figure, Profiles
+
+__all__ = ["command"]
+
+_KINDS = {"positioning": ("µm", 1e6), "straightness": ("µm", 1e6), "squareness": ("µrad", 1e6)}
+_HEADS = {
+    "conventional": "conventional\nEq. (2)",
+    "new": "new\nEqs. (6)-(19)",
+    "alternative": "alternative\nEq. (20)",
+    "least_squares": "least squares",
+    "small_angles": "least squares,\nsmall angles",
+}
+
+
+@click.command("compare-formulations")
+@click.argument("measurement", type=click.Path(path_type=Path))
+@click.option(
+    "-p",
+    "--plot",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Draw the nine profiles into this file (png, svg, pdf).",
+)
+@json_option
+def command(measurement: Path, plot: Path | None, as_json: bool) -> None:
+    """Compare the formulations of a laser step diagonal, as Table 1 of Ibaraki and Hata 2010 does.
+
+    MEASUREMENT is a session folder or a recording of the method step_diagonal. The conventional formulation (Wang)
+    takes the mirror to be at right angles to the beam; the new and the alternative one are immune to its tilt; least
+    squares uses every reading, without and with small angular errors of the axes (with them: what `mtcal identify`
+    does).
+
+    \b
+    mtcal compare-formulations measurements/diagonals
+    mtcal compare-formulations measurements/diagonals --plot profiles.png
+    """
+    from machine_tool_calibration.methods.step_diagonal.compare import compare_formulations
+    from machine_tool_calibration.session.open import open_measurement
+
+    comparison = compare_formulations(open_measurement(measurement))
+    if plot is not None:
+        from machine_tool_calibration.plots.step_diagonal import save_comparison
+
+        save_comparison(comparison, plot)
+        note(f"wrote {plot}")
+    if as_json:
+        write_json(_document(comparison))
+    else:
+        _show(comparison)
+
+
+def _document(comparison: Comparison) -> Mapping[str, Any]:
+    """SI units; NaN becomes null."""
+    return {
+        "format": "mtcal-formulations/1",
+        "formulations": {
+            name: {
+                **{
+                    key: value
+                    for letter, error, uncertainty, blocks in zip(
+                        "xyz", profiles.error, profiles.uncertainty, profiles.blocks, strict=True
+                    )
+                    for key, value in (
+                        (letter, error),
+                        (f"{letter}_u", uncertainty),
+                        (f"{letter}_position", blocks),
+                    )
+                },
+                **{
+                    kind: {
+                        key: value
+                        for figure in profiles.figures()
+                        if figure.kind == kind
+                        for key, value in ((figure.name, figure.value), (f"{figure.name}_u", figure.uncertainty))
+                    }
+                    for kind in _KINDS
+                },
+            }
+            for name, profiles in comparison.profiles.items()
+        },
+        "refused": dict(comparison.refused),
+    }
+
+
+def _show(comparison: Comparison) -> None:
+    from rich.table import Table
+
+    out = console()
+    table = Table(title="Value ± expanded uncertainty (k = 2) from the readings alone", title_justify="left")
+    table.add_column("figure", no_wrap=True)
+    for name in comparison.profiles:
+        table.add_column(_HEADS[name], justify="right")
+    figures = {
+        name: {(f.kind, f.name): f for f in profiles.figures()} for name, profiles in comparison.profiles.items()
+    }
+    before = ""
+    for kind, name in next(iter(figures.values())):
+        if before and kind != before:
+            table.add_section()
+        before = kind
+        row = [figures[column][kind, name] for column in comparison.profiles]
+        table.add_row(_label(kind, name, next(iter(comparison.profiles.values()))), *(_cell(f) for f in row))
+    out.print(table)
+    out.print(
+        "Positioning: error at the last block position. Straightness: largest minus smallest deviation from the "
+        "least-squares line. Squareness: slope of one axis's line against the other's."
+    )
+    if "conventional" in comparison.profiles and "new" in comparison.profiles:
+        off = [
+            np.nanmax(np.abs(a - b))
+            for a, b in zip(comparison.profiles["conventional"].error, comparison.profiles["new"].error, strict=True)
+        ]
+        out.print(f"The conventional formulation is up to {1e6 * max(off):.2f} µm from the new one.")
+    for name, why in comparison.refused.items():
+        out.print(f"{name}: {why}")
+
+
+def _label(kind: str, name: str, profiles: Profiles) -> str:
+    unit, _ = _KINDS[kind]
+    if kind == "positioning":
+        span = 1e3 * float(np.ptp(profiles.blocks["XYZ".index(name[2])]))
+        return f"{name} over {span:g} mm / {unit}"
+    if kind == "straightness":
+        return f"{name} straightness / {unit}"
+    pair = "-".join(letter for letter, turn in zip("XYZ", "ABC", strict=True) if turn != name[0])
+    return f"{name} squareness {pair} / {unit}"
+
+
+def _cell(figure: Figure) -> str:
+    if not np.isfinite(figure.value):
+        return "not determined"
+    factor = _KINDS[figure.kind][1]
+    if not np.isfinite(figure.uncertainty):
+        return f"{factor * figure.value:.2f}"
+    return f"{factor * figure.value:.2f} ± {2 * factor * figure.uncertainty:.2f}"

@@ -1,0 +1,166 @@
+"""Position errors by every formulation, side by side (Ibaraki and Hata 2010, Table 1 and Figs. 7-9)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.methods.step_diagonal.build import build
+from machine_tool_calibration.methods.step_diagonal.formulations import (
+    alternative,
+    conventional,
+    conventional_2d,
+    new,
+    new_2d,
+)
+from machine_tool_calibration.methods.step_diagonal.geometry import step_diagonal_of
+from machine_tool_calibration.methods.step_diagonal.increments import Increments, increments
+from machine_tool_calibration.methods.step_diagonal.profiles import Profiles, eq17
+from machine_tool_calibration.model.fit import fit_models
+from machine_tool_calibration.session.session import Session
+
+__all__ = ["FORMULATIONS", "Comparison", "compare_formulations", "identify_by_formulation"]
+
+FORMULATIONS = ("conventional", "new", "alternative", "least_squares", "small_angles")
+"""`least_squares` and `small_angles` are the weighted least-squares estimator over all readings, without and with small
+angular errors (the model `translations`, and the default of `mtcal identify`); the others are the paper's."""
+
+_MODELS = {"least_squares": "translations", "small_angles": "small_angles"}
+
+
+def identify_by_formulation(session: Session, name: str) -> Profiles:
+    """Position errors of the axes by one formulation, in the coordinate system of Eq. (17), with their covariance.
+
+    The covariance is that of the readings' declared uncertainty; it knows nothing of a tilted mirror.
+
+    Args:
+        session: of the method `step_diagonal`.
+        name: one of `FORMULATIONS`.
+
+    Raises:
+        ModelError: no such formulation, or runs or readings that it needs are missing.
+    """
+    step_diagonal_of(session)
+    if name in _MODELS:
+        model = build(session, _MODELS[name])
+        return model.profiles(fit_models([model]).fits[0], name)
+    if name not in FORMULATIONS:
+        raise ModelError(f"no formulation {name!r}; known are {', '.join(FORMULATIONS)}")
+    moves = increments(session)
+    formula = _formula(name, moves)
+    lacking = [
+        what for what in moves.lacking if name != "conventional" or what[-1:] not in "XYZ" or "no run" not in what
+    ]
+    needed = moves.weights if name != "conventional" else moves.weights[: moves.diagonal.size]
+    if not np.isfinite(needed).all():
+        raise ModelError(f"the formulation {name} needs every move of its runs: {'; '.join(lacking)}")
+    return _propagated(name, moves, formula, session.sigma)
+
+
+def _formula(name: str, moves: Increments) -> Callable[[Array, Array], Array]:
+    """Increments of the errors from (..., D, d, N) displacements and (..., d, N) positioning errors."""
+    if len(moves.axes) == 2:
+        if name == "alternative":
+            raise ModelError("the alternative formulation, Eq. (20), is for three axes")
+        if name == "conventional":
+            return lambda R, linear: conventional_2d(R, moves.step)
+        return partial(new_2d, step=moves.step)
+    if name == "conventional":
+        return lambda R, linear: conventional(R, moves.step)
+    return partial(new if name == "new" else alternative, step=moves.step)
+
+
+def _propagated(name: str, moves: Increments, formula: Callable[[Array, Array], Array], sigma: float) -> Profiles:
+    """Profiles by a formula that is linear in the displacements, with its covariance."""
+    count = moves.diagonal.size
+    blocks = _blocks(moves)
+    linear = np.nan_to_num(moves.linear)
+
+    def errors(R: Array, positioning: Array) -> Array:
+        return eq17(blocks, _profiles(formula(R, positioning), moves))
+
+    size = count + moves.linear.size
+    units = np.eye(size)
+    R = units[:, :count].reshape(-1, *moves.diagonal.shape) + moves.diagonal
+    positioning = units[:, count:].reshape(-1, *moves.linear.shape) + linear
+    value = errors(moves.diagonal, linear)
+    slope = errors(R, positioning) - value
+    weights = np.nan_to_num(moves.weights)
+    on_readings = slope.T @ weights
+    sensed = np.zeros((len(value) // 3, 3))
+    sensed[:, list(moves.axes)] = 1.0
+    covariance = sigma**2 * on_readings @ on_readings.T
+    known = np.where(sensed.ravel() > 0, value, np.nan)
+    parts = np.split(known, np.cumsum([3 * len(b) for b in blocks])[:-1])
+    x, y, z = (part.reshape(-1, 3) for part in parts)
+    if len(moves.axes) < 3:
+        idle = next(axis for axis in range(3) if axis not in moves.axes)
+        (x, y, z)[idle][:] = np.nan
+    return Profiles(name, blocks, (x, y, z), covariance)
+
+
+def _blocks(moves: Increments) -> tuple[Array, Array, Array]:
+    out = [np.zeros(1), np.zeros(1), np.zeros(1)]
+    for place, axis in enumerate(moves.axes):
+        out[axis] = moves.first[place] + moves.step[place] * np.arange(moves.diagonal.shape[-1] + 1)
+    return out[0], out[1], out[2]
+
+
+def _profiles(change: Array, moves: Increments) -> Array:
+    """(..., M) sums of increments (..., d, d, N), zero at the first block position."""
+    lead = change.shape[:-3]
+    out = []
+    for axis in range(3):
+        if axis not in moves.axes:
+            out.append(np.zeros((*lead, 3)))
+            continue
+        part = np.zeros((*lead, change.shape[-1] + 1, 3))
+        for column, component in enumerate(moves.axes):
+            part[..., 1:, component] = np.cumsum(change[..., moves.axes.index(axis), column, :], axis=-1)
+        out.append(part.reshape(*lead, -1))
+    return np.concatenate(out, axis=-1)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Formulations side by side.
+
+    Attributes:
+        profiles: by name, from all repeats together.
+        by_repeat: by name, from each repeat alone.
+        refused: by name, why a formulation cannot be used here.
+    """
+
+    profiles: Mapping[str, Profiles]
+    by_repeat: Mapping[str, tuple[Profiles, ...]]
+    refused: Mapping[str, str]
+
+
+def compare_formulations(session: Session) -> Comparison:
+    """Every formulation that the session allows.
+
+    Raises:
+        ModelError: it allows none.
+    """
+    profiles: dict[str, Profiles] = {}
+    by_repeat: dict[str, tuple[Profiles, ...]] = {}
+    refused: dict[str, str] = {}
+    repeats = np.unique(session.readings.repeat)
+    single = [session.with_readings(session.readings.select(session.readings.repeat == repeat)) for repeat in repeats]
+    for name in FORMULATIONS:
+        try:
+            profiles[name] = identify_by_formulation(session, name)
+            by_repeat[name] = tuple(identify_by_formulation(part, name) for part in single) if len(single) > 1 else ()
+        except ModelError as error:
+            if name in profiles:
+                by_repeat[name] = ()
+            else:
+                refused[name] = str(error)
+    if not profiles:
+        raise ModelError(f"{session.source}: no formulation can be used: {next(iter(refused.values()))}")
+    return Comparison(profiles, by_repeat, refused)

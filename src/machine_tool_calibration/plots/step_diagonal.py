@@ -1,0 +1,108 @@
+"""Position errors of a step diagonal by every formulation (Ibaraki and Hata 2010, Figs. 7-9)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from machine_tool_calibration.methods.step_diagonal.compare import Comparison
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["LABELS", "draw_comparison", "save_comparison"]
+
+LABELS = {
+    "conventional": "conventional, Eq. (2)",
+    "new": "new, Eqs. (6)-(19)",
+    "alternative": "alternative, Eq. (20)",
+    "least_squares": "least squares",
+    "small_angles": "least squares, small angles",
+}
+_STYLE = {
+    "conventional": ("tab:red", "o"),
+    "new": ("tab:blue", "s"),
+    "alternative": ("tab:cyan", "d"),
+    "least_squares": ("tab:green", "^"),
+    "small_angles": ("black", "v"),
+}
+# Formulations by which the scale is chosen; the conventional one may be a hundred times larger.
+_SCALED = ("new", "alternative", "least_squares", "small_angles")
+_MARGIN = 0.2
+_ASIDE = 0.006
+
+
+def draw_comparison(comparison: Comparison) -> Figure:
+    """Nine panels: error in X, Y, Z (columns) with the motion of X, Y, Z (rows), um against mm.
+
+    Marks are the errors from all repeats, bars their expanded uncertainty (k = 2), short lines those of each repeat
+    alone. The scale is that of the formulations that the mirrors' tilts do not disturb; where the conventional one
+    leaves the panel, its largest value is written.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(13, 10), layout="constrained")
+    axes = figure.subplots(3, 3)
+    for motion in range(3):
+        for component in range(3):
+            _panel(axes[motion, component], comparison, motion, component)
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    for panel in axes.flat:
+        if len(panel.get_legend_handles_labels()[0]) > len(handles):
+            handles, labels = panel.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=5, frameon=False)
+    return figure
+
+
+def _panel(panel: Axes, comparison: Comparison, motion: int, component: int) -> None:
+    along, letter = "xyz"[component], "XYZ"[motion]
+    low, high = 0.0, 0.0
+    drawn = False
+    for number, (name, profiles) in enumerate(comparison.profiles.items()):
+        at = 1e3 * profiles.blocks[motion]
+        value = 1e6 * profiles.error[motion][:, component]
+        if not np.isfinite(value).any() or len(at) < 2:
+            continue
+        drawn = True
+        color, mark = _STYLE[name]
+        # Side by side, so that equal values do not hide each other.
+        at = at + _ASIDE * (number - 2) * (at[-1] - at[0])
+        bar = 2e6 * np.nan_to_num(profiles.uncertainty[motion][:, component])
+        panel.errorbar(at, value, bar, color=color, marker=mark, ms=4, lw=0.8, capsize=0, label=LABELS[name])
+        for single in comparison.by_repeat.get(name, ()):
+            each = 1e6 * single.error[motion][:, component]
+            if len(each) == len(at):
+                panel.plot(at, each, ls="", marker="_", ms=6, color=color, alpha=0.6)
+        if name in _SCALED:
+            low, high = min(low, float(np.nanmin(value - bar))), max(high, float(np.nanmax(value + bar)))
+    panel.set_title(f"$e_{along}({letter.lower()})$: error in {along.upper()}, motion of {letter}", fontsize=10)
+    panel.set_xlabel(f"{letter} / mm")
+    panel.set_ylabel("error / µm")
+    panel.grid(alpha=0.3)
+    if not drawn:
+        panel.text(0.5, 0.5, "not determined", ha="center", va="center", transform=panel.transAxes, color="0.5")
+        return
+    conventional = comparison.profiles.get("conventional")
+    if high > low and conventional is not None:
+        value = 1e6 * conventional.error[motion][:, component]
+        margin = _MARGIN * (high - low)
+        if np.isfinite(value).any() and (np.nanmin(value) < low - margin or np.nanmax(value) > high + margin):
+            worst = float(value[int(np.nanargmax(np.abs(value)))])
+            panel.set_ylim(low - margin, high + margin)
+            where = (0.97, 0.92 if worst > 0 else 0.04)
+            text = f"conventional: {worst:+.1f} µm"
+            panel.annotate(text, where, xycoords="axes fraction", color="tab:red", fontsize=9, ha="right")
+
+
+def save_comparison(comparison: Comparison, path: Path, **options: Any) -> None:
+    """Write the nine panels to a file; its ending chooses the format (png, svg, pdf).
+
+    Args:
+        comparison: what to draw.
+        path: the file.
+        options: of matplotlib's `savefig`, such as `dpi`.
+    """
+    draw_comparison(comparison).savefig(path, **{"dpi": 110, **options})
