@@ -151,8 +151,9 @@ def _show(summary: dict[str, Any], simulated: Simulated) -> None:
     out = console()
     lost = f", {summary['missing']} of them missing" if summary["missing"] else ""
     gross = f", {summary['outliers']} with a gross error" if summary["outliers"] else ""
+    setups = f"{len(summary['setups'])} setup{'' if len(summary['setups']) == 1 else 's'}"
     out.print(f"{summary['method']}: {summary['observations']} readings{lost}{gross}, "
-              f"{len(summary['setups'])} setup{'' if len(summary['setups']) == 1 else 's'} ({', '.join(summary['setups'])}), seed {summary['seed']}")
+              f"{setups} ({', '.join(summary['setups'])}), seed {summary['seed']}")
     out.print(f"standard uncertainty of a reading {summary['standard_uncertainty'] * 1e6:.3g} µm")
     for chosen in simulated.truth.effects:
         extra = ", ".join(f"{key} {_short(value)}" for key, value in chosen.parameters.items())
