@@ -30,7 +30,7 @@ class Candidate:
         name: an effect's id, or the name of a structure.
         blocks: one for each set of nonlinear coefficients that is tried.
         shapes: how many nonlinear coefficients there are.
-        sample: number of independent units that tell of it: readings, or setups for an effect of the setups.
+        sample: number of readings that tell of each of its coefficients.
         effect: the effect; None for a structure without a cause.
     """
 
@@ -61,7 +61,8 @@ def effect_candidates(
             blocks = tuple(Block(shape, effect.columns(observations, shape)) for shape in effect.shape_grid(observations))
             blocks = tuple(block for block in blocks if np.isfinite(block.columns).all() and block.columns.any())
             if blocks:
-                sample = n_setups if effect.setup_level else len(observations)
+                # Each coefficient of a setup is told by the readings of that setup alone.
+                sample = len(observations) // n_setups if effect.setup_level else len(observations)
                 found.append(Candidate(effect.id, blocks, len(effect.shapes), sample, effect))
                 continue
             why = "no reading depends on it"

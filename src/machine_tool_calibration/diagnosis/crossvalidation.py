@@ -44,6 +44,12 @@ class CrossValidation:
         """Share of the held-out loss that a candidate takes away."""
         return float(1.0 - self.candidate[index].sum() / self.null.sum()) if self.null.sum() > 0 else 0.0
 
+    def agrees(self, index: int) -> bool:
+        """Whether the held-out readings do not speak against a candidate: no loss beyond two standard errors."""
+        share = (self.null - self.candidate[index]) / max(float(self.null.sum()), 1e-300)
+        error = float(np.std(share, ddof=1) * np.sqrt(len(share)))
+        return float(share.sum()) > -2.0 * error
+
     @property
     def nested_gain(self) -> float:
         """The same when the choice is made again in every fold."""

@@ -28,12 +28,16 @@ from machine_tool_calibration.session.session import Session
 
 __all__ = ["Absorbed", "Diagnosis", "Look", "Structure", "diagnose"]
 
-_LEVEL = 0.05
+# Family errors of a round: together at most one false alarm in twenty sessions in which nothing is missing.
+_LEVEL, _STRUCTURE_LEVEL = 0.03, 0.02
 _ROUNDS = 3
 # Structure that is left after the accepted effects speaks against them if it is this share of all that was found.
-_LEFT_OVER = 0.2
+_LEFT_OVER = 0.1
 # How much better a structure without a cause must do than the best effect to speak against it.
-_STRUCTURE_MARGIN = 2.0
+_STRUCTURE_FACTOR, _STRUCTURE_MARGIN = 1.3, 6.0
+# Variance of slopes and bows between setups, over that of the readings, up to which it is reproducibility and no more.
+# Direct deviations of parts and of axes have no instrument's setup: there the spread may be any.
+_SPREAD = {"any": 0.15, "direct": 100.0}
 # How many of the best effects are held against readings that were left out.
 _VALIDATED = 8
 
@@ -66,7 +70,7 @@ class Look:
         groups: effects that this data cannot tell apart.
         absorbed: effects that would not show.
         structure: what the residuals depend on, most significant first.
-        structure_gain: by how much the information criterion falls at most with a structure.
+        structure_gains: by how much the information criterion falls with each significant structure, by covariate.
         validation: of the best effects, in their order.
         detectable: smallest size of each effect found with a power of 80 %, by coefficient.
     """
@@ -76,7 +80,7 @@ class Look:
     groups: tuple[tuple[str, ...], ...]
     absorbed: tuple[Absorbed, ...]
     structure: tuple[Structure, ...]
-    structure_gain: float
+    structure_gains: dict[str, float]
     validation: CrossValidation | None
     detectable: dict[str, dict[str, float]]
 
@@ -85,10 +89,13 @@ class Look:
         for k, r in enumerate(self.ranked):
             if not r.rank or r.family_p_value > _LEVEL or not r.plausible:
                 continue
-            if self.validation is not None and k < _VALIDATED and self.validation.gain(k) <= 0:
+            if self.validation is not None and k < _VALIDATED and not self.validation.agrees(k):
                 continue
-            # A structure without a cause that does much better means that the cause is another.
-            return r if r.bic_gain >= self.structure_gain - _STRUCTURE_MARGIN else None
+            assert r.candidate.effect is not None
+            own = r.candidate.effect.covariates or r.candidate.effect.needs
+            # Structure in something that the effect does not depend on, and that does better, means another cause.
+            foreign = max((gain for name, gain in self.structure_gains.items() if name not in own), default=-np.inf)
+            return r if foreign < _STRUCTURE_FACTOR * r.bic_gain + _STRUCTURE_MARGIN else None
         return None
 
 
@@ -150,14 +157,15 @@ def diagnose(
     progress("looking for outliers", 0.0)
 
     def build(part: Session) -> MethodModel:
-        return add_effects(build_model(part, model)[0], present)
+        return add_effects(build_model(part, model)[0], [*present, *accepted])
 
-    outliers, session, fit = find_outliers(session, build)
+    whole = session
+    accepted: list[Effect] = []
+    outliers, session, fit = find_outliers(whole, build)
     base = build_model(session, model)[0]
     candidates, excluded = effect_candidates(base.observations, [e for e in catalogue(own).values() if e.id not in effects])
     structures = structure_candidates(base.observations)
     looks: list[Look] = []
-    accepted: list[Effect] = []
     while True:
         progress(f"round {len(looks) + 1}: {len(candidates)} effects, {sets} simulated sets", (len(looks) + 0.2) / (_ROUNDS + 1))
         left = [c for c in candidates if c.effect not in accepted]
@@ -168,6 +176,9 @@ def diagnose(
         assert winner.candidate.effect is not None
         accepted.append(winner.candidate.effect)
         fit = fit_models([add_effects(base, [*present, *accepted])]).fits[0]
+    if accepted and outliers:
+        # With the effects in the model some of them belong to the rest again.
+        outliers, session, _ = find_outliers(whole, build)
     progress("done", 1.0)
     verdict = _verdict(looks, bool(accepted), bool(outliers))
     return Diagnosis(
@@ -191,6 +202,15 @@ def _verdict(looks: Sequence[Look], accepted: bool, outliers: bool) -> str:
     return "outliers" if outliers else "adequate"
 
 
+def _best_by_covariate(seen: Sequence[Ranked]) -> dict[str, float]:
+    out: dict[str, float] = {}
+    for r in seen:
+        if r.rank and r.family_p_value <= _STRUCTURE_LEVEL:
+            name = r.candidate.name.split(": ", 1)[0]
+            out[name] = max(out.get(name, -np.inf), r.bic_gain)
+    return out
+
+
 def _look(
     fit: Fit, candidates: Sequence[Candidate], structures: Sequence[Candidate], rng: np.random.Generator, sets: int
 ) -> Look:
@@ -199,18 +219,19 @@ def _look(
     spread = run_spreads(observations)
     columns, places = stack([*candidates, *structures], n)
     projected = screen(fit, np.concatenate([columns, spread.columns]))
-    reduced = reduce(projected, spread.family, fit.solution.degrees_of_freedom)
+    most = _SPREAD.get(observations.session.method, _SPREAD["any"])
+    reduced = reduce(projected, spread.family, fit.solution.degrees_of_freedom, most)
     data = observed(projected.gram)
     split = len(candidates)
     found = search(reduced, places[:split], data, rng, sets=sets, level=_LEVEL)
     ranked = rank_candidates(candidates, places[:split], found, reduced, data, observations, n)
-    shapes = search(reduced, places[split:], data, rng, sets=sets, level=_LEVEL)
+    shapes = search(reduced, places[split:], data, rng, sets=sets, level=_STRUCTURE_LEVEL)
     seen = rank_candidates(structures, places[split:], shapes, reduced, data, observations, n)
     sigma_squares = fit.solution.chi_square
     structure = tuple(
         Structure(*r.candidate.name.split(": ", 1), r.family_p_value, 1.0 - (r.rms_after / observations.session.sigma) ** 2 * n / sigma_squares)
         for r in sorted(seen, key=lambda r: (r.family_p_value, -r.statistic))
-        if r.rank and r.family_p_value <= _LEVEL
+        if r.rank and r.family_p_value <= _STRUCTURE_LEVEL
     )
     absorbed = tuple(
         Absorbed(r.candidate.name, absorbed_by(fit, projected, r.place)) for r in ranked if not r.rank
@@ -223,7 +244,7 @@ def _look(
         groups=alias_groups(ranked, reduced),
         absorbed=absorbed,
         structure=structure,
-        structure_gain=max((r.bic_gain for r in seen if r.family_p_value <= _LEVEL), default=-np.inf),
+        structure_gains=_best_by_covariate(seen),
         validation=cross_validate(fit, top, penalty=variance * float(np.log(n))),
         detectable=detectable_sizes(ranked, found.threshold, variance),
     )

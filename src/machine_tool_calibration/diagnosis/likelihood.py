@@ -9,17 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.estimation.projection import Projected
 
-__all__ = ["Data", "Likelihoods", "Reduced", "directions", "observed", "reduce", "scan", "simulate", "weighted_products"]
+__all__ = ["Data", "Likelihoods", "Reduced", "directions", "observed", "reduce", "scan", "simulate", "spread_ratios", "weighted_products"]
 
-# Variance of the spread's coefficients in units of the readings' variance.
-RATIOS = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
+# Variances of the spread's coefficients that are tried, in units of the readings' variance.
+_RATIOS = (0.0, 0.01, 0.03, 0.1, 0.2, 0.5, 1.0, 3.0, 10.0, 30.0, 100.0)
+# Shares of its variance without a candidate that a family may keep once the candidate is added.
+_SHARES = (0.0, 0.03, 0.1, 0.25, 0.5, 1.0)
 # A direction of a candidate with less than this share of its squared norm outside the model is absorbed (1 % of the norm).
 ABSORBED = 1e-4
 _ROUNDING = 1e-11
@@ -35,6 +36,8 @@ class Reduced:
         n_candidates: k.
         family: (u,) family of each spread column.
         dimension: degrees of freedom of the residuals.
+        most: largest variance of the spread that counts as spread, in units of the readings' variance: a larger one is
+            itself something that the model lacks.
         root: (k + u, r) such that root root^T is the matrix over the norms before.
     """
 
@@ -43,6 +46,7 @@ class Reduced:
     n_candidates: int
     family: IntArray
     dimension: int
+    most: float
     root: Array
 
 
@@ -82,20 +86,21 @@ class Likelihoods:
     ratios: list[tuple[float, ...]]
 
 
-def reduce(projected: Projected, family: IntArray, dimension: int) -> Reduced:
+def reduce(projected: Projected, family: IntArray, dimension: int, most: float = 0.5) -> Reduced:
     """Inner products of candidates and, last, spread columns, without the rounding that would make them indefinite.
 
     Args:
         projected: of [candidates, spread], see `model.fit.screen`.
         family: (u,) family of each spread column.
         dimension: degrees of freedom of the residuals.
+        most: see `Reduced`.
     """
     gram = projected.gram[:-1, :-1]
     scale = np.sqrt(np.maximum(projected.squares[:-1], np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
     vectors = vectors[:, values > _ROUNDING] * np.sqrt(values[values > _ROUNDING])
     clean = vectors @ vectors.T * np.outer(scale, scale)
-    return Reduced(clean, projected.squares[:-1], len(gram) - len(family), family, dimension, vectors)
+    return Reduced(clean, projected.squares[:-1], len(gram) - len(family), family, dimension, most, vectors)
 
 
 def observed(gram_with_residual: Array) -> Data:
@@ -113,11 +118,35 @@ def directions(reduced: Reduced, block: slice) -> Array:
     return np.asarray(vectors[:, keep] / np.sqrt(values[keep]) / scale[:, None])
 
 
-def scan(reduced: Reduced, blocks: Sequence[slice], data: Data) -> Likelihoods:
-    """Maximise the likelihood over the variances, for every block and data set."""
+def spread_ratios(reduced: Reduced, data: Data) -> list[tuple[float, ...]]:
+    """Variances worth trying: those of the most likely null model of the first data set, and shares of them.
+
+    The families describe the same spread in different ways, so that only the likelier one is used. A candidate can only
+    take from the spread: nothing above the variance without a candidate is tried.
+    """
+    families = int(reduced.family.max(initial=-1)) + 1
+    one = Data(data.products[:, :1], data.squares[:1])
+    tries = [
+        tuple(ratio if g == f else 0.0 for g in range(families))
+        for f in range(families)
+        for ratio in _RATIOS
+        if ratio <= reduced.most
+    ]
+    best = scan(reduced, [], one, tries or [()]).null_ratio[0]
+    return [tuple(share * float(ratio) for ratio in best) for share in (_SHARES if best.any() else (0.0,))]
+
+
+def scan(reduced: Reduced, blocks: Sequence[slice], data: Data, ratios: list[tuple[float, ...]]) -> Likelihoods:
+    """Maximise the likelihood over the variances of the spread, for every block and data set.
+
+    Args:
+        reduced: inner products.
+        blocks: where the columns of each block are.
+        data: the data sets.
+        ratios: variances to try, one for each family.
+    """
     k = reduced.n_candidates
     families = int(reduced.family.max(initial=-1)) + 1
-    ratios = list(product(RATIOS, repeat=families)) if families else [()]
     bases = [directions(reduced, block) for block in blocks]
     rank = np.array([basis.shape[1] for basis in bases], dtype=np.int64)
     # From here on candidates are in their own orthonormal directions.

@@ -46,6 +46,7 @@ class Ranked:
         statistic: likelihood ratio, twice the logarithm.
         rank: unknowns that it adds; 0 if the model absorbs it.
         p_value: by itself.
+        log_p_value: its natural logarithm, where the number itself would vanish.
         family_p_value: paid for the whole search.
         bic_gain: by how much the Bayesian information criterion falls when it is added.
         probability: its weight among all candidates and none.
@@ -64,6 +65,7 @@ class Ranked:
     statistic: float
     rank: int
     p_value: float
+    log_p_value: float
     family_p_value: float
     bic_gain: float
     probability: float
@@ -108,7 +110,7 @@ def rank_candidates(
             unweighted = basis @ (basis.T @ plain)
             rms_after = float(np.sqrt(max(data.squares[0] - plain @ unweighted, 0.0) / n_readings)) * observations.session.sigma
             if candidate.effect is not None:
-                named = candidate.effect.coefficients_for(observations)
+                named = candidate.effect.coefficients_for(observations, block.shape)
                 sizes = tuple(Size(c, float(v), float(u)) for c, v, u in zip(named, signal, spread, strict=True))
         unknowns = rank + candidate.shapes
         gain = float(search.statistic[k]) - unknowns * np.log(max(candidate.sample, 2)) if rank else -np.inf
@@ -121,6 +123,7 @@ def rank_candidates(
                 statistic=float(search.statistic[k]) if rank else 0.0,
                 rank=rank,
                 p_value=float(search.p_value[k]),
+                log_p_value=float(search.log_p_value[k]),
                 family_p_value=float(search.family_p_value[k]),
                 bic_gain=gain,
                 probability=0.0,
@@ -135,13 +138,20 @@ def rank_candidates(
 
 
 def _with_probabilities(ranked: list[Ranked]) -> tuple[Ranked, ...]:
-    """Weights from the information criterion; "none of these" has its share, and implausible sizes have none."""
-    gains = np.array([r.bic_gain if r.plausible else -np.inf for r in ranked])
-    top = max(float(gains.max(initial=0.0)), 0.0)
-    weights = np.exp((gains - top) / 2)
-    total = float(weights.sum() + np.exp(-top / 2))
+    """Weights from the largest Bayes factor that a p-value allows, 1 / (-e p ln p) (Sellke, Bayarri and Berger 2001).
+
+    The p-values are those of the simulated null: they know how many coefficients a candidate has and how much the
+    spread between setups can do in its place, which an information criterion does not. "None of these" has the weight
+    1, and an impossible size has none.
+    """
+    log_p = np.array([r.log_p_value if r.plausible and r.rank else 0.0 for r in ranked])
+    log_weight = np.where(log_p < -1.0, -1.0 - log_p - np.log(np.maximum(-log_p, 1.0)), 0.0)
+    possible = np.array([bool(r.plausible and r.rank) for r in ranked])
+    top = max(float(log_weight.max(initial=0.0)), 0.0)
+    weights = np.where(possible, np.exp(log_weight - top), 0.0)
+    total = float(weights.sum() + np.exp(-top))
     filled = [replace(r, probability=float(w / total)) for r, w in zip(ranked, weights, strict=True)]
-    return tuple(sorted(filled, key=lambda r: (-r.probability, -r.bic_gain)))
+    return tuple(sorted(filled, key=lambda r: (not (r.plausible and r.rank), r.log_p_value, -r.statistic)))
 
 
 def alias_groups(ranked: Sequence[Ranked], reduced: Reduced) -> tuple[tuple[str, ...], ...]:

@@ -6,12 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.diagnosis.likelihood import Data, Likelihoods, Reduced, scan, simulate
+from machine_tool_calibration.diagnosis.likelihood import Data, Likelihoods, Reduced, scan, simulate, spread_ratios
 
 __all__ = ["Search", "search"]
+
+# Share of the simulated scores from which the tail is extrapolated.
+_TAIL = 0.2
 
 
 @dataclass(frozen=True)
@@ -19,7 +21,8 @@ class Search:
     """A search over candidates.
 
     Attributes:
-        p_value: (candidates,) of each by itself, paid for its nonlinear coefficients.
+        p_value: (candidates,) of each by itself, nonlinear coefficients included.
+        log_p_value: (candidates,) its natural logarithm.
         family_p_value: (candidates,) paid for the whole search.
         block: (candidates,) index of the best block of each.
         statistic: (candidates,) likelihood ratio, twice the logarithm.
@@ -29,6 +32,7 @@ class Search:
     """
 
     p_value: Array
+    log_p_value: Array
     family_p_value: Array
     block: IntArray
     statistic: Array
@@ -57,38 +61,55 @@ def search(
         sets: number of simulated data sets in which nothing is missing; at least 199.
     """
     flat = [block for candidate in blocks for block in candidate]
-    owner = np.array([k for k, candidate in enumerate(blocks) for _ in candidate], dtype=np.int64)
-    measured = scan(reduced, flat, data)
-    ratio = measured.null_ratio[0]
-    null = scan(reduced, flat, simulate(reduced, ratio, float(measured.null_variance[0]), sets, rng))
-    raw = _p_values(measured)
-    raw_null = _p_values(null)
+    starts = np.cumsum([0, *(len(candidate) for candidate in blocks)])
+    ratios = spread_ratios(reduced, data)
+    measured = scan(reduced, flat, data, ratios)
+    draws = simulate(reduced, measured.null_ratio[0], float(measured.null_variance[0]), sets, rng)
+    null = scan(reduced, flat, draws, ratios)
     n = len(blocks)
-    p_value, best = np.ones(n), np.zeros(n, dtype=np.int64)
+    log_p, best, statistic = np.zeros(n), np.zeros(n, dtype=np.int64), np.zeros(n)
     null_p = np.ones((n, sets))
+    price = float(np.log(max(reduced.dimension, 2)))
     for k in range(n):
-        mine = np.flatnonzero(owner == k)
-        best[k] = int(mine[np.argmin(raw[mine, 0])])
-        smallest = raw_null[mine].min(axis=0)
-        if measured.rank[mine].max(initial=0) == 0:
+        mine = slice(int(starts[k]), int(starts[k + 1]))
+        rank = measured.rank[mine]
+        if rank.max(initial=0) == 0:
             continue
-        # How many independent tries the grid of nonlinear coefficients amounts to, by what chance makes of it.
-        tries = _tries(smallest, 0.2)
-        p_value[k] = _paid(raw[best[k], 0], tries)
-        null_p[k] = _paid(smallest, tries)
+        # Blocks with more unknowns must be worth them before they may represent the candidate.
+        handicap = np.where(rank > 0, price * (rank - rank[rank > 0].min()), np.inf)[:, None]
+        scores = measured.block[mine] - measured.null - handicap
+        best[k] = int(np.argmax(scores[:, 0]))
+        statistic[k] = measured.block[mine][best[k], 0] - measured.null[0]
+        chance = (null.block[mine] - null.null - handicap).max(axis=0)
+        tail = _Tail(chance)
+        log_p[k] = tail.log_p_value(scores[best[k], :1])[0]
+        null_p[k] = np.exp(tail.log_p_value(chance))
+    p_value = np.exp(log_p)
     winners = null_p.min(axis=0) if n else np.ones(sets)
     threshold = float(np.quantile(winners, level))
     family = _paid(p_value, _tries(winners, level))
-    statistic = np.array([measured.block[j, 0] - measured.null[0] for j in best]) if n else np.zeros(0)
-    starts = np.array([np.flatnonzero(owner == k)[0] for k in range(n)], dtype=np.int64)
-    return Search(p_value, family, best - starts, statistic, measured.rank[best], threshold, measured)
+    chosen = starts[:-1] + best
+    return Search(p_value, log_p, family, best, statistic, measured.rank[chosen] if n else best, threshold, measured)
 
 
-def _p_values(likelihoods: Likelihoods) -> Array:
-    """(blocks, b) chance of so large a likelihood ratio for a single block fixed beforehand."""
-    ratio = np.maximum(likelihoods.block - likelihoods.null, 0.0)
-    rank = likelihoods.rank[:, None]
-    return np.where(rank > 0, stats.chi2.sf(ratio, np.maximum(rank, 1)), 1.0)
+class _Tail:
+    """What chance makes of a candidate's score: counted in the bulk, an exponential tail beyond.
+
+    A likelihood ratio with the spread refitted is not distributed as chi-square where few setups tell of it.
+    """
+
+    def __init__(self, chance: Array) -> None:
+        self.sorted = np.sort(chance)
+        self.start = float(np.quantile(chance, 1.0 - _TAIL))
+        excess = chance[chance > self.start] - self.start
+        self.scale = max(float(excess.mean()), 1e-9) if len(excess) else 1e-9
+
+    def log_p_value(self, score: Array) -> Array:
+        """Logarithm of the chance of a score at least as large."""
+        rank = np.searchsorted(self.sorted, score, side="left")
+        bulk = (len(self.sorted) - rank + 1.0) / (len(self.sorted) + 1.0)
+        tail = np.log(_TAIL) - np.maximum(score - self.start, 0.0) / self.scale
+        return np.asarray(np.where(score > self.start, tail, np.log(bulk)))
 
 
 def _tries(smallest: Array, quantile: float) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.diagnosis.candidates import Block, Candidate
 from machine_tool_calibration.model.observations import Observations
 
@@ -67,12 +67,24 @@ def _covariates(observations: Observations) -> dict[str, Array]:
     out = dict(observations.readings.columns)
     if np.ptp(observations.path) > 0:
         out["path"] = observations.path
+        out["displacement"] = observations.readings.displacement
+        out["path within the setup"] = _within(observations.path, observations.readings.setup)
     if np.abs(observations.table_direction).max() > 0 and observations.session.method == "probing":
         out["normal"] = np.arctan2(observations.table_direction[:, 1], observations.table_direction[:, 0])
     if observations.session.method in ("tracking_interferometer", "rotary_axis"):
         out["azimuth"] = np.arctan2(observations.direction[:, 1], observations.direction[:, 0])
         out["elevation"] = np.arcsin(np.clip(observations.direction[:, 2], -1.0, 1.0))
     return {name: values for name, values in out.items() if name not in ("gx", "gy", "gz")}
+
+
+def _within(values: Array, group: IntArray) -> Array:
+    """Values from -1 to 1 over the range of their group."""
+    out = np.zeros(len(values))
+    for g in np.unique(group):
+        scaled = _scaled(values[group == g])
+        if scaled is not None:
+            out[group == g] = scaled
+    return out
 
 
 def _scaled(values: Array) -> Array | None:

@@ -27,8 +27,9 @@ class RefractiveIndex(Effect):
     formula = "reading = g (n - n_standard) path"
     source = "Edlén; Bönsch and Potulski 1998; ISO 230-2:2014 Annex on laser interferometers"
     kind = "reading"
-    coefficients = (Coefficient("g", "1", -2.0, 2.0),)
+    coefficients = (Coefficient("g", "1", -20.0, 20.0),)
     needs = ("temperature_air",)
+    covariates = ("temperature_air", "air_pressure", "relative_humidity", "path", "displacement")
     methods = _OPTICAL
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
@@ -44,8 +45,9 @@ class DeadPath(Effect):
     formula = "reading = D (n - n_standard)"
     source = "ISO 230-2:2014, dead path; Ibaraki et al. 2014, Table 4, u14"
     kind = "reading"
-    coefficients = (Coefficient("D", "m", -10.0, 10.0),)
+    coefficients = (Coefficient("D", "m", -20.0, 20.0),)
     needs = ("temperature_air",)
+    covariates = ("temperature_air", "air_pressure", "relative_humidity")
     methods = _OPTICAL
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:

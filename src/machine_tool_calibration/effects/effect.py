@@ -44,12 +44,14 @@ class Shape:
         unit: SI.
         low: smallest plausible value.
         high: largest plausible value.
+        discrete: whether it is chosen from a list, such as a number of harmonics, and has no uncertainty.
     """
 
     name: str
     unit: str
     low: float
     high: float
+    discrete: bool = False
 
 
 class Effect(ABC):
@@ -65,6 +67,7 @@ class Effect(ABC):
         shapes: the nonlinear ones; at most one or two.
         needs: columns of the session that it uses.
         methods: methods in which it can act; all if empty.
+        covariates: what the readings depend on through the effect; its columns if empty.
         setup_level: whether its coefficients belong to single setups, which then are the sample.
     """
 
@@ -77,6 +80,7 @@ class Effect(ABC):
     shapes: tuple[Shape, ...] = ()
     needs: tuple[str, ...] = ()
     methods: tuple[str, ...] = ()
+    covariates: tuple[str, ...] = ()
     setup_level: bool = False
 
     def why_not(self, observations: Observations) -> str | None:
@@ -91,8 +95,10 @@ class Effect(ABC):
                 return f"the column {name} has missing values"
         return None
 
-    def coefficients_for(self, observations: Observations) -> tuple[Coefficient, ...]:
-        """The coefficients; effects with one set a setup say here how many."""
+    def coefficients_for(
+        self, observations: Observations, shape: tuple[float, ...] = ()
+    ) -> tuple[Coefficient, ...]:
+        """The coefficients; effects with one set a setup, or as many as their shape says, say here how many."""
         return self.coefficients
 
     def shape_grid(self, observations: Observations) -> list[tuple[float, ...]]:

@@ -20,7 +20,7 @@ class TableThermalGrowth(Effect):
     formula = "target = (temperature_table - 20) (k_r radius + k_z height)"
     source = "ISO 230-3; linear expansion"
     kind = "position"
-    coefficients = (Coefficient("k_r", "1/K", -1e-4, 1e-4), Coefficient("k_z", "1/K", -1e-3, 1e-3))
+    coefficients = (Coefficient("k_r", "1/K", -3e-4, 3e-4), Coefficient("k_z", "1/K", -1e-3, 1e-3))
     needs = ("temperature_table",)
     methods = ("rotary_axis",)
 
@@ -40,7 +40,7 @@ class WorkpieceThermal(Effect):
     formula = "surface = k (temperature_work - 20) position"
     source = "ISO 1; linear expansion"
     kind = "position"
-    coefficients = (Coefficient("k", "1/K", -1e-4, 1e-4),)
+    coefficients = (Coefficient("k", "1/K", -3e-4, 3e-4),)
     needs = ("temperature_work",)
     methods = ("probing", "direct")
 

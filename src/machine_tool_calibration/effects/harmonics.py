@@ -1,22 +1,49 @@
-"""Harmonics of an angle, for effects that repeat with a turn."""
+"""Effects that repeat with an angle: harmonics from the second order on."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from abc import abstractmethod
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.effects.effect import Coefficient
+from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape
+from machine_tool_calibration.model.observations import Observations
 
-__all__ = ["harmonic_coefficients", "harmonics"]
+__all__ = ["HarmonicEffect"]
 
-
-def harmonic_coefficients(orders: Iterable[int], limit: float) -> tuple[Coefficient, ...]:
-    """Sine and cosine coefficients of each order, m, plausible up to a limit."""
-    return tuple(Coefficient(f"{kind}{k}", "m", -limit, limit) for k in orders for kind in "sc")
+_HIGHEST = (3.0, 5.0, 8.0)
 
 
-def harmonics(angle: Array, orders: Iterable[int]) -> Array:
-    """(2 k, n) sine and cosine of each order."""
-    return np.array([wave(k * angle) for k in orders for wave in (np.sin, np.cos)])
+class HarmonicEffect(Effect):
+    """A reading that depends on an angle; sine and cosine of orders 2 up to the highest that the data asks for.
+
+    The first order is left to the model: it is a shift of station, target or stylus.
+
+    Attributes:
+        limit: largest plausible amplitude, m.
+    """
+
+    kind = "reading"
+    shapes = (Shape("highest_order", "1", 2.0, 8.0, discrete=True),)
+    limit: float
+
+    @abstractmethod
+    def angle(self, observations: Observations) -> Array:
+        """(n,) the angle, rad."""
+
+    def coefficients_for(
+        self, observations: Observations, shape: tuple[float, ...] = ()
+    ) -> tuple[Coefficient, ...]:
+        """Sine and cosine coefficients of each order, m."""
+        highest = int(shape[0]) if shape else int(_HIGHEST[-1])
+        return tuple(Coefficient(f"{kind}{k}", "m", -self.limit, self.limit) for k in range(2, highest + 1) for kind in "sc")
+
+    def shape_grid(self, observations: Observations) -> list[tuple[float, ...]]:
+        """Few orders, or many."""
+        return [(highest,) for highest in _HIGHEST]
+
+    def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
+        """Sine and cosine of each order."""
+        angle = self.angle(observations)
+        return np.array([wave(k * angle) for k in range(2, int(shape[0]) + 1) for wave in (np.sin, np.cos)])

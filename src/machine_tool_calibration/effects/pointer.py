@@ -6,33 +6,32 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient, Effect
-from machine_tool_calibration.effects.harmonics import harmonic_coefficients, harmonics
+from machine_tool_calibration.effects.harmonics import HarmonicEffect
 from machine_tool_calibration.model.observations import Observations
 
 __all__ = ["PointerRadialError", "PointerZeroOffset", "beam_azimuth"]
 
-_ORDERS = range(2, 9)
-
 
 def beam_azimuth(observations: Observations) -> Array:
     """(n,) azimuth of the beam in the machine frame, rad."""
-    return np.arctan2(observations.direction[:, 1], observations.direction[:, 0])
+    return np.asarray(np.arctan2(observations.direction[:, 1], observations.direction[:, 0]))
 
 
-class PointerRadialError(Effect):
+class PointerRadialError(HarmonicEffect):
     """Radial error motion of the pointer along the beam; once a turn is the station's position (ISO 230-7)."""
 
     id = "pointer_radial_error"
     title = "radial error motion of the pointer"
-    formula = "reading = sum of s_k sin(k azimuth) + c_k cos(k azimuth), k = 2 … 8"
+    formula = "reading = sum of s_k sin(k azimuth) + c_k cos(k azimuth), k from 2"
     source = "Ibaraki et al. 2014, Table 4, u21; ISO 230-7"
-    kind = "reading"
-    coefficients = harmonic_coefficients(_ORDERS, 5e-5)
+    coefficients = ()
+    limit = 5e-5
+    covariates = ("azimuth", "elevation")
     methods = ("tracking_interferometer", "rotary_axis")
 
-    def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
-        """Harmonics of the azimuth."""
-        return harmonics(beam_azimuth(observations), _ORDERS)
+    def angle(self, observations: Observations) -> Array:
+        """The azimuth."""
+        return beam_azimuth(observations)
 
 
 class PointerZeroOffset(Effect):
@@ -44,6 +43,7 @@ class PointerZeroOffset(Effect):
     source = "Ibaraki et al. 2014, Section 4 and Table 4, u41"
     kind = "reading"
     coefficients = (Coefficient("q", "1", 0.0, 2e-4),)
+    covariates = ("path", "displacement")
     methods = ("tracking_interferometer",)
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:

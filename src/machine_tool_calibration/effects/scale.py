@@ -20,6 +20,7 @@ class Scale(Effect):
     source = "ISO 1; linear expansion of part or machine"
     kind = "position"
     coefficients = (Coefficient("s", "1", -2e-3, 2e-3),)
+    covariates = ("x", "y", "z", "path", "displacement")
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """The position, as far as it is sensed."""

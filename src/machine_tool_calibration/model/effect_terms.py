@@ -43,10 +43,12 @@ def effect_term(
     columns = effect.columns(observations, shape)
     parameters = [
         Parameter(f"{effect.id}.{c.name}", c.unit, c.low, c.high, shared=not effect.setup_level)
-        for c in effect.coefficients_for(observations)
+        for c in effect.coefficients_for(observations, shape)
     ]
     if size is not None:
         for j, coefficient in enumerate(effect.shapes):
+            if coefficient.discrete:
+                continue
             step = _STEP * shape[j]
             up, down = list(shape), list(shape)
             up[j] += step
@@ -90,9 +92,13 @@ def best_shape(fit: Fit, effect: Effect, start: Sequence[tuple[float, ...]] | No
         return gains, sizes
 
     gains, sizes = explained(grid)
+    if all(coefficient.discrete for coefficient in effect.shapes):
+        # More unknowns always explain more: each must be worth its place.
+        price = fit.joint.reduced_chi_square * np.log(len(observations))
+        gains = [gain - price * len(size) for gain, size in zip(gains, sizes, strict=True)]
     best = int(np.argmax(gains))
     shape, size = grid[best], sizes[best]
-    if len(shape) == 1 and len(grid) > 1:
+    if len(shape) == 1 and len(grid) > 1 and not effect.shapes[0].discrete:
         ordered = sorted(s[0] for s in grid)
         place = ordered.index(shape[0])
         low, high = ordered[max(place - 1, 0)], ordered[min(place + 1, len(ordered) - 1)]
