@@ -95,13 +95,9 @@ def _propagated(name: str, moves: Increments, formula: Callable[[Array, Array], 
     sensed = np.zeros((len(value) // 3, 3))
     sensed[:, list(moves.axes)] = 1.0
     covariance = sigma**2 * on_readings @ on_readings.T
-    known = np.where(sensed.ravel() > 0, value, np.nan)
-    parts = np.split(known, np.cumsum([3 * len(b) for b in blocks])[:-1])
-    x, y, z = (part.reshape(-1, 3) for part in parts)
-    if len(moves.axes) < 3:
-        idle = next(axis for axis in range(3) if axis not in moves.axes)
-        (x, y, z)[idle][:] = np.nan
-    return Profiles(name, blocks, (x, y, z), covariance)
+    places = np.concatenate([np.full(3 * len(b), len(b) > 1) for b in blocks])
+    known = np.where((sensed.ravel() > 0) & places, value, np.nan)
+    return Profiles(name, blocks, known, covariance, np.zeros((len(value), 0)))
 
 
 def _blocks(moves: Increments) -> tuple[Array, Array, Array]:

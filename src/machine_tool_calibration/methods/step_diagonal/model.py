@@ -30,8 +30,6 @@ DATUM = (
     "position errors are zero at the first block position of each axis; e_y(x), e_z(x) and e_y(z) are zero at the last "
     "one too (Ibaraki and Hata 2010, Eq. (17)), which orients the coordinate system; lengths are the interferometer's"
 )
-# Share of a position error that may be undetermined before it is not published.
-_LOOSE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -157,14 +155,10 @@ class StepDiagonalModel(MethodModel):
         first = len(self.own)
         mine = slice(first, first + rows.shape[1])
         value = rows @ fit.theta[mine] * self._there()
-        if fit.undetermined.size:
-            # A direction's entries are of mixed units: what matters is what it does to the map.
-            loose = np.abs(rows @ fit.undetermined[mine]).max(axis=1)
-            value[loose > _LOOSE * max(float(loose.max()), 1e-3)] = np.nan
         covariance = rows @ fit.covariance[mine, mine] @ rows.T
-        parts = np.split(value, np.cumsum([3 * len(b) for b in self.blocks])[:-1])
-        x, y, z = (p.reshape(-1, 3) for p in parts)
-        return Profiles(method, self.blocks, (x, y, z), covariance)
+        # A direction's entries are of mixed units: what matters is what it does to the map.
+        loose = rows @ fit.undetermined[mine]
+        return Profiles(method, self.blocks, value, covariance, loose)
 
     def _angular(self, fit: Fit) -> dict[str, Any]:
         """Free angular errors at the block positions: x_angular … (N + 1, 3) EA, EB, EC with `_u`."""
@@ -193,6 +187,20 @@ class StepDiagonalModel(MethodModel):
             out[f"{letter}_angular"], out[f"{letter}_angular_u"] = value, uncertainty
         return out
 
+    def _why(self, measured: Array, determined: Array) -> str:
+        """Why a column of the map has gaps: values that were measured, and values that are determined."""
+        missing = int(np.count_nonzero(~np.isfinite(measured)))
+        if missing == np.count_nonzero(~np.isfinite(determined)):
+            return f"{missing} of {len(measured)} block positions were not reached by a reading that senses it"
+        present = [self.runs[k] for k in np.unique(self.observations.readings.setup)]
+        diagonals = {run.sign.tobytes() for run in present if run.diagonal}
+        moved = [axis for axis, nodes in enumerate(self.blocks) if len(nodes) > 1]
+        linear = [axis for axis in moved if not any(run.sign[axis] and not run.diagonal for run in present)]
+        lacking = [f"no linear run of {'XYZ'[axis]}" for axis in linear]
+        if len(diagonals) < len(moved):
+            lacking.insert(0, f"{len(diagonals)} of {len(moved)} diagonals")
+        return f"the measured runs do not determine it ({', '.join(lacking) or 'too few readings'})"
+
     def error_map(self, fit: Fit) -> ErrorMap:
         """Position errors of each axis at its block positions, straightness and squareness."""
         profiles = self.profiles(fit)
@@ -214,14 +222,14 @@ class StepDiagonalModel(MethodModel):
             [np.where(np.arange(3) == axis, nodes[:, None], corner) for axis, nodes in enumerate(self.blocks)]
         )
         error, uncertainty = np.concatenate(profiles.error), np.concatenate(profiles.uncertainty)
-        assert profiles.covariance is not None
         n = len(points)
         blocks = profiles.covariance.reshape(n, 3, n, 3)[np.arange(n), :, np.arange(n), :]
         known = np.isfinite(error)
         blocks = np.where(known[:, :, None] & known[:, None, :], blocks, np.nan)
+        measured = profiles.split(profiles.value)
         lost = tuple(
-            NotDetermined(f"error_map.{letter}: e{component}", _why(part[:, j]))
-            for letter, part in zip("xyz", profiles.error, strict=True)
+            NotDetermined(f"error_map.{letter}: e{component}", self._why(values[:, j], part[:, j]))
+            for letter, values, part in zip("xyz", measured, profiles.error, strict=True)
             for j, component in enumerate("xyz")
             if not np.isfinite(part[:, j]).all() and len(part) > 1
         )
@@ -231,10 +239,3 @@ class StepDiagonalModel(MethodModel):
 def _paired(values: Mapping[str, tuple[float, float]]) -> dict[str, float]:
     """Each `name` with its `name_u`."""
     return {key: v for name, (value, u) in values.items() for key, v in ((name, value), (f"{name}_u", u))}
-
-
-def _why(values: Array) -> str:
-    count = int(np.count_nonzero(~np.isfinite(values)))
-    if count == len(values):
-        return "the runs that were measured do not determine it in the published coordinate system"
-    return f"{count} of {len(values)} block positions were not reached by a reading that senses it"

@@ -19,7 +19,8 @@ __all__ = ["Figure", "Profiles", "eq17"]
 
 # Squareness as ISO 230-1 names it: sign, then the two slopes that add up to it (component, axis).
 _SQUARENESS = {"C0Y": (-1.0, (0, 1), (1, 0)), "B0Z": (1.0, (0, 2), (2, 0)), "A0Z": (-1.0, (2, 1), (1, 2))}
-_TURNS = (("y", 0, 1, 2), ("z", 0, 2, 1), ("y", 2, 1, 0))
+# Share of a position error that may be undetermined before it is not published.
+_LOOSE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -46,28 +47,41 @@ class Profiles:
     Attributes:
         method: how they were estimated.
         blocks: block positions of x, y, z, m.
-        error: for each axis (N + 1, 3): ex, ey, ez, m; NaN where not determined.
-        covariance: of all errors, axis after axis, position after position, component after component, m^2; None
-            where it was not propagated.
+        value: (M,) errors, axis after axis, position after position, component after component, m; NaN where nothing
+            was measured.
+        covariance: (M, M) of these, m^2.
+        loose: (M, k) directions in which the errors may change without any reading changing.
     """
 
     method: str
     blocks: tuple[Array, Array, Array]
-    error: tuple[Array, Array, Array]
-    covariance: Array | None = None
+    value: Array
+    covariance: Array
+    loose: Array
+
+    @cached_property
+    def error(self) -> tuple[Array, Array, Array]:
+        """For each axis (N + 1, 3): ex, ey, ez, m; NaN where not determined."""
+        return self.split(np.where(self._open(np.eye(len(self.value))), np.nan, self.value))
 
     @cached_property
     def uncertainty(self) -> tuple[Array, Array, Array]:
-        """For each axis (N + 1, 3) standard uncertainties, m; NaN where not determined or not propagated."""
-        size = [error.size for error in self.error]
-        flat = (
-            np.full(sum(size), np.nan)
-            if self.covariance is None
-            else np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
-        )
-        parts = np.split(flat, np.cumsum(size)[:-1])
-        shaped = [np.where(np.isfinite(e), p.reshape(e.shape), np.nan) for e, p in zip(self.error, parts, strict=True)]
+        """For each axis (N + 1, 3) standard uncertainties, m; NaN where not determined."""
+        flat = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        shaped = [np.where(np.isfinite(e), u, np.nan) for e, u in zip(self.error, self.split(flat), strict=True)]
         return shaped[0], shaped[1], shaped[2]
+
+    def split(self, flat: Array) -> tuple[Array, Array, Array]:
+        """(M,) values as (N + 1, 3) for each axis."""
+        x, y, z = (p.reshape(-1, 3) for p in np.split(flat, np.cumsum([3 * len(b) for b in self.blocks])[:-1]))
+        return x, y, z
+
+    def _open(self, rows: Array) -> Array:
+        """(r,) whether combinations (r, M) of the errors are not determined."""
+        if not self.loose.size:
+            return np.zeros(len(rows), dtype=bool)
+        scale = max(float(np.abs(self.loose).max()), 1e-3)
+        return np.asarray(np.abs(rows @ self.loose).max(axis=1) > _LOOSE * scale)
 
     def figures(self) -> list[Figure]:
         """The figures of the paper's Table 1: positioning, straightness, squareness.
@@ -87,15 +101,11 @@ class Profiles:
             out.append(self._figure(name, "squareness", sign * (self._slope(*one) + self._slope(*other))))
         return out
 
-    @cached_property
-    def _flat(self) -> Array:
-        return np.concatenate([error.ravel() for error in self.error])
-
     def _first(self, axis: int) -> int:
-        return sum(error.size for error in self.error[:axis])
+        return 3 * sum(len(blocks) for blocks in self.blocks[:axis])
 
     def _pick(self, component: int, axis: int, number: int) -> Array:
-        row = np.zeros(len(self._flat))
+        row = np.zeros(len(self.value))
         row[self._first(axis) + 3 * (number % len(self.blocks[axis])) + component] = 1.0
         return row
 
@@ -106,13 +116,13 @@ class Profiles:
     def _line(self, component: int, axis: int) -> tuple[IntArray, Array]:
         """Places of the determined values and, for them, the least-squares line's (2, k) operator."""
         places = self._places(component, axis)
-        good = np.isfinite(self._flat[places])
+        good = np.isfinite(self.value[places])
         design = np.column_stack([np.ones(good.sum()), self.blocks[axis][good]])
         return places[good], np.linalg.pinv(design) if good.sum() > 1 else np.full((2, int(good.sum())), np.nan)
 
     def _slope(self, component: int, axis: int) -> Array:
         places, operator = self._line(component, axis)
-        row = np.zeros(len(self._flat))
+        row = np.zeros(len(self.value))
         if len(places) < 2:
             row[:] = np.nan
         else:
@@ -121,24 +131,22 @@ class Profiles:
 
     def _extent(self, component: int, axis: int) -> Array:
         places, operator = self._line(component, axis)
-        row = np.zeros(len(self._flat))
+        row = np.zeros(len(self.value))
         if len(places) < 2:
             row[:] = np.nan
             return row
         where = self.blocks[axis][(places - self._first(axis)) // 3]
         residual = np.eye(len(places)) - np.column_stack([np.ones(len(places)), where]) @ operator
-        deviation = residual @ self._flat[places]
+        deviation = residual @ self.value[places]
         row[places] = residual[int(np.argmax(deviation))] - residual[int(np.argmin(deviation))]
         return row
 
     def _figure(self, name: str, kind: str, row: Array) -> Figure:
         used = row != 0
-        value = float(row[used] @ self._flat[used]) if np.isfinite(row).all() else np.nan
-        uncertainty = np.nan
-        if np.isfinite(value) and self.covariance is not None:
-            inner = self.covariance[np.ix_(used, used)]
-            uncertainty = float(np.sqrt(max(row[used] @ inner @ row[used], 0.0)))
-        return Figure(name, kind, value, uncertainty)
+        if not np.isfinite(row).all() or not np.isfinite(self.value[used]).all() or self._open(row[None])[0]:
+            return Figure(name, kind, np.nan, np.nan)
+        variance = row[used] @ self.covariance[np.ix_(used, used)] @ row[used]
+        return Figure(name, kind, float(row[used] @ self.value[used]), float(np.sqrt(max(variance, 0.0))))
 
 
 def eq17(blocks: Sequence[Array], error: Array) -> Array:
