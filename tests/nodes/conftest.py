@@ -114,7 +114,8 @@ def finish() -> Callable[[Operator, float], None]:
 
 def begin(operator: Operator) -> None:
     assert operator.wait(
-        lambda: operator.procedure.entries.get("state") == "idle" and not operator.procedure.entries["waiting_for"], 60.0
+        lambda: operator.procedure.entries.get("state") == "idle" and not operator.procedure.entries["waiting_for"],
+        60.0,
     ), operator.procedure
     operator.call("procedure/start", 10.0)
     deadline = time.monotonic() + 10.0

@@ -49,7 +49,7 @@ class AxisSimulator(Node):
         self._names = sorted(travel, key="xyzabc".index)
         home = {name: min(max(0.0, low), high) for name, (low, high) in travel.items()}
         self._motion = Trajectory.through(home, [], self.limits)
-        self._start = self._clock = self._origin if self._jumping else now(self)
+        self._start = self._simulated_now = self._origin if self._jumping else now(self)
         self._directions = dict.fromkeys(travel, 1)
         self._command = 0
         self._report: tuple[Level, str, dict[str, object]] = (Level.OK, "waiting for a command", {"state": "idle"})
@@ -104,7 +104,7 @@ class AxisSimulator(Node):
         )
 
     def _now(self) -> int:
-        return self._clock if self._jumping else now(self)
+        return self._simulated_now if self._jumping else now(self)
 
     def _commanded(self, message: JointTrajectory) -> None:
         stamp = from_message(message.header.stamp)
@@ -140,7 +140,7 @@ class AxisSimulator(Node):
     def _jump(self) -> None:
         arrival = self._start + nanoseconds(self._motion.arrival)
         held = self._start + nanoseconds(self._motion.end)
-        self._clock = held
+        self._simulated_now = held
         for stamp in (arrival, held) if held > arrival else (arrival,):
             self._publish_truth(stamp)
         self._set_report(Level.OK, "arrived", state="arrived", arrived=arrival, held=held)
@@ -160,13 +160,13 @@ class AxisSimulator(Node):
     def _heartbeat(self) -> None:
         self._publish_clock()
         if self._jumping:
-            self._publish_truth(self._clock)
-            self._publish_state(self._clock)
+            self._publish_truth(self._simulated_now)
+            self._publish_state(self._simulated_now)
         self._send_report()
 
     def _publish_clock(self) -> None:
         if self._ticks is not None:
-            self._ticks.publish(ClockMessage(clock=to_message(self._clock)))
+            self._ticks.publish(ClockMessage(clock=to_message(self._simulated_now)))
 
     def _publish_truth(self, stamp: int) -> None:
         since = seconds(stamp - self._start)

@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from types import FrameType
 
 import rclpy
@@ -66,7 +67,8 @@ def run(create: Callable[[], Node], args: list[str] | None = None) -> int:
     except ExternalShutdownException:
         pass
     except (CalibrationError, ParameterException) as error:
-        print(f"{node.get_name() if node else 'node'}: {' '.join(str(error).split())}", file=sys.stderr)
+        name = node.get_name() if node is not None else Path(sys.argv[0]).stem
+        print(f"{name}: {' '.join(str(error).split())}", file=sys.stderr)
         status = 1
     finally:
         if node is not None and hasattr(node, "close"):

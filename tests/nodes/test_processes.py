@@ -1,0 +1,106 @@
+"""Each node as a process: it stops when asked, refuses what is wrong, and describes its parameters."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.srv import DescribeParameters, ListParameters
+
+from .conftest import begin
+
+NAMES = ("axis_simulator", "rotary_pointer", "instrument", "procedure", "estimator")
+
+
+@pytest.mark.timeout(120)
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_stops_within_two_seconds_in_the_middle_of_work(bench, number):
+    graph = bench.graph(NAMES, simulated_time=number == signal.SIGINT)
+    operator = bench.operator(graph)
+    begin(operator)
+    operator.wait(lambda: len(operator.readings) >= 2, 20.0)
+    processes = {name: graph._running[name] for name in NAMES}
+    for process in processes.values():
+        process.send_signal(number)
+    asked = time.monotonic()
+    for name, process in processes.items():
+        assert process.wait(timeout=10.0) == 0, name
+        assert time.monotonic() - asked < 2.0, name
+
+
+@pytest.mark.timeout(60)
+def test_the_graph_ends_with_its_starter(tmp_path, ros_domain):
+    code = (
+        "import os, sys, time; from pathlib import Path;"
+        "from machine_tool_calibration.nodes.graph import Graph, Program;"
+        f"g = Graph([Program('rotary_pointer')], Path({str(tmp_path)!r}), {ros_domain}); g.__enter__();"
+        "print(g.process_id('rotary_pointer'), flush=True); time.sleep(60)"
+    )
+    starter = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    child = int(starter.stdout.readline())
+    starter.kill()
+    starter.wait()
+    deadline = time.monotonic() + 10.0
+    while _is_alive(child):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def _is_alive(process):
+    try:
+        with open(f"/proc/{process}/stat") as file:
+            return file.read().rsplit(")", 1)[1].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize(
+    ("name", "parameters", "message"),
+    [
+        ("procedure", {}, "the parameter procedure must name a procedure's YAML file"),
+        ("procedure", {"procedure": "/nowhere.yaml"}, "/nowhere.yaml: cannot be read: No such file or directory"),
+        ("axis_simulator", {"site": "/nowhere.yaml"}, "/nowhere.yaml: cannot be read: No such file or directory"),
+        ("axis_simulator", {"publish_clock": True}, "parameter publish_clock needs use_sim_time: true"),
+        ("axis_simulator", {"speed": -1.0}, "speed"),
+        ("instrument", {"driver": "/nowhere.yaml"}, "/nowhere.yaml: no such file"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(name, parameters, message):
+    command = [sys.executable, "-m", f"machine_tool_calibration.nodes.{name}", "--ros-args"]
+    for key, value in parameters.items():
+        command += ["-p", f"{key}:={str(value).lower() if isinstance(value, bool) else value}"]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=50, env=os.environ)
+    lines = [line for line in ended.stderr.splitlines() if line]
+    assert ended.returncode == 1
+    assert len(lines) == 1, ended.stderr
+    assert message in lines[0]
+
+
+@pytest.mark.timeout(120)
+def test_every_parameter_is_described(bench):
+    graph = bench.graph(NAMES)
+    operator = bench.operator(graph)
+    for name in NAMES:
+        listed = _call(operator, ListParameters, f"{name}/list_parameters", ListParameters.Request())
+        own = [key for key in listed.result.names if key not in ("use_sim_time", "start_type_description_service")]
+        assert own
+        request = DescribeParameters.Request(names=own)
+        for descriptor in _call(operator, DescribeParameters, f"{name}/describe_parameters", request).descriptors:
+            assert len(descriptor.description) > 15, (name, descriptor.name)
+            if descriptor.type == ParameterType.PARAMETER_DOUBLE:
+                assert descriptor.floating_point_range, (name, descriptor.name)
+                assert descriptor.description.endswith("]"), f"{name}: {descriptor.name} has no unit"
+            if descriptor.type == ParameterType.PARAMETER_INTEGER:
+                assert descriptor.integer_range, (name, descriptor.name)
+
+
+def _call(operator, kind, service, request):
+    client = operator._node.create_client(kind, service)
+    assert operator.wait(client.service_is_ready, 30.0), service
+    future = client.call_async(request)
+    assert operator.wait(future.done, 10.0)
+    return future.result()

@@ -1,0 +1,148 @@
+"""Stable windows, simulated samples and the environment of a moment, without ROS."""
+
+from collections import deque
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from machine_tool_calibration.nodes.averaging import Batch, NotYet, Recent, is_steady
+from machine_tool_calibration.nodes.environment import interpolate
+from machine_tool_calibration.nodes.simulated_source import SimulatedSource
+from machine_tool_calibration.nodes.site import Beam, Moment, Site, SiteSpec
+
+from .conftest import SITE
+
+MS = 1_000_000
+
+
+def batch(start, count, path):
+    return Batch(start + MS * np.arange(count), np.broadcast_to(np.asarray(path, float), count).copy())
+
+
+def test_a_window_is_the_newest_samples():
+    recent = Recent(1.0)
+    recent.add(batch(0, 500, 1.0))
+    recent.add(batch(500 * MS, 500, 2.0))
+    window = recent.window(0.1, 1e-9)
+    assert (window.path, window.spread, window.samples) == (2.0, 0.0, 101)
+    assert (window.start, window.end) == (899 * MS, 999 * MS)
+
+
+@pytest.mark.parametrize(
+    ("path", "kind"),
+    [(np.linspace(0, 1e-3, 500), "unstable"), (np.where(np.arange(500) == 450, np.nan, 0.0), "beam")],
+)
+def test_no_window_while_the_path_changes_or_is_missing(path, kind):
+    recent = Recent(1.0)
+    recent.add(batch(0, 500, path))
+    with pytest.raises(NotYet) as caught:
+        recent.window(0.1, 1e-6)
+    assert caught.value.kind == kind
+
+
+def test_no_window_before_enough_samples():
+    recent = Recent(1.0)
+    with pytest.raises(NotYet, match="no sample"):
+        recent.window(0.1, 1e-6)
+    recent.add(batch(0, 50, 0.0))
+    with pytest.raises(NotYet, match="too few"):
+        recent.window(0.1, 1e-6)
+
+
+def test_noise_is_steady_and_a_slow_creep_is_not():
+    noise = 1e-7 * np.random.default_rng(1).normal(size=1000)
+    assert is_steady(noise, 1e-7)
+    assert not is_steady(noise + np.linspace(0, 1e-6, 1000), 1e-7)
+
+
+def test_old_samples_are_forgotten():
+    recent = Recent(0.2)
+    for index in range(100):
+        recent.add(batch(index * 100 * MS, 100, 0.0))
+    assert len(recent._batches) <= 4
+
+
+@given(st.permutations([(0, 1.0), (10, 2.0), (20, 4.0)]), st.integers(-30, 50))
+def test_environment_of_a_moment_does_not_depend_on_the_order_of_messages(samples, stamp):
+    value = interpolate(deque(samples), stamp, age=15)
+    near = [entry for entry in [(0, 1.0), (10, 2.0), (20, 4.0)] if abs(entry[0] - stamp) <= 15]
+    if not near:
+        assert value is None
+    else:
+        assert value == pytest.approx(np.interp(stamp, *zip(*near, strict=True)))
+
+
+@pytest.fixture
+def source():
+    made = SimulatedSource(Site(SiteSpec(**{**SITE, "noise": 3e-7})), 0, 1000.0, 2e-8, 2e-3)
+    made.set_beam(0, "A", 0, Beam(np.array([-0.35, 0.0, 0.0]), np.array([1.0, 0.0, 0.0])))
+    return made
+
+
+def hold(source, begin, end, x):
+    source.add_point(begin, np.array([x, 0.0, 0.0]))
+    source.add_point(end, np.array([x, 0.0, 0.0]))
+
+
+def test_a_reading_in_simulated_time_is_the_path_and_its_noise(source):
+    values = []
+    for index in range(400):
+        hold(source, index * 1000 * MS, (index * 1000 + 500) * MS, 0.1)
+        window = source.window(0.1)
+        assert (window.start, window.end) == ((index * 1000 + 400) * MS, (index * 1000 + 500) * MS)
+        assert window.path == pytest.approx(source.stream().path.mean(), abs=1e-12)
+        values.append(window.path)
+    assert np.mean(values) == pytest.approx(0.45, abs=5 * 3e-7 / 20)
+    assert np.std(values) == pytest.approx(3e-7, rel=0.15)
+
+
+def test_no_reading_while_the_axes_move_or_have_not_stood_long_enough(source):
+    hold(source, 0, 50 * MS, 0.1)
+    with pytest.raises(NotYet, match="not stood still for 0.1 s"):
+        source.window(0.1)
+    source.add_point(500 * MS, np.array([0.2, 0.0, 0.0]))
+    with pytest.raises(NotYet, match="not stood still"):
+        source.window(0.1)
+
+
+def test_a_target_beside_the_beam_is_not_read(source):
+    source.add_point(0, np.array([0.1, 0.003, 0.0]))
+    source.add_point(500 * MS, np.array([0.1, 0.003, 0.0]))
+    with pytest.raises(NotYet) as caught:
+        source.window(0.1)
+    assert caught.value.kind == "beam"
+
+
+def test_moving_the_instrument_to_another_setup_loses_the_count(source):
+    assert source.lost() == ""
+    source.set_beam(1, "B", 1, Beam(np.zeros(3), np.array([1.0, 0.0, 0.0])))
+    assert source.lost() == "the instrument was moved from setup A to B"
+    assert source.lost() == ""
+
+
+def test_the_stream_follows_the_motion_without_gaps(source):
+    batches = []
+    for tick in range(100):
+        source.add_point(tick * 10 * MS, np.array([0.001 * tick, 0.0, 0.0]))
+        batches.append(source.take(tick * 10 * MS))
+    time = np.concatenate([entry.time for entry in batches])
+    path = np.concatenate([entry.path for entry in batches])
+    assert set(np.diff(time)) == {MS}
+    assert np.abs(path - (0.35 + 0.1 * time * 1e-9)).max() < 5e-6
+
+
+def test_the_streams_noise_has_the_declared_size(source):
+    batches = []
+    for tick in range(4000):
+        source.add_point(tick * 50 * MS, np.array([0.1, 0.0, 0.0]))
+        batches.append(source.take(tick * 50 * MS).path)
+    assert np.concatenate(batches).std() == pytest.approx(3e-7, rel=0.15)
+
+
+def test_a_site_is_the_same_for_every_process():
+    one, two = Site(SiteSpec(**SITE)), Site(SiteSpec(**SITE))
+    moment = Moment(12.0, {"x": 0.1, "y": 0.2}, {"x": 1, "y": -1})
+    assert one.functional_point(moment).tolist() == two.functional_point(moment).tolist()
+    assert one.sensed(7.0) == two.sensed(7.0)
