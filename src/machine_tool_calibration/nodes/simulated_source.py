@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
-from scipy.signal import lfilter
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.nodes.averaging import Batch, NotYet, Window
@@ -180,9 +179,11 @@ class SimulatedSource:
 
     def _noise(self, count: int) -> Array:
         """White noise of the samples, and the air's, which is correlated in time."""
-        decay = float(np.exp(-self._step * 1e-9 / _TURBULENCE))
-        kicks = self.site.spec.noise * np.sqrt(1.0 - decay**2) * self._random.normal(size=count)
-        air, _ = lfilter([1.0], [1.0, -decay], kicks, zi=[decay * self._air])
+        step = self._step * 1e-9 / _TURBULENCE
+        kicks = self.site.spec.noise * np.sqrt(-np.expm1(-2.0 * step)) * self._random.normal(size=count)
+        # air[k] = decay air[k-1] + kick[k], summed up; a batch is shorter than the gap that restarts the stream
+        growth = np.exp(step * np.arange(1, count + 1))
+        air = (self._air + np.cumsum(kicks * growth)) / growth
         self._air = float(air[-1])
         return np.asarray(air + self._sample_noise * self._random.normal(size=count))
 

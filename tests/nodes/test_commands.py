@@ -1,0 +1,106 @@
+"""`mtcal run` and `mtcal demo` as a person or a program calls them."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.recording.session_from_bag import session_from_bag
+from machine_tool_calibration.session.reader import read_session
+
+from .conftest import PROCEDURE, SITE
+
+
+def mtcal(*arguments, folder, timeout=100):
+    command = [sys.executable, "-m", "machine_tool_calibration", *map(str, arguments)]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=timeout, env=os.environ)
+
+
+@pytest.mark.timeout(120)
+def test_demo_measures_records_identifies_and_judges(tmp_path):
+    ended = mtcal("demo", "--seed", 3, "--json", folder=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    document = json.loads(ended.stdout)
+    assert document["format"] == "mtcal-demo/1"
+    assert document["readings"] == 288
+    assert document["seconds"] < 60.0
+    # the map is as good as its stated uncertainty, and far better than no map
+    stated = np.array(document["result"]["error_map"]["position_error_u"], dtype=float)[:, :2]
+    assert document["map_error_rms"] < 2.0 * np.sqrt(np.mean(np.sum(stated**2, axis=1)))
+    assert document["map_error_rms"] < 0.3 * document["machine_error_rms"]
+    assert 0.5 < document["result"]["reduced_chi_square"] < 1.5
+
+    # the recording and the session hold the same readings, and give the same map to the last bit
+    recorded = session_from_bag(tmp_path / document["bag"])
+    written = read_session(tmp_path / document["session"])
+    maps = []
+    for session in (recorded, written):
+        assert len(session.readings) == 288
+        maps.append(identify(session).error_map.error)
+    live = np.array(document["result"]["error_map"]["position_error"], dtype=float)
+    assert np.array_equal(maps[0], maps[1], equal_nan=True)
+    assert np.array_equal(maps[0][:, :2], live[:, :2])
+
+    # the same again does not overwrite
+    again = mtcal("demo", "--seed", 3, "--json", "--output", document["output"], folder=tmp_path)
+    assert again.returncode == 1
+    assert again.stderr.strip() == f"mtcal: {document['output']}: is there already; choose another output folder"
+
+
+@pytest.mark.timeout(120)
+def test_run_in_a_namespace_without_recording(tmp_path, bench):
+    procedure, site = bench.write("small.yaml", PROCEDURE), bench.write("site.yaml", SITE)
+    ended = mtcal(
+        "run",
+        procedure,
+        "--site",
+        site,
+        "--no-record",
+        "--namespace",
+        "cell_7",
+        "--model",
+        "rigid_body",
+        folder=tmp_path,
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert "128 readings" in ended.stdout
+    output = tmp_path / "mtcal_output" / "small"
+    assert read_session(output / "session").readings.displacement.shape == (128,)
+    assert json.loads((output / "result.json").read_text())["model"] == "rigid_body"
+    assert not (output / "bag").exists()
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            ["run", "nothing"],
+            "mtcal: nothing: no such file, and no procedure of that name; known are tracking_2d, tracking_3d",
+        ),
+        (["run", "nothing.yaml"], "mtcal: nothing.yaml: cannot be read: No such file or directory"),
+        (["run", "tracking_2d", "--site", "no.yaml"], "mtcal: no.yaml: cannot be read: No such file or directory"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(tmp_path, arguments, message):
+    ended = mtcal(*arguments, folder=tmp_path)
+    assert ended.returncode == 1
+    assert ended.stderr.strip() == message
+    assert list(Path(tmp_path).iterdir()) == []
+
+
+@pytest.mark.timeout(120)
+def test_a_procedure_that_fails_keeps_what_was_measured(tmp_path, bench):
+    # the pointer's true direction is wrong by 0.5 degrees: the beam misses the retroreflector
+    site = bench.write("site.yaml", {**SITE, "pointer": {"zero_offset": 0.009}})
+    ended = mtcal("run", bench.write("small.yaml", PROCEDURE), "--site", site, folder=tmp_path)
+    assert ended.returncode == 1
+    assert (
+        ended.stderr.strip().splitlines()[-1].startswith("mtcal: the procedure ended: instrument: the beam is beside")
+    )
+    assert (tmp_path / "mtcal_output" / "small" / "log" / "instrument.log").exists()
