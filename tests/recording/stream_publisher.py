@@ -1,6 +1,7 @@
 """A program for the tests: publishes a stream, and a description that is latched, once the recorder listens.
 
-Arguments: namespace, batches, batches per second (0: as they fit), samples per batch. Prints a line for each event.
+Arguments: namespace, batches, batches per second (0: as they fit), samples per batch, and `clock` if it shall also
+publish /clock, which begins at 100 s and advances by a second a batch. Prints a line for each event.
 Every sample is its own number, and every batch's first value of `joint_states` is the wall time at which it was sent.
 """
 
@@ -9,8 +10,10 @@ import time
 from array import array
 
 import rclpy
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import Float64MultiArray, String
 
@@ -37,8 +40,12 @@ def main() -> None:
         if time.monotonic() > end:
             raise SystemExit("the recorder did not come")
     print("matched", flush=True)
+    clock = node.create_publisher(Clock, "/clock", 10) if "clock" in sys.argv else None
+    time.sleep(1.0 if clock else 0.0)
     start = time.monotonic()
     for k in range(batches):
+        if clock:
+            clock.publish(Clock(clock=Time(sec=100 + k)))
         stream.publish(Float64MultiArray(data=array("d", range(k * samples, (k + 1) * samples))))
         states.publish(JointState(name=["wall"], position=[time.time()]))
         if k % 10 == 0:

@@ -53,8 +53,8 @@ def recorder(*parameters: str, namespace: str = "/"):
     )
 
 
-def publisher(namespace: str, batches: int, rate: float, samples: int):
-    return program(str(PUBLISHER), namespace, str(batches), str(rate), str(samples))
+def publisher(namespace: str, batches: int, rate: float, samples: int, *more: str):
+    return program(str(PUBLISHER), namespace, str(batches), str(rate), str(samples), *more)
 
 
 def expect(process: subprocess.Popen[str], word: str) -> str:
@@ -125,6 +125,21 @@ def test_chosen_topics_of_any_quality(tmp_path: Path, ros_domain: int) -> None:
     assert set(bag.topics) == {"/loose", "/instrument/displacement"}
     assert bag.topics["/loose"].qos[0].reliability == "best_effort"
     assert bag.topics["/loose"].messages > 0
+
+
+def test_simulated_time(tmp_path: Path, ros_domain: int) -> None:
+    folder = tmp_path / "bag"
+    with recorder(f"folder:={folder}", "use_sim_time:=true") as process, publisher("/", 100, 50, 1, "clock") as sender:
+        expect(sender, "sent")
+        stop(process)
+    bag = BagReader(folder)
+    assert np.array_equal(samples_of(bag), np.arange(100))
+    times = [message.log_time for message in bag.messages()]
+    # nothing is dated before the first clock message, though the description came before it
+    assert min(times) >= 100 * 10**9
+    assert max(times) < 200 * 10**9
+    assert times == sorted(times)
+    assert bag.topics["/session"].messages == 1
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

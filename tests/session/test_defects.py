@@ -137,6 +137,12 @@ YAML_DEFECTS: list[tuple[str, str, str, str]] = [
         "session.yaml: setups[0].position: station 'A' is 350.022 m away; these look like millimetres; "
         "lengths are in metres",
     ),
+    (
+        "rotary_axis",
+        "axis: C",
+        "axis: B",
+        "session.yaml line 3: machine: axis is 'B', which is no rotary axis of the chain w-C-b-t",
+    ),
     ("rotary_axis", "id: Q", "id: P", "session.yaml: targets has the id 'P' twice"),
     (
         "rotary_axis",

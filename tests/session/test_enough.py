@@ -85,11 +85,18 @@ def test_rotary_targets_on_a_line(session_folder) -> None:
     )
 
 
-def test_two_rotary_targets(session_folder) -> None:
+@pytest.mark.parametrize("targets", ["P", "PQ"])
+def test_one_and_two_rotary_targets_are_enough_for_what_they_show(session_folder, targets: str) -> None:
     folder = session_folder("rotary_axis")
-    folder.edit_rows(lambda fields, _: fields if fields["target"] != "K" else None)
+    folder.edit_rows(lambda fields, _: fields if fields["target"] in targets else None)
+    assert len(read_session(folder.path).readings) == 72 * len(targets)
+
+
+def test_one_rotary_target_needs_ten_angles(session_folder) -> None:
+    folder = session_folder("rotary_axis")
+    folder.edit_rows(lambda fields, _: fields if fields["target"] == "P" and float(fields["c"]) < 3.0 else None)
     assert message(folder.path) == (
-        "observations.csv: readings of 2 targets; rotary_axis needs at least 3 to tell the six error motions apart"
+        "observations.csv: too few readings: 36 different ones at 9 angles for 37 unknowns; measure more angles"
     )
 
 

@@ -83,6 +83,8 @@ class Machine(Record):
         for name, nodes in (self.table_grid or {}).items():
             if any(b <= a for a, b in itertools.pairwise(nodes)):
                 raise ValueError(f"table_grid of {name} must increase")
+        if self.axis is not None and self.axis.upper() not in chain.rotary:
+            raise ValueError(f"axis is {self.axis!r}, which is no rotary axis of the chain {self.chain}")
         return self
 
 

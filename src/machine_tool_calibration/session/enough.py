@@ -103,12 +103,7 @@ def _rotary(session: Session, description: RotaryAxis, measured: BoolArray, plac
     readings = session.readings
     ids = [target.id for target in description.targets]
     used = [i for i, name in enumerate(ids) if np.any(readings.labels["target"][measured] == name)]
-    if len(used) < 3:
-        raise SessionError(
-            f"{place.readings}: readings of {_count(len(used), 'target')}; rotary_axis needs at least 3 "
-            "to tell the six error motions apart"
-        )
-    if on_a_line(np.array([description.targets[i].position for i in used])):
+    if len(used) > 2 and on_a_line(np.array([description.targets[i].position for i in used])):
         raise SessionError(
             f"{place.description}: targets: all targets lie on a line, so the rotation about it cannot be determined"
         )
@@ -125,8 +120,11 @@ def _rotary(session: Session, description: RotaryAxis, measured: BoolArray, plac
         ),
         axis=0,
     )
-    # the table moves as a rigid body: six per angle, three per target, three per station, a path each; minus the frame
-    unknown = 6 * (angles - 1) + 3 * len(used) + (3 + len(used)) * count - 6
+    # the table moves as a rigid body; one or two targets show three or five of its six motions. At each angle but the
+    # first that many unknowns, three per target and station, a path for each pair of them; minus the frame
+    # (with one target: 3 n + 13, Zhang et al. 2015)
+    per_angle = {1: 3, 2: 5}.get(len(used), 6)
+    unknown = per_angle * (angles - 1) + 3 * len(used) + (3 + len(used)) * count - 6
     if len(pairs) < unknown:
         raise SessionError(
             f"{place.readings}: too few readings: {len(pairs)} different ones at {angles} angles "

@@ -6,6 +6,7 @@ import difflib
 from collections.abc import Collection
 
 from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.session.description import Description, Direct, RotaryAxis, TrackingInterferometer
 
 __all__ = ["needed_columns", "require_columns", "rotary_column"]
@@ -14,8 +15,9 @@ _AXES = ("x", "y", "z", "a", "b", "c")
 
 
 def rotary_column(description: RotaryAxis) -> str:
-    """The column of the rotary axis under test: `c`, unless the machine names another axis."""
-    return (description.machine.axis or "C").lower()
+    """The column of the rotary axis under test: the one that the machine names, else the chain's, else `c`."""
+    rotary = Chain.parse(description.machine.chain).rotary
+    return (description.machine.axis or (rotary[0] if len(rotary) == 1 else "C")).lower()
 
 
 def needed_columns(description: Description) -> tuple[str, ...]:
