@@ -44,7 +44,7 @@ def _axis_read(observations: Observations, mine: IntArray) -> int | None:
     if len(mine) < 4:
         return None
     moved = np.ptp(observations.position[mine], axis=0) > _STILL
-    along = (np.abs(observations.direction[mine]) > _ALONG).all(axis=0)
+    along = np.abs(observations.direction[mine]).min(axis=0) > _ALONG
     if moved.sum() != 1 or not along[int(np.argmax(moved))]:
         return None
     return int(np.argmax(moved))

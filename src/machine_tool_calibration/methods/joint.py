@@ -1,0 +1,231 @@
+"""Several sessions of one machine in one fit: shared machine errors, each instrument's own unknowns, one map."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from machine_tool_calibration.effects.catalogue import find_effects
+from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.methods.identify import build_model, rejected_readings
+from machine_tool_calibration.methods.joint_agreement import Agreement, agreement
+from machine_tool_calibration.methods.joint_map import joint_map
+from machine_tool_calibration.methods.joint_model import CommonModels, common_models
+from machine_tool_calibration.model.effect_terms import add_effects, effect_term
+from machine_tool_calibration.model.fit import JointFit, fit_models
+from machine_tool_calibration.model.model import MethodModel
+from machine_tool_calibration.model.result import ErrorMap, Estimate, Rejected, plain
+from machine_tool_calibration.session.session import Session
+
+__all__ = ["JointResult", "identify_sessions", "joint_models"]
+
+# The variant of each method in which the machine's errors are tables that others can share.
+_SHARING = {"tracking_interferometer": "rigid_body", "step_diagonal": "translations"}
+
+
+@dataclass(frozen=True)
+class JointResult:
+    """Several sessions fitted together.
+
+    Attributes:
+        labels: names of the sessions.
+        fit: of all of them.
+        common: the models and what they share.
+        error_map: one map.
+        agreement: whether the sessions agree.
+        effects: ids of the effects that were added.
+        model_names: variant of each session's model.
+        rejected: readings kept out, for each session.
+        observations: readings recorded in each session.
+    """
+
+    labels: tuple[str, ...]
+    fit: JointFit
+    common: CommonModels
+    error_map: ErrorMap
+    agreement: Agreement
+    effects: tuple[str, ...]
+    model_names: tuple[str, ...]
+    rejected: tuple[tuple[Rejected, ...], ...]
+    observations: tuple[int, ...]
+
+    @property
+    def parameters(self) -> list[Estimate]:
+        """The unknowns that the data determines; those of an instrument carry the session's label."""
+        solution = self.fit.solution
+        sigma = np.sqrt(np.diag(solution.covariance).clip(0.0))
+        return [
+            Estimate(p.name, float(p.reference + value), float(u), p.unit)
+            for p, value, u, good in zip(
+                self.fit.assembly.parameters, solution.theta, sigma, solution.is_determined(), strict=True
+            )
+            if good
+        ]
+
+    @property
+    def not_determined(self) -> list[dict[str, str]]:
+        """What no session determines, with the reason."""
+        out: dict[str, str] = {}
+        names = [p.name for p in self.fit.assembly.parameters]
+        solution = self.fit.solution
+        for k in np.flatnonzero(~solution.is_determined()):
+            direction = solution.undetermined @ solution.undetermined[k]
+            others = [names[j] for j in np.argsort(-np.abs(direction)) if j != k and abs(direction[j]) > 1e-6]
+            why = "no reading depends on it"
+            if others:
+                why = f"the readings do not change if it changes together with {', '.join(others[:4])}"
+            out[names[k]] = why
+        return [{"name": name, "why": why} for name, why in out.items()]
+
+    def document(self) -> dict[str, Any]:
+        """The result as a JSON document: that of a single session, with the sessions and their agreement."""
+        solution = self.fit.solution
+        residuals = [fit.residuals for fit in self.fit.fits]
+        return {
+            "format": "mtcal-result/1",
+            "method": "joint",
+            "observations": sum(self.observations),
+            "used": self.fit.assembly.problem.n_readings,
+            "rejected": [
+                {"session": label, "row": r.row, "reason": r.reason}
+                for label, rejected in zip(self.labels, self.rejected, strict=True)
+                for r in rejected
+            ],
+            "rms_residual": float(np.sqrt(np.mean(np.concatenate(residuals) ** 2))),
+            "reduced_chi_square": self.fit.reduced_chi_square,
+            "degrees_of_freedom": solution.degrees_of_freedom,
+            "p_value": self.fit.p_value,
+            "effects": list(self.effects),
+            "sessions": [
+                {
+                    "label": label,
+                    "method": model.observations.session.method,
+                    "model": name,
+                    "observations": count,
+                    "used": len(model.observations),
+                    "rms_residual": float(np.sqrt(np.mean(values**2))),
+                }
+                for label, model, name, count, values in zip(
+                    self.labels, self.common.models, self.model_names, self.observations, residuals, strict=True
+                )
+            ],
+            "agreement": plain(asdict(self.agreement)),
+            "parameters": [asdict(estimate) for estimate in self.parameters],
+            "not_determined": self.not_determined,
+            "datum": self.common.datum,
+            "error_map": plain(self.error_map.content),
+        }
+
+
+def joint_models(
+    sessions: Sequence[Session], labels: Sequence[str], *, model: str | None = None, effects: Sequence[Effect] = ()
+) -> tuple[CommonModels, tuple[str, ...]]:
+    """The models of several sessions of one machine, with the same unknowns of the machine.
+
+    Args:
+        sessions: the measurements.
+        labels: their names, all different.
+        model: variant of the methods that have it; otherwise the one with tables of the machine's errors.
+        effects: added to every session in which they can act.
+
+    Raises:
+        ModelError: fewer than two sessions, labels that repeat, different machines, or an effect that acts in none.
+    """
+    if len(sessions) < 2:
+        raise ModelError("several sessions are needed to fit them together")
+    if len(labels) != len(sessions) or len(set(labels)) < len(labels):
+        raise ModelError("each session needs a label of its own")
+    built, names = [], []
+    for session in sessions:
+        base, name = build_model(session, _variant(session, model))
+        built.append(base)
+        names.append(name)
+    common = common_models(built, labels)
+    if not effects:
+        return common, tuple(names)
+    return _with_effects(common, labels, effects), tuple(names)
+
+
+def identify_sessions(
+    sessions: Sequence[Session],
+    labels: Sequence[str],
+    *,
+    model: str | None = None,
+    effects: Sequence[str] = (),
+    own: Sequence[Effect] = (),
+) -> JointResult:
+    """Identify one machine from several sessions, of the same or of different methods.
+
+    Args:
+        sessions: the measurements.
+        labels: their names, all different.
+        model: variant of the methods that have it.
+        effects: ids of physical effects to add, in every session in which they can act.
+        own: the user's own effects, beside the catalogue.
+
+    Raises:
+        ModelError: as for `joint_models`; a session that contradicts itself; or too few readings.
+    """
+    common, names = joint_models(sessions, labels, model=model, effects=find_effects(effects, own))
+    joint = fit_models(common.models, labels)
+    return JointResult(
+        labels=tuple(labels),
+        fit=joint,
+        common=common,
+        error_map=joint_map(joint, common),
+        agreement=agreement(joint, common, labels, _spread(common)),
+        effects=tuple(effects),
+        model_names=names,
+        rejected=tuple(rejected_readings(session) for session in sessions),
+        observations=tuple(len(session.readings) for session in sessions),
+    )
+
+
+def _variant(session: Session, model: str | None) -> str | None:
+    module = {"tracking_interferometer": "tracking"}.get(session.method, session.method)
+    known = import_module(f"machine_tool_calibration.methods.{module}").MODELS
+    return model if model in known else _SHARING.get(session.method)
+
+
+def _with_effects(common: CommonModels, labels: Sequence[str], effects: Sequence[Effect]) -> CommonModels:
+    models = []
+    used: set[str] = set()
+    for model in common.models:
+        mine = [effect for effect in effects if effect.why_not(model.observations) is None]
+        used |= {effect.id for effect in mine}
+        # Even where a session by itself takes the effect up, the others may tell it.
+        straight = [effect_term(effect, model.observations) for effect in mine if not effect.shapes]
+        extended = add_effects(model.with_terms(straight), [effect for effect in mine if effect.shapes])
+        # A nonlinear coefficient is linearised where each session finds it: it cannot be shared.
+        curved = {effect.id for effect in mine if effect.shapes}
+        terms = tuple(
+            replace(term, parameters=tuple(replace(p, shared=False) for p in term.parameters))
+            if term.name in curved
+            else term
+            for term in extended.terms
+        )
+        models.append(replace(extended, terms=terms))
+    for effect in effects:
+        if effect.id not in used:
+            reasons = {label: effect.why_not(m.observations) for label, m in zip(labels, common.models, strict=True)}
+            first, why = next(iter(reasons.items()))
+            raise ModelError(f"effect {effect.id} acts in no session: {first}: {why}")
+    return replace(common, models=tuple(models))
+
+
+def _spread(common: CommonModels) -> float:
+    """Reduced chi-square of the sessions fitted one by one, with the datum that each needs alone."""
+    total, freedom = 0.0, 0
+    for model in common.models:
+        alone: MethodModel = common_models([model], [""]).models[0]
+        try:
+            solution = fit_models([alone]).solution
+        except ModelError:
+            continue
+        total, freedom = total + solution.chi_square, freedom + solution.degrees_of_freedom
+    return total / freedom if freedom else 1.0

@@ -1,0 +1,260 @@
+"""Whether several sessions of one machine agree; if not, which contradicts the others and in which error motion.
+
+For every session and every unknown of the machine that it shares, the joint model is given a difference between what
+this session sees and what the others see: a smooth function of the axis's position. How much better all readings then
+fit is a chi-square of as many degrees of freedom as the difference has beside the session's own unknowns. The readings'
+own spread counts: where they scatter more than was declared, by the sessions' fits one by one, a contradiction must
+exceed that. The largest is taken into the model before the next is looked for, so that one contradiction is not
+reported under several names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import special, stats
+
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.estimation.projection import project
+from machine_tool_calibration.estimation.solve import gram
+from machine_tool_calibration.methods.joint_model import CommonModels
+from machine_tool_calibration.model.fit import JointFit
+from machine_tool_calibration.model.model import MethodModel, assemble
+from machine_tool_calibration.model.terms import Parameter, Term
+
+__all__ = ["Agreement", "Contradiction", "agreement"]
+
+_LEVEL = 0.01
+_ROUNDS = 3
+_DEGREE = 4
+# Share of the best explanation's logarithm of probability above which another is named beside it.
+_ALIKE = 0.7
+# Share of a difference's columns outside the model below which the session's own unknowns take it up.
+_ABSORBED = 1e-8
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """A session that sees an error motion otherwise than the others.
+
+    Attributes:
+        session: its label.
+        others: labels of the sessions that see the same motion.
+        motion: the error motion or effect.
+        alike: other motions with which this contradiction could be explained nearly as well.
+        difference: largest difference, session minus others, m or rad.
+        difference_u: its standard uncertainty.
+        unit: m, rad or that of the effect's coefficient.
+        p_value: of the chi-square, times the number of comparisons (Bonferroni).
+    """
+
+    session: str
+    others: tuple[str, ...]
+    motion: str
+    alike: tuple[str, ...]
+    difference: float
+    difference_u: float
+    unit: str
+    p_value: float
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Whether sessions agree.
+
+    Attributes:
+        comparisons: number of pairs of session and motion that could be compared.
+        p_value: smallest, times the number of comparisons; None where nothing is shared.
+        spread: factor by which the readings of the sessions scatter more than declared, 1 at least.
+        contradictions: the largest first.
+        statement: in one sentence each.
+    """
+
+    comparisons: int
+    p_value: float | None
+    spread: float
+    contradictions: tuple[Contradiction, ...]
+    statement: str
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    session: int
+    motion: str
+    unit: str
+    others: tuple[int, ...]
+    columns: Array  # (k, n) of the session's readings
+    shape: Array  # (values, k) the difference at nodes per unit of the columns' coefficients
+
+
+def agreement(joint: JointFit, common: CommonModels, labels: Sequence[str], spread: float) -> Agreement:
+    """Compare the sessions of a joint fit.
+
+    Args:
+        joint: the fit.
+        common: its models.
+        labels: of the sessions.
+        spread: reduced chi-square of the sessions fitted one by one, all together.
+    """
+    candidates = _candidates(common.models)
+    if not candidates:
+        return Agreement(0, None, 1.0, (), "the sessions share no error motion that could be compared")
+    matrix, vector, start, size = _scores(joint, labels, candidates)
+    factor = max(1.0, spread)
+    pending = list(range(len(candidates)))
+    found: list[Contradiction] = []
+    smallest = 1.0
+    for round_ in range(_ROUNDS):
+        tests = [(k, *_test(matrix, vector, _where(start, k), size)) for k in pending]
+        tests = [(k, chi, rank) for k, chi, rank in tests if rank]
+        if not tests:
+            break
+        logs = [_log_tail(chi / factor, rank) for _, chi, rank in tests]
+        best = int(np.argmin(logs))
+        p = min(1.0, float(np.exp(logs[best])) * len(tests))
+        if round_ == 0:
+            smallest, count = p, len(tests)
+        if p > _LEVEL:
+            break
+        chosen = tests[best][0]
+        value, uncertainty = _difference(matrix, vector, _where(start, chosen), size, candidates[chosen])
+        entry = candidates[chosen]
+        partners = {entry.session, *entry.others}
+        alike = [
+            candidates[k].motion
+            for (k, _, _), log in zip(tests, logs, strict=True)
+            if log < _ALIKE * logs[best] and candidates[k].session in partners and candidates[k].motion != entry.motion
+        ]
+        found.append(
+            Contradiction(
+                labels[entry.session],
+                tuple(labels[k] for k in entry.others),
+                entry.motion,
+                tuple(dict.fromkeys(alike)),
+                value,
+                uncertainty * np.sqrt(factor),
+                entry.unit,
+                p,
+            )
+        )
+        matrix, vector = _taken_in(matrix, vector, _where(start, chosen), size)
+        pending = [k for k in pending if k != chosen and candidates[k].columns.size]
+    if not found:
+        text = f"the sessions agree: of {count} comparisons the worst has p = {smallest:.2g}" if pending else ""
+        return Agreement(count, smallest, float(np.sqrt(factor)), (), text)
+    return Agreement(
+        count, smallest, float(np.sqrt(factor)), tuple(found), "; ".join(_sentence(entry) for entry in found)
+    )
+
+
+def _log_tail(chi_square: float, rank: int) -> float:
+    """Logarithm of the probability of a chi-square at least so large, also where that is zero in floating point."""
+    log = float(stats.chi2.logsf(chi_square, rank))
+    if np.isfinite(log):
+        return log
+    half, a = chi_square / 2, rank / 2
+    return float((a - 1) * np.log(half) - half - special.gammaln(a))
+
+
+def _sentence(entry: Contradiction) -> str:
+    scale, unit = (1e6, {"m": "um", "rad": "urad"}[entry.unit]) if entry.unit in ("m", "rad") else (1.0, entry.unit)
+    motion = entry.motion if not entry.alike else f"{entry.motion} (or {', '.join(entry.alike)})"
+    size = f"{abs(entry.difference) * scale:.3g} {unit} (standard uncertainty {entry.difference_u * scale:.2g} {unit})"
+    if len(entry.others) == 1:
+        pair = f"sessions {entry.session!r} and {entry.others[0]!r}"
+        return (
+            f"{pair} contradict each other in {motion} by up to {size}; "
+            "two sessions cannot tell which of them is wrong"
+        )
+    return f"session {entry.session!r} contradicts the others in {motion} by up to {size}"
+
+
+def _candidates(models: Sequence[MethodModel]) -> list[_Candidate]:
+    shared = [{p.name for p in model.parameters if p.shared} for model in models]
+    out = []
+    for index, model in enumerate(models):
+        for term in model.terms:
+            names = [p.name for p in term.parameters]
+            mine = shared[index] & set(names)
+            others = tuple(j for j in range(len(models)) if j != index and mine & shared[j])
+            common = [k for k, name in enumerate(names) if any(name in mine & shared[j] for j in others)]
+            if not common or np.abs(term.columns[common]).max(initial=0.0) == 0.0:
+                continue
+            shape = _smooth(model, term, common)
+            unit = term.parameters[common[0]].unit
+            out.append(_Candidate(index, term.name, unit, others, shape.T @ term.columns[common], shape))
+    return out
+
+
+def _smooth(model: MethodModel, term: Term, common: Sequence[int]) -> Array:
+    """(values, k) smooth functions over a table's nodes: Legendre polynomials; every value by itself if few."""
+    table = next((t for t in getattr(model, "tables", None) or () if t.name == term.name), None)
+    if table is None or len(common) <= _DEGREE + 1 or len(common) != len(table.nodes):
+        return np.eye(len(common))
+    nodes = table.nodes
+    middle, half = (nodes[0] + nodes[-1]) / 2, (nodes[-1] - nodes[0]) / 2
+    return np.asarray(np.polynomial.legendre.legvander((nodes - middle) / half, _DEGREE))
+
+
+def _scores(
+    joint: JointFit, labels: Sequence[str], candidates: Sequence[_Candidate]
+) -> tuple[Array, Array, IntArray, Array]:
+    """Inner products of all differences, the joint model projected off, and with the residuals."""
+    models = list(joint.assembly.models)
+    names: list[str] = []
+    for number, entry in enumerate(candidates):
+        own = [f"difference {number}.{k}" for k in range(len(entry.columns))]
+        names += [f"{labels[entry.session]}/{name}" for name in own]
+        term = Term(f"difference {number}", tuple(Parameter(name, "1") for name in own), entry.columns)
+        models[entry.session] = models[entry.session].with_terms([term])
+    bare = [replace(model, constraints=(), priors=model.priors) for model in models]
+    wide = assemble(bare, labels)
+    place = {p.name: k for k, p in enumerate(wide.parameters)}
+    old = np.array([place[p.name] for p in joint.assembly.parameters])
+    new = np.array([place[name] for name in names])
+    theta = np.zeros(len(wide.parameters))
+    theta[old] = joint.solution.theta
+    total, squares = gram(wide.problem, theta, joint.solution.local)
+    order = np.concatenate([old, new, [len(theta)]])
+    projected = project(total[np.ix_(order, order)], squares[order], joint.solution.covariance, len(new))
+    start = np.cumsum([0, *(len(entry.columns) for entry in candidates)])
+    return projected.gram[:-1, :-1], projected.gram[:-1, -1], start, projected.squares[:-1]
+
+
+def _where(start: IntArray, k: int) -> slice:
+    return slice(int(start[k]), int(start[k + 1]))
+
+
+def _inverse(matrix: Array, where: slice, size: Array) -> tuple[Array, int]:
+    """Pseudo-inverse of the block, without what the model takes up, and its rank."""
+    scale = 1.0 / np.sqrt(np.maximum(size[where], 1e-300))
+    block = matrix[where, where] * np.outer(scale, scale)
+    values, vectors = np.linalg.eigh((block + block.T) / 2)
+    good = values > _ABSORBED
+    half = vectors[:, good] / np.sqrt(values[good]) * scale[:, None]
+    return half @ half.T, int(good.sum())
+
+
+def _test(matrix: Array, vector: Array, where: slice, size: Array) -> tuple[float, int]:
+    inverse, rank = _inverse(matrix, where, size)
+    return float(vector[where] @ inverse @ vector[where]), rank
+
+
+def _difference(
+    matrix: Array, vector: Array, where: slice, size: Array, entry: _Candidate
+) -> tuple[float, float]:
+    """The largest difference at a node, against its uncertainty, and its standard uncertainty."""
+    inverse, _ = _inverse(matrix, where, size)
+    value = entry.shape @ (inverse @ vector[where])
+    uncertainty = np.sqrt(np.einsum("vi,ij,vj->v", entry.shape, inverse, entry.shape).clip(0.0))
+    worst = int(np.argmax(np.abs(value)))
+    return float(value[worst]), float(uncertainty[worst])
+
+
+def _taken_in(matrix: Array, vector: Array, where: slice, size: Array) -> tuple[Array, Array]:
+    """The same with one difference taken into the model."""
+    inverse, _ = _inverse(matrix, where, size)
+    cross = matrix[:, where] @ inverse
+    return matrix - cross @ matrix[where], vector - cross @ vector[where]

@@ -1,0 +1,97 @@
+"""One error map of several sessions: the machine's tables and the position errors where any session was."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.machine.tables import MachineTable
+from machine_tool_calibration.methods.joint_model import CommonModels
+from machine_tool_calibration.methods.rigid_body import map_field
+from machine_tool_calibration.model.fit import JointFit
+from machine_tool_calibration.model.result import ErrorMap
+
+__all__ = ["joint_map"]
+
+_MOST_POINTS = 5000
+_LOOSE = 1e-9
+
+
+def joint_map(joint: JointFit, common: CommonModels) -> ErrorMap:
+    """Tables with their uncertainties, and position errors at the points of all sessions.
+
+    What all readings together leave open is taken out of the position errors by least squares over the points.
+    """
+    place = {parameter.name: k for k, parameter in enumerate(joint.assembly.parameters)}
+    index = np.array([place[label] for table in common.tables for label in table.labels], dtype=np.int64)
+    solution = joint.solution
+    content: dict[str, Any] = {"tables": _tables(common.tables, joint, index)}
+    content |= _rotary(joint)
+    points = _points(joint, common)
+    n = len(points)
+    field = map_field(common.tables, points)
+    flat = field.reshape(len(field), 3 * n)
+    fixed = [common.fixed[label] for table in common.tables for label in table.labels]
+    open_ = flat.T @ np.array(fixed).reshape(len(flat), -1)
+    size = np.linalg.norm(open_, axis=0)
+    open_ = open_[:, size > 1e-9] / size[size > 1e-9]
+    if open_.shape[1]:
+        flat = flat - (open_ @ np.linalg.lstsq(open_, flat.T, rcond=1e-9)[0]).T
+    error = (solution.theta[index] @ flat).reshape(n, 3)
+    parts = flat.reshape(len(field), n, 3)
+    covariance = np.einsum("knd,kl,lne->nde", parts, solution.covariance[np.ix_(index, index)], parts, optimize=True)
+    loose = np.linalg.norm(flat.T @ solution.loose_directions()[index], axis=1).reshape(n, 3) > _LOOSE
+    error = np.where(loose, np.nan, error)
+    uncertainty = np.where(loose, np.nan, np.sqrt(np.einsum("nii->ni", covariance).clip(0.0)))
+    covariance = np.where(loose.any(axis=1)[:, None, None], np.nan, covariance)
+    content |= {
+        "points": points,
+        "position_error": error,
+        "position_error_u": uncertainty,
+        "datum": common.datum,
+    }
+    return ErrorMap(content, points, error, uncertainty, covariance)
+
+
+def _points(joint: JointFit, common: CommonModels) -> Array:
+    """Distinct places of the functional point of the sessions that have linear axes' errors."""
+    every = [m.observations.position for m in joint.assembly.models if getattr(m, "tables", None)]
+    if not every or not common.tables:
+        return np.zeros((0, 3))
+    points = np.unique(np.round(np.concatenate(every), 9) + 0.0, axis=0)
+    step = -(-len(points) // _MOST_POINTS)
+    return np.asarray(points[::step])
+
+
+def _tables(tables: Sequence[MachineTable], joint: JointFit, index: IntArray) -> dict[str, Any]:
+    good = joint.solution.is_determined()[index]
+    value = np.where(good, joint.solution.theta[index], np.nan)
+    sigma = np.where(good, np.sqrt(np.diag(joint.solution.covariance)[index].clip(0.0)), np.nan)
+    out: dict[str, Any] = {}
+    first = 0
+    for table in tables:
+        mine = slice(first, first + len(table.labels))
+        first = mine.stop
+        if table.is_squareness:
+            out[table.name] = {"value": value[mine][0], "value_u": sigma[mine][0]}
+        else:
+            out[table.name] = {"nodes": table.nodes, "value": value[mine], "value_u": sigma[mine]}
+    return out
+
+
+def _rotary(joint: JointFit) -> dict[str, Any]:
+    """Error motions of rotary axes, where a session measured them."""
+    out: dict[str, Any] = {}
+    good = joint.solution.is_determined()
+    sigma = np.sqrt(np.diag(joint.solution.covariance).clip(0.0))
+    for index, parameter in enumerate(joint.assembly.parameters):
+        name, _, rest = parameter.name.partition("(")
+        if parameter.shared and rest and len(name) == 3 and name[2] in "ABC":
+            entry = out.setdefault(name, {"nodes": [], "value": [], "value_u": []})
+            entry["nodes"].append(float(rest[:-1]))
+            entry["value"].append(joint.solution.theta[index] if good[index] else np.nan)
+            entry["value_u"].append(sigma[index] if good[index] else np.nan)
+    return {"rotary": out} if out else {}
