@@ -1,0 +1,168 @@
+"""Pictures of a probing self-calibration, as in the paper's Figs. 9, 12, 13, 14 and 18, with uncertainties."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.session.description import Probing
+from machine_tool_calibration.session.session import Session
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["draw", "draw_axes", "draw_probing", "draw_table", "draw_workpiece"]
+
+# Share of the drawing's width that the largest error takes.
+_LENGTH = 0.08
+_GRAY = "0.65"
+
+
+def draw(session: Session, result: Mapping[str, Any], folder: Path) -> list[Path]:
+    """Write the pictures of a result document into a folder.
+
+    Returns:
+        The files.
+    """
+    assert isinstance(session.description, Probing)
+    file = folder / "probing.png"
+    draw_probing(session.description, result["error_map"]).savefig(file, dpi=110)
+    return [file]
+
+
+def draw_probing(description: Probing, content: Mapping[str, Any]) -> Figure:
+    """Four panels: the workpiece's form and its uncertainty, the linear axes' grid, C.
+
+    Args:
+        description: the workpiece and its points.
+        content: the error map of a result, as in its document or with arrays.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(13, 11), layout="constrained")
+    panels = figure.subplots(2, 2)
+    draw_workpiece(panels[0, 0], description, content)
+    _draw_uncertainty(panels[0, 1], description, content)
+    draw_axes(panels[1, 0], content)
+    draw_table(panels[1, 1], content)
+    return figure
+
+
+def draw_workpiece(panel: Axes, description: Probing, content: Mapping[str, Any]) -> None:
+    """The form along each point's normal, magnified (Fig. 9), with bars of expanded uncertainty (k = 2)."""
+    place, normal = _points(description)
+    form, u = _array(content, "workpiece_form"), _array(content, "workpiece_form_u")
+    scale = _magnification(place, np.abs(form) + 2 * np.nan_to_num(u))
+    panel.plot(*place.T * 1e3, ls="", marker=".", ms=3, color=_GRAY, label="nominal")
+    ends = [place + (form + sign * 2 * u)[:, None] * scale * normal for sign in (-1, 1)]
+    for low, high in zip(*ends, strict=True):
+        panel.plot([1e3 * low[0], 1e3 * high[0]], [1e3 * low[1], 1e3 * high[1]], color="tab:orange", lw=0.8)
+    moved = place + form[:, None] * scale * normal
+    panel.plot(*moved.T * 1e3, ls="", marker="d", ms=3.5, color="tab:red", label="identified, bars: U (k = 2)")
+    missing = ~np.isfinite(form)
+    if missing.any():
+        panel.plot(*place[missing].T * 1e3, ls="", marker="x", ms=5, color="black", label="not determined")
+    panel.set_title(f"Form of the workpiece, errors × {_times(scale)}")
+    _frame(panel)
+
+
+def _draw_uncertainty(panel: Axes, description: Probing, content: Mapping[str, Any]) -> None:
+    """Expanded uncertainty of the form by colour (Fig. 18)."""
+    place, _ = _points(description)
+    u = 2e6 * _array(content, "workpiece_form_u")
+    good = np.isfinite(u)
+    if good.any():
+        x, y = place[good].T * 1e3
+        marks = panel.scatter(x, y, c=u[good], s=22, cmap="viridis")
+        panel.figure.colorbar(marks, ax=panel, label="U (k = 2) of the form, µm")
+    panel.plot(*place[~good].T * 1e3, ls="", marker="x", ms=5, color="black")
+    largest = f", at most {np.max(u[good]):.2g} µm" if good.any() else ""
+    panel.set_title(f"Uncertainty of the form{largest}")
+    _frame(panel, legend=False)
+
+
+def draw_axes(panel: Axes, content: Mapping[str, Any]) -> None:
+    """The linear axes' position errors on their grid, magnified (Fig. 12); what is hardly determined is thin."""
+    grid, error, u = (_array(content, key) for key in ("grid", "position_error", "position_error_u"))
+    size = np.linalg.norm(error, axis=1)
+    good = np.isfinite(size)
+    poor = good & (2 * np.linalg.norm(u, axis=1) > np.maximum(3 * np.nanmedian(2 * np.linalg.norm(u, axis=1)), 1e-5))
+    scale = _magnification(grid, size[good & ~poor])
+    xs, ys = np.unique(grid[:, 0]), np.unique(grid[:, 1])
+    moved = (grid + scale * error).reshape(len(xs), len(ys), 2) * 1e3
+    shown = np.where((good & ~poor).reshape(len(xs), len(ys))[..., None], moved, np.nan)
+    nominal = 1e3 * grid.reshape(len(xs), len(ys), 2)
+    for lines, color, width in ((nominal, _GRAY, 0.5), (shown, "tab:blue", 1.0)):
+        for k in range(len(xs)):
+            panel.plot(lines[k, :, 0], lines[k, :, 1], color=color, lw=width)
+        for k in range(len(ys)):
+            panel.plot(lines[:, k, 0], lines[:, k, 1], color=color, lw=width)
+    if poor.any():
+        panel.plot(*1e3 * grid[poor].T, ls="", marker="o", ms=4, mfc="none", color="tab:orange", label="uncertain")
+    if not good.all():
+        panel.plot(*1e3 * grid[~good].T, ls="", marker="x", ms=4, color="black", label="not determined")
+    known = f"; median U (k = 2) {2e6 * np.nanmedian(u):.2g} µm" if good.any() else ""
+    panel.set_title(f"X and Y, errors × {_times(scale)}{known}")
+    _frame(panel, legend=bool(poor.any() or not good.all()))
+
+
+def draw_table(panel: Axes, content: Mapping[str, Any]) -> None:
+    """EXC and EYC (left scale) and ECC (right scale) at the indices of C (Figs. 13 and 14), bars: U (k = 2)."""
+    angle = np.degrees(_array(content, "c"))
+    for name, color in (("EXC", "tab:blue"), ("EYC", "tab:green")):
+        bars: Any = 2e6 * _array(content, f"{name}_u")
+        value = 1e6 * _array(content, name)
+        panel.errorbar(angle, value, bars, marker="o", ms=4, lw=0.8, color=color, capsize=3, label=name)
+    turned = panel.twinx()
+    bars = 2e6 * _array(content, "ECC_u")
+    ecc = 1e6 * _array(content, "ECC")
+    turned.errorbar(angle, ecc, bars, marker="s", ms=4, lw=0.8, color="tab:red", capsize=3, label="ECC")
+    turned.set_ylabel("ECC, µrad, positive counter-clockwise", color="tab:red")
+    panel.set_xlabel("C, deg")
+    panel.set_ylabel("EXC and EYC, µm")
+    seen = "" if np.isfinite(ecc).any() else " (ECC is not determined)"
+    panel.set_title(f"C against its first index{seen}")
+    panel.grid(color="0.9")
+    panel.legend(loc="best", fontsize="small")
+
+
+def _points(description: Probing) -> tuple[Array, Array]:
+    points = description.workpiece
+    return np.array([p.position for p in points]), np.array([p.normal for p in points])
+
+
+def _array(content: Mapping[str, Any], key: str) -> Array:
+    """Null as NaN."""
+    return np.array(content[key], dtype=float)
+
+
+def _magnification(place: Array, size: Array) -> float:
+    """How often errors are magnified, so that the largest stays small beside the drawing."""
+    largest = float(np.nanmax(size, initial=0.0)) if np.isfinite(size).any() else 0.0
+    extent = float(np.ptp(place, axis=0).max()) or 1.0
+    return _round(_LENGTH * extent / largest) if largest > 0 else 1.0
+
+
+def _round(value: float) -> float:
+    """Down to 1, 2 or 5 times a power of ten."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(power * max(step for step in (1, 2, 5) if step <= value / power * (1 + 1e-9)))
+
+
+def _times(scale: float) -> str:
+    """A magnification with its thousands apart."""
+    return f"{scale:,.0f}".replace(",", " ")
+
+
+def _frame(panel: Axes, *, legend: bool = True) -> None:
+    panel.set_aspect("equal")
+    panel.set_xlabel("x, mm")
+    panel.set_ylabel("y, mm")
+    panel.margins(0.08)
+    if legend:
+        panel.legend(loc="upper right", fontsize="small")
