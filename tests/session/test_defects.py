@@ -32,6 +32,7 @@ YAML_DEFECTS: list[tuple[str, str, str, str]] = [
     ("tracking_2d", "dimension: 2\n", "", "session.yaml: the key 'dimension' is missing"),
     ("tracking_2d", "dimension: 2", "dimension: 4", "session.yaml line 3: dimension is 4, not 2 or 3"),
     ("tracking_2d", "repeats: 2", "repeats: two", "session.yaml line 11: repeats must be a whole number, not 'two'"),
+    ("tracking_2d", "repeats: 2", "repeats: true", "session.yaml line 11: repeats must be a whole number, not 'true'"),
     ("tracking_2d", "repeats: 2", "repeats: 0", "session.yaml line 11: repeats must be at least 1, not 0"),
     (
         "tracking_2d",
@@ -50,7 +51,7 @@ YAML_DEFECTS: list[tuple[str, str, str, str]] = [
         "tracking_2d",
         "[-0.350022406484, 0.049992911365, 0.0]",
         "[-0.350022406484, 0.049992911365]",
-        "session.yaml line 14: the key 'setups[0].position[2]' is missing",
+        "session.yaml line 14: setups[0].position is too short: its entry [2] is missing",
     ),
     (
         "tracking_2d",

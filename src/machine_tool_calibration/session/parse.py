@@ -31,7 +31,8 @@ def parse_description(text: str, source: str) -> Description:
     Raises:
         SessionError: one line with file, line and key of the first defect.
     """
-    document = load_yaml(text, source)
+    # no key takes a truth value, and pydantic would take one for a number
+    document = load_yaml(text, source, truth=False)
     if document.value is None:
         raise SessionError(f"{source}: the file is empty")
     if not isinstance(document.value, dict):
@@ -87,13 +88,15 @@ def _message(defect: dict[str, Any], source: str, document: Document) -> str:
     kind, context, value = defect["type"], defect.get("ctx", {}), defect["input"]
     if kind == "extra_forbidden":
         return f"{where}: unknown key {key!r}{_meant(defect['loc'])}"
+    if kind == "missing" and path and isinstance(path[-1], int):
+        return f"{where}: {_key(path[:-1])} is too short: its entry [{path[-1]}] is missing"
     if kind == "missing":
         return f"{where}: the key {key!r} is missing"
     if kind == "literal_error":
         return f"{where}: {key} is {_shown(value)}, not {context['expected']}"
     if kind in ("too_short", "too_long"):
-        number = context.get("min_length", context.get("max_length"))
-        return f"{where}: {key} has {context['actual_length']} entries, not {number}"
+        bound = f"at least {context['min_length']}" if "min_length" in context else str(context["max_length"])
+        return f"{where}: {key} has {context['actual_length']} entries, not {bound}"
     if kind in ("finite_number", "float_parsing", "float_type"):
         return f"{where}: {key} must be a finite number, not {_shown(value)}"
     if kind in ("int_parsing", "int_type", "int_from_float", "int_parsing_size"):

@@ -69,6 +69,7 @@ class _Open:
 @dataclass
 class _Builder:
     source: str
+    truth: bool = True
     stack: list[_Open] = field(default_factory=list)
     lines: dict[Path, int] = field(default_factory=dict)
     anchors: dict[str, tuple[Any, int]] = field(default_factory=dict)
@@ -121,7 +122,7 @@ class _Builder:
             is_text = event.value not in _SPECIAL
         if not self.expects_key():
             self.lines.setdefault(self.here(), event.start_mark.line + 1)
-        value = event.value if is_text else _resolve(event.value)
+        value = event.value if is_text else _resolve(event.value, self.truth)
         if event.anchor:
             self.anchors[event.anchor] = (value, 1)
         self.add(event, value)
@@ -153,8 +154,8 @@ class _Builder:
         self.add(event, value)
 
 
-def _resolve(text: str) -> Any:
-    if text in _SPECIAL:
+def _resolve(text: str, truth: bool) -> Any:
+    if text in _SPECIAL and (truth or not isinstance(_SPECIAL[text], bool)):
         return _SPECIAL[text]
     if _INT.fullmatch(text):
         return int(text)
@@ -163,18 +164,19 @@ def _resolve(text: str) -> Any:
     return text
 
 
-def load_yaml(text: str, source: str) -> Document:
+def load_yaml(text: str, source: str, *, truth: bool = True) -> Document:
     """The value of a YAML text.
 
     Args:
         text: one YAML document.
         source: name of the file, for messages.
+        truth: whether `true` and `false` are truth values; else they are text.
 
     Raises:
         SessionError: not YAML, more than one document, a tag, a key that stands twice or is not text, nested or
             repeated (by aliases) without measure. One line, with the line in the file.
     """
-    builder = _Builder(source)
+    builder = _Builder(source, truth)
     try:
         for event in yaml.parse(text, Loader=_LOADER):
             if tag := getattr(event, "tag", None):
