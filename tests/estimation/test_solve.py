@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.estimation import solve as module
+from machine_tool_calibration.estimation import reduction as module
 from machine_tool_calibration.estimation.layout import group_rows
 from machine_tool_calibration.estimation.problem import FunctionPart, LinearPart, PriorRows, Problem
 from machine_tool_calibration.estimation.solve import solve, solve_normal
@@ -127,14 +127,26 @@ def test_blocks_of_a_function_part():
 
 def test_no_convergence_is_an_error_with_advice():
     def linearise(own, dense):
-        # The slope is far too small: every step overshoots by more than the one before.
-        return np.full(4, 1.0 + dense[0]), np.zeros((0, 4)), np.full((1, 4), -0.4)
+        # The slope has the wrong sign: every step leads away.
+        return np.full(4, 1.0 + dense[0]), np.zeros((0, 4)), np.full((1, 4), 0.4)
 
     part = FunctionPart(
         group_rows(np.zeros(4, dtype=int)), np.ones(4), linearise, np.zeros((1, 0), dtype=int), np.array([0]), False
     )
     with pytest.raises(ModelError, match="does not converge"):
         solve(Problem([part], 1, np.zeros((0, 1)), np.zeros(0)))
+
+
+def test_steps_that_are_too_long_are_shortened():
+    def linearise(own, dense):
+        # The slope is far too small: whole steps would overshoot by more each time.
+        return np.full(4, 1.0 + dense[0]), np.zeros((0, 4)), np.full((1, 4), -0.4)
+
+    part = FunctionPart(
+        group_rows(np.zeros(4, dtype=int)), np.ones(4), linearise, np.zeros((1, 0), dtype=int), np.array([0]), False
+    )
+    solution = solve(Problem([part], 1, np.zeros((0, 1)), np.zeros(0)))
+    assert solution.theta[0] == pytest.approx(-1.0, abs=0.01)
 
 
 def test_a_prediction_that_is_not_a_number_is_an_error():

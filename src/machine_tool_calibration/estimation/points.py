@@ -20,7 +20,8 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.estimation.elimination import Rows, inverse, local_columns, local_normal
 from machine_tool_calibration.estimation.problem import CHUNK, Part
-from machine_tool_calibration.estimation.solve import Solution, over_chunks
+from machine_tool_calibration.estimation.reduction import over_chunks, single_blas
+from machine_tool_calibration.estimation.solve import Solution
 
 __all__ = ["Motion", "PointResult", "points_in_inner_datum"]
 
@@ -50,6 +51,7 @@ class PointResult:
     theta_covariance: Array
 
 
+@single_blas()
 def points_in_inner_datum(
     part: Part, solution: Solution, index: int, motion: Array | Motion, theta_motion: Array
 ) -> PointResult:

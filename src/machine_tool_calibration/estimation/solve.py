@@ -1,30 +1,34 @@
-"""Gauss-Newton over the shared unknowns with the points eliminated."""
+"""Gauss-Newton over the shared unknowns with the points eliminated; steps that prove too long are damped."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import threadpoolctl  # type: ignore[import-untyped]
 
 from machine_tool_calibration.arrays import Array, BoolArray
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.estimation.elimination import local_step, raw_squares, reduced_gram
-from machine_tool_calibration.estimation.problem import CHUNK, Part, Problem
+from machine_tool_calibration.estimation.elimination import local_step
+from machine_tool_calibration.estimation.normal import Normal, solve_normal
+from machine_tool_calibration.estimation.problem import Part, Problem
+from machine_tool_calibration.estimation.reduction import gram, over_chunks, single_blas
 
 __all__ = ["Solution", "gram", "over_chunks", "solve", "solve_normal"]
 
-_THREADS = 2
-_MAX_STEPS = 30
+_MAX_STEPS = 40
 # Gain of a step that ends the iteration, weighted sum of squares: the step was a hundredth of an uncertainty,
 # and the next would be its square.
 _GAIN = 1e-4
-# Eigenvalue of the normal matrix, scaled by the columns' norms, below which a direction is not determined.
-_RANK = 1e-12
-# Share of an unknown in what is not determined above which it is not determined itself.
-_LOOSE = 1e-6
+# Damping, beside the largest square of a block's unknown, with which a step that was too long is shortened first; each
+# failure makes it larger, each success smaller.
+_LEAST_DAMPING = 1e-10
+_MOST_DAMPING = 1e3
+_HARDER, _SOFTER = 100.0, 10.0
+# Damped steps that gain less than this so often in a row end the iteration: what is left is a motion that readings
+# hardly sense, by a tenth of its own uncertainty.
+_LITTLE = 1e-2
+_OFTEN = 3
 
 
 @dataclass(frozen=True)
@@ -63,109 +67,75 @@ class Solution:
 
 
 @dataclass(frozen=True)
-class Normal:
-    """Solution of small normal equations under constraints."""
+class _Base:
+    """Where the readings were linearised last."""
 
-    step: Array
-    covariance: Array
-    undetermined: Array
-    determined: BoolArray
-    gain: float
-    rank: int
+    problem: Problem
+    theta: Array
+    local: list[Array]
+    total: Array
+    squares: Array
 
+    @classmethod
+    def at(cls, problem: Problem, theta: Array, local: list[Array]) -> _Base:
+        """Linearise there."""
+        total, squares = gram(problem, theta, local)
+        return cls(problem, theta, local, total, squares[:-1])
 
-def solve_normal(
-    matrix: Array, right: Array, constraints: Array, values: Array, squares: Array | None = None
-) -> Normal:
-    """Minimise x^T N x - 2 b^T x under C x = v, leaving at zero what is not determined.
+    @property
+    def cost(self) -> float:
+        """Weighted sum of squared residuals."""
+        return float(self.total[-1, -1])
 
-    Args:
-        matrix: (m, m) N.
-        right: (m,) b.
-        constraints: (c, m) C.
-        values: (c,) v.
-        squares: (m,) squared norms of the unknowns' columns before the points were eliminated, against which is judged
-            what is left; the diagonal of N if absent.
+    def normal(self, damping: float) -> Normal:
+        """Solution of the normal equations, damped as by Levenberg and Marquardt."""
+        if not np.isfinite(self.cost):
+            raise ModelError("the fit does not converge: a predicted reading is not finite; check the first estimates")
+        problem, matrix = self.problem, self.total[:-1, :-1]
+        if damping:
+            matrix = matrix + damping * np.diag(self._sizes())
+        distance = problem.constraint_values - problem.constraints @ self.theta
+        return solve_normal(matrix, self.total[:-1, -1], problem.constraints, distance, self.squares)
 
-    Returns:
-        The step, its covariance, the undetermined directions, the gain b^T x and the rank.
-    """
-    m = len(right)
-    scale = np.sqrt(np.maximum(np.diag(matrix) if squares is None else squares, 0.0))
-    typical = scale.max(initial=0.0)
-    scale = np.where(scale > 1e-13 * typical, scale, typical if typical > 0 else 1.0)
-    scaled = matrix / np.outer(scale, scale)
-    c = len(constraints)
-    particular = np.zeros(m)
-    if c:
-        rows = constraints / scale
-        rows = rows / np.linalg.norm(rows, axis=1)[:, None]
-        # Constraints may repeat what others say: only their span counts.
-        u, s, vt = np.linalg.svd(rows, full_matrices=True)
-        keep = s > 1e-10 * s[0]
-        goal = values / np.linalg.norm(constraints / scale, axis=1)
-        particular = vt[: len(s)][keep].T @ ((u[:, : len(s)].T @ goal)[keep] / s[keep])
-        free = vt[int(keep.sum()) :].T
-    else:
-        free = np.eye(m)
-    inner = free.T @ scaled @ free
-    eigenvalues, vectors = np.linalg.eigh((inner + inner.T) / 2)
-    good = eigenvalues > _RANK
-    basis = free @ vectors[:, good]
-    residual = right / scale - scaled @ particular
-    coefficient = (basis.T @ residual) / eigenvalues[good]
-    step = (particular + basis @ coefficient) / scale
-    half = basis / np.sqrt(eigenvalues[good]) / scale[:, None]
-    null = free @ vectors[:, ~good]
-    # Judged in units in which every unknown changes the readings alike, whatever its unit.
-    determined = np.asarray(np.linalg.norm(null, axis=1) < _LOOSE)
-    null = null / scale[:, None]
-    if null.shape[1]:
-        null = np.linalg.qr(null / np.linalg.norm(null, axis=0))[0]
-    gain = float(2 * right @ step - step @ matrix @ step)
-    return Normal(step, half @ half.T, null, determined, gain, int(good.sum()))
+    def _sizes(self) -> Array:
+        """Squares by which the damping is measured: alike for all blocks, so that it limits what is hardly sensed."""
+        sizes = self.squares.copy()
+        for part in self.problem.parts:
+            index = part.block_index.reshape(-1)
+            sizes[index] = sizes[index].max(initial=0.0)
+        return sizes
 
+    def after(self, step: Array) -> tuple[Array, list[Array], list[BoolArray]]:
+        """Unknowns after a step of the shared ones, and which unknowns of points are determined."""
+        moved, determined = list(self.local), []
+        for i, part in enumerate(self.problem.parts):
+            good = np.ones((part.dimension, part.n_points), dtype=bool)
+            if part.dimension:
+                moved[i], good = _step_points(part, self.theta, self.local[i], step)
+            determined.append(good)
+        return self.theta + step, moved, determined
 
-def over_chunks(part: Part, work: Callable[[int, slice], Array], size: int = CHUNK) -> list[Array]:
-    """Results of every chunk, in order, by two threads with single-threaded BLAS."""
-    chunks = part.chunks(size)
-    if len(chunks) <= 2:
-        return [work(*chunk) for chunk in chunks]
-    with threadpoolctl.threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(_THREADS) as pool:
-        return list(pool.map(lambda chunk: work(*chunk), chunks))
+    def solution(
+        self, step: Normal, moved: tuple[Array, list[Array], list[BoolArray]], normal: Normal, count: int
+    ) -> Solution:
+        """After the last step, with the covariance of the undamped normal equations."""
+        theta, local, determined = moved
+        priors = self.problem.priors
+        known = self.problem.n_readings + (0 if priors is None else len(priors.value))
+        return Solution(
+            theta=theta,
+            covariance=normal.covariance,
+            undetermined=normal.undetermined,
+            determined=normal.determined,
+            local=tuple(local),
+            local_determined=tuple(determined),
+            chi_square=max(self.cost - step.gain, 0.0),
+            degrees_of_freedom=known - normal.rank - sum(int(good.sum()) for good in determined),
+            steps=count,
+        )
 
 
-def gram(problem: Problem, theta: Array, local: Sequence[Array]) -> tuple[Array, Array]:
-    """Reduced Gram matrix of [shared unknowns, residual] over all parts and priors.
-
-    Returns:
-        (m + 1, m + 1) with the points eliminated, and (m + 1,) squared norms of the columns before that.
-    """
-    m = problem.size
-    total = np.zeros((m + 1, m + 1))
-    squares = np.zeros(m + 1)
-    for part, own in zip(problem.parts, local, strict=True):
-
-        def work(group: int, chunk: slice, part: Part = part, own: Array = own) -> Array:
-            rows, place = part.rows(group, chunk, theta, own), part.groups[group].place
-            return np.vstack([reduced_gram(rows, place), raw_squares(rows, place)])
-
-        by_group: dict[int, Array] = {}
-        for (group, _), value in zip(part.chunks(), over_chunks(part, work), strict=True):
-            by_group[group] = by_group[group] + value if group in by_group else value
-        for group, value in by_group.items():
-            index = np.append(part.columns(group), m)
-            # Two blocks may share an unknown.
-            np.add.at(total, (index[:, None], index[None, :]), value[:-1])
-            np.add.at(squares, index, value[-1])
-    if problem.priors is not None:
-        priors = problem.priors
-        rows = np.column_stack([priors.columns, priors.value - priors.columns @ theta]) / priors.sigma[:, None]
-        total += rows.T @ rows
-        squares += np.einsum("ij,ij->j", rows, rows)
-    return total, squares
-
-
+@single_blas()
 def solve(problem: Problem, theta: Array | None = None, local: Sequence[Array] | None = None) -> Solution:
     """Minimise the weighted sum of squared residuals.
 
@@ -175,43 +145,37 @@ def solve(problem: Problem, theta: Array | None = None, local: Sequence[Array] |
         local: per part, (d, n_points) where to start; zero if absent.
 
     Raises:
-        ModelError: the iteration does not converge, or there are no more readings than unknowns.
+        ModelError: the iteration does not converge.
     """
-    m = problem.size
-    theta = np.zeros(m) if theta is None else theta.copy()
-    local = [np.zeros((p.dimension, p.n_points)) if local is None else local[i] for i, p in enumerate(problem.parts)]
-    determined = [np.ones((p.dimension, p.n_points), dtype=bool) for p in problem.parts]
-    linear = all(part.linear for part in problem.parts)
-    for count in range(1, _MAX_STEPS + 1):
-        total, squares = gram(problem, theta, local)
-        cost = float(total[m, m])
-        if not np.isfinite(cost):
-            raise ModelError("the fit does not converge: a predicted reading is not finite; check the first estimates")
-        distance = problem.constraint_values - problem.constraints @ theta
-        normal = solve_normal(total[:m, :m], total[:m, m], problem.constraints, distance, squares[:m])
-        for i, part in enumerate(problem.parts):
-            if part.dimension:
-                local[i], determined[i] = _step_points(part, theta, local[i], normal.step)
-        theta = theta + normal.step
-        reduced = cost - normal.gain
-        if linear or (count > 1 and normal.gain < _GAIN):
-            break
-    else:
-        raise ModelError(f"the fit does not converge in {_MAX_STEPS} steps; check positions of stations and targets")
-    local_rank = sum(int(d.sum()) for d in determined)
-    n_priors = 0 if problem.priors is None else len(problem.priors.value)
-    dof = problem.n_readings + n_priors - local_rank - normal.rank
-    return Solution(
-        theta=theta,
-        covariance=normal.covariance,
-        undetermined=normal.undetermined,
-        determined=normal.determined,
-        local=tuple(local),
-        local_determined=tuple(determined),
-        chi_square=max(reduced, 0.0),
-        degrees_of_freedom=dof,
-        steps=count,
-    )
+    here = np.zeros(problem.size) if theta is None else theta
+    own = [np.zeros((p.dimension, p.n_points)) if local is None else local[i] for i, p in enumerate(problem.parts)]
+    base = _Base.at(problem, here, own)
+    if all(part.linear for part in problem.parts):
+        normal = base.normal(0.0)
+        return base.solution(normal, base.after(normal.step), normal, 1)
+    # The first step may cost something: it leads to where the constraints hold.
+    normal = base.normal(0.0)
+    moved = base.after(normal.step)
+    base = _Base.at(problem, moved[0], moved[1])
+    damping, little = 0.0, 0
+    for count in range(2, _MAX_STEPS + 1):
+        normal = base.normal(damping)
+        moved = base.after(normal.step)
+        if normal.gain < _GAIN and not damping:
+            return base.solution(normal, moved, normal, count)
+        trial = _Base.at(problem, moved[0], moved[1])
+        if not trial.cost <= base.cost + _GAIN + 1e-9 * base.cost:
+            damping = max(_HARDER * damping, _LEAST_DAMPING)
+            if damping > _MOST_DAMPING:
+                break
+            continue
+        little = little + 1 if damping and base.cost - trial.cost < _LITTLE else 0
+        base = trial
+        damping = damping / _SOFTER if damping > _LEAST_DAMPING else 0.0
+        if little >= _OFTEN:
+            normal = base.normal(damping)
+            return base.solution(normal, base.after(normal.step), base.normal(0.0), count)
+    raise ModelError(f"the fit does not converge in {_MAX_STEPS} steps; check positions of stations and targets")
 
 
 def _step_points(part: Part, theta: Array, local: Array, step: Array) -> tuple[Array, BoolArray]:

@@ -6,13 +6,13 @@ error motions and squareness; what these cannot explain stays in the residuals.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.estimation.layout import group_points, group_rows
 from machine_tool_calibration.estimation.multilateration import MultilaterationPart
 from machine_tool_calibration.estimation.problem import FunctionPart, Part
@@ -20,10 +20,10 @@ from machine_tool_calibration.instruments.tracking import beam_direction
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.machine.tables import MachineTable, axis_nodes, linear_axis_errors
 from machine_tool_calibration.methods.rigid_body import RIGID_BODY_DATUM, machine_terms, table_datum
-from machine_tool_calibration.methods.tracking_datum import MAP_DATUM, NetworkMotion, carried_stations
+from machine_tool_calibration.methods.tracking_datum import MAP_DATUM, NetworkMotion, OwnSight, carried_stations
 from machine_tool_calibration.methods.tracking_map import free_map, table_map
 from machine_tool_calibration.model.fit import Fit
-from machine_tool_calibration.model.model import Constraint, MethodModel
+from machine_tool_calibration.model.model import Constraint, MethodModel, Prior
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.model.terms import Parameter
@@ -34,6 +34,11 @@ __all__ = ["MODELS", "TrackingModel", "build"]
 
 MODELS = ("free", "rigid_body")
 
+# Stations are set up to this by any means, m. Declared uncertainties below it are not relied on: the readings place a
+# station far better, except for motions that they do not sense.
+_ROUGHLY = 3e-4
+# Share of a coordinate in a motion that is not sensed above which the coordinate is not measured.
+_INVOLVED = 0.03
 # Large odd numbers: products and sums wrap around in 64 bits.
 _MIX = np.array([0x1E3779B97F4A7C15, 0x3F58476D1CE4E5B9, 0x14D049BB133111EB])
 
@@ -87,6 +92,45 @@ class TrackingModel(MethodModel):
             out += [Parameter(f"{setup.id}.{axis}", "m", reference=float(value)) for axis, value in axes]
             out.append(Parameter(f"{setup.id}.dead_path", "m", reference=float(path)))
         return tuple(out)
+
+    @cached_property
+    def sight(self) -> OwnSight:
+        """How well each station's own readings place it."""
+        along = self.observations.direction[:, : self.dimension]
+        return OwnSight(along, self.observations.readings.setup, len(self.stations))
+
+    @cached_property
+    def carried(self) -> BoolArray:
+        """(S,) stations that the network holds."""
+        setup = self.observations.readings.setup
+        return carried_stations(self.point, setup, len(self.targets), len(self.stations), self.dimension)
+
+    @cached_property
+    def loose_stations(self) -> list[tuple[int, Array]]:
+        """Motions that the own readings of a station hardly sense; stations that nothing holds are left out."""
+        loose = self.sight.loose(self.observations.session.sigma, self.known)
+        return [(k, vector) for k, vector in loose if self.carried[k]]
+
+    @cached_property
+    def declared(self) -> frozenset[str]:
+        """Coordinates of stations for which the declared position stands."""
+        names = np.array([parameter.name for parameter in self.own]).reshape(len(self.stations), -1)
+        return frozenset(str(n) for k, v in self.loose_stations for n in names[k][np.abs(v) > _INVOLVED])
+
+    def why_not_determined(self, name: str) -> str | None:
+        """A station's coordinate that hardly changes its readings."""
+        if name not in self.declared:
+            return None
+        return (
+            "the readings of this station hardly change with it, wherever the targets are (they lie in a plane or "
+            "on a line with it, or in too narrow a fan); its declared position stands"
+        )
+
+    @property
+    def known(self) -> Array:
+        """(S,) what is taken as known of the stations' positions beforehand, at least, m."""
+        declared = [setup.position_uncertainty or 0.0 for setup in self.description.setups]
+        return np.maximum(declared, _ROUGHLY)
 
     def part(self, own_index: IntArray, dense_index: IntArray) -> Part:
         """Free targets are eliminated point by point; tables enter as columns."""
@@ -181,6 +225,7 @@ def build(session: Session, model: str = "free") -> TrackingModel:
         path=path,
         tables=None,
     )
+    free = replace(free, priors=tuple(_known_places(free)))
     if model == "free":
         return replace(free, constraints=_station_datum(free))
     chain = Chain.parse(description.machine.chain)
@@ -193,11 +238,19 @@ def build(session: Session, model: str = "free") -> TrackingModel:
 def _station_datum(model: TrackingModel) -> tuple[Constraint, ...]:
     """No shift and no turn of the stations that the network carries; the map is carried over to the targets' datum."""
     d, count = model.dimension, len(model.stations)
-    setup = model.observations.readings.setup
-    carried = carried_stations(model.point, setup, len(model.targets), count, d)
-    motion = model.motion.of_stations(model.stations[:, :d]) * np.repeat(carried, d + 1)[:, None]
+    placed = model.sight.projectors(model.observations.session.sigma, model.known) * model.carried[:, None, None]
+    motion = model.motion.of_stations(model.stations[:, :d]).reshape(count, d + 1, -1)
+    rows = (placed @ motion).reshape(count * (d + 1), -1).T
     names = [parameter.name for parameter in model.own]
-    return tuple(Constraint({n: float(v) for n, v in zip(names, column, strict=True) if v}) for column in motion.T)
+    return tuple(Constraint({n: float(v) for n, v in zip(names, row, strict=True) if v}) for row in rows)
+
+
+def _known_places(model: TrackingModel) -> Iterator[Prior]:
+    """What is declared of stations, for those motions of theirs that their own readings hardly sense."""
+    names = np.array([parameter.name for parameter in model.own]).reshape(len(model.stations), -1)
+    for k, vector in model.loose_stations:
+        weights = {str(n): float(v) for n, v in zip(names[k], vector, strict=True) if v}
+        yield Prior(weights, 0.0, float(model.known[k]))
 
 
 def _distinct(position: Array) -> tuple[Array, IntArray]:

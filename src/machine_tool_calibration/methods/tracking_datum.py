@@ -8,7 +8,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 
-__all__ = ["MAP_DATUM", "NetworkMotion", "carried_stations", "turned_back"]
+__all__ = ["MAP_DATUM", "NetworkMotion", "OwnSight", "carried_stations", "turned_back"]
 
 MAP_DATUM = (
     "no shift and no turn of all targets together against their commanded positions (least squares); the length is "
@@ -79,6 +79,44 @@ def carried_stations(point: IntArray, station: IntArray, n_points: int, n_statio
             return carried
         carried = still
     return read
+
+
+class OwnSight:
+    """How well a station's own readings place it, all targets being known.
+
+    A station in the plane of all targets, for instance, may move out of it without any reading changing. Such a motion
+    must not count in the datum, where it would make up for any turn of the network; and only the declared position says
+    where it is.
+    """
+
+    def __init__(self, direction: Array, station: IntArray, n_stations: int) -> None:
+        """Look at the readings.
+
+        Args:
+            direction: (n, d) unit vectors from the station to the target.
+            station: (n,) station of each reading.
+            n_stations: S.
+        """
+        size = direction.shape[1] + 1
+        self._values = np.zeros((n_stations, size))
+        self._vectors = np.tile(np.eye(size), (n_stations, 1, 1))
+        for k in np.unique(station):
+            own = direction[station == k]
+            columns = np.column_stack([own, np.ones(len(own))])
+            self._values[k], self._vectors[k] = np.linalg.eigh(columns.T @ columns)
+
+    def projectors(self, sigma: float, limit: Array) -> Array:
+        """(S, d + 1, d + 1) on the motions that readings of that uncertainty place better than the limits (S,)."""
+        kept = self._vectors * self._placed(sigma, limit)[:, None]
+        return np.asarray(kept @ kept.transpose(0, 2, 1))
+
+    def loose(self, sigma: float, limit: Array) -> list[tuple[int, Array]]:
+        """The other motions of stations that were read: station and unit vector of rotation centre and dead path."""
+        placed, read = self._placed(sigma, limit), np.asarray(self._values.any(axis=1))
+        return [(int(k), self._vectors[k, :, j]) for k, j in np.argwhere(~placed & read[:, None])]
+
+    def _placed(self, sigma: float, limit: Array) -> BoolArray:
+        return self._values * limit[:, None] ** 2 > sigma**2
 
 
 def turned_back(nominal: Array, actual: Array, others: Array) -> tuple[Array, Array]:

@@ -87,8 +87,9 @@ class Fit:
 
     @property
     def determined(self) -> BoolArray:
-        """Whether each of them is determined."""
-        return self.solution.is_determined()[self.places]
+        """Whether each of them is determined by the readings and the datum."""
+        measured = np.array([p.name not in self.model.declared for p in self.model.parameters], dtype=bool)
+        return np.asarray(self.solution.is_determined()[self.places] & measured)
 
     @property
     def undetermined(self) -> Array:

@@ -98,6 +98,11 @@ class MethodModel(ABC):
         """(n,) declared standard uncertainty of each reading, m."""
         return np.full(len(self.observations), self.observations.session.sigma)
 
+    @property
+    def declared(self) -> frozenset[str]:
+        """Unknowns that what was declared decides rather than the readings: they are not published as results."""
+        return frozenset()
+
     def why_not_determined(self, name: str) -> str | None:
         """Why the readings do not determine an unknown, where the method can say it better than the algebra."""
         return None

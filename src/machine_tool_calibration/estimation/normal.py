@@ -1,0 +1,80 @@
+"""Small normal equations under constraints, and what they leave open."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, BoolArray
+
+__all__ = ["Normal", "solve_normal"]
+
+# Eigenvalue of the normal matrix, scaled by the columns' norms, below which a direction is not determined.
+_RANK = 1e-12
+# Share of an unknown in what is not determined above which it is not determined itself.
+_LOOSE = 1e-6
+
+
+@dataclass(frozen=True)
+class Normal:
+    """Solution of small normal equations under constraints."""
+
+    step: Array
+    covariance: Array
+    undetermined: Array
+    determined: BoolArray
+    gain: float
+    rank: int
+
+
+def solve_normal(
+    matrix: Array, right: Array, constraints: Array, values: Array, squares: Array | None = None
+) -> Normal:
+    """Minimise x^T N x - 2 b^T x under C x = v, leaving at zero what is not determined.
+
+    Args:
+        matrix: (m, m) N.
+        right: (m,) b.
+        constraints: (c, m) C.
+        values: (c,) v.
+        squares: (m,) squared norms of the unknowns' columns before the points were eliminated, against which is judged
+            what is left; the diagonal of N if absent.
+
+    Returns:
+        The step, its covariance, the undetermined directions, the gain b^T x and the rank.
+    """
+    m = len(right)
+    scale = np.sqrt(np.maximum(np.diag(matrix) if squares is None else squares, 0.0))
+    typical = scale.max(initial=0.0)
+    scale = np.where(scale > 1e-13 * typical, scale, typical if typical > 0 else 1.0)
+    scaled = matrix / np.outer(scale, scale)
+    c = len(constraints)
+    particular = np.zeros(m)
+    if c:
+        rows = constraints / scale
+        rows = rows / np.linalg.norm(rows, axis=1)[:, None]
+        # Constraints may repeat what others say: only their span counts.
+        u, s, vt = np.linalg.svd(rows, full_matrices=True)
+        keep = s > 1e-10 * s[0]
+        goal = values / np.linalg.norm(constraints / scale, axis=1)
+        particular = vt[: len(s)][keep].T @ ((u[:, : len(s)].T @ goal)[keep] / s[keep])
+        free = vt[int(keep.sum()) :].T
+    else:
+        free = np.eye(m)
+    inner = free.T @ scaled @ free
+    eigenvalues, vectors = np.linalg.eigh((inner + inner.T) / 2)
+    good = eigenvalues > _RANK
+    basis = free @ vectors[:, good]
+    residual = right / scale - scaled @ particular
+    coefficient = (basis.T @ residual) / eigenvalues[good]
+    step = (particular + basis @ coefficient) / scale
+    half = basis / np.sqrt(eigenvalues[good]) / scale[:, None]
+    null = free @ vectors[:, ~good]
+    # Judged in units in which every unknown changes the readings alike, whatever its unit.
+    determined = np.asarray(np.linalg.norm(null, axis=1) < _LOOSE)
+    null = null / scale[:, None]
+    if null.shape[1]:
+        null = np.linalg.qr(null / np.linalg.norm(null, axis=0))[0]
+    gain = float(2 * right @ step - step @ matrix @ step)
+    return Normal(step, half @ half.T, null, determined, gain, int(good.sum()))

@@ -1,0 +1,73 @@
+"""The reduced Gram matrix of a whole problem: chunk by chunk, by two threads, the same bits every time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from functools import cache
+
+import numpy as np
+import threadpoolctl  # type: ignore[import-untyped]
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.estimation.elimination import raw_squares, reduced_gram
+from machine_tool_calibration.estimation.problem import CHUNK, Part, Problem
+
+__all__ = ["gram", "over_chunks", "single_blas"]
+
+_THREADS = 2
+
+
+@cache
+def _controller() -> threadpoolctl.ThreadpoolController:
+    """Looking for the libraries takes longer than a small fit: once."""
+    return threadpoolctl.ThreadpoolController()
+
+
+@contextmanager
+def single_blas() -> Iterator[None]:
+    """Linear algebra by one thread: thin products gain nothing from more, and sums keep their order on any machine."""
+    with _controller().limit(limits=1, user_api="blas"):
+        yield
+
+
+def over_chunks(part: Part, work: Callable[[int, slice], Array], size: int = CHUNK) -> list[Array]:
+    """Results of every chunk, in order, by two threads with single-threaded BLAS."""
+    chunks = part.chunks(size)
+    if len(chunks) <= 2:
+        return [work(*chunk) for chunk in chunks]
+    with single_blas(), ThreadPoolExecutor(_THREADS) as pool:
+        return list(pool.map(lambda chunk: work(*chunk), chunks))
+
+
+@single_blas()
+def gram(problem: Problem, theta: Array, local: Sequence[Array]) -> tuple[Array, Array]:
+    """Reduced Gram matrix of [shared unknowns, residual] over all parts and priors.
+
+    Returns:
+        (m + 1, m + 1) with the points eliminated, and (m + 1,) squared norms of the columns before that.
+    """
+    m = problem.size
+    total = np.zeros((m + 1, m + 1))
+    squares = np.zeros(m + 1)
+    for part, own in zip(problem.parts, local, strict=True):
+
+        def work(group: int, chunk: slice, part: Part = part, own: Array = own) -> Array:
+            rows, place = part.rows(group, chunk, theta, own), part.groups[group].place
+            return np.vstack([reduced_gram(rows, place), raw_squares(rows, place)])
+
+        by_group: dict[int, Array] = {}
+        for (group, _), value in zip(part.chunks(), over_chunks(part, work), strict=True):
+            by_group[group] = by_group[group] + value if group in by_group else value
+        for group, value in by_group.items():
+            index = np.append(part.columns(group), m)
+            # Two blocks may share an unknown.
+            np.add.at(total, (index[:, None], index[None, :]), value[:-1])
+            np.add.at(squares, index, value[-1])
+    if problem.priors is not None:
+        priors = problem.priors
+        rows = np.column_stack([priors.columns, priors.value - priors.columns @ theta]) / priors.sigma[:, None]
+        total += rows.T @ rows
+        squares += np.einsum("ij,ij->j", rows, rows)
+    return total, squares
