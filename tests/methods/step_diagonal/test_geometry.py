@@ -1,0 +1,77 @@
+"""Runs, their orders and block positions."""
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.methods.step_diagonal.geometry import across, block_positions, runs_of, step_diagonal_of
+
+
+def _setup(name: str, direction: list[float], start: list[float], kind: str = "diagonal") -> dict[str, object]:
+    return {"id": name, "kind": kind, "direction": direction, "start": start}
+
+
+@pytest.mark.parametrize(
+    ("name", "order"), [("ppp", "xyz"), ("ppp_yzx", "yzx"), ("ppp-ZXY", "zxy"), ("first_run", "xyz"), ("a_zyx", "zyx")]
+)
+def test_order_of_moves_is_read_from_the_id(written, name, order):
+    path = np.array([[0.0, 0, 0], [0, 0, 0], [0, 0, 0], [1, 1, 1]])
+    setup = _setup(name, [1, 1, 1], [0, 0, 0])
+    session = written([setup], [path], np.zeros_like, step=[0.01, 0.01, 0.01], blocks=2)
+    (run,) = runs_of(session.description)
+    assert run.order == order
+    assert run.path(2).shape == (7, 3)
+    assert np.flatnonzero(run.path(2)[1])[0] == "xyz".index(order[0])
+
+
+def test_path_agrees_with_the_simulated_positions(exact):
+    session = exact(orders=("xyz", "yzx", "zxy")).session
+    for number, run in enumerate(runs_of(session.description)):
+        mine = session.readings.setup == number
+        assert session.readings.position()[mine] == pytest.approx(run.path(12), abs=1e-12)
+
+
+def test_block_positions_of_a_shifted_volume(exact):
+    session = exact(corner=(-0.1, 0.2, 0.0), step=(0.02, 0.01, 0.03), blocks=5).session
+    x, y, z = block_positions(session.description, session.readings)
+    assert x == pytest.approx(-0.1 + 0.02 * np.arange(6))
+    assert y == pytest.approx(0.2 + 0.01 * np.arange(6))
+    assert z == pytest.approx(0.03 * np.arange(6))
+
+
+def test_unequal_steps_are_taken_from_the_commanded_positions(written):
+    places = np.array([0.0, 0.008, 0.021, 0.03])
+    path = places[:, None] * [1.0, 0.0, 0.0]
+    session = written([_setup("X", [1, 0, 0], [0, 0, 0], "linear")], [path], np.zeros_like, step=[0.01] * 3, blocks=3)
+    assert block_positions(session.description, session.readings)[0] == pytest.approx(places)
+
+
+def test_directions_across_a_beam():
+    for beam in ([1.0, 1.0, 1.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 1.0]):
+        unit = np.array(beam) / np.linalg.norm(beam)
+        first, second = across(unit)
+        frame = np.array([unit, first, second])
+        assert frame @ frame.T == pytest.approx(np.eye(3), abs=1e-12)
+        assert np.linalg.det(frame) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("setup", "message"),
+    [
+        (_setup("X", [1, 1, 0], [0, 0, 0], "linear"), "setup 'X': a linear run moves one axis"),
+        (_setup("ppp", [1, 0, 0], [0, 0, 0]), "setup 'ppp': a diagonal moves two or three axes"),
+        (_setup("ppp_xy", [1, 1, 1], [0, 0, 0]), "the order xy leaves out a moving axis"),
+    ],
+)
+def test_setups_that_cannot_be(written, setup, message):
+    session = written([setup], [np.array([[0.0, 0, 0], [0.1, 0.1, 0.1]])], np.zeros_like, step=[0.01] * 3, blocks=2)
+    with pytest.raises(ModelError, match=message):
+        runs_of(session.description)
+
+
+def test_another_method_is_refused(exact):
+    from machine_tool_calibration.simulation import SimulationSpec, TrackingPlan, simulate
+
+    other = simulate(SimulationSpec(plan=TrackingPlan(dimension=2))).session
+    with pytest.raises(ModelError, match="tracking_interferometer session has no step diagonals"):
+        step_diagonal_of(other)

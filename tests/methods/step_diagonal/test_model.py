@@ -1,0 +1,186 @@
+"""The model and its map: datum, figures, what is not determined, effects, bad input."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.methods.step_diagonal import MODELS, build
+from machine_tool_calibration.methods.step_diagonal.spread import SMALLEST, smooth_covariance
+from machine_tool_calibration.model.fit import fit_models
+from machine_tool_calibration.model.terms import Parameter, Term
+from machine_tool_calibration.session.reader import read_session
+from machine_tool_calibration.simulation import FlawSpec, TableSpec
+
+EXAMPLE = Path(__file__).parents[2] / "data" / "step_diagonal"
+
+
+def test_example_session():
+    result = identify(read_session(EXAMPLE))
+    document = json.loads(json.dumps(result.document(), allow_nan=False))
+    content = document["error_map"]
+    for letter in "xyz":
+        assert np.shape(content[letter]) == (13, 3) == np.shape(content[f"{letter}_u"])
+    assert document["model"] == "small_angles" == MODELS[0]
+    assert 0.7 < document["reduced_chi_square"] < 1.4
+    assert set(content["squareness"]) == {"C0Y", "C0Y_u", "B0Z", "B0Z_u", "A0Z", "A0Z_u"}
+    assert {p["name"] for p in document["parameters"]} >= {"ppp.tilt_1", "pnp.tilt_2", "EXX(0.01)", "C0Y", "X.offset_1"}
+    assert {entry["name"] for entry in document["not_determined"]} == {f"E{c}{a}" for c in "ABC" for a in "XYZ"}
+
+
+def test_map_is_in_the_coordinate_system_of_eq_17(exact):
+    result = identify(exact(1, noise=1.0, repeats=2).session)
+    content = result.error_map.content
+    for letter in "xyz":
+        assert content[letter][0] == pytest.approx(np.zeros(3), abs=1e-15)
+        assert content[f"{letter}_u"][0] == pytest.approx(np.zeros(3), abs=1e-12)
+    ends = [content["x"][-1, 1], content["x"][-1, 2], content["z"][-1, 1]]
+    assert ends == pytest.approx(np.zeros(3), abs=1e-15)
+    assert result.error_map.points.shape == (39, 3)
+    assert result.error_map.error[13:26] == pytest.approx(content["y"])
+    covariance = result.error_map.covariance
+    assert np.sqrt(np.einsum("nii->ni", covariance)) == pytest.approx(result.error_map.uncertainty, rel=1e-6, abs=1e-15)
+
+
+def test_squareness_and_straightness_do_not_depend_on_the_datum(exact, truth):
+    simulated = exact(6)
+    result = identify(simulated.session, model="translations")
+    error = {letter: np.array(simulated.truth.judged["axis_errors"][letter]) for letter in "xyz"}
+    at = 0.01 * np.arange(13)
+
+    def slope(letter, component):
+        return np.polyfit(at, error[letter][:, component], 1)[0]
+
+    squareness = result.error_map.content["squareness"]
+    assert squareness["C0Y"] == pytest.approx(-slope("x", 1) - slope("y", 0), abs=2e-8)
+    assert squareness["B0Z"] == pytest.approx(slope("x", 2) + slope("z", 0), abs=2e-8)
+    assert squareness["A0Z"] == pytest.approx(-slope("y", 2) - slope("z", 1), abs=2e-8)
+    straightness = result.error_map.content["straightness"]
+    bent = error["y"][:, 2] - np.polyval(np.polyfit(at, error["y"][:, 2], 1), at)
+    assert straightness["EZY"] == pytest.approx(np.ptp(bent), abs=3e-9)
+    assert result.error_map.content["positioning"]["EXX"] == pytest.approx(error["x"][-1, 0], abs=3e-9)
+
+
+def test_tilts_are_those_of_the_mirrors(exact):
+    simulated = exact(7)
+    result = identify(simulated.session, model="translations")
+    found = {p.name: p.value for p in result.parameters if "tilt" in p.name}
+    size = [np.hypot(found[f"{run}.tilt_1"], found[f"{run}.tilt_2"]) for run in ("ppp", "npp", "pnp")]
+    assert size == pytest.approx([1e-3] * 3, rel=0.05)  # the beam itself lies off the nominal diagonal
+
+
+def test_aligned_mirror_shows_the_missing_tilt_and_the_effect_mends_it(exact):
+    session = exact(7, noise=1.0, repeats=2).session
+    lacking = identify(session, model="aligned_mirror")
+    assert lacking.fit.joint.reduced_chi_square > 100
+    mended = identify(session, model="aligned_mirror", effects=["mirror_misalignment"])
+    assert mended.fit.joint.reduced_chi_square < 1.4
+
+
+@pytest.mark.parametrize("model", ["small_angles", "translations"])
+@pytest.mark.parametrize(
+    ("lost", "determined", "squareness"),
+    [
+        (("Z",), ["xx", "xy", "xz", "yy", "zy"], []),
+        (("pnp",), ["xx", "yy", "yz", "zy", "zz"], ["A0Z"]),
+        (("X", "Y", "Z"), ["xy", "xz", "zy"], []),
+        (("ppp", "npp", "pnp"), ["xx", "yy", "zz"], []),
+    ],
+)
+def test_what_missing_runs_leave_open(exact, worst, without, model, lost, determined, squareness):
+    simulated = exact(8, repeats=2)
+    result = identify(without(simulated.session, *lost), model=model)
+    content = result.error_map.content
+    found = [
+        axis + component
+        for axis in "xyz"
+        for j, component in enumerate("xyz")
+        if np.isfinite(content[axis][:, j]).all()
+    ]
+    assert found == determined
+    assert [name for name in ("C0Y", "B0Z", "A0Z") if np.isfinite(content["squareness"][name])] == squareness
+    assert worst(simulated, result.fit.model.profiles(result.fit)) < 3e-9
+    gaps = {entry.name: entry.why for entry in result.error_map.not_determined}
+    assert len(gaps) == 9 - len(determined)
+    if lost == ("Z",):
+        assert gaps["error_map.z: ez"] == "the measured runs do not determine it (no linear run of Z)"
+        assert np.isfinite(content["straightness"]["EXZ"])  # its slope is open, its shape is not
+    if lost == ("pnp",):
+        assert "2 of 3 diagonals" in gaps["error_map.x: ey"]
+    json.dumps(result.document(), allow_nan=False)
+
+
+def test_readings_that_stop_early_leave_gaps_only_there(exact):
+    session = exact(9).session
+    keep = ~((session.readings.position()[:, 0] > 0.105) & (session.readings.setup == session.setup_ids.index("X")))
+    reached = np.flatnonzero(session.readings.setup == 0)[:32]
+    keep &= (session.readings.setup != 0) | np.isin(np.arange(len(keep)), reached)
+    result = identify(session.with_readings(session.readings.select(keep)), model="translations")
+    assert np.isfinite(result.error_map.content["y"]).any()
+    json.dumps(result.document(), allow_nan=False)
+
+
+def test_dead_path_shows_and_the_effect_mends_it(exact):
+    simulated = exact(10, noise=1.0, repeats=2, angular=2e-6, effects=[FlawSpec(id="dead_path", amplitude=4e-6)])
+    before = identify(simulated.session)
+    after = identify(simulated.session, effects=["dead_path"])
+    assert before.fit.joint.p_value < 1e-6
+    assert after.fit.joint.p_value > 1e-3
+
+
+def test_the_size_of_the_angles_is_estimated_again_when_a_term_is_added(exact):
+    nodes = tuple(0.02 * k for k in range(7))
+    bow = TableSpec(nodes=nodes, values=tuple(4e-4 * x * (0.12 - x) / 0.06 for x in nodes))
+    model = build(exact(10, noise=1.0, orders=("xyz", "yzx", "zxy"), motions={"EAX": bow}).session)
+    known = next(term for term in model.spread.terms if term.name == "angle.EAX")
+    names = tuple(Parameter(f"EAX({x:g})", "rad") for x in nodes[1:])
+    mended = model.with_terms([Term("EAX", names, known.columns[1:])]).settled()
+    assert model.spread.size > 5e-6
+    assert mended.spread.size < 3e-6
+    assert model.with_terms([]).spread.size == model.spread.size
+
+
+@pytest.mark.parametrize("angular", [0.0, 1.5e-5])
+def test_the_size_of_the_angles_follows_the_machine(exact, angular):
+    sizes = [build(exact(seed, noise=1.0, angular=angular, repeats=2).session).spread.size for seed in range(8)]
+    if angular:
+        assert np.median(sizes) > 5e-6
+    else:
+        assert SMALLEST < np.median(sizes) < 3.5e-6
+
+
+def test_smooth_covariance_is_zero_at_first_and_one_at_last():
+    covariance = smooth_covariance(np.linspace(-1.0, 3.0, 7))
+    assert covariance[0] == pytest.approx(np.zeros(7), abs=1e-15)
+    assert covariance[-1, -1] == pytest.approx(1.0)
+    assert np.linalg.eigvalsh(covariance).min() > -1e-12
+
+
+def test_observations_tell_effects_what_the_mirror_does(exact):
+    observations = build(exact(1).session, "translations").observations
+    assert observations.rotation_direction.shape == (len(observations), 3)
+    assert np.einsum("nj,nj->n", observations.rotation_direction, observations.direction) == pytest.approx(0, abs=1e-15)
+    assert observations.path.min() == pytest.approx(0.0, abs=1e-15)
+    assert observations.path.max() == pytest.approx(0.12 * np.sqrt(3))
+    assert len(np.unique(observations.run)) == 6
+
+
+def test_bad_requests(exact, without):
+    session = exact(1).session
+    with pytest.raises(ModelError, match="step_diagonal has no model 'best'; known are small_angles"):
+        build(session, "best")
+    with pytest.raises(ModelError, match="no reading to identify from"):
+        build(without(session, *session.setup_ids))
+    with pytest.raises(ModelError, match="too few readings"):
+        fit_models([build(without(session, "npp", "pnp", "X", "Y", "Z"))])
+
+
+def test_an_axis_that_the_chain_lacks(written):
+    path = np.array([[0.0, 0, 0], [0.01, 0, 0], [0.02, 0, 0]])
+    setup = {"id": "X", "kind": "linear", "direction": [1, 0, 0], "start": [0, 0, 0]}
+    session = written([setup], [path], np.zeros_like, step=[0.01] * 3, blocks=2, chain="w-Y-b-Z-t")
+    with pytest.raises(ModelError, match="the runs move x, which the chain w-Y-b-Z-t does not have"):
+        build(session)
