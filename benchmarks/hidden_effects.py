@@ -24,12 +24,18 @@ from pathlib import Path
 
 import numpy as np
 
+from machine_tool_calibration.diagnosis.candidates import effect_candidates
 from machine_tool_calibration.diagnosis.diagnose import diagnose
+from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.methods.identify import build_model
 from machine_tool_calibration.model.fit import fit_models, screen
 from machine_tool_calibration.simulation import FLAWS, PRESETS, FlawSpec, SimulationSpec, Spread, simulate
 
+# An effect that must be this large to be seen, m, counts as absorbed by the model.
+_LARGEST = 1.5e-5
+# An unlisted effect that a listed one reproduces to this cosine cannot be known to be another.
+_ALIKE = 0.9
 _PLANS = ("tracking_2d", "tracking_3d", "step_diagonal", "rotary_axis", "probing_cross")
 
 
@@ -60,6 +66,25 @@ def signal_outside_model(spec: SimulationSpec) -> float:
     return float(np.sqrt(max(screen(fit, change[keep][None]).gram[0, 0], 0.0)))
 
 
+def looks_listed(spec: SimulationSpec) -> bool:
+    """Whether an effect of the catalogue reproduces this one's signal outside the model."""
+    with_effect = simulate(spec.model_copy(update={"noise_factor": 0.0})).session
+    without = simulate(spec.model_copy(update={"noise_factor": 0.0, "effects": ()})).session
+    change = (with_effect.readings.displacement - without.readings.displacement)[None]
+    fit = fit_models([build_model(without)[0]]).fits[0]
+    candidates, _ = effect_candidates(fit.model.observations, list(catalogue().values()))
+    for candidate in candidates:
+        for block in candidate.blocks:
+            projected = screen(fit, np.concatenate([block.columns, change]))
+            scale = np.sqrt(np.maximum(projected.squares[:-1], 1e-300))
+            inner = projected.gram[:-1, :-1] / np.outer(scale, scale)
+            right = inner[:-1, -1]
+            seen = right @ np.linalg.pinv(inner[:-1, :-1], rcond=1e-4, hermitian=True) @ right
+            if seen > _ALIKE**2 * inner[-1, -1]:
+                return True
+    return False
+
+
 def run(trial: Trial) -> Trial:
     """Simulate and diagnose."""
     plan = PRESETS[trial.plan]
@@ -69,11 +94,16 @@ def run(trial: Trial) -> Trial:
     if trial.kind == "spread" or trial.kind.endswith("with spread"):
         spread = Spread(slope=0.4 * sigma, bow=0.4 * sigma)
     flaws = []
+    known, observations = catalogue(), build_model(simulate(base).session)[0].observations
     for effect in trial.effects:
+        if effect in known and known[effect].why_not(observations):
+            return _with(trial, verdict="absorbed", note="does not act in this plan")
         one = base.model_copy(update={"effects": (FlawSpec(id=effect, amplitude=3e-6),)})
         strength = signal_outside_model(one)
-        if strength < 0.05 * 3e-6 / sigma:
+        if 3e-6 * trial.signal / max(strength, 1e-9) > _LARGEST:
             return _with(trial, verdict="absorbed", note=f"{strength:.2f} standard uncertainties from an amplitude of 3 um")
+        if trial.kind.startswith("unlisted") and looks_listed(one):
+            return _with(trial, verdict="absorbed", note="looks like a listed effect")
         flaws.append(FlawSpec(id=effect, amplitude=3e-6 * trial.signal / strength))
     session = simulate(base.model_copy(update={"effects": tuple(flaws), "spread": spread})).session
     start = time.perf_counter()

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import threadpoolctl
 
 from machine_tool_calibration.diagnosis.absorbed import absorbed_by
 from machine_tool_calibration.diagnosis.candidates import Candidate, effect_candidates, stack
@@ -128,6 +129,7 @@ class Diagnosis:
         return tuple(first) + tuple(r for r in self.looks[0].ranked if r.candidate.name not in self.accepted)
 
 
+@threadpoolctl.threadpool_limits.wrap(limits=1, user_api="blas")
 def diagnose(
     session: Session,
     *,

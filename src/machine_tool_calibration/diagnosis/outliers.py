@@ -52,8 +52,8 @@ def find_outliers(session: Session, build: Callable[[Session], MethodModel]) -> 
     Returns:
         Outliers in the order of removal, the session without them, and its fit.
     """
-    model = build(session)
-    fit = fit_models([model]).fits[0]
+    whole = session
+    first = fit = fit_models([build(session)]).fits[0]
     found: list[Outlier] = []
     most = int(_MOST * len(session.readings))
     while len(found) < most:
@@ -69,7 +69,21 @@ def find_outliers(session: Session, build: Callable[[Session], MethodModel]) -> 
         removed = np.isin(session.readings.row, [o.row for o in found])
         session = session.with_readings(session.readings.select(~removed))
         fit = fit_models([build(session)]).fits[0]
+    if _clustered(whole, found):
+        return [], whole, first
     return found, session, fit
+
+
+def _clustered(session: Session, found: list[Outlier]) -> bool:
+    """Whether most of them are neighbours in their run: then they are no chips but something that lasts."""
+    readings = session.readings
+    flagged = np.isin(readings.row, [o.row for o in found])
+    beside = np.zeros(len(readings), dtype=bool)
+    for s in np.unique(readings.setup):
+        mine = np.flatnonzero(readings.setup == s)
+        beside[mine[1:]] |= flagged[mine[:-1]]
+        beside[mine[:-1]] |= flagged[mine[1:]]
+    return len(found) > 2 and 2 * int((flagged & beside).sum()) >= len(found)
 
 
 def _studentized(fit: Fit) -> tuple[np.ndarray, np.ndarray, float]:

@@ -21,6 +21,7 @@ class Scale(Effect):
     kind = "position"
     coefficients = (Coefficient("s", "1", -2e-3, 2e-3),)
     covariates = ("x", "y", "z", "path", "displacement")
+    methods = ("step_diagonal", "tracking_interferometer", "probing", "direct")
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """The position, as far as it is sensed."""

@@ -25,7 +25,8 @@ class Warmup(Effect):
         self.formula = f"e_{axis} = a (1 - exp(-time / tau))"
         self.coefficients = (Coefficient("a", "m", -1e-4, 1e-4),)
         self.shapes = (Shape("tau", "s", 10.0, 1e5),)
-        self.needs = ("time",)
+        self.needs = (axis, "time")
+        self.covariates = ("time",)
 
     def shape_grid(self, observations: Observations) -> list[tuple[float, ...]]:
         """Time constants from a fiftieth of the session to its whole length; a longer one is a linear drift."""
