@@ -52,6 +52,8 @@ class TrackingModel(MethodModel):
         point: (n,) which of them each reading belongs to.
         stations: (S, 3) first estimates of the rotation centres, m.
         path: (S,) first estimates of the path at the datum reading (dead path), m.
+        sight: how well each station's own readings place it.
+        carried: (S,) stations that the network holds.
         tables: the machine's error motions in the model; None where every target is free.
     """
 
@@ -59,6 +61,8 @@ class TrackingModel(MethodModel):
     point: IntArray
     stations: Array
     path: Array
+    sight: OwnSight
+    carried: BoolArray
     tables: tuple[MachineTable, ...] | None
 
     @property
@@ -92,18 +96,6 @@ class TrackingModel(MethodModel):
             out += [Parameter(f"{setup.id}.{axis}", "m", reference=float(value)) for axis, value in axes]
             out.append(Parameter(f"{setup.id}.dead_path", "m", reference=float(path)))
         return tuple(out)
-
-    @cached_property
-    def sight(self) -> OwnSight:
-        """How well each station's own readings place it."""
-        along = self.observations.direction[:, : self.dimension]
-        return OwnSight(along, self.observations.readings.setup, len(self.stations))
-
-    @cached_property
-    def carried(self) -> BoolArray:
-        """(S,) stations that the network holds."""
-        setup = self.observations.readings.setup
-        return carried_stations(self.point, setup, len(self.targets), len(self.stations), self.dimension)
 
     @cached_property
     def loose_stations(self) -> list[tuple[int, Array]]:
@@ -208,8 +200,9 @@ def build(session: Session, model: str = "free") -> TrackingModel:
         elevation = readings.columns.get("elevation", np.zeros(len(readings))) if d == 3 else np.zeros(len(readings))
         direction = beam_direction(readings.column("azimuth"), elevation)
     path = np.zeros(len(stations))
-    read, first = np.unique(readings.setup, return_index=True)
-    path[read] = length[first] - readings.displacement[first]
+    for s in range(len(stations)):
+        mine = np.flatnonzero(readings.setup == s)[:1]
+        path[s] = np.sum(length[mine] - readings.displacement[mine])
     free = TrackingModel(
         observations=Observations(
             session, readings, position, direction, np.zeros_like(direction), length, readings.setup
@@ -223,6 +216,8 @@ def build(session: Session, model: str = "free") -> TrackingModel:
         point=point,
         stations=stations,
         path=path,
+        sight=OwnSight(direction[:, :d], readings.setup, len(stations)),
+        carried=carried_stations(point, readings.setup, len(targets), len(stations), d),
         tables=None,
     )
     free = replace(free, priors=tuple(_known_places(free)))

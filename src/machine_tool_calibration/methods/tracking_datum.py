@@ -100,8 +100,10 @@ class OwnSight:
         size = direction.shape[1] + 1
         self._values = np.zeros((n_stations, size))
         self._vectors = np.tile(np.eye(size), (n_stations, 1, 1))
-        for k in np.unique(station):
+        for k in range(n_stations):
             own = direction[station == k]
+            if not len(own):
+                continue
             columns = np.column_stack([own, np.ones(len(own))])
             self._values[k], self._vectors[k] = np.linalg.eigh(columns.T @ columns)
 
