@@ -32,6 +32,8 @@ __all__ = ["Absorbed", "Diagnosis", "Look", "Structure", "diagnose"]
 # Family errors of a round: together at most one false alarm in twenty sessions in which nothing is missing.
 _LEVEL, _STRUCTURE_LEVEL = 0.03, 0.02
 _ROUNDS = 3
+# Chance at which places that differ more than their repeats, without any pattern, speak for something missing.
+_LACK_LEVEL = 0.003
 # Structure that is left after the accepted effects speaks against them if it is this share of all that was found.
 _LEFT_OVER = 0.1
 # How much better a structure without a cause must do than the best effect to speak against it.
@@ -67,6 +69,7 @@ class Look:
 
     Attributes:
         fit: of the model.
+        noise: what is known of the readings' noise.
         ranked: effects that are not in the model, best first.
         groups: effects that this data cannot tell apart.
         absorbed: effects that would not show.
@@ -77,6 +80,7 @@ class Look:
     """
 
     fit: Fit
+    noise: Noise
     ranked: tuple[Ranked, ...]
     groups: tuple[tuple[str, ...], ...]
     absorbed: tuple[Absorbed, ...]
@@ -188,7 +192,7 @@ def diagnose(
         verdict=verdict,
         accepted=tuple(effect.id for effect in accepted) if verdict == "missing_effect" else (),
         looks=tuple(looks),
-        noise=noise_of(looks[0].fit),
+        noise=looks[0].noise,
         excluded=excluded,
         outliers=tuple(outliers),
     )
@@ -235,6 +239,10 @@ def _look(
         for r in sorted(seen, key=lambda r: (r.family_p_value, -r.statistic))
         if r.rank and r.family_p_value <= _STRUCTURE_LEVEL
     )
+    noise = noise_of(fit, spread)
+    if not structure and noise.lack_of_fit_p is not None and noise.lack_of_fit_p < _LACK_LEVEL:
+        share = 1.0 - min((noise.from_repeats or 0.0) ** 2 / observations.session.sigma**2 / fit.joint.reduced_chi_square, 1.0)
+        structure = (Structure("place", "repeats agree with each other and not with the model", noise.lack_of_fit_p, share),)
     absorbed = tuple(
         Absorbed(r.candidate.name, absorbed_by(fit, projected, r.place)) for r in ranked if not r.rank
     )
@@ -242,6 +250,7 @@ def _look(
     top = [r.columns for r in ranked[:_VALIDATED] if r.rank]
     return Look(
         fit=fit,
+        noise=noise,
         ranked=ranked,
         groups=alias_groups(ranked, reduced),
         absorbed=absorbed,

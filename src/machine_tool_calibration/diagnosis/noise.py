@@ -7,11 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from machine_tool_calibration.arrays import IntArray
-from machine_tool_calibration.model.fit import Fit
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.diagnosis.spread import Spread
+from machine_tool_calibration.model.fit import Fit, screen
 from machine_tool_calibration.model.observations import Observations
 
 __all__ = ["Noise", "noise_of", "same_place"]
+
+# Fewer repeated readings than this say nothing of the noise; more places than this are not compared one by one.
+_REPEATS = 8
+_PLACES = 1500
 
 
 @dataclass(frozen=True)
@@ -23,7 +28,8 @@ class Noise:
         from_repeats: from readings repeated at the same place in the same setup; None without such.
         repeats: degrees of freedom of the latter.
         chi_square_p: chance of so large residuals if the model is right and the declared uncertainty too.
-        lack_of_fit_p: chance of so much scatter between places, against that between repeats (F test); None without.
+        lack_of_fit_p: chance that places differ so much more than repeats at one place do (F test, with the spread between
+            runs taken out of both); None without repeats.
     """
 
     declared: float
@@ -44,21 +50,39 @@ def same_place(observations: Observations) -> IntArray:
     return np.asarray(np.unique(np.stack(keys), axis=1, return_inverse=True)[1].reshape(-1))
 
 
-def noise_of(fit: Fit) -> Noise:
-    """Compare residuals with the declared uncertainty and with repeats."""
+def noise_of(fit: Fit, spread: Spread) -> Noise:
+    """Compare residuals with the declared uncertainty and with repeats.
+
+    Args:
+        fit: of a single session.
+        spread: slopes and bows of its runs: what they can do is neither noise nor a lack of fit.
+    """
     place = same_place(fit.model.observations)
-    residuals = fit.residuals
     count = np.bincount(place)
-    mean = np.bincount(place, residuals) / count
-    pure = float(np.sum((residuals - mean[place]) ** 2))
-    # Each run brings unknowns of its own (its datum) that the repeats cannot tell from noise.
     free = int((count - 1).sum())
     declared = fit.model.observations.session.sigma
-    dof = fit.solution.degrees_of_freedom
-    from_repeats, lack = None, None
-    if free >= 5:
-        from_repeats = float(np.sqrt(pure / free))
-        lacking = float(np.sum(residuals**2)) - pure
-        if dof - free > 0:
-            lack = float(stats.f.sf((lacking / (dof - free)) / max(pure / free, 1e-300), dof - free, free))
-    return Noise(declared, from_repeats, free, fit.joint.p_value, lack)
+    if free < _REPEATS or len(count) > _PLACES:
+        return Noise(declared, None, free, fit.joint.p_value, None)
+    several = np.flatnonzero(count > 1)
+    indicators = (place[None, :] == several[:, None]) * declared
+    projected = screen(fit, np.concatenate([spread.columns, indicators]))
+    scale = np.sqrt(np.maximum(projected.squares[:-1], np.finfo(float).tiny))
+    inner, right = projected.gram[:-1, :-1] / np.outer(scale, scale), projected.gram[:-1, -1] / scale
+    total, k = float(projected.gram[-1, -1]), len(spread.columns)
+    explained_spread, rank_spread = _explained(inner[:k, :k], right[:k])
+    explained_all, rank_all = _explained(inner, right)
+    dof = fit.solution.degrees_of_freedom - rank_all
+    if dof < _REPEATS or rank_all == rank_spread:
+        return Noise(declared, None, free, fit.joint.p_value, None)
+    pure = max(total - explained_all, 1e-12) / dof
+    lacking = max(explained_all - explained_spread, 0.0) / (rank_all - rank_spread)
+    lack = float(stats.f.sf(lacking / pure, rank_all - rank_spread, dof))
+    return Noise(declared, float(np.sqrt(pure)) * declared, dof, fit.joint.p_value, lack)
+
+
+def _explained(inner: Array, right: Array) -> tuple[float, int]:
+    """Squared norm that columns explain, and their rank."""
+    values, vectors = np.linalg.eigh(inner)
+    keep = values > 1e-9
+    along = vectors[:, keep].T @ right
+    return float(np.sum(along**2 / values[keep])), int(keep.sum())
