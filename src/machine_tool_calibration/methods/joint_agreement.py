@@ -29,6 +29,7 @@ __all__ = ["Agreement", "Contradiction", "agreement"]
 _LEVEL = 0.01
 _ROUNDS = 3
 _DEGREE = 4
+_CLEAR = 3.0
 # Share of the best explanation's logarithm of probability above which another is named beside it.
 _ALIKE = 0.7
 # Share of a difference's columns outside the model below which the session's own unknowns take it up.
@@ -44,7 +45,7 @@ class Contradiction:
         others: labels of the sessions that see the same motion.
         motion: the error motion or effect.
         alike: other motions with which this contradiction could be explained nearly as well.
-        difference: largest difference, session minus others, m or rad.
+        difference: session minus others, where it is largest and more than three standard uncertainties, m or rad.
         difference_u: its standard uncertainty.
         unit: m, rad or that of the effect's coefficient.
         p_value: of the chi-square, times the number of comparisons (Bonferroni).
@@ -144,9 +145,10 @@ def agreement(joint: JointFit, common: CommonModels, labels: Sequence[str], spre
     if not found:
         text = f"the sessions agree: of {count} comparisons the worst has p = {smallest:.2g}" if pending else ""
         return Agreement(count, smallest, float(np.sqrt(factor)), (), text)
-    return Agreement(
-        count, smallest, float(np.sqrt(factor)), tuple(found), "; ".join(_sentence(entry) for entry in found)
-    )
+    text = "; ".join(_sentence(entry) for entry in found)
+    if any(len(entry.others) == 1 for entry in found):
+        text += " (two sessions alone cannot tell which of them is wrong)"
+    return Agreement(count, smallest, float(np.sqrt(factor)), tuple(found), text)
 
 
 def _log_tail(chi_square: float, rank: int) -> float:
@@ -164,11 +166,8 @@ def _sentence(entry: Contradiction) -> str:
     size = f"{abs(entry.difference) * scale:.3g} {unit} (standard uncertainty {entry.difference_u * scale:.2g} {unit})"
     if len(entry.others) == 1:
         pair = f"sessions {entry.session!r} and {entry.others[0]!r}"
-        return (
-            f"{pair} contradict each other in {motion} by up to {size}; "
-            "two sessions cannot tell which of them is wrong"
-        )
-    return f"session {entry.session!r} contradicts the others in {motion} by up to {size}"
+        return f"{pair} contradict each other in {motion} by {size}"
+    return f"session {entry.session!r} contradicts the others in {motion} by {size}"
 
 
 def _candidates(models: Sequence[MethodModel]) -> list[_Candidate]:
@@ -245,11 +244,13 @@ def _test(matrix: Array, vector: Array, where: slice, size: Array) -> tuple[floa
 def _difference(
     matrix: Array, vector: Array, where: slice, size: Array, entry: _Candidate
 ) -> tuple[float, float]:
-    """The largest difference at a node, against its uncertainty, and its standard uncertainty."""
+    """The largest difference that is clearly one, and its standard uncertainty."""
     inverse, _ = _inverse(matrix, where, size)
     value = entry.shape @ (inverse @ vector[where])
     uncertainty = np.sqrt(np.einsum("vi,ij,vj->v", entry.shape, inverse, entry.shape).clip(0.0))
-    worst = int(np.argmax(np.abs(value)))
+    ratio = np.abs(value) / np.maximum(uncertainty, 1e-300)
+    clear = ratio > min(_CLEAR, float(ratio.max()) * 0.999)
+    worst = int(np.argmax(np.where(clear, np.abs(value), -1.0)))
     return float(value[worst]), float(uncertainty[worst])
 
 

@@ -35,7 +35,7 @@ def joint_map(joint: JointFit, common: CommonModels) -> ErrorMap:
     field = map_field(common.tables, points)
     flat = field.reshape(len(field), 3 * n)
     fixed = [common.fixed[label] for table in common.tables for label in table.labels]
-    open_ = flat.T @ np.array(fixed).reshape(len(flat), -1)
+    open_ = flat.T @ np.array(fixed) if fixed else np.zeros((3 * n, 0))
     size = np.linalg.norm(open_, axis=0)
     open_ = open_[:, size > 1e-9] / size[size > 1e-9]
     if open_.shape[1]:

@@ -1,7 +1,7 @@
 """Models of several sessions of one machine made to speak of the same unknowns.
 
 Every session's model has tables of the machine's error motions at nodes of its own, and only those that it can tell by
-itself. Put together, a table must be the same function for all: the nodes are those of all sessions that sense it, and
+itself. Put together, a table must be the same function for all: the nodes are those of all sessions that have it, and
 a session's readings depend on every motion that any session has and that moves its functional point, also on those
 that it had left out because it could not tell them from others.
 """
@@ -17,17 +17,16 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.solve import gram, solve_normal
 from machine_tool_calibration.machine.chain import Chain
-from machine_tool_calibration.machine.error_motions import parse_motion
+from machine_tool_calibration.machine.error_motions import SQUARENESS, parse_motion
 from machine_tool_calibration.machine.table import interpolation
 from machine_tool_calibration.machine.tables import MachineTable
-from machine_tool_calibration.methods.direct_tables import nodes_from
 from machine_tool_calibration.methods.needed_datum import needed_rows
 from machine_tool_calibration.methods.rigid_body import table_datum
 from machine_tool_calibration.model.model import Constraint, MethodModel, Prior, assemble
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.terms import Term
 
-__all__ = ["CommonModels", "common_models", "machine_columns"]
+__all__ = ["CommonModels", "common_models", "machine_columns", "tables_of"]
 
 # Share of the range within which nodes of two sessions are one, and the most nodes of a table.
 _SAME = 1e-3
@@ -93,28 +92,21 @@ def machine_columns(table: MachineTable, observations: Observations) -> Array:
     return np.asarray(columns + weights * turned[:, "ABC".index(motion.component)])
 
 
-def _own_tables(model: MethodModel) -> tuple[MachineTable, ...]:
+def tables_of(model: MethodModel) -> tuple[MachineTable, ...]:
+    """A model's own tables of the linear axes' errors; none for a rotary axis or free targets."""
     return tuple(getattr(model, "tables", None) or ())
 
 
 def _shared_tables(models: Sequence[MethodModel], chain: Chain) -> tuple[MachineTable, ...]:
     """Every motion that a session has, on the nodes of all that sense it."""
-    names = list(dict.fromkeys(table.name for model in models for table in _own_tables(model)))
+    names = list(dict.fromkeys(table.name for model in models for table in tables_of(model)))
     out = []
     for name in names:
-        probe = MachineTable(chain, name, np.empty(0) if name in ("A0Z", "B0Z", "C0Y") else np.array([0.0]))
-        if probe.is_squareness:
-            out.append(probe)
+        if name in SQUARENESS:
+            out.append(MachineTable(chain, name, np.empty(0)))
             continue
-        axis = "XYZ".index(parse_motion(name).axis)
-        nodes = []
-        for model in models:
-            own = next((table.nodes for table in _own_tables(model) if table.name == name), None)
-            if own is None:
-                sensed = np.abs(machine_columns(probe, model.observations)[0]) > _SENSED
-                position = model.observations.position[sensed, axis]
-                own = nodes_from(position) if len(position) else np.empty(0)
-            nodes.append(own)
+        # Nodes of those that can tell the motion: at further ones it would be mixed with others, and nothing gained.
+        nodes = [table.nodes for model in models for table in tables_of(model) if table.name == name]
         out.append(MachineTable(chain, name, _union(nodes)))
     return tuple(out)
 
@@ -134,7 +126,7 @@ def _union(nodes: Iterable[Array]) -> Array:
 
 def _with_tables(model: MethodModel, tables: Sequence[MachineTable]) -> MethodModel:
     """The model with the shared tables in place of its own; its other conditions said of the new unknowns."""
-    own = _own_tables(model)
+    own = tables_of(model)
     if not hasattr(model, "tables"):
         return model
     kept, terms = [], []
@@ -192,7 +184,7 @@ def _with_datum(models: Sequence[MethodModel], labels: Sequence[str], tables: Se
     for index, model in enumerate(models):
         shared = {p.name for p in model.parameters if p.shared}
         own.append([c for c in model.constraints if not shared & set(c.weights)])
-        sensed = {table.name for table in _own_tables(model)}
+        sensed = {table.name for table in tables_of(model)}
         datum = table_datum([table for table in tables if table.name in sensed])
         candidates += [(index, c) for c in datum]
         candidates += [(index, c) for c in model.constraints if shared & set(c.weights)]
