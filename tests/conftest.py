@@ -9,6 +9,16 @@ from pathlib import Path
 from typing import IO
 
 import pytest
+from hypothesis import settings
+
+# The same examples every time, and no limit of the wall clock; HYPOTHESIS_PROFILE=explore looks for new ones.
+settings.register_profile("repeatable", deadline=None, derandomize=True)
+settings.register_profile("explore", deadline=None, print_blob=True)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
+
+# Text is laid out as in a file, whatever the terminal is.
+for variable in ("COLUMNS", "LINES"):
+    os.environ.pop(variable, None)
 
 # Before anything imports them: pictures without a screen, and one thread for small matrices on a shared machine.
 os.environ.setdefault("MPLBACKEND", "Agg")
