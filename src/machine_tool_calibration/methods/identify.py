@@ -11,6 +11,7 @@ import numpy as np
 from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.model.effect_terms import add_effects
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.model import MethodModel
@@ -56,6 +57,7 @@ def rejected_readings(session: Session) -> tuple[Rejected, ...]:
     return tuple(Rejected(int(session.readings.row[k]), "the reading is missing") for k in missing)
 
 
+@single_blas()
 def identify(
     session: Session, *, model: str | None = None, effects: Sequence[str] = (), own: Sequence[Effect] = ()
 ) -> Result:
