@@ -20,6 +20,8 @@ __all__ = ["INDEX_COLUMNS", "Collector"]
 INDEX_COLUMNS = {"target_index": ("target", "targets"), "point_index": ("point", "workpiece")}
 """Column of a `reading` message, the label that it stands for, and the list in the description that it counts in."""
 
+_BLOCK = 4096  # readings
+
 
 class Collector:
     """Collects `reading` messages; the same readings give the same session, to the last bit, however they came."""
@@ -34,8 +36,9 @@ class Collector:
         self.description = description
         self._place = place
         self._setups: list[str] = []
-        self._names: list[tuple[str, ...]] = []
+        self._names: tuple[str, ...] = ()
         self._values: list[Array] = []
+        self._blocks: list[tuple[tuple[str, ...], Array]] = []
 
     def __len__(self) -> int:
         return len(self._setups)
@@ -43,9 +46,10 @@ class Collector:
     @property
     def last_time(self) -> float:
         """The last reading's time, s; NaN if there is none."""
-        if not self._names or "time" not in self._names[-1]:
+        if "time" not in self._names:
             return float("nan")
-        return float(self._values[-1][self._names[-1].index("time")])
+        last = self._values[-1] if self._values else self._blocks[-1][1][-1]
+        return float(last[self._names.index("time")])
 
     def add(self, setup: str, names: Sequence[str], values: Sequence[float] | Array) -> None:
         """One more reading, as a JointState carries it.
@@ -61,11 +65,12 @@ class Collector:
         where = self._place.row(len(self))
         if len(names) != len(values):
             raise SessionError(f"{where}: {len(names)} names and {len(values)} values")
-        key = tuple(names)
-        if (not self._names or self._names[-1] != key) and len(set(key)) < len(key):
-            raise SessionError(f"{where}: a name stands twice in {', '.join(key[:40])}")
+        if tuple(names) != self._names or len(self._values) >= _BLOCK:
+            if len(set(names)) < len(names):
+                raise SessionError(f"{where}: a name stands twice in {', '.join(names[:40])}")
+            self._end_block()
+            self._names = tuple(names)
         self._setups.append(setup)
-        self._names.append(self._names[-1] if self._names and self._names[-1] == key else key)
         self._values.append(np.asarray(values, dtype=np.float64))
 
     def session(self, source: str, *, check: bool = True) -> Session:
@@ -91,21 +96,24 @@ class Collector:
             check_session(session, self._place)
         return session
 
+    def _end_block(self) -> None:
+        """Readings of the same names become one table, which takes far less memory than single arrays."""
+        if self._values:
+            self._blocks.append((self._names, np.stack(self._values)))
+            self._values = []
+
     def _columns(self) -> dict[str, Array]:
         """Every name's values, NaN where a reading does not have it."""
         if not self._setups:
             raise SessionError(f"{self._place.readings}: no readings")
-        order: dict[str, None] = {}
-        for names in dict.fromkeys(self._names):
-            order.update(dict.fromkeys(names))
-        rows: dict[tuple[str, ...], list[int]] = {}
-        for row, names in enumerate(self._names):
-            rows.setdefault(names, []).append(row)
+        self._end_block()
+        order = dict.fromkeys(name for names in dict.fromkeys(names for names, _ in self._blocks) for name in names)
         columns = {name: np.full(len(self), np.nan) for name in order}
-        for names, at in rows.items():
-            table = np.stack([self._values[row] for row in at])
-            for index, name in enumerate(names):
-                columns[name][at] = table[:, index]
+        start = 0
+        for names, table in self._blocks:
+            for name, values in zip(names, table.T, strict=True):
+                columns[name][start : start + len(table)] = values
+            start += len(table)
         return columns
 
     def _labels(self, column: str, values: Array, ids: list[str]) -> np.ndarray:

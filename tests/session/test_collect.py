@@ -1,0 +1,62 @@
+"""Readings that come one by one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.recording.session_to_bag import reading_columns
+from machine_tool_calibration.session import collect
+from machine_tool_calibration.session.collect import Collector
+from machine_tool_calibration.session.place import Place
+from machine_tool_calibration.session.reader import read_session
+
+DATA = Path(__file__).parents[1] / "data"
+
+
+@pytest.mark.parametrize("block", [1, 7, 4096])
+def test_the_same_session_whatever_the_blocks(block: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(collect, "_BLOCK", block)
+    session = read_session(DATA / "rotary_axis")
+    names, table = reading_columns(session)
+    collector = Collector(session.description, Place("session", "reading"))
+    assert np.isnan(collector.last_time)
+    for setup, row in zip(session.readings.setup, table, strict=True):
+        collector.add(session.setup_ids[setup], names, row)
+    assert collector.last_time == 3345.0
+    assert len(collector) == 216
+    other = collector.session("live")
+    assert other.readings.displacement.tobytes() == session.readings.displacement.tobytes()
+    for name, values in session.readings.columns.items():
+        assert values.tobytes() == other.readings.columns[name].tobytes()
+    assert np.array_equal(other.readings.labels["target"], session.readings.labels["target"])
+
+
+def test_names_that_change_on_the_way() -> None:
+    session = read_session(DATA / "tracking_2d")
+    collector = Collector(session.description, Place("session", "reading"))
+    base = ["time", "repeat", "x", "y", "azimuth", "displacement"]
+    collector.add("A", base, [0.0, 0, 1, 2, 3, 4])
+    collector.add("A", [*base, "load"], [1.0, 0, 1, 2, 3, 4, 9])
+    collector.add("A", base[::-1], [40, 30, 20, 10, 0, 2.0])
+    readings = collector.session("live", check=False).readings
+    assert readings.columns["time"].tolist() == [0.0, 1.0, 2.0]
+    assert readings.columns["x"].tolist() == [1.0, 1.0, 10.0]
+    assert readings.displacement.tolist() == [4.0, 4.0, 40.0]
+    assert np.array_equal(readings.columns["load"], [np.nan, 9.0, np.nan], equal_nan=True)
+
+
+def test_a_session_can_be_taken_before_the_last_reading() -> None:
+    session = read_session(DATA / "tracking_2d")
+    names, table = reading_columns(session)
+    collector = Collector(session.description, Place("session", "reading"))
+    with pytest.raises(SessionError, match="^reading: no readings$"):
+        collector.session("live")
+    for count, row in enumerate(table[:20], 1):
+        collector.add("A", names, row)
+        assert len(collector.session("live", check=False).readings) == count
+    with pytest.raises(SessionError, match="^reading: 1 station; "):
+        collector.session("live")
