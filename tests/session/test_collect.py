@@ -53,10 +53,10 @@ def test_a_session_can_be_taken_before_the_last_reading() -> None:
     session = read_session(DATA / "tracking_2d")
     names, table = reading_columns(session)
     collector = Collector(session.description, Place("session", "reading"))
-    with pytest.raises(SessionError, match="^reading: no readings$"):
+    with pytest.raises(SessionError, match=r"^reading: no readings$"):
         collector.session("live")
     for count, row in enumerate(table[:20], 1):
         collector.add("A", names, row)
         assert len(collector.session("live", check=False).readings) == count
-    with pytest.raises(SessionError, match="^reading: 1 station; "):
+    with pytest.raises(SessionError, match=r"^reading: 1 station; "):
         collector.session("live")
