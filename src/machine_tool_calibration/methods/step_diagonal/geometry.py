@@ -67,7 +67,7 @@ def runs_of(description: StepDiagonal) -> tuple[Run, ...]:
     """The setups' runs, in the order of the description.
 
     Raises:
-        ModelError: a direction that does not fit the setup's kind, or an order of moves that leaves out an axis.
+        ModelError: a direction that does not fit the setup's kind.
     """
     return tuple(_run(setup, description) for setup in description.setups)
 
@@ -83,13 +83,11 @@ def _run(setup: DiagonalSetup, description: StepDiagonal) -> Run:
         raise ModelError(f"setup {setup.id!r}: a diagonal moves two or three axes, {what}")
     name, order = setup.id, moving
     found = _ORDER.match(setup.id)
-    if found and len(set(found["order"].lower())) == len(found["order"]):
-        name, stated = found["name"], found["order"].lower()
-        order = "".join(letter for letter in stated if letter in moving)
-        if len(order) < len(moving):
-            raise ModelError(
-                f"setup {setup.id!r}: the order {stated} leaves out a moving axis; it moves {', '.join(moving)}"
-            )
+    if found:
+        stated = "".join(letter for letter in found["order"].lower() if letter in moving)
+        # Letters that are not all moving axes, once each, are a name and no order.
+        if sorted(stated) == sorted(moving):
+            name, order = found["name"], stated
     beam = motion / np.linalg.norm(motion)
     return Run(setup.id, name, order, setup.kind == "diagonal", np.asarray(setup.start), motion, beam, sign)
 
