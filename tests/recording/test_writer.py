@@ -207,6 +207,29 @@ def test_a_full_disk_costs_only_what_did_not_fit(tmp_path: Path, monkeypatch: py
         assert sum(1 for _ in reader.messages()) == 41 - refused
 
 
+def test_a_disk_that_is_full_between_two_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bag = BagWriter(tmp_path / "bag", flush_seconds=3600, split_seconds=1.0)
+    bag.add_topic("/text", TEXT)
+    bag.write("/text", encode(TEXT, "first"), 0)
+    bag.flush()
+    opened = mcap_file.os.open
+
+    def refused(*arguments: object) -> int:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(mcap_file.os, "open", refused)
+    for i in (2, 3):
+        with pytest.raises(RecordingError, match="No space left"):
+            bag.write("/text", encode(TEXT, "refused"), i * 10**9)
+    monkeypatch.setattr(mcap_file.os, "open", opened)
+    bag.write("/text", encode(TEXT, "second"), 4 * 10**9)
+    bag.close()
+    texts = [BagReader(bag.folder).decode(message).data for message in BagReader(bag.folder).messages()]
+    assert texts == ["first", "second"]
+    with pytest.raises(RecordingError, match="is closed"):
+        bag.write("/text", b"", 0)
+
+
 def test_a_disk_that_stays_full_leaves_what_recover_needs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bag = BagWriter(tmp_path / "bag", flush_seconds=3600)
     bag.add_topic("/text", TEXT)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from machine_tool_calibration.nodes.process import run, use_sim_time
 from machine_tool_calibration.nodes.qos import LATCHED
 from machine_tool_calibration.nodes.stamps import now, to_message
 from machine_tool_calibration.nodes.status import Level
-from machine_tool_calibration.nodes.taps import Tap, Taps
+from machine_tool_calibration.nodes.taps import Taken, Tap, Taps
 from machine_tool_calibration.recording.errors import RecordingError
 from machine_tool_calibration.recording.graph import GRAPH_TOPICS, belongs_to_graph
 from machine_tool_calibration.recording.qos import Qos
@@ -50,6 +51,7 @@ class Recorder(Node):
         own = self.resolve_topic_name("recorder/status")
         self._ignored = {*_NEVER, own}
         self._refused: dict[str, str] = {}
+        self._taken = 0
         self.trouble = ""
         self._waiting = use_sim_time(self)
         self.bag = BagWriter(
@@ -85,7 +87,7 @@ class Recorder(Node):
     @property
     def lost(self) -> int:
         """Messages that never came or could not be written."""
-        return self.bag.lost + sum(tap.lost for tap in self.taps.taps.values())
+        return self._taken - self.bag.messages + sum(tap.lost for tap in self.taps.taps.values())
 
     def _declare_topics(self) -> list[str]:
         return list(
@@ -131,19 +133,21 @@ class Recorder(Node):
             if self._waiting:
                 return
         simulated = now(self) if use_sim_time(self) else None
+        for message in self.taps.take():
+            self._taken += 1
+            self._guarded(self._write, message, message.received if simulated is None else simulated)
+        self._guarded(self.bag.tick)
+
+    def _write(self, message: Taken, time: int) -> None:
+        if not self.bag.has(message.topic):
+            self.taps.discover(message.topic)
+            self._register(self.taps.taps[message.topic])
+        self.bag.write(message.topic, message.data, time, message.sent, message.number)
+
+    def _guarded(self, action: Callable[..., None], *arguments: object) -> None:
+        """A disk that is full must not end the recorder: there may be room again."""
         try:
-            for message in self.taps.take():
-                if not self.bag.has(message.topic):
-                    self.taps.discover(message.topic)
-                    self._register(self.taps.taps[message.topic])
-                self.bag.write(
-                    message.topic,
-                    message.data,
-                    message.received if simulated is None else simulated,
-                    message.sent,
-                    message.number,
-                )
-            self.bag.tick()
+            action(*arguments)
         except RecordingError as error:
             if not self.trouble:
                 self.get_logger().error(str(error))

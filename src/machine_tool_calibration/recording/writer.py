@@ -78,6 +78,7 @@ class BagWriter:
         self._files: list[FileSummary] = []
         self._file: McapFile | None = None
         self._flushed = time.monotonic()
+        self._closed = False
         self.lost = 0  # messages in chunks that could not be written
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -186,13 +187,9 @@ class BagWriter:
     def flush(self) -> None:
         """Hand what is pending to the operating system."""
         self._flushed = time.monotonic()
-        file = self._open_file()
         try:
-            file.end_chunk()
+            self._end_chunk(self._open_file())
         except OSError as error:
-            summary = self._files[-1]
-            self.lost += summary.messages - file.messages
-            summary.messages, summary.by_topic = file.messages, dict(file.counts)
             raise self._failed(error) from None
 
     def close(self) -> None:
@@ -201,10 +198,11 @@ class BagWriter:
         Raises:
             RecordingError: it could not be written; `mtcal recover` makes what is there whole.
         """
-        if self._file is None:
+        if self._closed:
             return
         try:
-            self._end()
+            if self._file is not None:
+                self._end()
             part = self.folder / "metadata.yaml.part"
             with part.open("w", encoding="utf-8") as stream:
                 stream.write(metadata_text(self._information()))
@@ -213,6 +211,8 @@ class BagWriter:
             os.replace(part, self.folder / "metadata.yaml")
         except OSError as error:
             raise self._failed(error) from None
+        finally:
+            self._closed = True
 
     def __enter__(self) -> Self:
         return self
@@ -223,14 +223,21 @@ class BagWriter:
         self.close()
 
     def _begin(self) -> None:
+        """Start the next file."""
         name = f"{self.folder.resolve().name}_{len(self._files)}.mcap"
+        file: McapFile | None = None
         try:
-            self._file = McapFile(self.folder / name)
+            file = McapFile(self.folder / name)
             self._files.append(FileSummary(name))
             # for readers of a file whose end is missing
-            self._file.add_metadata("rosbag2", {"serialized_metadata": bag_information_text(self._information())})
+            file.add_metadata("rosbag2", {"serialized_metadata": bag_information_text(self._information())})
         except OSError as error:
+            if file is not None:
+                self._files.pop()
+                file.abandon()
+                file.path.unlink(missing_ok=True)
             raise self._failed(error) from None
+        self._file = file
         self._channels, self._schemas = {}, {}
         for topic in self._topics:
             self._register(topic)
@@ -245,6 +252,16 @@ class BagWriter:
             "topic_type_hash": topic.summary.type_hash,
         }
         self._channels[name] = file.add_channel(name, self._schemas[kind], topic.summary.encoding, metadata)
+
+    def _end_chunk(self, file: McapFile) -> None:
+        """End the chunk; what could not be written is counted as lost."""
+        try:
+            file.end_chunk()
+        except OSError:
+            summary = self._files[-1]
+            self.lost += summary.messages - file.messages
+            summary.messages, summary.by_topic = file.messages, dict(file.counts)
+            raise
 
     def _is_full(self, file: McapFile, summary: FileSummary, log_time: int) -> bool:
         if not summary.messages:
@@ -266,16 +283,18 @@ class BagWriter:
     def _end(self) -> None:
         file, self._file = self._open_file(), None
         try:
-            file.end_chunk()
+            self._end_chunk(file)
             file.add_metadata("rosbag2", {"serialized_metadata": bag_information_text(self._information())})
-        except OSError:
+            file.finish()
+        finally:
             file.abandon()
-            raise
-        file.finish()
 
     def _open_file(self) -> McapFile:
-        if self._file is None:
+        if self._closed:
             raise RecordingError(f"{self.folder}: the recording is closed")
+        if self._file is None:  # a file could not be ended or begun; there may be room again
+            self._begin()
+        assert self._file is not None
         return self._file
 
     def _information(self) -> dict[str, object]:
