@@ -1,0 +1,118 @@
+"""Formulas of a user's own: parsed, checked, and worth as much as the built-in effects."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.diagnosis.diagnose import diagnose
+from machine_tool_calibration.effects.catalogue import catalogue
+from machine_tool_calibration.effects.expression import parse
+from machine_tool_calibration.effects.formula import formula_effect, read_effects
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.methods.identify import build_model, identify
+from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
+
+SETTLING = {
+    "id": "settling_y",
+    "enters": "y",
+    "formula": "b * dir_y * exp(-time / tau)",
+    "coefficients": {"b": {"unit": "m", "low": -1e-5, "high": 1e-5}},
+    "shapes": {"tau": {"unit": "s", "low": 10, "high": 1e4}},
+}
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("-a**2*3 + 4/2/2 - 1", -27.0),
+        ("2**-1", 0.5),
+        ("2**3**2", 512.0),
+        ("a*-b", -6.0),
+        ("(1+2)*(3-4)^2", 3.0),
+        ("sqrt(abs(-a))*sign(-b)", -np.sqrt(3.0)),
+        ("1e-3*exp(log(b))", 2e-3),
+    ],
+)
+def test_a_formula_has_the_value_of_ordinary_algebra(text: str, value: float) -> None:
+    assert parse(text).evaluate({"a": 3.0, "b": 2.0}) == pytest.approx(value, rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    "text", ["__import__('os')", "a b", "a +", "x.y", "lambda: 1", "a[0]", "a; b", "", "open('f')", "(" * 60 + "a" + ")" * 60, "a+" * 800]
+)
+def test_what_is_not_a_formula_is_refused_in_one_line(text: str) -> None:
+    with pytest.raises(ModelError) as caught:
+        parse(text)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"formula": "b * x * exp(-time / tau)"}, "not a length"),
+        ({"formula": "b * dir_y * exp(-time) * tau / tau"}, "exp of a quantity in second"),
+        ({"formula": "b * b * dir_y * exp(-time / tau) / x"}, "not linear in b"),
+        ({"formula": "b * (time + x) * exp(-time / tau)"}, "cannot be added"),
+        ({"formula": "b * dir_y"}, "does not hold the coefficient 'tau'"),
+        ({"enters": "q"}, "enters"),
+        ({"colour": "red"}, "colour"),
+        ({"coefficients": {"b": {"unit": "furlongs per", "low": 0, "high": 1}}}, "unknown unit"),
+    ],
+)
+def test_a_wrong_definition_says_what_is_wrong(change: dict[str, object], says: str) -> None:
+    with pytest.raises(ModelError, match=says.replace("(", r"\(")) as caught:
+        formula_effect(SETTLING | change)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_example_file_is_read_and_damage_is_told(tmp_path: Path) -> None:
+    example = Path(__file__).parents[2] / "config" / "effects" / "example.yaml"
+    assert [effect.id for effect in read_effects(example)] == ["cubic_path", "settling_y"]
+    for text in ("effects: [", "a: 1", "effects: 3", "effects: [!!python/object/apply:os.system [x]]"):
+        bad = tmp_path / "bad.yaml"
+        bad.write_text(text)
+        with pytest.raises(ModelError, match=str(bad)):
+            read_effects(bad)
+    with pytest.raises(ModelError, match="cannot be read"):
+        read_effects(tmp_path / "none.yaml")
+
+
+def test_a_formula_equals_the_built_in_effect_that_it_spells_out() -> None:
+    session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=3)).session
+    observations = build_model(session)[0].observations
+    spelled = formula_effect(
+        {"id": "mine", "enters": "y", "formula": "-b * dir_y", "coefficients": {"b": {"unit": "m", "low": 0, "high": 1e-4}}}
+    )
+    expected = catalogue()["backlash_y"].columns(observations)
+    np.testing.assert_allclose(spelled.columns(observations), expected, rtol=1e-12, atol=1e-15)
+
+
+def test_an_own_effect_is_found_and_added_like_any_other() -> None:
+    session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=11)).session
+    mine = formula_effect(SETTLING)
+    model = build_model(session)[0]
+    hidden = 3e-6 * mine.columns(model.observations, (1500.0,))[0]
+    disturbed = session.with_readings(_moved(session.readings, hidden))
+    found = diagnose(disturbed, own=[mine], seed=1)
+    assert found.verdict == "missing_effect"
+    assert "settling_y" in found.accepted
+    result = identify(disturbed, effects=["settling_y"], own=[mine])
+    sizes = {e.name: e for e in result.parameters if e.name.startswith("settling_y")}
+    b, tau = sizes["settling_y.b"], sizes["settling_y.tau"]
+    assert abs(b.value - 3e-6) < 4 * b.standard_uncertainty
+    assert abs(tau.value - 1500.0) < 4 * tau.standard_uncertainty
+
+
+def _moved(readings, change):  # type: ignore[no-untyped-def]
+    from dataclasses import replace
+
+    return replace(readings, displacement=readings.displacement + change)
+
+
+def test_an_id_of_the_catalogue_cannot_be_taken() -> None:
+    mine = formula_effect(SETTLING | {"id": "backlash_y"})
+    with pytest.raises(ModelError, match="in the catalogue already"):
+        catalogue([mine])
