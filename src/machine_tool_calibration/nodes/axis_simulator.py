@@ -54,7 +54,8 @@ class AxisSimulator(Node):
         self._command = 0
         self._report: tuple[Level, str, dict[str, object]] = (Level.OK, "waiting for a command", {"state": "idle"})
         self._pending_arrival = False
-        self._offset = np.zeros(3)
+        self._offset = self._point = np.zeros(3)
+        self._known: object = None
         self._random = np.random.default_rng([self.site.spec.seed, 23])
         self._epoch = uuid.uuid4().hex[:12]
 
@@ -170,12 +171,13 @@ class AxisSimulator(Node):
 
     def _publish_truth(self, stamp: int) -> None:
         since = seconds(stamp - self._start)
-        moment = Moment(
-            time=seconds(stamp - self._origin),
-            position=self._motion.position(since),
-            direction=self._motion.directions(since, self._directions),
-        )
-        point = self.site.functional_point(moment) + self._offset
+        position, directions = self._motion.position(since), self._motion.directions(since, self._directions)
+        # without effects the errors depend on the position alone
+        known = (position, directions, stamp if self.site.chosen else 0)
+        if known != self._known:
+            moment = Moment(time=seconds(stamp - self._origin), position=position, direction=directions)
+            self._known, self._point = known, self.site.functional_point(moment)
+        point = self._point + self._offset
         message = PoseStamped()
         message.header.stamp = to_message(stamp)
         message.header.frame_id = "machine"

@@ -80,7 +80,13 @@ class Instrument(Node):
         self._simulated: SimulatedSource | None = None
         if self._driver == "simulated":
             self._simulated = self.source = SimulatedSource(
-                self._site, self._origin, self._rate, self._sample_noise, self._beam_radius, seed=self._noise_seed
+                self._site,
+                self._origin,
+                self._rate,
+                self._sample_noise,
+                self._beam_radius,
+                seed=self._noise_seed,
+                keep=2 if self._simulated_time else 4000,
             )
             self._simulated.blocked = self._blocked
             self.create_subscription(PoseStamped, "truth/functional_point", self._point, STATE)

@@ -28,11 +28,18 @@ class SimulatedSource:
         rate: of the stream, Hz.
         sample_noise: standard deviation of a single sample's own noise, m.
         beam_radius: farther beside the beam the retroreflector does not return it, m.
+        seed: of the noise, beside the site's own.
+        keep: how many true positions are kept; two are enough where there is no stream between the readings.
+
+    Attributes:
         tracking: whether the beam follows the retroreflector.
+        blocked: whether something stands in the beam.
+        setup: id of the present setup, and `setup_index` its place in the description.
+        first: geometric path of the setup's first reading, m.
     """
 
     def __init__(
-        self, site: Site, origin: int, rate: float, sample_noise: float, beam_radius: float, seed: int = 0
+        self, site: Site, origin: int, rate: float, sample_noise: float, beam_radius: float, seed: int = 0, keep: int = 4000
     ) -> None:
         self.site, self.tracking = site, False
         self.blocked = False
@@ -40,7 +47,7 @@ class SimulatedSource:
         self.first: float | None = None
         self._origin, self._step = origin, nanoseconds(1.0 / rate)
         self._sample_noise, self._radius = sample_noise, beam_radius
-        self._points: deque[tuple[int, Array]] = deque(maxlen=4000)
+        self._points: deque[tuple[int, Array]] = deque(maxlen=keep)
         self._beam: Beam | None = None
         self._beam_stamp = self._setup_start = 0
         self._beside_since: int | None = None
@@ -88,6 +95,8 @@ class SimulatedSource:
         else:
             geometric = (points - beam.origin) @ beam.direction
         middle = len(times) // 2
+        if not self.site.chosen:
+            return np.asarray(geometric)
         exact = self.site.path(
             points[middle], beam, self._moment(int(times[middle])), tracking=self.tracking, first=self.first
         )
@@ -125,11 +134,12 @@ class SimulatedSource:
             raise NotYet("unstable", f"the axes have not stood still for {length:g} s")
         count = max((end - start) // self._step, 1)
         self.samples = start + self._step * np.arange(1, count + 1)
-        middle = np.array([(start + end) // 2])
+        middle = count // 2
+        paths = self._paths(np.insert(self.samples, middle, (start + end) // 2))
         air = self.site.spec.noise * self._random.normal()
         noise = self._sample_noise * self._random.normal(size=count)
-        centre = float(self._paths(middle)[0])
-        self.values = self._paths(self.samples) + air + noise
+        centre = float(paths[middle])
+        self.values = np.delete(paths, middle) + air + noise
         return Window(
             start=start,
             end=end,

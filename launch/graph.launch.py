@@ -1,0 +1,79 @@
+"""The whole graph with a simulated machine and instrument, recorded.
+
+ros2 launch machine_tool_calibration graph.launch.py procedure:=tracking_3d
+ros2 service call /procedure/start std_srvs/srv/Trigger
+ros2 service call /estimator/identify std_srvs/srv/Trigger
+
+`procedure` is the name of one that the package brings, or a YAML file. In a namespace the graph has its own clock.
+"""
+
+import time
+from pathlib import Path
+
+from ament_index_python.packages import get_package_share_directory
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+
+PACKAGE = "machine_tool_calibration"
+ARGUMENTS = {
+    "procedure": ("tracking_2d", "procedure to run: a name of config/procedures, or a YAML file"),
+    "site": ("", "YAML file with what is true in the simulated workshop; empty: the usual one"),
+    "namespace": ("", "namespace of all nodes"),
+    "use_sim_time": ("true", "as fast as the computer can; false: in real time"),
+    "driver": ("simulated", "simulated, or the YAML file of a real instrument's driver"),
+    "axes": ("true", "whether the axes are simulated; false where a machine's own controller runs"),
+    "pointer": ("true", "whether the rotary pointer is simulated"),
+    "record": ("true", "whether a recorder runs"),
+    "bag": ("", "folder of the recording; empty: recording_<date>_<time>"),
+}
+
+
+def nodes(context):
+    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    is_true = {name: given[name].lower() == "true" for name in ("use_sim_time", "axes", "pointer", "record")}
+    procedure = Path(given["procedure"])
+    if not procedure.suffix:
+        procedure = Path(get_package_share_directory(PACKAGE), "config", "procedures", f"{procedure}.yaml")
+    common = {"use_sim_time": is_true["use_sim_time"]}
+    world = {**common, "site": given["site"], "time_origin": float(int(time.time()))}
+    parameters = {
+        "axis_simulator": world,
+        "rotary_pointer": world,
+        "instrument": {**world, "driver": given["driver"]},
+        "estimator": common,
+        "procedure": {**common, "procedure": str(procedure)},
+        "recorder": {"folder": given["bag"]},
+    }
+    left_out = {
+        name
+        for name, key in (("axis_simulator", "axes"), ("rotary_pointer", "pointer"), ("recorder", "record"))
+        if not is_true[key]
+    }
+    if not is_true["axes"]:  # a controller such as ros2_control's has joint_states, but no axes/status
+        parameters["procedure"]["arrival"] = "joint_states"
+    # /clock is absolute: without this two graphs in one domain would share it
+    space = given["namespace"].strip("/")
+    remappings = [("/clock", f"/{space}/clock")] if space else []
+    return [
+        Node(
+            package=PACKAGE,
+            executable=name,
+            name=name,
+            namespace=space,
+            parameters=[values],
+            remappings=remappings,
+            output="screen",
+        )
+        for name, values in parameters.items()
+        if name not in left_out
+    ]
+
+
+def generate_launch_description():
+    arguments = [
+        DeclareLaunchArgument(name, default_value=default, description=text)
+        for name, (default, text) in ARGUMENTS.items()
+    ]
+    return LaunchDescription([*arguments, OpaqueFunction(function=nodes)])
