@@ -28,7 +28,7 @@ from machine_tool_calibration.session.writer import write_session
 
 __all__ = ["NODES", "Measured", "Progress", "Setting", "free_folder", "measure"]
 
-NODES = ("axis_simulator", "rotary_pointer", "instrument", "estimator", "procedure", "recorder")
+NODES = ("axis_simulator", "rotary_pointer", "instrument", "probe", "estimator", "procedure", "recorder")
 _START = 60.0  # s until all nodes have found each other, on a slow machine
 _IDENTIFY = 600.0
 _COLLECT = 10.0
@@ -134,7 +134,7 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
     site.write_text(yaml.safe_dump(_site_document(procedure, setting.site), sort_keys=False), encoding="utf-8")
     begin = time.monotonic()
     with claimed_domain(setting.domain) as domain:
-        programs = _programs(setting, copy, site)
+        programs = _programs(setting, copy, site, probes=procedure.session.method == "probing")
         graph = Graph(programs, output / "log", domain, setting.namespace)
         progress("starting the nodes", 0, total)
         with graph, Operator(domain, graph.namespace, graph.check) as operator:
@@ -181,7 +181,7 @@ def _site_document(procedure: Procedure, site: SiteSpec) -> dict[str, Any]:
     return {"seed": site.seed, "noise": site.noise, **document}
 
 
-def _programs(setting: Setting, procedure: Path, site: Path) -> list[Program]:
+def _programs(setting: Setting, procedure: Path, site: Path, *, probes: bool = False) -> list[Program]:
     common: dict[str, Any] = {"use_sim_time": setting.simulated_time}
     # one origin for all simulating nodes, whole seconds so that it is exact
     world = {**common, "site": str(site.resolve()), "time_origin": float(int(time.time()))}
@@ -189,13 +189,16 @@ def _programs(setting: Setting, procedure: Path, site: Path) -> list[Program]:
         "axis_simulator": world,
         "rotary_pointer": world,
         "instrument": {**world, "driver": setting.driver},
+        "probe": world,
         "procedure": {**common, "procedure": str(procedure.resolve())},
         "estimator": {**common, "model": setting.model, "effects": list(setting.effects) or [""]},
         "recorder": {"folder": str((setting.output / "bag").resolve())},
     }
+    # a probe is instrument and pointer in one
+    nodes = tuple(name for name in NODES if name not in (("rotary_pointer", "instrument") if probes else ("probe",)))
     for name in setting.external:
-        if name not in NODES:
-            raise CalibrationError(f"{name!r} is not a node of the graph; these are {', '.join(NODES)}")
+        if name not in nodes:
+            raise CalibrationError(f"{name!r} is not a node of the graph; these are {', '.join(nodes)}")
     left_out = set(setting.external)
     if not setting.record:
         left_out.add("recorder")
@@ -203,7 +206,7 @@ def _programs(setting: Setting, procedure: Path, site: Path) -> list[Program]:
         left_out.add("estimator")
     return [
         Program(name, parameters[name], grace=30.0 if name == "recorder" else 2.0)
-        for name in ("recorder", *(name for name in NODES if name != "recorder"))
+        for name in ("recorder", *(name for name in nodes if name != "recorder"))
         if name not in left_out and importlib.util.find_spec(f"machine_tool_calibration.nodes.{name}") is not None
     ]
 

@@ -10,7 +10,7 @@ from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.procedure.description import Motion, Path, Procedure, Spread
 from machine_tool_calibration.procedure.motion import AxisLimits, move
-from machine_tool_calibration.session.description import TrackingInterferometer
+from machine_tool_calibration.session.description import Probing, TrackingInterferometer
 
 __all__ = ["Plan", "Step", "axis_limits", "plan"]
 
@@ -71,6 +71,11 @@ def plan(procedure: Procedure) -> Plan:
         SessionError: a target is outside the machine's travel or names an axis that the machine does not have,
             or the method has no procedure yet.
     """
+    if isinstance(procedure.session, Probing):
+        from machine_tool_calibration.procedure.touches import touch_steps
+
+        touches, limits = tuple(touch_steps(procedure)), axis_limits(procedure)
+        return Plan(procedure, touches, limits, _duration(touches, limits, procedure.motion.dwell))
     if not isinstance(procedure.session, TrackingInterferometer):
         raise SessionError(f"procedure {procedure.name}: a {procedure.session.method} session cannot be run yet")
     limits = axis_limits(procedure)

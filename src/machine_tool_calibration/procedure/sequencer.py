@@ -34,7 +34,7 @@ from machine_tool_calibration.procedure.events import (
 )
 from machine_tool_calibration.procedure.motion import move
 from machine_tool_calibration.procedure.plan import Plan, Step
-from machine_tool_calibration.session.description import StationSetup
+from machine_tool_calibration.session.description import Probing, StationSetup
 
 __all__ = ["Counters", "Sequencer", "State", "Timing"]
 
@@ -402,6 +402,10 @@ class Sequencer:
             return self._recover("the instrument has lost its datum", now, wall)
         if self._is_stale(event):
             return self._ask_again(now, wall)
+        if _is_elsewhere(self._visits[0].step, event):
+            self.counters.stale += 1
+            self._floor = max(self._floor, event.end)
+            return self._begin(max(now, event.end), wall, again=True)
         self._floor = max(self._floor, event.end)
         visit = self._visits.popleft()
         if math.isnan(visit.revisit):
@@ -513,5 +517,14 @@ class Sequencer:
         columns |= {name: float(number) for name, number in event.columns.items()}
         columns["datum"] = float(self._datums - 1)
         if step.target is not None:
-            columns["target_index"] = float(step.target)
+            name = "point_index" if isinstance(self.plan.procedure.session, Probing) else "target_index"
+            columns[name] = float(step.target)
         return columns
+
+
+def _is_elsewhere(step: Step, event: Captured) -> bool:
+    """Whether a probe has touched another point than the step's, or at another angle: it moves the axes itself."""
+    point = event.columns.get("point_index")
+    if point is None:
+        return False
+    return point != step.target or abs(event.columns.get("c", 0.0) - step.position.get("c", 0.0)) > 1e-6

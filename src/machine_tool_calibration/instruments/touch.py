@@ -1,0 +1,137 @@
+"""A touch of a touch-trigger probe: where it begins, which point it is meant for, and whether it counts.
+
+The stylus sphere stands off the surface, approaches along minus the outward normal, triggers and backs off. Axis
+positions are those of the sphere's centre; the probed displacement is counted along the outward normal from where the
+centre would be at the nominal surface.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.session.description import Probing
+
+__all__ = ["Limits", "NominalTouch", "Part", "judge"]
+
+# How far beside a point's normal the axes may stand for the touch to be meant for it, m.
+_BESIDE = 1e-5
+
+
+@dataclass(frozen=True)
+class NominalTouch:
+    """A touch as it is planned, machine frame.
+
+    Attributes:
+        point: place of the point in the workpiece's list.
+        centre: (2,) centre of the sphere at the nominal surface, m.
+        normal: (2,) outward normal.
+        standoff: distance of the sphere from the nominal surface where the touch begins, m.
+    """
+
+    point: int
+    centre: Array
+    normal: Array
+    standoff: float
+
+    def at(self, displacement: float) -> dict[str, float]:
+        """Position of X and Y with the sphere that far outside the nominal surface, m."""
+        x, y = self.centre + displacement * self.normal
+        return {"x": float(x), "y": float(y)}
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Which touches count.
+
+    Attributes:
+        search: the sphere goes so far beyond the nominal surface at most, m.
+        early: a trigger farther outside the nominal surface is not of this surface, m.
+    """
+
+    search: float
+    early: float
+
+
+@dataclass(frozen=True)
+class Part:
+    """The workpiece on the table, as the probe knows it.
+
+    Attributes:
+        description: points, stylus and sense of rotation.
+    """
+
+    description: Probing
+
+    @property
+    def radius(self) -> float:
+        """Of the stylus sphere, m."""
+        probe = self.description.probe
+        return 0.5 * probe.stylus_diameter if probe is not None else 0.0
+
+    @property
+    def sign(self) -> int:
+        """Sense in which the workpiece turns for C positive: +1 counter-clockwise, -1 clockwise."""
+        return self.description.machine.rotation_sign or -1
+
+    @cached_property
+    def _points(self) -> tuple[Array, Array]:
+        place = np.array([point.position for point in self.description.workpiece])
+        normal = np.array([point.normal for point in self.description.workpiece])
+        return place, normal / np.linalg.norm(normal, axis=1)[:, None]
+
+    def touch(self, point: int, c: float, standoff: float) -> NominalTouch:
+        """The planned touch of a point with C at an angle, rad."""
+        place, normal = (self._turned(vectors[point : point + 1], c)[0] for vectors in self._points)
+        return NominalTouch(point, place + self.radius * normal, normal, standoff)
+
+    def meant(self, position: Mapping[str, float], farthest: float) -> NominalTouch:
+        """The touch that begins where the axes stand.
+
+        Args:
+            position: of x, y and c, m and rad.
+            farthest: greatest standoff, m.
+
+        Raises:
+            SessionError: the axes stand in front of no point, or of two.
+        """
+        c = position.get("c", 0.0)
+        place, normal = (self._turned(vectors, c) for vectors in self._points)
+        away = np.array([position["x"], position["y"]]) - place - self.radius * normal
+        standoff = np.sum(away * normal, axis=1)
+        beside = np.linalg.norm(away - standoff[:, None] * normal, axis=1)
+        found = np.flatnonzero((beside < _BESIDE) & (standoff > 0) & (standoff <= farthest))
+        where = f"x = {position['x']:.6g}, y = {position['y']:.6g}, c = {c:.6g}"
+        if not len(found):
+            raise SessionError(f"at {where} the stylus stands in front of no point of the workpiece")
+        if len(found) > 1:
+            ids = [self.description.workpiece[k].id for k in found[:2]]
+            raise SessionError(f"at {where} the stylus stands in front of the points {ids[0]!r} and {ids[1]!r}")
+        k = int(found[0])
+        return NominalTouch(k, place[k] + self.radius * normal[k], normal[k], float(standoff[k]))
+
+    def _turned(self, vectors: Array, c: float) -> Array:
+        cos, sin = np.cos(self.sign * c), np.sin(self.sign * c)
+        return np.asarray(vectors @ np.array([[cos, sin], [-sin, cos]]))
+
+
+def judge(displacement: float, standoff: float, limits: Limits) -> str:
+    """Why a touch does not count; empty if it does.
+
+    Args:
+        displacement: of the trigger along the outward normal, m.
+        standoff: where the touch began, m.
+        limits: what counts.
+    """
+    if displacement >= standoff:
+        return "touch too early: the stylus touched before it approached"
+    if displacement > limits.early:
+        return f"touch too early: {displacement * 1e6:.0f} um outside the nominal surface"
+    if displacement < -limits.search:
+        return f"missed touch: no surface within {limits.search * 1e3:g} mm of the nominal one"
+    return ""

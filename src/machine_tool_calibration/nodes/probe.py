@@ -1,0 +1,392 @@
+"""The touch-trigger probe, simulated: takes the place of instrument and pointer in a probing procedure.
+
+On `instrument/capture` the stylus, standing off a point's surface, approaches along minus the outward normal at a set
+speed, triggers, and backs off to where it stood. The axes' positions at the trigger are latched and published; the
+answer is the probed displacement along the outward normal. A missed touch and one that comes too early are tried again,
+then reported, and answered with no number, so that the reading counts as missing.
+
+The readings are absolute: there is no datum to be set.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.instruments.touch import Limits, NominalTouch, Part, judge
+from machine_tool_calibration.nodes.deferred import Answer, DeferredService
+from machine_tool_calibration.nodes.environment import TOPICS
+from machine_tool_calibration.nodes.parameters import declare
+from machine_tool_calibration.nodes.process import run
+from machine_tool_calibration.nodes.qos import COMMAND, LATCHED, SLOW, STATE
+from machine_tool_calibration.nodes.simulated_part import Pretravel, SimulatedPart
+from machine_tool_calibration.nodes.site import Site, read_site
+from machine_tool_calibration.nodes.stamps import (
+    duration_message,
+    from_message,
+    nanoseconds,
+    now,
+    seconds,
+    to_message,
+)
+from machine_tool_calibration.nodes.status import Level, status_message, values
+from machine_tool_calibration.session.description import Probing
+from machine_tool_calibration.session.parse import parse_description
+
+__all__ = ["Probe", "main"]
+
+_CHECK = 0.1  # s of the wall clock
+
+
+@dataclass
+class _Cycle:
+    """One touch under way: approach, trigger, back off.
+
+    Attributes:
+        touch: as planned.
+        position: where it began, by axis.
+        command: stamp of the command to the axes.
+        displacement: where the probe triggers, m; NaN where it does not.
+        problem: why the touch does not count; empty if it does.
+        attempt: from 1.
+        begin: ROS time at which it began, ns.
+        moment: when it triggers, ns.
+    """
+
+    touch: NominalTouch
+    position: dict[str, float]
+    command: int
+    displacement: float
+    problem: str
+    attempt: int
+    begin: int
+    moment: int
+
+
+class Probe(Node):
+    """See the module; parameters are described where they are declared."""
+
+    def __init__(self) -> None:
+        super().__init__("probe")
+        self._simulated_time = bool(self.get_parameter("use_sim_time").value)
+        self._declare()
+        self._site = Site(read_site(self._site_file))
+        self._part: Part | None = None
+        self._surface: SimulatedPart | None = None
+        self._setups: dict[float, int] = {}
+        self._axes: dict[str, float] | None = None
+        self._axes_stamp = self._held = 0
+        self._epoch = ""
+        self._answers: list[Answer] = []
+        self._cycle: _Cycle | None = None
+        self._touches = self._missed = self._early = 0
+        self._last = ""
+        self._shown: object = None
+        self._environment_stamp = 0
+        self._floor = 0
+        self._random = np.random.default_rng([self._site.spec.seed, 43, self._noise_seed])
+
+        self._status = self.create_publisher(DiagnosticArray, "instrument/status", LATCHED)
+        self._triggers = self.create_publisher(JointState, "probe/trigger", STATE)
+        self._commands = self.create_publisher(JointTrajectory, "axes/joint_trajectory", COMMAND)
+        self._sensors = {
+            name: self.create_publisher(kind, f"environment/{name}", SLOW) for name, (kind, _) in TOPICS.items()
+        }
+        self.create_subscription(String, "session", self._described, LATCHED)
+        self.create_subscription(JointState, "joint_states", self._moved, STATE)
+        self.create_subscription(DiagnosticArray, "axes/status", self._axes_status, STATE)
+        DeferredService(self, Trigger, "instrument/datum", self._no_datum)
+        DeferredService(self, Trigger, "instrument/capture", self._requested)
+        self.create_timer(_CHECK, self._check, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._show()
+
+    def _declare(self) -> None:
+        self._site_file: str = declare(
+            self, "site", "", "YAML file with what is true in the simulated workshop; empty: the usual one"
+        )
+        origin: float = declare(
+            self,
+            "time_origin",
+            0.0,
+            "ROS time at which the site's time is zero; 0: this node's start",
+            unit="s",
+            low=0.0,
+        )
+        self._origin = nanoseconds(origin) if origin else Clock().now().nanoseconds
+        self._speed: float = declare(self, "speed", 0.005, "speed of the approach", unit="m/s", low=1e-5, high=1.0)
+        self._reaction: float = declare(
+            self, "reaction", 0.004, "from the trigger until the axes turn back", unit="s", low=0.0, high=1.0
+        )
+        self._limits = Limits(
+            search=declare(
+                self, "search", 0.001, "greatest way beyond the nominal surface", unit="m", low=1e-6, high=0.1
+            ),
+            early=declare(
+                self,
+                "early",
+                0.001,
+                "a trigger farther outside the nominal surface is refused",
+                unit="m",
+                low=1e-6,
+                high=0.1,
+            ),
+        )
+        self._farthest: float = declare(
+            self,
+            "farthest",
+            0.02,
+            "greatest distance from the surface where a touch begins",
+            unit="m",
+            low=1e-4,
+            high=1.0,
+        )
+        self._attempts: int = declare(self, "attempts", 2, "touches tried before a point is given up", low=1, high=100)
+        self._repeatability: float = declare(
+            self,
+            "repeatability",
+            -1.0,
+            "standard deviation of the trigger in one direction; negative: as the session declares for a touch",
+            unit="m",
+            low=-1.0,
+            high=1e-3,
+        )
+        self._pretravel = Pretravel(
+            amplitude=declare(
+                self,
+                "pretravel_variation",
+                0.0,
+                "amplitude of the pre-travel's variation with the contact's direction",
+                unit="m",
+                low=0.0,
+                high=1e-3,
+            ),
+            lobes=declare(self, "pretravel_lobes", 3, "lobes of that variation in a turn", low=1, high=12),
+        )
+        self._form: float = declare(
+            self, "form", 3e-6, "standard deviation of the simulated part's form errors", unit="m", low=0.0, high=0.01
+        )
+        self._noise_seed: int = declare(
+            self, "noise_seed", 0, "makes another run of the same site's noise", low=0, high=2**31
+        )
+        self._environment_period: float = declare(
+            self,
+            "environment_period",
+            60.0 if self._simulated_time else 1.0,
+            "time between publications of the environment",
+            unit="s",
+            low=0.01,
+            high=1e5,
+        )
+
+    # --- what the others say
+
+    def _described(self, message: String) -> None:
+        try:
+            description = parse_description(message.data, "session")
+        except CalibrationError:
+            description = None
+        if isinstance(description, Probing):
+            self._part = Part(description)
+            self._surface = SimulatedPart(self._site, self._part, self._form, self._pretravel)
+            self._setups = {setup.c: index for index, setup in enumerate(description.setups)}
+        else:
+            self._part = self._surface = None
+        self._show()
+
+    def _moved(self, message: JointState) -> None:
+        self._axes = dict(zip(message.name, message.position, strict=True))
+        stamp = self._axes_stamp = from_message(message.header.stamp)
+        if self._answers:
+            self._try_to_begin()
+        if self._simulated_time:
+            self._floor = max(self._floor, stamp)
+            if abs(stamp - self._environment_stamp) >= nanoseconds(self._environment_period):
+                self._publish_environment(stamp)
+        self._show()
+
+    def _axes_status(self, message: DiagnosticArray) -> None:
+        entries = values(message)
+        if entries.get("epoch", "") != self._epoch:  # the axes started anew, and simulated time with them
+            self._epoch, self._held, self._floor = entries.get("epoch", ""), 0, 0
+        if entries.get("state") == "arrived":
+            self._held = max(self._held, int(entries["held"]))
+        elif entries.get("state") == "moving":
+            self._held = max(self._held, from_message(message.header.stamp))
+        cycle = self._cycle
+        if cycle is None or int(entries.get("command", 0)) != cycle.command:
+            return
+        if entries["state"] == "refused":
+            self._cycle = None
+            self._refuse(f"axes: {message.status[0].message}")
+        elif entries["state"] == "arrived":
+            self._floor = max(self._floor, int(entries["held"]))
+            self._finish(cycle, int(entries["held"]))
+
+    # --- a touch
+
+    def _no_datum(self, answer: Answer) -> None:
+        stamp = now(self)
+        answer.send(True, json.dumps({"datum": "", "stamp": stamp, "start": stamp, "end": stamp, "inputs": {}}))
+
+    def _requested(self, answer: Answer) -> None:
+        # Asked again while a touch is under way: its answer is for all who ask.
+        self._answers.append(answer)
+        self._try_to_begin()
+
+    def _try_to_begin(self) -> None:
+        """Set off if the axes stand and it is known where: their arrival may be heard of before their position is."""
+        if self._cycle is not None:
+            return
+        if self._part is None:
+            self._refuse("no probing session has been published")
+        elif self._axes is None:
+            self._refuse("the axes have not said where they are")
+        elif self._axes_stamp >= self._held:
+            self._begin(1, max(now(self), self._floor), dict(self._axes))
+
+    def _begin(self, attempt: int, begin: int, position: dict[str, float]) -> None:
+        """Set off from a position in front of a point."""
+        assert self._part is not None and self._surface is not None
+        try:
+            touch = self._part.meant(position, self._farthest)
+        except CalibrationError as error:
+            self._refuse(str(error))
+            return
+        c, z = position.get("c", 0.0), position.get("z", 0.0)
+        setup = min(self._setups.items(), key=lambda entry: abs(entry[0] - c))[1]
+        time = seconds(begin - self._origin)
+        exact = self._surface.trigger(touch, c, z, time, setup)
+        displacement = exact + self._spread() * self._random.normal()
+        problem = judge(displacement, touch.standoff, self._limits)
+        goes_to = max(displacement, -self._limits.search)
+        if displacement < touch.standoff:
+            turn = max(goes_to - self._speed * self._reaction, -self._limits.search - self._speed * self._reaction)
+        else:
+            turn = touch.standoff  # in contact before it moved
+        travel = (touch.standoff - turn) / self._speed
+        moment = begin + nanoseconds(max(touch.standoff - goes_to, 0.0) / self._speed)
+        names = list(position)
+        message = JointTrajectory(joint_names=names)
+        command = max(begin, self._floor + 1)
+        self._floor = command
+        message.header.stamp = to_message(command)
+        message.header.frame_id = "machine"
+        deepest = {**position, **touch.at(turn)}
+        message.points = [
+            JointTrajectoryPoint(positions=[place[name] for name in names], time_from_start=duration_message(clock))
+            for place, clock in ((deepest, travel), (position, 2.0 * travel))
+        ]
+        self._cycle = _Cycle(touch, position, command, displacement, problem, attempt, begin, moment)
+        self._commands.publish(message)
+
+    def _spread(self) -> float:
+        assert self._part is not None
+        declared = self._part.description.standard_uncertainty.displacement
+        return declared if self._repeatability < 0 else self._repeatability
+
+    def _finish(self, cycle: _Cycle, held: int) -> None:
+        """The axes are back where the touch began."""
+        self._cycle = None
+        assert self._part is not None
+        point = self._part.description.workpiece[cycle.touch.point].id
+        if cycle.problem:
+            early = cycle.problem.startswith("touch too early")
+            self._early += early
+            self._missed += not early
+            self._last = f"point {point}: {cycle.problem}"
+            self.get_logger().warning(self._last)
+            if cycle.attempt < self._attempts:
+                self._begin(cycle.attempt + 1, held, cycle.position)
+                return
+        else:
+            self._touches += 1
+            self._last = ""
+            self._publish_trigger(cycle, point)
+        self._show()
+        sensed = self._site.sensed(seconds(cycle.moment - self._origin))
+        document = {
+            "datum": "",
+            "stamp": cycle.moment,
+            "start": cycle.begin,
+            "end": held,
+            "inputs": {},
+            "displacement": "nan" if cycle.problem else cycle.displacement,
+            "problem": cycle.problem,
+            "attempt": cycle.attempt,
+            # X and Y are those of the sphere's centre at the nominal surface.
+            "environment": {
+                **sensed,
+                **cycle.touch.at(0.0),
+                "c": cycle.position.get("c", 0.0),
+                "point_index": float(cycle.touch.point),
+            },
+        }
+        self._send(True, json.dumps(document))
+
+    def _publish_trigger(self, cycle: _Cycle, point: str) -> None:
+        latched = {**cycle.position, **cycle.touch.at(cycle.displacement)}
+        message = JointState(name=list(latched), position=list(latched.values()))
+        message.header.stamp = to_message(cycle.moment)
+        message.header.frame_id = point
+        self._triggers.publish(message)
+
+    def _refuse(self, reason: str) -> None:
+        self._send(False, json.dumps({"kind": "other", "reason": reason}))
+
+    def _send(self, success: bool, message: str) -> None:
+        answers, self._answers = self._answers, []
+        for answer in answers:
+            answer.send(success, message)
+
+    # --- state and environment
+
+    def _check(self) -> None:
+        self._show()
+        stamp = now(self)
+        if not self._simulated_time and stamp - self._environment_stamp >= nanoseconds(self._environment_period):
+            self._publish_environment(stamp)
+
+    def _show(self) -> None:
+        """Publish the status where it has changed."""
+        problem = ""
+        if self._part is None:
+            problem = "waiting for a probing session"
+        elif self._axes is None:
+            problem = "waiting for the axes"
+        counters = {"touches": self._touches, "missed": self._missed, "early": self._early}
+        text = problem or self._last or "ready"
+        shown = (text, tuple(counters.values()))
+        if shown == self._shown:
+            return
+        self._shown = shown
+        level = Level.WARN if problem or self._last else Level.OK
+        state = "no signal" if problem else "measuring"
+        self._status.publish(status_message(now(self), "probe", level, text, {"state": state, "datum": "", **counters}))
+
+    def _publish_environment(self, stamp: int) -> None:
+        self._environment_stamp = stamp
+        for name, value in self._site.sensed(seconds(stamp - self._origin)).items():
+            kind, field = TOPICS[name]
+            message = kind(**{field: value})
+            message.header.stamp = to_message(stamp)
+            message.header.frame_id = name
+            self._sensors[name].publish(message)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return run(Probe, args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
