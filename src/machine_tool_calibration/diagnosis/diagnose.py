@@ -92,7 +92,7 @@ class Look:
     def winner(self) -> Ranked | None:
         """The most probable effect that is significant, possible, and predicts readings that were held out."""
         for k, r in enumerate(self.ranked):
-            if not r.rank or r.family_p_value > _LEVEL or not r.plausible:
+            if not r.rank or r.family_p_value > _LEVEL or not r.possible:
                 continue
             if self.validation is not None and k < _VALIDATED and not self.validation.agrees(k):
                 continue

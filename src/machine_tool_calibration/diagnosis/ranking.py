@@ -18,6 +18,8 @@ __all__ = ["Ranked", "Size", "alias_groups", "rank_candidates"]
 
 # Cosine from which two candidates count as look-alikes.
 _ALIKE = 0.9
+# Handicap of a size that does not occur, in the logarithm of the p-value.
+_IMPLAUSIBLE = float(np.log(1e3))
 
 
 @dataclass(frozen=True)
@@ -29,8 +31,13 @@ class Size:
     standard_uncertainty: float
 
     @property
+    def possible(self) -> bool:
+        """Whether its sign can be, given its uncertainty: no backlash is negative."""
+        return self.coefficient.low != 0 or self.value > -2.0 * self.standard_uncertainty
+
+    @property
     def plausible(self) -> bool:
-        """Whether it can be of this size, given its uncertainty."""
+        """Whether it is of a size that occurs, given its uncertainty."""
         margin = 2.0 * self.standard_uncertainty
         return self.coefficient.low <= self.value + margin and self.value - margin <= self.coefficient.high
 
@@ -51,7 +58,8 @@ class Ranked:
         bic_gain: by how much the Bayesian information criterion falls when it is added.
         probability: its weight among all candidates and none.
         rms_after: root mean square of the residuals with it, m.
-        plausible: whether all coefficients are of possible size and sign.
+        possible: whether all coefficients have a possible sign.
+        plausible: whether all coefficients are of a size that occurs.
         columns: (k, n) at these nonlinear coefficients.
         information: (k, k) inner products of its columns outside model and spread, for the smallest detectable size.
         place: where its columns are among all.
@@ -70,6 +78,7 @@ class Ranked:
     bic_gain: float
     probability: float
     rms_after: float
+    possible: bool
     plausible: bool
     information: Array
     place: slice
@@ -128,6 +137,7 @@ def rank_candidates(
                 bic_gain=gain,
                 probability=0.0,
                 rms_after=rms_after,
+                possible=all(size.possible for size in sizes),
                 plausible=all(size.plausible for size in sizes),
                 information=information,
                 place=place,
@@ -142,16 +152,23 @@ def _with_probabilities(ranked: list[Ranked]) -> tuple[Ranked, ...]:
 
     The p-values are those of the simulated null: they know how many coefficients a candidate has and how much the
     spread between setups can do in its place, which an information criterion does not. "None of these" has the weight
-    1, and an impossible size has none.
+    1; an impossible sign has none, and a size that does not occur a thousand times less.
     """
-    log_p = np.array([r.log_p_value if r.plausible and r.rank else 0.0 for r in ranked])
+    log_p = np.array([_log_p(r) for r in ranked])
     log_weight = np.where(log_p < -1.0, -1.0 - log_p - np.log(np.maximum(-log_p, 1.0)), 0.0)
-    possible = np.array([bool(r.plausible and r.rank) for r in ranked])
+    possible = np.array([bool(r.possible and r.rank) for r in ranked])
     top = max(float(log_weight.max(initial=0.0)), 0.0)
     weights = np.where(possible, np.exp(log_weight - top), 0.0)
     total = float(weights.sum() + np.exp(-top))
     filled = [replace(r, probability=float(w / total)) for r, w in zip(ranked, weights, strict=True)]
-    return tuple(sorted(filled, key=lambda r: (not (r.plausible and r.rank), r.log_p_value, -r.statistic)))
+    return tuple(sorted(filled, key=lambda r: (not (r.possible and r.rank), _log_p(r), -r.statistic)))
+
+
+def _log_p(ranked: Ranked) -> float:
+    """Logarithm of the p-value, with a handicap for a size that does not occur."""
+    if not (ranked.possible and ranked.rank):
+        return 0.0
+    return min(ranked.log_p_value + (0.0 if ranked.plausible else _IMPLAUSIBLE), 0.0)
 
 
 def alias_groups(ranked: Sequence[Ranked], reduced: Reduced) -> tuple[tuple[str, ...], ...]:

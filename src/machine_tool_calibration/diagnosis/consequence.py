@@ -1,0 +1,151 @@
+"""What adding an effect does: to the residuals, to the machine's map, and its coefficients as an identification names them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis
+from machine_tool_calibration.diagnosis.ranking import Ranked
+from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.model.effect_terms import add_effects
+from machine_tool_calibration.model.fit import Fit, fit_models
+from machine_tool_calibration.model.result import ErrorMap, Estimate
+
+__all__ = ["Consequence", "consequences", "effect_estimates", "map_change", "map_rms", "rms"]
+
+# How many of the best candidates are added in full, each by itself.
+_MOST = 8
+
+
+@dataclass(frozen=True)
+class Consequence:
+    """An effect added to the model.
+
+    Attributes:
+        effect: its id.
+        parameters: its coefficients, with the names under which an identification publishes them.
+        signal_rms: RMS of what it changes in the readings, m.
+        signal_largest: the largest of these changes, m.
+        rms_before: RMS residual without it, m.
+        rms_after: RMS residual with it, m.
+        map_change_rms: RMS length by which the position errors of the map's points change, m; None where the method's
+            map has none in common.
+    """
+
+    effect: str
+    parameters: tuple[Estimate, ...]
+    signal_rms: float
+    signal_largest: float
+    rms_before: float
+    rms_after: float
+    map_change_rms: float | None
+
+
+def consequences(diagnosis: Diagnosis, most: int = _MOST) -> dict[str, Consequence]:
+    """What each of the best candidates would change; of those accepted, what each did change, in their order.
+
+    The coefficients of accepted effects are those with all of them in the model.
+
+    Args:
+        diagnosis: the candidates.
+        most: how many candidates beside those accepted.
+
+    Returns:
+        By id; without a candidate that cannot be fitted.
+    """
+    out = {}
+    accepted = diagnosis.accepted
+    maps = [look.fit.model.error_map(look.fit) for look in diagnosis.looks[: len(accepted) + 1]]
+    final = diagnosis.looks[len(accepted)].fit
+    for k, name in enumerate(accepted):
+        before, after = diagnosis.looks[k].fit, diagnosis.looks[k + 1].fit
+        out[name] = _consequence(name, before, after, final, maps[k], maps[k + 1])
+    others = [r for r in diagnosis.ranked if r.rank and r.candidate.name not in accepted][:most]
+    first = diagnosis.looks[0].fit
+    for r in others:
+        fit = _added(first, r)
+        if fit is not None:
+            name = r.candidate.name
+            out[name] = _consequence(name, first, fit, fit, maps[0], fit.model.error_map(fit))
+    return out
+
+
+def _added(fit: Fit, ranked: Ranked) -> Fit | None:
+    effect = ranked.candidate.effect
+    if not isinstance(effect, Effect):
+        return None
+    try:
+        return fit_models([add_effects(fit.model, [effect])]).fits[0]
+    except ModelError:
+        return None
+
+
+def _consequence(
+    name: str, before: Fit, after: Fit, final: Fit, map_before: ErrorMap, map_after: ErrorMap
+) -> Consequence:
+    signal = _signal(final, name)
+    return Consequence(
+        effect=name,
+        parameters=effect_estimates(final, [name]),
+        signal_rms=rms(signal),
+        signal_largest=float(np.abs(signal).max(initial=0.0)),
+        rms_before=rms(before.residuals),
+        rms_after=rms(after.residuals),
+        map_change_rms=map_change(map_before, map_after),
+    )
+
+
+def effect_estimates(fit: Fit, effects: Sequence[str]) -> tuple[Estimate, ...]:
+    """Coefficients of effects in a fit, as `identify` publishes them; those that the data does not determine are left out."""
+    uncertainty = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+    return tuple(
+        Estimate(p.name, float(p.reference + value), float(u), p.unit)
+        for p, value, u, good in zip(fit.model.parameters, fit.theta, uncertainty, fit.determined, strict=True)
+        if good and p.name.split(".")[0] in effects and "." in p.name
+    )
+
+
+def _signal(fit: Fit, name: str) -> Array:
+    """(n,) what an effect of the model changes in the readings, m."""
+    signal = np.zeros(len(fit.model.observations))
+    first = len(fit.model.own)
+    for term in fit.model.terms:
+        place = slice(first, first + len(term.parameters))
+        first += len(term.parameters)
+        if term.name != name or not term.parameters[0].name.startswith(f"{name}."):
+            continue
+        # Unknowns that count from a reference belong to nonlinear coefficients, whose share the columns hold already.
+        linear = np.array([p.reference == 0.0 for p in term.parameters])
+        signal = signal + (fit.theta[place] * linear) @ term.columns
+    return signal
+
+
+def map_change(before: ErrorMap, after: ErrorMap) -> float | None:
+    """RMS length of the change of the position errors that both maps determine, m."""
+    if before.error.shape != after.error.shape or not np.array_equal(before.points, after.points):
+        return None
+    change = after.error - before.error
+    known = np.isfinite(change)
+    if not known.any():
+        return None
+    points = known.any(axis=1)
+    return float(np.sqrt(np.sum(np.where(known, change, 0.0) ** 2) / points.sum()))
+
+
+def map_rms(values: Array) -> float | None:
+    """RMS length of (n, 3) vectors at the points where any of their coordinates is determined."""
+    known = np.isfinite(values)
+    points = known.any(axis=1)
+    if not points.any():
+        return None
+    return float(np.sqrt(np.sum(np.where(known, values, 0.0) ** 2) / points.sum()))
+
+
+def rms(values: Array) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0

@@ -1,0 +1,125 @@
+"""The verdict on simulated sessions: nothing missing, one effect, two, one that nobody knows, chips."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
+from machine_tool_calibration.diagnosis.leverage import leverage
+from machine_tool_calibration.effects.catalogue import catalogue
+from machine_tool_calibration.methods.identify import build_model, identify
+from machine_tool_calibration.model.fit import fit_models, screen
+from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, Spread, simulate
+
+SIGMA = 3e-7
+
+
+def look(plan: str, seed: int, *flaws: FlawSpec, **changes: object) -> Diagnosis:
+    spec = SimulationSpec(plan=PRESETS[plan], seed=seed, effects=flaws, **changes)  # type: ignore[arg-type]
+    return diagnose(simulate(spec).session, seed=seed)
+
+
+@pytest.mark.parametrize("plan", ["tracking_2d", "tracking_3d", "rotary_axis", "step_diagonal", "probing_cross"])
+def test_nothing_missing_is_called_adequate(plan: str) -> None:
+    assert look(plan, 101).verdict == "adequate"
+
+
+def test_false_alarms_stay_rare_with_and_without_a_spread_between_setups() -> None:
+    for spread in (Spread(), Spread(slope=0.4 * SIGMA, bow=0.4 * SIGMA)):
+        alarms = sum(look("tracking_2d", 500 + k, spread=spread).verdict != "adequate" for k in range(30))
+        # One in twenty, and two standard deviations of chance.
+        assert alarms <= 30 * 0.05 + 2 * np.sqrt(30 * 0.05 * 0.95)
+
+
+@pytest.mark.parametrize(
+    ("plan", "effect", "amplitude"),
+    [
+        ("tracking_2d", "backlash_y", 1.5e-6),
+        ("tracking_2d", "pointer_radial_error", 4e-6),
+        ("tracking_3d", "thermal_expansion_x", 6e-6),
+        ("rotary_axis_both_ways", "backlash_c", 2e-6),
+        ("step_diagonal", "dead_path", 3e-6),
+        ("probing_cross", "probe_pretravel", 3e-6),
+        ("probing_cam", "workpiece_thermal", 6e-6),
+    ],
+)
+def test_a_hidden_effect_is_named_and_the_error_falls(plan: str, effect: str, amplitude: float) -> None:
+    found = look(plan, 77, FlawSpec(id=effect, amplitude=amplitude))
+    assert found.verdict == "missing_effect"
+    alike = {effect} | {name for step in found.looks for group in step.groups if effect in group for name in group}
+    assert found.accepted[0] in alike
+    before, after = (step.fit.joint.reduced_chi_square for step in (found.looks[0], found.looks[-1]))
+    assert after < before
+    assert 0.7 < after < 1.3
+
+
+def test_two_effects_at_once_are_found_one_after_the_other() -> None:
+    found = look("tracking_2d", 31, FlawSpec(id="backlash_y", amplitude=1.5e-6), FlawSpec(id="pointer_radial_error", amplitude=4e-6))
+    alike = {"pointer_radial_error", "retroreflector_form"}
+    assert found.verdict == "missing_effect"
+    assert "backlash_y" in found.accepted
+    assert alike & set(found.accepted)
+    assert len(found.accepted) == 2
+
+
+def test_an_effect_that_nobody_knows_is_unexplained_and_its_covariate_named() -> None:
+    found = look("tracking_2d", 12, FlawSpec(id="unlisted_cubic_path", amplitude=6e-6))
+    assert found.verdict == "unexplained"
+    assert found.accepted == ()
+    assert found.looks[0].structure[0].covariate in ("path", "path within the setup", "displacement")
+
+
+def test_chips_are_named_by_row_and_nothing_else() -> None:
+    simulated = simulate(SimulationSpec(plan=PRESETS["probing_cross"], seed=5, chips=Chips(fraction=0.02)))
+    found = diagnose(simulated.session, seed=1)
+    rows = {o.row for o in found.outliers}
+    truth = {int(row) for row in simulated.truth.document()["outliers"]}
+    assert found.verdict == "outliers"
+    assert len(rows & truth) >= 0.8 * len(truth)
+    assert len(rows - truth) <= 1
+
+
+def test_the_same_seed_gives_the_same_answer_to_the_last_bit() -> None:
+    one, two = (look("tracking_2d", 9, FlawSpec(id="backlash_x", amplitude=1e-6)) for _ in range(2))
+    assert [r.candidate.name for r in one.ranked] == [r.candidate.name for r in two.ranked]
+    assert [r.p_value for r in one.ranked] == [r.p_value for r in two.ranked]
+
+
+def test_an_effect_in_the_model_is_not_looked_for_again() -> None:
+    session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=77, effects=(FlawSpec(id="backlash_y", amplitude=1.5e-6),))).session
+    found = diagnose(session, effects=["backlash_y"], seed=1)
+    assert found.verdict == "adequate"
+    assert "backlash_y" not in {r.candidate.name for r in found.ranked}
+
+
+def test_detectable_sizes_are_found_that_often() -> None:
+    """An effect of the stated smallest size is found in about 80 of 100 sessions."""
+    spec = SimulationSpec(plan=PRESETS["tracking_2d"], seed=4)
+    size = diagnose(simulate(spec).session, seed=1).looks[0].detectable["backlash_y"]["b"]
+    hits = 0
+    for k in range(40):
+        flaw = FlawSpec(id="backlash_y", size=size)
+        session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=2000 + k, effects=(flaw,))).session
+        hits += "backlash_y" in diagnose(session, seed=k).accepted
+    assert 24 <= hits <= 39
+
+
+@pytest.mark.parametrize("plan", ["tracking_2d", "rotary_axis", "probing_cross", "step_diagonal"])
+def test_leverages_add_up_to_the_unknowns(plan: str) -> None:
+    session = simulate(SimulationSpec(plan=PRESETS[plan], seed=2)).session
+    fit = fit_models([build_model(session)[0]]).fits[0]
+    free = len(fit.model.observations) - float(leverage(fit).sum())
+    n_priors = 0 if fit.joint.assembly.problem.priors is None else len(fit.joint.assembly.problem.priors.value)
+    assert free == pytest.approx(fit.solution.degrees_of_freedom, abs=n_priors + 1e-6)
+
+
+def test_screening_an_effect_says_what_adding_it_gives() -> None:
+    """The score of one pass equals the fall of the sum of squares when the effect is really added (linear model)."""
+    spec = SimulationSpec(plan=PRESETS["tracking_2d"], seed=8, effects=(FlawSpec(id="backlash_y", amplitude=1.5e-6),))
+    session = simulate(spec).session
+    before, after = identify(session), identify(session, effects=["backlash_y"])
+    fit = before.fit
+    projected = screen(fit, catalogue()["backlash_y"].columns(fit.model.observations)).gram
+    fall = before.fit.solution.chi_square - after.fit.solution.chi_square
+    assert projected[0, 1] ** 2 / projected[0, 0] == pytest.approx(fall, rel=1e-6)
