@@ -33,7 +33,7 @@ _CLEAR = 3.0
 # Share of the best explanation's logarithm of probability above which another is named beside it.
 _ALIKE = 0.7
 # Share of a difference's columns outside the model below which the session's own unknowns take it up.
-_ABSORBED = 1e-8
+_ABSORBED = 1e-6
 
 
 @dataclass(frozen=True)

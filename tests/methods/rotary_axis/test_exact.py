@@ -1,0 +1,70 @@
+"""Without noise the six error motions come back from exact geometry."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.methods.identify import identify
+
+
+@pytest.mark.parametrize("axis", ["C", "A", "B"])
+@pytest.mark.parametrize(("both_ways", "sign"), [(False, 1), (True, -1)])
+def test_six_motions_of_any_axis(rotary: SimpleNamespace, axis: str, both_ways: bool, sign: int) -> None:
+    machine = {"random": {"line_position": 1e-4, "line_orientation": 1e-4}}
+    simulated = rotary.measured(3, machine, noise_factor=0.0, axis=axis, both_ways=both_ways, sign=sign)
+    content = identify(simulated.session).error_map.content
+    angles = np.asarray(content[axis.lower()])
+    value, _ = rotary.found(content, axis)
+    difference = rotary.without_datum(value, angles, sign, axis) - rotary.without_datum(
+        rotary.true_motions(simulated, angles, axis), angles, sign, axis
+    )
+    # Products of errors of some micrometres and ten microradians with each other are all that is left.
+    assert np.abs(difference[:3]).max() < 3e-9
+    assert np.abs(difference[3:]).max() < 1e-8
+
+
+def test_published_motions_are_in_the_stated_datum(rotary: SimpleNamespace) -> None:
+    content = identify(rotary.measured(4).session).error_map.content
+    value, _ = rotary.found(content)
+    np.testing.assert_allclose(rotary.without_datum(value, np.asarray(content["c"])), value, atol=1e-15)
+
+
+def test_axis_average_line_within_what_the_stations_allow(rotary: SimpleNamespace) -> None:
+    ratios = []
+    for seed in range(40):
+        machine = {"random": {"line_position": 3e-4, "line_orientation": 3e-4}}
+        simulated = rotary.measured(seed, machine)
+        line = identify(simulated.session).error_map.content["axis_average_line"]
+        # The machine's errors themselves shift the average line from the nominal axis of the simulated machine.
+        for name in ("X0C", "Y0C", "A0C", "B0C"):
+            ratios.append((line[name] - simulated.truth.machine.average_line[name]) / line[f"{name}_u"])
+    assert 0.7 < np.mean(np.square(ratios)) < 1.3
+
+
+def test_more_stations_and_targets(rotary: SimpleNamespace) -> None:
+    targets = {"P": (-0.1, 0.13, 0.0), "Q": (0.13, 0.09, 0.04), "K": (0.02, -0.11, 0.015), "R": (0.1, -0.1, 0.1)}
+    stations = ((-0.7, -0.5, 0.2), (0.8, -0.6, 0.35), (0.65, 0.75, 0.15), (-0.3, 0.35, 1.1), (0.2, -0.9, 0.9))
+    few = identify(rotary.measured(1).session).error_map.content
+    many = identify(rotary.measured(1, targets=targets, stations=stations).session).error_map.content
+    for name in ("EXC", "EYC", "EZC", "EAC", "EBC", "ECC"):
+        assert np.mean(many[f"{name}_u"]) < np.mean(few[f"{name}_u"])
+
+
+def test_stations_stated_wrong_by_centimetres_do_no_harm(rotary: SimpleNamespace) -> None:
+    simulated = rotary.measured(2, noise_factor=0.0, station_uncertainty=0.03)
+    stated = simulated.session.description.model_dump()
+    for entry in stated["setups"]:
+        entry["position_uncertainty"] = 1e-5
+    description = type(simulated.session.description).model_validate(stated)
+    session = type(simulated.session)(description, simulated.session.readings)
+    content = identify(session).error_map.content
+    angles = np.asarray(content["c"])
+    value, _ = rotary.found(content)
+    difference = rotary.without_datum(value, angles) - rotary.without_datum(
+        rotary.true_motions(simulated, angles), angles
+    )
+    assert np.abs(difference[:3]).max() < 5e-9
+    assert np.abs(difference[3:]).max() < 1e-8

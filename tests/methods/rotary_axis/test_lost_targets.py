@@ -1,0 +1,78 @@
+"""What the readings do not determine is named, and everything else is given."""
+
+from __future__ import annotations
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.session.session import Session
+
+
+def _without(session: Session, **labels: str) -> Session:
+    """The session without one target's readings."""
+    keep = np.flatnonzero(session.readings.labels["target"] != labels["target"])
+    return session.with_readings(session.readings.select(keep))
+
+
+def test_a_target_lost_at_two_angles(rotary: SimpleNamespace) -> None:
+    simulated = rotary.measured(5, noise_factor=0.0, hidden={"P": (1.0, 1.5)})
+    result = identify(simulated.session)
+    content = result.error_map.content
+    angles = np.asarray(content["c"])
+    lost = (angles > 1.0) & (angles < 1.5)
+    assert lost.sum() == 2
+    value, uncertainty = rotary.found(content)
+    assert np.isnan(value[:, lost]).all() and np.isnan(uncertainty[:, lost]).all()
+    assert np.isfinite(value[:, ~lost]).all()
+    truth = np.where(lost, np.nan, rotary.true_motions(simulated, angles))
+    difference = rotary.without_datum(value, angles) - rotary.without_datum(truth, angles)
+    assert np.nanmax(np.abs(difference[:3])) < 3e-9
+    names = {entry.name: entry.why for entry in result.not_determined}
+    assert set(names) == {f"{motion}({angle:.6g})" for motion in rotary.motions() for angle in angles[lost]}
+    assert "only targets Q and K were read" in names[f"EXC({angles[lost][0]:.6g})"]
+    json.dumps(result.document(), allow_nan=False)
+
+
+def test_an_angle_at_which_every_reading_is_missing_stays_in_the_list(rotary: SimpleNamespace) -> None:
+    session = rotary.measured(5).session
+    displacement = session.readings.displacement.copy()
+    angle = np.unique(session.readings.columns["c"])[4]
+    displacement[session.readings.columns["c"] == angle] = np.nan
+    readings = type(session.readings)(**{**session.readings.__dict__, "displacement": displacement})
+    content = identify(session.with_readings(readings)).error_map.content
+    assert len(content["c"]) == 18
+    assert np.isnan(content["EZC"][4]) and np.isfinite(np.delete(content["EZC"], 4)).all()
+
+
+def test_datum_reading_missing(rotary: SimpleNamespace) -> None:
+    session = rotary.measured(6, noise_factor=0.0).session
+    displacement = session.readings.displacement.copy()
+    displacement[0] = np.nan
+    readings = type(session.readings)(**{**session.readings.__dict__, "displacement": displacement})
+    result = identify(session.with_readings(readings))
+    assert [entry.row for entry in result.rejected] == [0]
+    assert np.isfinite(result.error_map.content["EXC"]).all()
+
+
+def test_two_targets_name_all_six_and_still_give_their_own_displacements(rotary: SimpleNamespace) -> None:
+    simulated = rotary.measured(7)
+    result = identify(_without(simulated.session, target="K"))
+    value, _ = rotary.found(result.error_map.content)
+    assert np.isnan(value).all()
+    assert [entry.name for entry in result.not_determined] == rotary.motions()
+    assert all("P and Q" in entry.why for entry in result.not_determined)
+    error = result.error_map.content["position_error"].reshape(18, 3, 3)
+    assert np.isfinite(error[:, :2]).all()
+    assert np.isnan(error[:, 2]).all()  # the third target was not there
+
+
+def test_too_few_angles_say_so_in_one_line(rotary: SimpleNamespace) -> None:
+    session = rotary.measured(8, angles=(0.0, 2.0, 4.0)).session
+    with pytest.raises(ModelError, match="too few readings: 36 for 36 unknowns") as caught:
+        identify(session)
+    assert "\n" not in str(caught.value)
