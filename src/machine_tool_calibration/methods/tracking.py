@@ -183,9 +183,11 @@ def build(session: Session, model: str = "free") -> TrackingModel:
     description = session.description
     assert isinstance(description, TrackingInterferometer)
     d = description.dimension
-    readings = session.readings.select(np.isfinite(session.readings.displacement))
+    # A target whose readings were all lost is a target all the same: it keeps its place in the map.
+    read = np.isfinite(session.readings.displacement)
+    targets, point = _distinct(session.readings.position()[:, :d])
+    readings, point = session.readings.select(read), point[read]
     position = readings.position()
-    targets, point = _distinct(position[:, :d])
     stations = np.array([setup.position for setup in description.setups])
     if d == 2:
         # The plane of the targets is that of the measurement.

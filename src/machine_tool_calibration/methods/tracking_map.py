@@ -63,15 +63,23 @@ def free_map(model: TrackingModel, fit: Fit) -> ErrorMap:
         error[good] = turned - nominal.T[good]
         unknown = theta[own].reshape(-1, d + 1).copy()
         unknown[:, :d] = others[-len(at) :] - stations
-    seen = np.asarray(fit.solution.local_determined[fit.index].all(axis=0))
-    why = {
-        int(k): "a station that it needs is not determined" if seen[k] else "it was read from too few stations"
-        for k in np.flatnonzero(~good)
-    }
+    why = {int(k): _why_lost(model, fit, int(k)) for k in np.flatnonzero(~good)}
     own_u = np.sqrt(np.diag(result.theta_covariance)[own])
     return _published(
         model, fit, _Network(error, result.covariance.transpose(2, 0, 1), good, unknown.reshape(-1), own_u, why)
     )
+
+
+def _why_lost(model: TrackingModel, fit: Fit, target: int) -> str:
+    """What keeps a target from being determined."""
+    if fit.solution.local_determined[fit.index][:, target].all():
+        return "a station that it needs is not determined"
+    stations = np.unique(model.observations.readings.setup[model.point == target])
+    if len(stations) >= model.dimension:
+        return "the directions from its stations lie too close to one line or plane"
+    names = ", ".join(model.description.setups[s].id for s in stations)
+    needed = f"{model.dimension} stations are needed"
+    return f"it was read from {names} only, and {needed}" if names else f"it was not read, and {needed}"
 
 
 def table_map(model: TrackingModel, fit: Fit, tables: tuple[MachineTable, ...]) -> ErrorMap:

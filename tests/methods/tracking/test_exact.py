@@ -1,0 +1,80 @@
+"""Without noise the map is the machine's, to the nanometre and better, whatever was declared of the stations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.methods.identify import identify
+
+
+@pytest.mark.parametrize("model", ["free", "rigid_body"])
+@pytest.mark.parametrize("pointing", ["open_loop", "tracking"])
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_map_and_stations(dimension, pointing, model, simulated, truth):
+    made = simulated(dimension, pointing, noise=0.0)
+    result = identify(made.session, model=model)
+    true = truth(made)
+    # Second order of the machine's own angles, some 1e-5 squared on half a metre; 12 um on a metre times 10 um.
+    assert np.abs(result.error_map.content["position_error"] - true.error).max() < 1e-9
+    assert np.abs(result.error_map.content["stations"][:, :dimension] - true.stations).max() < 2e-8
+    assert result.rms_residual < 1e-9
+    assert result.not_determined == ([] if model == "free" else list(result.fit.model.left_out))
+
+
+@pytest.mark.parametrize("pointing", ["open_loop", "tracking"])
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_stations_wrong_by_a_millimetre(dimension, pointing, simulated, truth):
+    """A tracking network then turns by a milliradian, whose square must not stay in the map."""
+    for seed in range(5):
+        made = simulated(dimension, pointing, seed, noise=0.0, station_uncertainty=1e-3)
+        result = identify(made.session)
+        assert np.abs(result.error_map.content["position_error"] - truth(made).error).max() < 5e-9
+
+
+def test_a_wide_network_without_any_datum_error(simulated, truth):
+    made = simulated(
+        3,
+        "tracking",
+        noise=0.0,
+        x=(-2.0, 0.0, 1.0, 2.0),
+        y=(0.0, 1.0, 3.0),
+        z=(0.0, 0.5),
+        repeats=1,
+        stations=((-3, -1, 0.2), (3, -1, 0.1), (0, 5, 0.3), (0.5, 1, 2.5)),
+        station_uncertainty=5e-3,
+    )
+    result = identify(made.session)
+    assert np.abs(result.error_map.content["position_error"] - truth(made).error).max() < 2e-8
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_dead_path_is_the_path_at_the_datum(dimension, simulated):
+    made = simulated(dimension, "tracking", noise=0.0)
+    result = identify(made.session)
+    stations = np.array(made.truth.judged["stations"])[:, :dimension]
+    first = np.array(made.truth.judged["points"])[0] + made.truth.judged["position_error"][0]
+    actual = np.linalg.norm(first[:dimension] - stations, axis=1)
+    assert np.abs(result.error_map.content["dead_path"] - actual).max() < 1e-8
+
+
+def test_rows_in_any_order_and_columns_beside(simulated, edit):
+    """The datum is the first reading of the recording; after it the order does not matter."""
+    made = simulated(2, seed=3)
+    n = len(made.session.readings)
+    one = identify(made.session)
+    shuffled = np.random.default_rng(0).permutation(n)
+    two = identify(edit(made.session, keep=shuffled))
+    order = [two.error_map.points.tolist().index(p) for p in one.error_map.points.tolist()]
+    assert np.allclose(
+        two.error_map.content["position_error"][order], one.error_map.content["position_error"], atol=1e-13
+    )
+    assert two.fit.joint.p_value == pytest.approx(one.fit.joint.p_value, rel=1e-6)
+
+
+@pytest.mark.parametrize("pointing", ["open_loop", "tracking"])
+def test_number_of_unknowns_in_a_session(pointing, simulated):
+    """2 N_i + 3 N_j - 3 and 3 N_i + 4 N_j - 6 (Ibaraki et al. 2014, Section 2)."""
+    for d, targets, unknowns in ((2, 36, 2 * 36 + 3 * 4 - 3), (3, 125, 3 * 125 + 4 * 4 - 6)):
+        result = identify(simulated(d, pointing).session)
+        assert result.fit.solution.degrees_of_freedom == 4 * 2 * targets - unknowns

@@ -1,0 +1,44 @@
+"""The same bits in every process, whatever number of threads linear algebra would like to use."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+
+import numpy as np
+
+SCRIPT = """
+import hashlib, sys
+from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.simulation import SimulationSpec, TrackingPlan, simulate
+out = hashlib.sha256()
+for model in ("free", "rigid_body"):
+    session = simulate(SimulationSpec(plan=TrackingPlan(dimension=3), seed=1)).session
+    result = identify(session, model=model)
+    out.update(result.error_map.error.tobytes() + result.fit.solution.covariance.tobytes())
+print(out.hexdigest())
+"""
+
+
+def test_processes_and_threads():
+    digests = set()
+    for threads in ("1", "2", "2"):
+        environment = os.environ | {"OPENBLAS_NUM_THREADS": threads, "OMP_NUM_THREADS": threads}
+        done = subprocess.run(
+            [sys.executable, "-c", SCRIPT], env=environment, capture_output=True, text=True, timeout=120, check=True
+        )
+        digests.add(done.stdout.strip())
+    assert len(digests) == 1
+    assert len(digests.pop()) == hashlib.sha256().digest_size * 2
+
+
+def test_the_same_session_twice(simulated):
+    from machine_tool_calibration.methods.identify import identify
+
+    session = simulated(3, "tracking", seed=2).session
+    one, two = identify(session), identify(session)
+    assert np.array_equal(one.error_map.error, two.error_map.error)
+    assert np.array_equal(one.error_map.uncertainty, two.error_map.uncertainty)
+    assert one.fit.joint.p_value == two.fit.joint.p_value

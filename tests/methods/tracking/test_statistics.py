@@ -1,0 +1,98 @@
+"""Two hundred simulated measurements: the stated uncertainties are right, and they are the bound."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from machine_tool_calibration.methods.identify import identify
+
+RUNS = 200
+
+
+@pytest.fixture(scope="module", params=[(2, "open_loop"), (3, "open_loop"), (2, "tracking"), (3, "tracking")], ids=str)
+def runs(request, simulated, truth, scores):
+    """Of each run: errors and uncertainties of the map and of the stations, and the p-value."""
+    dimension, pointing = request.param
+    repeats = 1 if dimension == 3 else 2
+    out = []
+    for seed in range(RUNS):
+        made = simulated(dimension, pointing, seed, repeats=repeats)
+        result = identify(made.session)
+        true, content = truth(made), result.error_map.content
+        stations = content["stations"][:, :dimension] - true.stations
+        out.append((*scores(result, true), stations, content["stations_u"][:, :dimension], result.fit.joint.p_value))
+    return tuple(np.array(values) for values in zip(*out, strict=True))
+
+
+def test_map(runs):
+    error, uncertainty = runs[:2]
+    assert 0.9 < np.mean((error / uncertainty) ** 2) < 1.1
+    assert np.sqrt(np.mean(error**2)) < 1.1 * np.sqrt(np.mean(uncertainty**2))
+
+
+def test_every_target_by_itself(runs):
+    """Not only on the average: no target's error is off its uncertainty by more than 200 runs allow."""
+    error, uncertainty = runs[:2]
+    square = np.mean((error / uncertainty) ** 2, axis=0)
+    low, high = stats.chi2.ppf([1e-6, 1 - 1e-6], RUNS) / RUNS
+    assert low < square.min()
+    assert square.max() < high
+
+
+def test_stations(runs):
+    error, uncertainty = runs[2:4]
+    assert 0.9 < np.mean((error / uncertainty) ** 2) < 1.1
+
+
+def test_p_values_are_uniform(runs):
+    assert stats.kstest(runs[4], "uniform").pvalue > 0.01
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_rigid_body(dimension, simulated, truth, scores):
+    errors, uncertainties, p = [], [], []
+    for seed in range(RUNS):
+        made = simulated(dimension, "open_loop", seed, repeats=1)
+        result = identify(made.session, model="rigid_body")
+        error, uncertainty = scores(result, truth(made))
+        errors.append(error)
+        uncertainties.append(uncertainty)
+        p.append(result.fit.joint.p_value)
+    assert 0.9 < np.mean((np.array(errors) / uncertainties) ** 2) < 1.1
+    assert np.sqrt(np.mean(np.square(errors))) < 1.1 * np.sqrt(np.mean(np.square(uncertainties)))
+    assert stats.kstest(p, "uniform").pvalue > 0.01
+
+
+def test_fewer_unknowns_less_uncertainty(simulated):
+    session = simulated(3).session
+    free, rigid = identify(session), identify(session, model="rigid_body")
+    assert np.mean(rigid.error_map.uncertainty**2) < 0.5 * np.mean(free.error_map.uncertainty**2)
+
+
+@pytest.mark.parametrize(("effect", "size"), [("backlash_x", 2e-6), ("linear_drift", 1e-9), ("dead_path", 0.3)])
+def test_parameters_of_effects(effect, size, simulated):
+    """An effect's coefficient within its uncertainty, over runs; the uncertainty is neither too large nor too small."""
+    scores = []
+    for seed in range(RUNS):
+        made = simulated(2, "open_loop", seed, effects={effect: size})
+        result = identify(made.session, effects=[effect])
+        (estimate,) = [e for e in result.parameters if e.name.startswith(effect)]
+        scores.append((estimate.value - size) / estimate.standard_uncertainty)
+    assert 0.8 < np.mean(np.square(scores)) < 1.25
+    assert abs(np.mean(scores)) < 4 / np.sqrt(RUNS)
+
+
+def test_a_missing_tenth_costs_uncertainty_but_no_honesty(simulated, truth):
+    squares, wider = [], []
+    for seed in range(60):
+        made = simulated(2, "open_loop", seed, missing=0.1)
+        result = identify(made.session)
+        good = np.isfinite(result.error_map.content["position_error"]).all(axis=1)
+        error = (result.error_map.content["position_error"] - truth(made, good).error)[good]
+        squares.append(np.mean((error / result.error_map.content["position_error_u"][good]) ** 2))
+        whole = identify(simulated(2, "open_loop", seed).session)
+        wider.append(result.error_map.uncertainty[good, :2].mean() / whole.error_map.uncertainty[good, :2].mean())
+    assert 0.9 < np.mean(squares) < 1.1
+    assert min(wider) > 1.0
