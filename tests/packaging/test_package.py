@@ -40,7 +40,8 @@ def imported(path: Path) -> set[str]:
 
 
 def all_imported() -> dict[str, Path]:
-    return {name: path for path in sorted(SOURCE.rglob("*.py")) for name in imported(path)}
+    paths = [*SOURCE.rglob("*.py"), *(ROOT / "launch").glob("*.py")]
+    return {name: path for path in sorted(paths) for name in imported(path)}
 
 
 def normal(name: str) -> str:
@@ -72,7 +73,7 @@ def test_every_imported_distribution_is_required() -> None:
 
 def test_every_ros_package_is_named_in_package_xml() -> None:
     for module, path in all_imported().items():
-        if ROS.fullmatch(module) and module != "ament_index_python":
+        if ROS.fullmatch(module):
             assert module in depends(), f"{path} imports {module}: add it to package.xml"
 
 
