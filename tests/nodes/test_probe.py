@@ -1,0 +1,184 @@
+"""Probing live: the probe node with the axis simulator and the procedure, in simulated and in real time."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="the graph needs ROS 2")
+
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.nodes.graph import Graph, Program
+from machine_tool_calibration.session.collect import Collector
+from machine_tool_calibration.session.parse import parse_description
+from machine_tool_calibration.session.place import Place
+from machine_tool_calibration.simulation.workpieces import cam
+
+from .conftest import ORIGIN, begin
+
+TRAVEL = {"x": [-0.13, 0.13], "y": [-0.13, 0.13], "z": [-0.05, 0.05]}
+NODES = [-0.132, -0.066, 0.0, 0.066, 0.132]
+FORM = 3e-6
+SEED = 9
+
+
+def procedure(points=None, angles=(0.0, 0.9, 2.0, 3.7, 5.1), **session):
+    part = cam(count=24) if points is None else points
+    return {
+        "format": "mtcal-procedure/1",
+        "name": "probing_small",
+        "session": {
+            "method": "probing",
+            "machine": {
+                "chain": "w-C-b-Y-X-Z-t",
+                "rotation_sign": -1,
+                "travel": TRAVEL,
+                "table_grid": {"x": NODES, "y": NODES},
+            },
+            "probe": {"stylus_diameter": 0.006},
+            "workpiece": [
+                {"id": p.id, "feature": p.feature, "position": list(p.position), "normal": list(p.normal)} for p in part
+            ],
+            "setups": [{"id": f"C{k + 1}", "c": c} for k, c in enumerate(angles)],
+            "standard_uncertainty": {"displacement": 1e-6},
+            **session,
+        },
+        "path": {"points": [{"z": -0.01}]},
+        "motion": {"speed": {"z": 0.2}, "dwell": 0.1, "approach": 0.004},
+    }
+
+
+def site(**machine):
+    return {
+        "seed": SEED,
+        "machine": {"chain": "w-C-b-Y-X-Z-t", "travel": TRAVEL, "random": None, **machine},
+    }
+
+
+def start(bench, content, world, names=("axis_simulator", "probe", "procedure"), *, simulated=True, **probe):
+    file, place = bench.write("procedure.yaml", content), bench.write("site.yaml", world)
+    common = {"use_sim_time": simulated, "site": place, "time_origin": ORIGIN if simulated else 0.0}
+    parameters = {
+        "axis_simulator": common,
+        "probe": {**common, "form": FORM, "repeatability": 0.0, **probe},
+        "procedure": {"use_sim_time": simulated, "procedure": file},
+    }
+    programs = [Program(name, parameters[name]) for name in names]
+    graph = bench.stack.enter_context(Graph(programs, bench.folder / "log", bench.domain))
+    return graph, bench.operator(graph)
+
+
+def session_of(operator):
+    collector = Collector(parse_description(operator.session, "session"), Place("session", "reading"))
+    for message in operator.readings:
+        collector.add(message.header.frame_id, list(message.name), np.asarray(message.position))
+    return collector.session("live")
+
+
+@pytest.mark.timeout(120)
+def test_live_readings_give_the_part_and_the_machine_back(bench, finish):
+    exx = {"nodes": NODES, "values": [2e-6, -1e-6, 0.0, 3e-6, 4e-6], "interpolation": "linear"}
+    ecc = {"nodes": [0.0, 2.0, 6.0], "values": [0.0, 1.2e-5, -4e-6], "interpolation": "linear"}
+    world = site(squareness={"C0Y": 2e-5}, motions={"EXX": exx, "ECC": ecc})
+    known = {"EXX": {"position": 0.066, "value": 3e-6, "standard_uncertainty": 1e-9}}
+    _, operator = start(bench, procedure(known=known), world)
+    finish(operator)
+    session = session_of(operator)
+    readings = session.readings
+    count = 24 + 16
+    assert len(readings) == 5 * count
+    assert list(readings.labels["point"][:count]) == [p.id for p in session.description.workpiece]
+    # X and Y are those of the sphere's centre at the nominal surface
+    first = session.description.workpiece[0]
+    assert readings.columns["x"][0] == pytest.approx(first.position[0] + 0.003 * first.normal[0], abs=1e-12)
+    assert np.all(np.diff(readings.columns["time"]) > 0)
+    assert {"temperature_work", "air_pressure"} <= set(readings.columns)
+
+    result = identify(session)
+    document = result.document()
+    assert document["reduced_chi_square"] < 1e-4
+    found = {entry["name"]: entry["value"] for entry in document["parameters"]}
+    # the part's own surface is curved where the probe takes it for flat: nanometres
+    assert found["EXX(-0.066)"] == pytest.approx(-1e-6, abs=1e-8)
+    # a turn of the tables' Y against X is squareness, whatever the frame
+    assert found["C0Y"] == pytest.approx(2e-5, abs=2e-7)
+    np.testing.assert_allclose(
+        document["error_map"]["ECC"], np.interp([0.0, 0.9, 2.0, 3.7, 5.1], ecc["nodes"], ecc["values"]), atol=2e-7
+    )
+    form = FORM * np.random.default_rng([SEED, 41]).normal(size=count)
+    points = session.description.workpiece
+    place, normal = np.array([p.position for p in points]), np.array([p.normal for p in points])
+    motion = np.column_stack([normal, place[:, 0] * normal[:, 1] - place[:, 1] * normal[:, 0]])
+    difference = np.array(document["error_map"]["workpiece_form"]) - form
+    difference -= motion @ np.linalg.lstsq(motion, difference, rcond=None)[0]
+    assert np.abs(difference).max() < 1e-8
+
+
+@pytest.mark.timeout(120)
+def test_missed_and_early_touches_are_reported_and_not_used(bench, finish):
+    graph, operator = start(bench, procedure(), site(), form=1.5e-3, attempts=2)
+    finish(operator)
+    form = 1.5e-3 * np.random.default_rng([SEED, 41]).normal(size=40)
+    bad = np.abs(form) > 1e-3
+    assert bad.any() and not bad.all()
+    session = session_of(operator)
+    given = np.isfinite(session.readings.displacement).reshape(5, 40)
+    assert np.array_equal(given, np.tile(~bad, (5, 1)))
+    log = (bench.folder / "log" / "probe.log").read_text()
+    assert "touch too early" in log and "missed touch" in log
+    document = identify(session).document()
+    assert document["used"] == given.sum()
+    assert {entry["row"] for entry in document["rejected"]} == set(np.flatnonzero(~given.ravel()))
+    graph.check()
+
+
+@pytest.mark.timeout(120)
+def test_pretravel_depends_on_the_direction_of_the_contact(bench, finish):
+    points = cam(count=12, spheres=False)
+    _, operator = start(
+        bench, procedure(points, angles=(0.0, 1.0, 2.3)), site(), form=0.0, pretravel_variation=2e-6, pretravel_lobes=3
+    )
+    finish(operator)
+    session = session_of(operator)
+    angle = np.array([np.arctan2(*p.normal[::-1]) for p in points])
+    lobes = -2e-6 * np.cos(3 * (angle[None, :] - np.array([0.0, 1.0, 2.3])[:, None]))
+    np.testing.assert_allclose(session.readings.displacement.reshape(3, 12), lobes, atol=1e-12)
+
+
+@pytest.mark.timeout(120)
+def test_in_real_time_the_stylus_approaches_triggers_and_backs_off(bench, finish):
+    points = cam(count=3, spheres=False)
+    content = procedure(points, angles=(0.0, 0.5))
+    content["motion"] = {"speed": {"x": 0.5, "y": 0.5, "z": 0.5, "c": 2.0}, "dwell": 0.1, "approach": 0.004}
+    _, operator = start(bench, content, site(), simulated=False, speed=0.02)
+    finish(operator, 100.0)
+    session = session_of(operator)
+    form = FORM * np.random.default_rng([SEED, 41]).normal(size=3)
+    np.testing.assert_allclose(session.readings.displacement.reshape(2, 3), np.tile(form, (2, 1)), atol=1e-9)
+    # 4 mm there at 20 mm/s, and as much back
+    assert np.all(np.diff(session.readings.columns["time"]) > 0.4)
+
+
+@pytest.mark.timeout(60)
+def test_a_probe_that_stands_in_front_of_nothing_says_so(bench):
+    _, operator = start(bench, procedure(), site(), names=("axis_simulator", "probe", "procedure"))
+    assert operator.wait(lambda: operator.procedure.entries.get("state") == "idle", 30.0)
+    assert operator.wait(lambda: not operator.procedure.entries["waiting_for"], 30.0)
+    with pytest.raises(CalibrationError, match="in front of no point"):
+        operator.call("instrument/capture", 10.0)
+
+
+@pytest.mark.timeout(120)
+def test_a_probe_that_is_restarted_pairs_nothing_wrongly(bench):
+    graph, operator = start(bench, procedure(), site())
+    begin(operator)
+    for count in (30, 90):
+        assert operator.wait(lambda count=count: len(operator.readings) >= count, 60.0)
+        graph.kill("probe")
+        graph.start("probe")
+    assert operator.wait(lambda: operator.procedure.entries["state"] != "running", 100.0)
+    assert operator.procedure.entries["state"] == "finished", operator.procedure
+    assert operator.wait(lambda: len(operator.readings) >= 200, 10.0)
+    session = session_of(operator)
+    form = FORM * np.random.default_rng([SEED, 41]).normal(size=40)
+    # the machine is perfect: a touch shows the form of the very point that its row names
+    np.testing.assert_allclose(session.readings.displacement, np.tile(form, 5), atol=2e-9)
