@@ -58,4 +58,4 @@ def needed_rows(open_directions: Array, rows: Sequence[Array]) -> tuple[list[int
         full = np.linalg.svd((seen / size)[:, None], full_matrices=True)[0]
         fixed.append(basis @ full[:, 0])
         basis = basis @ full[:, 1:]
-    return needed, np.array(fixed).reshape(-1, len(open_directions)).T
+    return needed, np.array(fixed).reshape(len(needed), len(open_directions)).T

@@ -162,7 +162,9 @@ def assemble(models: Sequence[MethodModel], labels: Sequence[str] | None = None)
             index.append(place[name])
         places.append(np.array(index, dtype=np.int64))
     m = len(parameters)
-    constraints = [_row(model, where, c.weights, m) for model, where in zip(models, places, strict=True) for c in model.constraints]
+    constraints = [
+        _row(model, where, c.weights, m) for model, where in zip(models, places, strict=True) for c in model.constraints
+    ]
     values = [c.value for model in models for c in model.constraints]
     prior_list = [
         (_row(model, where, p.weights, m), p.value, p.sigma)
@@ -177,7 +179,7 @@ def assemble(models: Sequence[MethodModel], labels: Sequence[str] | None = None)
         model.part(where[: len(model.own)], where[len(model.own) :])
         for model, where in zip(models, places, strict=True)
     ]
-    problem = Problem(parts, m, np.array(constraints).reshape(-1, m), np.array(values), priors)
+    problem = Problem(parts, m, np.array(constraints).reshape(len(constraints), m), np.array(values), priors)
     return Assembly(tuple(models), problem, tuple(parameters), tuple(places))
 
 

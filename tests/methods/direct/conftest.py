@@ -1,0 +1,84 @@
+"""Sessions of direct deviations, simulated or written down reading by reading."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.session.parse import describe
+from machine_tool_calibration.session.session import Readings, Session
+from machine_tool_calibration.simulation.simulate import Simulated, simulate
+from machine_tool_calibration.simulation.spec import SimulationSpec
+
+
+def measured(kind: str, seed: int = 0, machine: dict[str, Any] | None = None, **plan: Any) -> Simulated:
+    """A simulated session of a kind of `DirectPlan`, by default of a machine without angular errors."""
+    outer = {k: plan.pop(k) for k in ("noise_factor", "effects", "missing", "repeatability") if k in plan}
+    machine = {"random": {"angular": 0.0}} if machine is None else machine
+    spec = {"seed": seed, "plan": {"method": "direct", "kind": kind, **plan}, "machine": machine, **outer}
+    return simulate(SimulationSpec.model_validate(spec))
+
+
+def written(
+    position: Sequence[Sequence[float]] | np.ndarray,
+    direction: Sequence[Sequence[float]] | np.ndarray,
+    displacement: Sequence[float] | np.ndarray,
+    *,
+    setup: Sequence[int] | None = None,
+    setups: Sequence[str] = ("A",),
+    datum: str = "none",
+    terms: Sequence[str] = (),
+    sigma: float = 1e-7,
+    chain: str = "w-X-Y-b-Z-t",
+    columns: Mapping[str, Sequence[float]] | None = None,
+) -> Session:
+    """A session from its readings."""
+    at, g = np.asarray(position, float), np.asarray(direction, float)
+    n = len(at)
+    description = describe(
+        {
+            "format": "mtcal-session/1",
+            "method": "direct",
+            "machine": {"chain": chain},
+            "standard_uncertainty": {"displacement": sigma},
+            "datum": datum,
+            "terms": list(terms),
+            "setups": [{"id": name} for name in setups],
+        },
+        "session.yaml",
+    )
+    all_columns = {"x": at[:, 0], "y": at[:, 1], "z": at[:, 2], "gx": g[:, 0], "gy": g[:, 1], "gz": g[:, 2]}
+    all_columns |= {name: np.asarray(values, float) for name, values in (columns or {}).items()}
+    readings = Readings(
+        setup=np.zeros(n, np.int64) if setup is None else np.asarray(setup, np.int64),
+        repeat=np.zeros(n, np.int64),
+        displacement=np.asarray(displacement, float),
+        columns=all_columns,
+        labels={},
+        row=np.arange(n),
+    )
+    return Session(description, readings, "session")
+
+
+def rigid_motions(points: np.ndarray) -> np.ndarray:
+    """(n, 3, 6) displacements by shifts and turns."""
+    arm = points - points.mean(axis=0)
+    turns = [np.cross(np.eye(3)[j], arm) for j in range(3)]
+    return np.stack([*(np.tile(np.eye(3)[j], (len(points), 1)) for j in range(3)), *turns], axis=-1)
+
+
+def fitted_out(values: np.ndarray, motions: np.ndarray) -> np.ndarray:
+    """Values without their least-squares share of motions, both over the same entries."""
+    flat = motions.reshape(values.size, -1)
+    left: np.ndarray = values - (flat @ np.linalg.lstsq(flat, values.ravel(), rcond=1e-9)[0]).reshape(values.shape)
+    return left
+
+
+@pytest.fixture(scope="session")
+def direct() -> SimpleNamespace:
+    """The functions of this file."""
+    return SimpleNamespace(measured=measured, written=written, rigid_motions=rigid_motions, fitted_out=fitted_out)

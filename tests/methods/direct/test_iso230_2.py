@@ -1,0 +1,92 @@
+"""The figures of ISO 230-2:2014, against numbers worked out by hand."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.methods.iso230_2 import positioning
+
+# Two positions, three runs up and three down, um.
+POSITION = np.repeat([0.0, 0.1], 6)
+DIRECTION = np.tile([1, 1, 1, -1, -1, -1], 2)
+DEVIATION = 1e-6 * np.array([1.0, 2.0, 3.0, 5.0, 5.0, 5.0, -1.0, 0.0, 1.0, 2.0, 4.0, 6.0])
+
+
+def test_by_hand() -> None:
+    f = positioning(POSITION, DIRECTION, DEVIATION)
+    um = 1e-6
+    np.testing.assert_allclose(f.mean_up, [2 * um, 0.0], atol=1e-18)
+    np.testing.assert_allclose(f.mean_down, [5 * um, 4 * um])
+    np.testing.assert_allclose(f.s_up, [1 * um, 1 * um])
+    np.testing.assert_allclose(f.s_down, [0.0, 2 * um], atol=1e-18)
+    np.testing.assert_allclose(f.reversal, [-3 * um, -4 * um])
+    assert pytest.approx(4 * um) == f.B
+    assert pytest.approx(-3.5 * um) == f.B_mean
+    assert pytest.approx(4 * um) == f.R_up
+    assert pytest.approx(8 * um) == f.R_down
+    # 2 s_up + 2 s_down + |B|: 2 + 0 + 3 and 2 + 4 + 4
+    np.testing.assert_allclose(f.repeatability, [5 * um, 10 * um])
+    assert pytest.approx(10 * um) == f.R
+    assert pytest.approx(2 * um) == f.E_up
+    assert pytest.approx(1 * um) == f.E_down
+    assert pytest.approx(5 * um) == f.E  # 5 - 0
+    assert pytest.approx(1.5 * um) == f.M  # 3.5 - 2
+    assert pytest.approx((4 - -2) * um) == f.A_up  # 2 + 2 - (0 - 2)
+    assert pytest.approx((8 - 0) * um) == f.A_down  # 4 + 4 - (4 - 4)
+    assert pytest.approx((8 - -2) * um) == f.A
+
+
+def test_single_runs_give_means_but_no_repeatability() -> None:
+    f = positioning(np.array([0.0, 0.1, 0.1, 0.0]), np.array([1, 1, -1, -1]), 1e-6 * np.array([0.0, 1.0, 2.0, 3.0]))
+    assert pytest.approx(3e-6) == f.B and pytest.approx(3e-6) == f.E
+    assert np.isnan([f.R, f.A, f.R_up]).all()
+
+
+def test_one_direction_gives_no_reversal() -> None:
+    f = positioning(np.array([0.0, 0.0, 0.1, 0.1]), np.ones(4), 1e-6 * np.array([0.0, 1.0, 2.0, 3.0]))
+    assert np.isnan([f.B, f.R, f.E, f.M, f.A]).all()
+    assert pytest.approx(2e-6) == f.E_up
+    assert pytest.approx(4 * np.sqrt(0.5) * 1e-6) == f.R_up
+
+
+@pytest.mark.parametrize(
+    ("position", "direction", "deviation", "message"),
+    [
+        ([0.0], [1.0, 1.0], [0.0], "same length"),
+        ([], [], [], "no reading"),
+        ([0.0], [0.0], [0.0], r"\+1 or -1"),
+    ],
+)
+def test_bad_input(position: list[float], direction: list[float], deviation: list[float], message: str) -> None:
+    with pytest.raises(ModelError, match=message):
+        positioning(np.array(position), np.array(direction), np.array(deviation))
+
+
+def test_a_run_of_a_session_is_reported(direct: SimpleNamespace) -> None:
+    simulated = direct.measured("iso230_2", repeats=5, effects=[{"id": "backlash_x", "size": 3e-6}])
+    (run,) = identify(simulated.session).document()["error_map"]["iso230_2"]
+    assert (run["setup"], run["axis"]) == ("X", "X")
+    readings = simulated.session.readings
+    own = positioning(np.round(readings.columns["x"], 9), readings.columns["dir_x"].astype(int), readings.displacement)
+    assert run["B"] == pytest.approx(own.B) and run["A"] == pytest.approx(own.A)
+    assert abs(run["B_mean"]) == pytest.approx(6e-6, abs=1e-7)  # twice the half width
+
+
+def test_direction_of_approach_follows_from_the_order_where_it_is_not_recorded(direct: SimpleNamespace) -> None:
+    simulated = direct.measured("iso230_2", repeats=3, effects=[{"id": "backlash_x", "size": 3e-6}])
+    readings = simulated.session.readings
+    columns = {name: values for name, values in readings.columns.items() if name != "dir_x"}
+    bare = type(readings)(**{**readings.__dict__, "columns": columns})
+    (with_column,) = identify(simulated.session).error_map.content["iso230_2"]
+    (without,) = identify(simulated.session.with_readings(bare)).error_map.content["iso230_2"]
+    np.testing.assert_allclose(without["reversal"], with_column["reversal"], atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["straightness", "grid_plate", "drilled_plate"])
+def test_other_measurements_are_no_such_run(direct: SimpleNamespace, kind: str) -> None:
+    assert "iso230_2" not in identify(direct.measured(kind, repeats=2).session).error_map.content

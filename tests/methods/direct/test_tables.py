@@ -1,0 +1,114 @@
+"""Machine errors of a session: which can be told, in which datum, and at which positions."""
+
+from __future__ import annotations
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.methods.direct_tables import nodes_from
+from machine_tool_calibration.methods.identify import identify
+
+LINE = np.linspace(0.0, 0.4, 5)
+ALONG_X = np.column_stack([LINE, np.zeros(5), np.zeros(5)])
+X, Y = np.eye(3)[0], np.eye(3)[1]
+
+
+def _twice(values: np.ndarray) -> np.ndarray:
+    return np.concatenate([values, values])
+
+
+def test_absolute_deviations_keep_their_zero(direct: SimpleNamespace) -> None:
+    deviation = 1e-6 * np.array([5.0, 6.0, 8.0, 7.0, 5.0])
+    session = direct.written(_twice(ALONG_X), np.tile(X, (10, 1)), _twice(deviation), terms=["EXX"])
+    result = identify(session)
+    np.testing.assert_allclose(result.error_map.error[:, 0], deviation, atol=1e-15)
+    assert not result.not_determined
+    assert result.fit.model.constraints == ()
+
+
+def test_offset_leaves_the_zero_open(direct: SimpleNamespace) -> None:
+    deviation = 1e-6 * np.array([5.0, 6.0, 8.0, 7.0, 5.0])
+    session = direct.written(_twice(ALONG_X), np.tile(X, (10, 1)), _twice(deviation), datum="offset", terms=["EXX"])
+    result = identify(session)
+    np.testing.assert_allclose(result.error_map.error[:, 0], deviation - deviation.mean(), atol=1e-15)
+    tables = result.error_map.content["tables"]["EXX"]
+    np.testing.assert_allclose(tables["value"], deviation - deviation[0], atol=1e-15)
+
+
+def test_each_setup_has_its_own_offset(direct: SimpleNamespace) -> None:
+    deviation = 1e-6 * np.array([0.0, 1.0, 3.0, 2.0, 0.0])
+    reading = np.concatenate([deviation + 4e-5, deviation - 7e-5])
+    session = direct.written(
+        _twice(ALONG_X), np.tile(X, (10, 1)), reading,
+        setup=[0] * 5 + [1] * 5, setups=("A", "B"), datum="offset", terms=["EXX"],
+    )  # fmt: skip
+    result = identify(session)
+    values = {p.name: p.value for p in result.parameters}
+    assert values["A.offset"] - values["B.offset"] == pytest.approx(1.1e-4)
+    np.testing.assert_allclose(result.error_map.error[:, 0], deviation - deviation.mean(), atol=1e-15)
+
+
+def test_squareness_against_a_rigid_part_is_told_by_two_axes_only(direct: SimpleNamespace) -> None:
+    grid = np.array([(x, y, 0.0) for y in LINE for x in LINE])
+    both = np.concatenate([grid, grid])
+    g = np.concatenate([np.tile(X, (25, 1)), np.tile(Y, (25, 1))])
+    skew = np.concatenate([-1e-5 * grid[:, 1], np.zeros(25)])
+    told = identify(direct.written(both, g, skew, datum="rigid", terms=["C0Y"]))
+    assert {p.name: p.value for p in told.parameters}["C0Y"] == pytest.approx(1e-5)
+    # With x alone the turn of the part is the same as the squareness.
+    alone = identify(direct.written(grid, g[:25], skew[:25], datum="rigid", terms=["C0Y"]))
+    names = {entry.name: entry.why for entry in alone.not_determined}
+    assert "C0Y" in names and "A.turn_c" in names["C0Y"]
+    assert np.isnan(alone.document()["error_map"]["tables"]["C0Y"]["value"] or np.nan)
+
+
+def test_what_no_reading_senses_is_left_out_by_name(direct: SimpleNamespace) -> None:
+    session = direct.written(_twice(ALONG_X), np.tile(X, (10, 1)), np.zeros(10), terms=["EXX", "EZX", "A0Z"])
+    names = [entry.name for entry in identify(session).not_determined]
+    assert names == ["EZX", "A0Z"]
+
+
+def test_no_terms_and_missing_readings(direct: SimpleNamespace) -> None:
+    reading = 1e-6 * np.arange(10.0)
+    reading[3] = np.nan
+    result = identify(direct.written(_twice(ALONG_X), np.tile(X, (10, 1)), reading))
+    assert [entry.row for entry in result.rejected] == [3]
+    assert (result.error_map.error == 0.0).all()
+    assert result.rms_residual == pytest.approx(np.sqrt(np.nanmean(reading**2)))
+    json.dumps(result.document(), allow_nan=False)
+
+
+@pytest.mark.parametrize(
+    ("terms", "message"),
+    [
+        (["EXQ"], "EXQ"),
+        (["EXX", "EXX"], "twice"),
+        (["ECC"], "no linear axis C"),
+        (["Q0Z"], "Q0Z"),
+    ],
+)
+def test_terms_that_the_machine_does_not_have(direct: SimpleNamespace, terms: list[str], message: str) -> None:
+    with pytest.raises(ModelError, match=message):
+        identify(direct.written(_twice(ALONG_X), np.tile(X, (10, 1)), np.zeros(10), terms=terms))
+
+
+def test_direction_must_not_vanish(direct: SimpleNamespace) -> None:
+    g = np.tile(X, (10, 1))
+    g[4] = 0.0
+    with pytest.raises(ModelError, match=r"row 4: the direction \(gx, gy, gz\) is zero"):
+        identify(direct.written(_twice(ALONG_X), g, np.zeros(10), terms=["EXX"]))
+
+
+def test_nodes_are_the_positions_or_some_of_them() -> None:
+    few = np.repeat(np.linspace(0.0, 0.4, 9), 4)
+    np.testing.assert_allclose(nodes_from(few), np.unique(few), atol=1e-12)
+    many = np.sort(np.random.default_rng(0).uniform(0.0, 0.4, 300))
+    nodes = nodes_from(many)
+    assert len(nodes) <= 21
+    assert np.isin(np.round(nodes, 9), np.round(many, 9)).all()
+    # readings a hair apart are one position
+    assert len(nodes_from(np.concatenate([few, few + 1e-5]))) == 9
