@@ -10,11 +10,6 @@ with the estimator.
 from __future__ import annotations
 
 import argparse
-import os
-
-for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-    os.environ.setdefault(_name, "1")
-
 import time
 import zlib
 from collections import defaultdict
@@ -36,6 +31,9 @@ from machine_tool_calibration.simulation import FLAWS, PRESETS, FlawSpec, Simula
 _LARGEST = 1.5e-5
 # An unlisted effect that a listed one reproduces to this cosine cannot be known to be another.
 _ALIKE = 0.9
+_HEADER = (
+    "| plan | data | sessions | missing_effect | right group | exact effect | unexplained | adequate | other |"
+)
 _PLANS = ("tracking_2d", "tracking_3d", "step_diagonal", "rotary_axis", "probing_cross")
 
 
@@ -101,7 +99,9 @@ def run(trial: Trial) -> Trial:
         one = base.model_copy(update={"effects": (FlawSpec(id=effect, amplitude=3e-6),)})
         strength = signal_outside_model(one)
         if 3e-6 * trial.signal / max(strength, 1e-9) > _LARGEST:
-            return _with(trial, verdict="absorbed", note=f"{strength:.2f} standard uncertainties from an amplitude of 3 um")
+            return _with(
+                trial, verdict="absorbed", note=f"{strength:.2f} standard uncertainties from an amplitude of 3 um"
+            )
         if trial.kind.startswith("unlisted") and looks_listed(one):
             return _with(trial, verdict="absorbed", note="looks like a listed effect")
         flaws.append(FlawSpec(id=effect, amplitude=3e-6 * trial.signal / strength))
@@ -150,10 +150,14 @@ def trials(count: int, plans: tuple[str, ...]) -> list[Trial]:
         for effect in listed:
             for kind, signal in (("one at 10", 10.0), ("one at 6", 6.0), ("one at 10 with spread", 10.0)):
                 for k in range(max(count // 10, 1)):
-                    out.append(Trial(kind, plan, (effect,), signal, zlib.crc32(f"{plan}{effect}{kind}{k}".encode()) % 10**6))
+                    out.append(
+                        Trial(kind, plan, (effect,), signal, zlib.crc32(f"{plan}{effect}{kind}{k}".encode()) % 10**6)
+                    )
         for effect in unlisted:
             for k in range(max(count // 5, 1)):
-                out.append(Trial("unlisted at 15", plan, (effect,), 15.0, zlib.crc32(f"{plan}{effect}{k}".encode()) % 10**6))
+                out.append(
+                    Trial("unlisted at 15", plan, (effect,), 15.0, zlib.crc32(f"{plan}{effect}{k}".encode()) % 10**6)
+                )
         rng = np.random.default_rng(zlib.crc32(plan.encode()))
         pairs = [name for name in listed if not name.startswith("E")]
         for k in range(count):
@@ -164,7 +168,10 @@ def trials(count: int, plans: tuple[str, ...]) -> list[Trial]:
 
 def table(results: list[Trial]) -> str:
     """Markdown tables of the rates."""
-    lines = ["| plan | data | sessions | missing_effect | right group | exact effect | unexplained | adequate | other |", "|---|---|---|---|---|---|---|---|---|"]
+    lines = [
+        _HEADER,
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
     by: dict[tuple[str, str], list[Trial]] = defaultdict(list)
     for trial in results:
         if trial.verdict not in ("absorbed",):
@@ -199,10 +206,28 @@ def main() -> None:
     for trial in results:
         if trial.verdict == "absorbed":
             continue
-        wrong = trial.effects and trial.kind.startswith(("one", "two")) and not all(in_group(trial, e) for e in trial.effects)
-        wrong = wrong or (not trial.effects and trial.verdict != "adequate") or (trial.kind.startswith("unl") and trial.verdict != "unexplained")
+        wrong = (
+            trial.effects
+            and trial.kind.startswith(("one", "two"))
+            and not all(in_group(trial, e) for e in trial.effects)
+        )
+        wrong = (
+            wrong
+            or (not trial.effects and trial.verdict != "adequate")
+            or (trial.kind.startswith("unl") and trial.verdict != "unexplained")
+        )
         if options.failures and wrong:
-            print(trial.kind, trial.plan, trial.effects, trial.seed, "->", trial.verdict, trial.accepted, trial.first, trial.note)
+            print(
+                trial.kind,
+                trial.plan,
+                trial.effects,
+                trial.seed,
+                "->",
+                trial.verdict,
+                trial.accepted,
+                trial.first,
+                trial.note,
+            )
     if options.output:
         options.output.write_text(text + "\n", encoding="utf-8")
 

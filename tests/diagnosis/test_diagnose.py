@@ -55,7 +55,12 @@ def test_a_hidden_effect_is_named_and_the_error_falls(plan: str, effect: str, am
 
 
 def test_two_effects_at_once_are_found_one_after_the_other() -> None:
-    found = look("tracking_2d", 31, FlawSpec(id="backlash_y", amplitude=1.5e-6), FlawSpec(id="pointer_radial_error", amplitude=4e-6))
+    found = look(
+        "tracking_2d",
+        31,
+        FlawSpec(id="backlash_y", amplitude=1.5e-6),
+        FlawSpec(id="pointer_radial_error", amplitude=4e-6),
+    )
     alike = {"pointer_radial_error", "retroreflector_form"}
     assert found.verdict == "missing_effect"
     assert "backlash_y" in found.accepted
@@ -87,7 +92,9 @@ def test_the_same_seed_gives_the_same_answer_to_the_last_bit() -> None:
 
 
 def test_an_effect_in_the_model_is_not_looked_for_again() -> None:
-    session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=77, effects=(FlawSpec(id="backlash_y", amplitude=1.5e-6),))).session
+    session = simulate(
+        SimulationSpec(plan=PRESETS["tracking_2d"], seed=77, effects=(FlawSpec(id="backlash_y", amplitude=1.5e-6),))
+    ).session
     found = diagnose(session, effects=["backlash_y"], seed=1)
     assert found.verdict == "adequate"
     assert "backlash_y" not in {r.candidate.name for r in found.ranked}

@@ -41,7 +41,20 @@ def test_a_formula_has_the_value_of_ordinary_algebra(text: str, value: float) ->
 
 
 @pytest.mark.parametrize(
-    "text", ["__import__('os')", "a b", "a +", "x.y", "lambda: 1", "a[0]", "a; b", "", "open('f')", "(" * 60 + "a" + ")" * 60, "a+" * 800]
+    "text",
+    [
+        "__import__('os')",
+        "a b",
+        "a +",
+        "x.y",
+        "lambda: 1",
+        "a[0]",
+        "a; b",
+        "",
+        "open('f')",
+        "(" * 60 + "a" + ")" * 60,
+        "a+" * 800,
+    ],
 )
 def test_what_is_not_a_formula_is_refused_in_one_line(text: str) -> None:
     with pytest.raises(ModelError) as caught:
@@ -84,7 +97,12 @@ def test_a_formula_equals_the_built_in_effect_that_it_spells_out() -> None:
     session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=3)).session
     observations = build_model(session)[0].observations
     spelled = formula_effect(
-        {"id": "mine", "enters": "y", "formula": "-b * dir_y", "coefficients": {"b": {"unit": "m", "low": 0, "high": 1e-4}}}
+        {
+            "id": "mine",
+            "enters": "y",
+            "formula": "-b * dir_y",
+            "coefficients": {"b": {"unit": "m", "low": 0, "high": 1e-4}},
+        }
     )
     expected = catalogue()["backlash_y"].columns(observations)
     np.testing.assert_allclose(spelled.columns(observations), expected, rtol=1e-12, atol=1e-15)

@@ -41,9 +41,7 @@ class Candidate:
     effect: Effect | None = None
 
 
-def effect_candidates(
-    observations: Observations, effects: Sequence[Effect]
-) -> tuple[list[Candidate], dict[str, str]]:
+def effect_candidates(observations: Observations, effects: Sequence[Effect]) -> tuple[list[Candidate], dict[str, str]]:
     """Candidates of those effects that these readings could show, and why the others could not.
 
     Args:
@@ -58,7 +56,9 @@ def effect_candidates(
     for effect in effects:
         why = effect.why_not(observations)
         if why is None:
-            blocks = tuple(Block(shape, effect.columns(observations, shape)) for shape in effect.shape_grid(observations))
+            blocks = tuple(
+                Block(shape, effect.columns(observations, shape)) for shape in effect.shape_grid(observations)
+            )
             blocks = tuple(block for block in blocks if np.isfinite(block.columns).all() and block.columns.any())
             if blocks:
                 # Each coefficient of a setup is told by the readings of that setup alone.

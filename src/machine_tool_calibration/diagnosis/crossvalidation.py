@@ -1,4 +1,4 @@
-"""Does an effect predict readings that were not used to fit it?
+"""Whether an effect predicts readings that were not used to fit it.
 
 Readings are held out in folds: whole setups where the model has no points of its own, otherwise whole points with
 all their readings (leaving out one of four stations would leave no redundancy to predict with). In a held-out fold

@@ -129,11 +129,13 @@ class Diagnosis:
     @property
     def ranked(self) -> tuple[Ranked, ...]:
         """Candidates best first: those accepted, in their order, then the others as the first look ranked them."""
-        first = [next(r for r in look.ranked if r.candidate.name == name) for look, name in zip(self.looks, self.accepted, strict=False)]
+        first = [
+            next(r for r in look.ranked if r.candidate.name == name)
+            for look, name in zip(self.looks, self.accepted, strict=False)
+        ]
         return tuple(first) + tuple(r for r in self.looks[0].ranked if r.candidate.name not in self.accepted)
 
 
-@threadpoolctl.threadpool_limits.wrap(limits=1, user_api="blas")
 def diagnose(
     session: Session,
     *,
@@ -158,6 +160,20 @@ def diagnose(
     Raises:
         ModelError: the data does not allow the model.
     """
+    # Many small products: more than one thread for each only costs.
+    with threadpoolctl.threadpool_limits(1, user_api="blas"):
+        return _diagnose(session, model, effects, own, seed, sets, progress)
+
+
+def _diagnose(
+    session: Session,
+    model: str | None,
+    effects: Sequence[str],
+    own: Sequence[Effect],
+    seed: int,
+    sets: int,
+    progress: Callable[[str, float], None],
+) -> Diagnosis:
     rng = np.random.default_rng(seed)
     present = find_effects(effects, own)
     progress("looking for outliers", 0.0)
@@ -169,11 +185,16 @@ def diagnose(
     accepted: list[Effect] = []
     outliers, session, fit = find_outliers(whole, build)
     base = build_model(session, model)[0]
-    candidates, excluded = effect_candidates(base.observations, [e for e in catalogue(own).values() if e.id not in effects])
+    candidates, excluded = effect_candidates(
+        base.observations, [e for e in catalogue(own).values() if e.id not in effects]
+    )
     structures = structure_candidates(base.observations)
     looks: list[Look] = []
     while True:
-        progress(f"round {len(looks) + 1}: {len(candidates)} effects, {sets} simulated sets", (len(looks) + 0.2) / (_ROUNDS + 1))
+        progress(
+            f"round {len(looks) + 1}: {len(candidates)} effects, {sets} simulated sets",
+            (len(looks) + 0.2) / (_ROUNDS + 1),
+        )
         left = [c for c in candidates if c.effect not in accepted]
         looks.append(_look(fit, left, structures, rng, sets))
         winner = looks[-1].winner()
@@ -217,6 +238,24 @@ def _best_by_covariate(seen: Sequence[Ranked]) -> dict[str, float]:
     return out
 
 
+def _structure(fit: Fit, seen: Sequence[Ranked], noise: Noise) -> tuple[Structure, ...]:
+    """Significant structures, the most significant first, with the share of the sum of squares that each explains."""
+    observations = fit.model.observations
+    squares = fit.solution.chi_square * observations.session.sigma**2
+    found = []
+    for r in sorted(seen, key=lambda r: (r.family_p_value, -r.statistic)):
+        if r.rank and r.family_p_value <= _STRUCTURE_LEVEL:
+            covariate, shape = r.candidate.name.split(": ", 1)
+            found.append(
+                Structure(covariate, shape, r.family_p_value, 1.0 - r.rms_after**2 * len(observations) / squares)
+            )
+    lacks = noise.lack_of_fit_p is not None and noise.lack_of_fit_p < _LACK_LEVEL
+    if not found and lacks and noise.from_repeats is not None and noise.lack_of_fit_p is not None:
+        share = 1.0 - min((noise.from_repeats / noise.declared) ** 2 / fit.joint.reduced_chi_square, 1.0)
+        found = [Structure("place", "repeats agree with each other and not with the model", noise.lack_of_fit_p, share)]
+    return tuple(found)
+
+
 def _look(
     fit: Fit, candidates: Sequence[Candidate], structures: Sequence[Candidate], rng: np.random.Generator, sets: int
 ) -> Look:
@@ -233,19 +272,9 @@ def _look(
     ranked = rank_candidates(candidates, places[:split], found, reduced, data, observations, n)
     shapes = search(reduced, places[split:], data, rng, sets=sets, level=_STRUCTURE_LEVEL)
     seen = rank_candidates(structures, places[split:], shapes, reduced, data, observations, n)
-    sigma_squares = fit.solution.chi_square
-    structure = tuple(
-        Structure(*r.candidate.name.split(": ", 1), r.family_p_value, 1.0 - (r.rms_after / observations.session.sigma) ** 2 * n / sigma_squares)
-        for r in sorted(seen, key=lambda r: (r.family_p_value, -r.statistic))
-        if r.rank and r.family_p_value <= _STRUCTURE_LEVEL
-    )
     noise = noise_of(fit, spread)
-    if not structure and noise.lack_of_fit_p is not None and noise.lack_of_fit_p < _LACK_LEVEL:
-        share = 1.0 - min((noise.from_repeats or 0.0) ** 2 / observations.session.sigma**2 / fit.joint.reduced_chi_square, 1.0)
-        structure = (Structure("place", "repeats agree with each other and not with the model", noise.lack_of_fit_p, share),)
-    absorbed = tuple(
-        Absorbed(r.candidate.name, absorbed_by(fit, projected, r.place)) for r in ranked if not r.rank
-    )
+    structure = _structure(fit, seen, noise)
+    absorbed = tuple(Absorbed(r.candidate.name, absorbed_by(fit, projected, r.place)) for r in ranked if not r.rank)
     variance = float(found.likelihoods.null_variance[0])
     top = [r.columns for r in ranked[:_VALIDATED] if r.rank]
     return Look(

@@ -12,7 +12,7 @@ __all__ = ["leverage"]
 
 
 def leverage(fit: Fit) -> Array:
-    """(n,) share of a change of each reading that the prediction follows: 1 where the model has a reading for itself."""
+    """(n,) share of a change of each reading that the prediction follows: 1 where the model has it for itself."""
     part, solution = fit.part, fit.solution
     out = np.ones(part.n_readings)
     for group, chunk in part.chunks():

@@ -15,13 +15,25 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.estimation.projection import Projected
 
-__all__ = ["Data", "Likelihoods", "Reduced", "directions", "observed", "reduce", "scan", "simulate", "spread_ratios", "weighted_products"]
+__all__ = [
+    "Data",
+    "Likelihoods",
+    "Reduced",
+    "directions",
+    "observed",
+    "reduce",
+    "scan",
+    "simulate",
+    "spread_ratios",
+    "weighted_products",
+]
 
 # Variances of the spread's coefficients that are tried, in units of the readings' variance.
 _RATIOS = (0.0, 0.01, 0.03, 0.1, 0.2, 0.5, 1.0, 3.0, 10.0, 30.0, 100.0)
 # Shares of its variance without a candidate that a family may keep once the candidate is added.
 _SHARES = (0.0, 0.03, 0.1, 0.25, 0.5, 1.0)
-# A direction of a candidate with less than this share of its squared norm outside the model is absorbed (1 % of the norm).
+# A direction of a candidate with less than this share of its squared norm outside the model is absorbed
+# (1 % of the norm).
 ABSORBED = 1e-4
 _ROUNDING = 1e-11
 
@@ -196,7 +208,9 @@ def scan(reduced: Reduced, blocks: Sequence[slice], data: Data, ratios: list[tup
             if rank[j] == 1:
                 gain = right_side[0] ** 2 / inner[0, 0]
             else:
-                half = np.linalg.solve(np.linalg.cholesky(inner + 1e-12 * np.trace(inner) * np.eye(len(inner))), right_side)
+                half = np.linalg.solve(
+                    np.linalg.cholesky(inner + 1e-12 * np.trace(inner) * np.eye(len(inner))), right_side
+                )
                 gain = np.einsum("rb,rb->b", half, half)
             value_j = -n * np.log(np.maximum(squares - gain, 1e-12 * squares) / n) - logdet
             better = value_j > best[j]
@@ -227,12 +241,16 @@ def simulate(reduced: Reduced, ratio: Array, variance: float, count: int, rng: n
     root = np.sqrt(ratio)[reduced.family] if len(ratio) else np.zeros(size - k)
     coefficients = root[:, None] * rng.standard_normal((size - k, count))
     moved = reduced.gram[:, k:] @ coefficients
-    squares = squares + 2 * np.einsum("ub,ub->b", coefficients, noise[k:]) + np.einsum("ub,ub->b", coefficients, moved[k:])
+    squares = (
+        squares + 2 * np.einsum("ub,ub->b", coefficients, noise[k:]) + np.einsum("ub,ub->b", coefficients, moved[k:])
+    )
     root_variance = np.sqrt(variance)
     return Data((noise + moved) * root_variance, squares * variance)
 
 
-def weighted_products(reduced: Reduced, block: slice, data: Data, ratio: tuple[float, ...]) -> tuple[Array, Array, float]:
+def weighted_products(
+    reduced: Reduced, block: slice, data: Data, ratio: tuple[float, ...]
+) -> tuple[Array, Array, float]:
     """Inner products of a block's columns and the first data set, weighted by the spread of the given variances.
 
     Returns:

@@ -28,8 +28,8 @@ class Noise:
         from_repeats: from readings repeated at the same place in the same setup; None without such.
         repeats: degrees of freedom of the latter.
         chi_square_p: chance of so large residuals if the model is right and the declared uncertainty too.
-        lack_of_fit_p: chance that places differ so much more than repeats at one place do (F test, with the spread between
-            runs taken out of both); None without repeats.
+        lack_of_fit_p: chance that places differ so much more than repeats at one place do (F test, with the spread
+            between runs taken out of both); None without repeats.
     """
 
     declared: float

@@ -63,7 +63,11 @@ def find_outliers(session: Session, build: Callable[[Session], MethodModel]) -> 
         worst = order[0]
         if abs(studentized[worst]) < limit:
             break
-        far = [int(worst)] + [int(k) for k in order[1 : 1 + most // 4] if abs(studentized[k]) > max(2.0 * limit, 0.7 * abs(studentized[worst]))]
+        far = [int(worst)] + [
+            int(k)
+            for k in order[1 : 1 + most // 4]
+            if abs(studentized[k]) > max(2.0 * limit, 0.7 * abs(studentized[worst]))
+        ]
         rows = fit.model.observations.readings.row
         found += [Outlier(int(rows[k]), float(studentized[k]), float(deviation[k])) for k in far]
         removed = np.isin(session.readings.row, [o.row for o in found])

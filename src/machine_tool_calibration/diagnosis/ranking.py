@@ -117,7 +117,9 @@ def rank_candidates(
             spread = np.sqrt(np.maximum(np.diag(basis @ np.linalg.inv(small) @ basis.T) * variance, 0.0))
             plain = data.products[place, 0]
             unweighted = basis @ (basis.T @ plain)
-            rms_after = float(np.sqrt(max(data.squares[0] - plain @ unweighted, 0.0) / n_readings)) * observations.session.sigma
+            rms_after = (
+                float(np.sqrt(max(data.squares[0] - plain @ unweighted, 0.0) / n_readings)) * observations.session.sigma
+            )
             if candidate.effect is not None:
                 named = candidate.effect.coefficients_for(observations, block.shape)
                 sizes = tuple(Size(c, float(v), float(u)) for c, v, u in zip(named, signal, spread, strict=True))

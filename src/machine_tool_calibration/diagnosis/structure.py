@@ -1,4 +1,4 @@
-"""Structure in the residuals, whether or not an effect explains it: smooth and periodic functions of every covariate."""
+"""Structure in the residuals, whether or not an effect explains it: functions of every covariate."""
 
 from __future__ import annotations
 
@@ -56,7 +56,13 @@ def _products(observations: Observations) -> list[Candidate]:
             continue
         u, v = _scaled(observations.position[:, a]), _scaled(observations.position[:, b])
         assert u is not None and v is not None
-        columns = np.concatenate([(u * v * observations.direction.T), (u**2 * v * observations.direction.T), (u * v**2 * observations.direction.T)])
+        columns = np.concatenate(
+            [
+                (u * v * observations.direction.T),
+                (u**2 * v * observations.direction.T),
+                (u * v**2 * observations.direction.T),
+            ]
+        )
         columns = columns[np.abs(columns).max(axis=1) > 1e-9]
         name = f"{'xyz'[a]} and {'xyz'[b]}: product, as a displacement"
         out.append(Candidate(name, (Block((), columns),), 0, len(observations)))

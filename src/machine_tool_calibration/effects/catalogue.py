@@ -63,7 +63,7 @@ def _plugins() -> tuple[Effect, ...]:
             effect = point.load()()
             if not isinstance(effect, Effect):
                 raise TypeError("it does not make an Effect")
-        except Exception as error:  # noqa: BLE001 - a plugin may raise anything, and must not stop the others
+        except Exception as error:
             warnings.warn(f"the effect plugin {point.name!r} is skipped: {error}", stacklevel=2)
             continue
         found.append(effect)

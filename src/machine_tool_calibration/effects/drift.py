@@ -43,9 +43,7 @@ class StationDrift(Effect):
     def _dimension(self, observations: Observations) -> int:
         return int(getattr(observations.session.description, "dimension", 3))
 
-    def coefficients_for(
-        self, observations: Observations, shape: tuple[float, ...] = ()
-    ) -> tuple[Coefficient, ...]:
+    def coefficients_for(self, observations: Observations, shape: tuple[float, ...] = ()) -> tuple[Coefficient, ...]:
         """A velocity for each station."""
         axes = "xyz"[: self._dimension(observations)]
         ids = observations.session.setup_ids

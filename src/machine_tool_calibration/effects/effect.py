@@ -95,9 +95,7 @@ class Effect(ABC):
                 return f"the column {name} has missing values"
         return None
 
-    def coefficients_for(
-        self, observations: Observations, shape: tuple[float, ...] = ()
-    ) -> tuple[Coefficient, ...]:
+    def coefficients_for(self, observations: Observations, shape: tuple[float, ...] = ()) -> tuple[Coefficient, ...]:
         """The coefficients; effects with one set a setup, or as many as their shape says, say here how many."""
         return self.coefficients
 
@@ -116,4 +114,4 @@ class Effect(ABC):
 
 def axis_unit(axis: str) -> Array:
     """(3,) direction in which a linear axis moves the functional point."""
-    return np.eye(3)["xyz".index(axis)]
+    return np.asarray(np.eye(3)["xyz".index(axis)])

@@ -62,11 +62,18 @@ class ErrorMotionEffect(Effect):
         motion = parse_motion(self.id)
         chain = Chain.parse(observations.session.description.machine.chain)
         field = motion_field(chain, motion, position)
-        if motion.is_rotation and np.abs(field[:, np.abs(observations.direction).max(axis=0) > 0]).max(initial=0.0) < 1e-9:
+        turns = observations.rotation_direction is not None
+        if (
+            motion.is_rotation
+            and not turns
+            and np.abs(field[:, np.abs(observations.direction).max(axis=0) > 0]).max(initial=0.0) < 1e-9
+        ):
             arm = position.copy()
             arm[:, "XYZ".index(motion.axis)] = 0.0
             field = np.cross(np.eye(3)["ABC".index(motion.component)], arm)
         along = np.einsum("nj,nj->n", field, observations.direction)
+        if motion.is_rotation and observations.rotation_direction is not None:
+            along = along + observations.rotation_direction[:, "ABC".index(motion.component)]
         axis = observations.readings.column(self.axis)
         middle, half = (axis.max() + axis.min()) / 2, (np.ptp(axis) or 1.0) / 2
         series = np.polynomial.legendre.legvander((axis - middle) / half, _DEGREES)[:, 1:]

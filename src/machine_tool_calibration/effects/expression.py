@@ -9,7 +9,7 @@ import operator
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Union
+from typing import Any
 
 import numpy as np
 import pint
@@ -56,7 +56,7 @@ class _Operation:
     right: _Node
 
 
-_Node = Union[_Number, _Name, _Call, _Operation]
+_Node = _Number | _Name | _Call | _Operation
 
 
 @cache
@@ -82,7 +82,7 @@ class Expression:
         with np.errstate(all="ignore"):
             return np.asarray(_evaluate(self.node, values), dtype=float)
 
-    def unit(self, units: Mapping[str, str]) -> pint.Unit | None:
+    def unit(self, units: Mapping[str, str]) -> Any:
         """Unit of the value.
 
         Args:
@@ -130,9 +130,9 @@ def _grammar() -> pp.ParserElement:
     identifier = pp.Word(pp.alphas + "_", pp.alphanums + "_")
     name = identifier.copy().set_parse_action(lambda t: _Name(t[0]))
     expression = pp.Forward()
-    call = (pp.one_of(list(_FUNCTIONS), as_keyword=True) + pp.Suppress("(") + expression + pp.Suppress(")")).set_parse_action(
-        lambda t: _Call(t[0], t[1])
-    )
+    call = (
+        pp.one_of(list(_FUNCTIONS), as_keyword=True) + pp.Suppress("(") + expression + pp.Suppress(")")
+    ).set_parse_action(lambda t: _Call(t[0], t[1]))
     atom = call | number | name | pp.Suppress("(") + expression + pp.Suppress(")")
     unary = pp.Forward()
     power = atom + pp.Optional(pp.Suppress("**") + unary)
@@ -181,7 +181,7 @@ def _evaluate(node: _Node, values: Mapping[str, Array | float]) -> Any:
     )
 
 
-def _unit(node: _Node, units: Mapping[str, str], text: str) -> pint.Unit:
+def _unit(node: _Node, units: Mapping[str, str], text: str) -> Any:
     one = registry().Unit("dimensionless")
     if isinstance(node, _Number):
         return one

@@ -1,14 +1,14 @@
 """A user's own effect by formula, from a YAML file or the command line.
 
-    effects:
-      - id: creep_y
-        title: creep of the Y slide after a move
-        enters: y                  # x, y, z: displacement of that axis; reading: the reading itself
-        formula: b * dir_y * exp(-time / tau)
-        coefficients: {b: {unit: m, low: -1.0e-5, high: 1.0e-5}}
-        shapes: {tau: {unit: s, low: 10, high: 1.0e4}}
-        columns: {my_column: K}     # units of columns of your own, if they shall be checked
-        constants: {k0: {value: 2.5, unit: 1/s}}
+effects:
+- id: creep_y
+title: creep of the Y slide after a move
+enters: y                  # x, y, z: displacement of that axis; reading: the reading itself
+formula: b * dir_y * exp(-time / tau)
+coefficients: {b: {unit: m, low: -1.0e-5, high: 1.0e-5}}
+shapes: {tau: {unit: s, low: 10, high: 1.0e4}}
+columns: {my_column: K}     # units of columns of your own, if they shall be checked
+constants: {k0: {value: 2.5, unit: 1/s}}
 """
 
 from __future__ import annotations
@@ -23,14 +23,15 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape, axis_unit
-from machine_tool_calibration.effects.expression import Expression, parse, registry
+from machine_tool_calibration.effects.expression import parse, registry
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.model.observations import Observations
 
 __all__ = ["FormulaEffect", "formula_effect", "read_effects"]
 
 _UNITS = {
-    "time": "s", "x": "m", "y": "m", "z": "m", "c": "rad", "azimuth": "rad", "elevation": "rad", "path": "m", "displacement": "m",
+    "time": "s", "x": "m", "y": "m", "z": "m", "c": "rad", "azimuth": "rad", "elevation": "rad", "path": "m",
+    "displacement": "m",
     "temperature_air": "K", "temperature_x": "K", "temperature_y": "K", "temperature_z": "K", "temperature_table": "K",
     "temperature_work": "K", "air_pressure": "Pa", "relative_humidity": "1", "repeat": "1", "pi": "1",
     "dir_x": "1", "dir_y": "1", "dir_z": "1", "dir_c": "1",
@@ -82,7 +83,9 @@ class FormulaEffect(Effect):
         self._expression = parse(definition.formula)
         self.id = definition.id
         self.title = definition.title or definition.id
-        self.formula = f"{'reading' if definition.enters == 'reading' else 'e_' + definition.enters} = {definition.formula}"
+        self.formula = (
+            f"{'reading' if definition.enters == 'reading' else 'e_' + definition.enters} = {definition.formula}"
+        )
         self.source = definition.source
         self.kind = "reading" if definition.enters == "reading" else "position"
         self.coefficients = tuple(Coefficient(n, u.unit, u.low, u.high) for n, u in definition.coefficients.items())
@@ -105,7 +108,13 @@ class FormulaEffect(Effect):
         for name, unit in units.items():
             try:
                 registry().Unit("dimensionless" if unit == "1" else unit)
-            except (pint.errors.UndefinedUnitError, pint.errors.DefinitionSyntaxError, ValueError, TypeError, AssertionError):
+            except (
+                pint.errors.UndefinedUnitError,
+                pint.errors.DefinitionSyntaxError,
+                ValueError,
+                TypeError,
+                AssertionError,
+            ):
                 raise ModelError(f"effect {self.id}: {name} has the unknown unit {unit!r}") from None
         unit_of_value = self._expression.unit(units)
         if unit_of_value is not None and unit_of_value.dimensionality != registry().Unit("m").dimensionality:
@@ -123,10 +132,12 @@ class FormulaEffect(Effect):
         mixed = self._expression.evaluate(values | {n: 2.0 + k for k, n in enumerate(names)})
         expected = sum((2.0 + k) * part for k, part in enumerate(each))
         if not np.allclose(zero, 0.0, atol=1e-9) or not np.allclose(mixed, expected, rtol=1e-6, equal_nan=True):
-            raise ModelError(f"effect {self.id}: the formula is not linear in {', '.join(names)}; name other unknowns under shapes")
+            raise ModelError(
+                f"effect {self.id}: the formula is not linear in {', '.join(names)}; name other unknowns under shapes"
+            )
 
     def shape_grid(self, observations: Observations) -> list[tuple[float, ...]]:
-        """Values between the limits of the nonlinear coefficient, evenly on a logarithmic scale where both are positive."""
+        """Values between the limits of the nonlinear coefficient, on a logarithmic scale where both are positive."""
         if not self.shapes:
             return [()]
         low, high = self.shapes[0].low, self.shapes[0].high
@@ -142,7 +153,10 @@ class FormulaEffect(Effect):
         values |= {name: c.value for name, c in self._definition.constants.items()}
         values |= {s.name: v for s, v in zip(self.shapes, shape, strict=True)}
         names = [c.name for c in self.coefficients]
-        out = [np.broadcast_to(self._expression.evaluate(values | {m: float(m == name) for m in names}), n) for name in names]
+        out = [
+            np.broadcast_to(self._expression.evaluate(values | {m: float(m == name) for m in names}), n)
+            for name in names
+        ]
         columns = np.array(out)
         if not np.isfinite(columns).all():
             raise ModelError(f"effect {self.id}: the formula has no finite value for some readings")

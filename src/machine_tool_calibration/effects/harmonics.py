@@ -32,12 +32,12 @@ class HarmonicEffect(Effect):
     def angle(self, observations: Observations) -> Array:
         """(n,) the angle, rad."""
 
-    def coefficients_for(
-        self, observations: Observations, shape: tuple[float, ...] = ()
-    ) -> tuple[Coefficient, ...]:
+    def coefficients_for(self, observations: Observations, shape: tuple[float, ...] = ()) -> tuple[Coefficient, ...]:
         """Sine and cosine coefficients of each order, m."""
         highest = int(shape[0]) if shape else int(_HIGHEST[-1])
-        return tuple(Coefficient(f"{kind}{k}", "m", -self.limit, self.limit) for k in range(2, highest + 1) for kind in "sc")
+        return tuple(
+            Coefficient(f"{kind}{k}", "m", -self.limit, self.limit) for k in range(2, highest + 1) for kind in "sc"
+        )
 
     def shape_grid(self, observations: Observations) -> list[tuple[float, ...]]:
         """Few orders, or many."""

@@ -23,11 +23,11 @@ class MirrorMisalignment(Effect):
     methods = ("step_diagonal",)
     setup_level = True
 
-    def coefficients_for(
-        self, observations: Observations, shape: tuple[float, ...] = ()
-    ) -> tuple[Coefficient, ...]:
+    def coefficients_for(self, observations: Observations, shape: tuple[float, ...] = ()) -> tuple[Coefficient, ...]:
         """Two tilts for each setup."""
-        return tuple(Coefficient(f"{i}.t{k}", "rad", -0.02, 0.02) for i in observations.session.setup_ids for k in (1, 2))
+        return tuple(
+            Coefficient(f"{i}.t{k}", "rad", -0.02, 0.02) for i in observations.session.setup_ids for k in (1, 2)
+        )
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Displacement across the beam since the start of the run."""

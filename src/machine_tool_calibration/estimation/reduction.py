@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from functools import cache
 
 import numpy as np
-import threadpoolctl  # type: ignore[import-untyped]
+import threadpoolctl
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.estimation.elimination import raw_squares, reduced_gram

@@ -67,7 +67,7 @@ def lever_arm(chain: Chain, axis: str, position: Array) -> Array:
     if axis in chain.workpiece_side:
         carried |= set(chain.tool_side)
     mask = np.array([1.0 if name in carried else 0.0 for name in _TRANSLATIONS])
-    return position * mask
+    return np.asarray(position * mask)
 
 
 def motion_field(chain: Chain, motion: ErrorMotion, position: Array) -> Array:

@@ -41,7 +41,12 @@ def machine_terms(
         norms = np.linalg.norm(columns, axis=1)
         # A rotation with a short lever arm still moves micrometres per radian: compare with one metre.
         if norms.max(initial=0.0) < 1e-9 * np.sqrt(len(observations)):
-            left_out.append(NotDetermined(table.name, "no reading depends on it: it does not move the functional point along any measured direction"))
+            left_out.append(
+                NotDetermined(
+                    table.name,
+                    "no reading depends on it: it does not move the functional point along any measured direction",
+                )
+            )
             continue
         # The straight part of a straightness is not its own: it is the squareness.
         free = _free_part(table) @ columns
@@ -49,9 +54,14 @@ def machine_terms(
         rest = unit - (unit @ basis.T) @ basis
         rest -= (rest @ basis.T) @ basis
         if np.linalg.norm(rest, axis=1).max() < _OWN_SHARE:
-            left_out.append(NotDetermined(table.name, "the readings cannot tell it from the translations: its lever arm was the same throughout"))
+            left_out.append(
+                NotDetermined(
+                    table.name,
+                    "the readings cannot tell it from the translations: its lever arm was the same throughout",
+                )
+            )
             continue
-        u, s, vt = np.linalg.svd(rest, full_matrices=False)
+        _, s, vt = np.linalg.svd(rest, full_matrices=False)
         basis = np.concatenate([basis, vt[s > _OWN_SHARE]])
         kept.append(table)
         terms.append(Term(table.name, table.parameters, columns))

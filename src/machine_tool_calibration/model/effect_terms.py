@@ -57,7 +57,12 @@ def effect_term(
             columns = np.concatenate([columns, (size @ slope)[None]])
             parameters.append(
                 Parameter(
-                    f"{effect.id}.{coefficient.name}", coefficient.unit, coefficient.low, coefficient.high, shape[j], True
+                    f"{effect.id}.{coefficient.name}",
+                    coefficient.unit,
+                    coefficient.low,
+                    coefficient.high,
+                    shape[j],
+                    True,
                 )
             )
     field = None
@@ -66,7 +71,9 @@ def effect_term(
     return Term(effect.id, tuple(parameters), columns, field)
 
 
-def best_shape(fit: Fit, effect: Effect, start: Sequence[tuple[float, ...]] | None = None) -> tuple[tuple[float, ...], Array]:
+def best_shape(
+    fit: Fit, effect: Effect, start: Sequence[tuple[float, ...]] | None = None
+) -> tuple[tuple[float, ...], Array]:
     """Nonlinear coefficients with which an effect explains most of a fit's residuals, and the linear ones there.
 
     A grid first, as there are several minima, then a search around its best value.
@@ -103,7 +110,10 @@ def best_shape(fit: Fit, effect: Effect, start: Sequence[tuple[float, ...]] | No
         place = ordered.index(shape[0])
         low, high = ordered[max(place - 1, 0)], ordered[min(place + 1, len(ordered) - 1)]
         found = optimize.minimize_scalar(
-            lambda value: -explained([(float(value),)])[0][0], bounds=(low, high), method="bounded", options={"xatol": 1e-4 * low}
+            lambda value: -explained([(float(value),)])[0][0],
+            bounds=(low, high),
+            method="bounded",
+            options={"xatol": 1e-4 * low},
         )
         if -found.fun > gains[best]:
             shape = (float(found.x),)
