@@ -15,7 +15,7 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.identify import build_model, rejected_readings
 from machine_tool_calibration.methods.joint_agreement import Agreement, agreement
 from machine_tool_calibration.methods.joint_map import joint_map
-from machine_tool_calibration.methods.joint_model import CommonModels, common_models, tables_of
+from machine_tool_calibration.methods.joint_model import CommonModels, common_models
 from machine_tool_calibration.model.effect_terms import add_effects, effect_term
 from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.model.model import MethodModel
@@ -24,10 +24,8 @@ from machine_tool_calibration.session.session import Session
 
 __all__ = ["JointResult", "identify_sessions", "joint_models"]
 
-# The variant of each method in which the machine's errors are tables that others can share; and the one that takes its
-# angular errors from the others, where these have any.
+# The variant of each method in which the machine's errors are tables that others can share.
 _SHARING = {"tracking_interferometer": "rigid_body", "step_diagonal": "small_angles"}
-_TOLD = {"step_diagonal": "translations"}
 
 
 @dataclass(frozen=True)
@@ -143,12 +141,6 @@ def joint_models(
     if len(labels) != len(sessions) or len(set(labels)) < len(labels):
         raise ModelError("each session needs a label of its own")
     pairs = [build_model(session, _variant(session, model)) for session in sessions]
-    angles = any(table.is_rotation and not table.is_squareness for base, _ in pairs for table in tables_of(base))
-    if angles and model is None:
-        pairs = [
-            build_model(session, _TOLD[session.method]) if session.method in _TOLD else pair
-            for session, pair in zip(sessions, pairs, strict=True)
-        ]
     built, names = [base for base, _ in pairs], [name for _, name in pairs]
     common = common_models(built, labels)
     if not effects:

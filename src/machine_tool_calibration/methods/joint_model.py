@@ -20,8 +20,10 @@ from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.machine.error_motions import SQUARENESS, parse_motion
 from machine_tool_calibration.machine.table import interpolation
 from machine_tool_calibration.machine.tables import MachineTable
+from machine_tool_calibration.methods.joint_spread import without_spread
 from machine_tool_calibration.methods.needed_datum import needed_rows
 from machine_tool_calibration.methods.rigid_body import table_datum
+from machine_tool_calibration.methods.step_diagonal.model import StepDiagonalModel
 from machine_tool_calibration.model.model import Constraint, MethodModel, Prior, assemble
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.terms import Term
@@ -129,6 +131,8 @@ def _with_tables(model: MethodModel, tables: Sequence[MachineTable]) -> MethodMo
     own = tables_of(model)
     if not hasattr(model, "tables"):
         return model
+    if isinstance(model, StepDiagonalModel):
+        model = without_spread(model, [table.name for table in tables])
     kept, terms = [], []
     for table in tables:
         columns = machine_columns(table, model.observations)
@@ -199,7 +203,7 @@ def _with_datum(models: Sequence[MethodModel], labels: Sequence[str], tables: Se
     normal = solve_normal(
         total[:m, :m], total[:m, m], problem.constraints, problem.constraint_values, squares[:m]
     )
-    scale = 1.0 / np.sqrt(np.maximum(squares[:m], 1e-30 * max(float(squares[:m].max()), 1e-300)))
+    scale = 1.0 / np.sqrt(np.maximum(squares[:m], 1e-30 * max(float(squares[:m].max(initial=0.0)), 1e-300)))
     basis = np.linalg.qr(normal.undetermined / scale[:, None])[0] if normal.undetermined.size else np.zeros((m, 0))
     places = [
         dict(zip((p.name for p in model.parameters), where, strict=True))

@@ -1,0 +1,49 @@
+"""Several sessions of one simulated machine."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.simulation.simulate import Simulated, simulate
+from machine_tool_calibration.simulation.spec import SimulationSpec
+
+CHAIN = "w-X-Y-b-Z-t"
+NODES = tuple(np.linspace(0.0, 0.4, 6).tolist())
+PLANS: dict[str, dict[str, Any]] = {
+    "tracker": {"method": "tracking_interferometer", "dimension": 3, "x": NODES, "y": NODES, "z": NODES},
+    "run": {"method": "direct", "kind": "iso230_2", "axis": "x", "repeats": 3, "count": 6},
+    "grid": {"method": "direct", "kind": "grid_plate", "count": 6},
+    "diagonals": {"method": "step_diagonal", "blocks": 10, "step": (0.04, 0.04, 0.04)},
+}
+
+
+def machine(seed: int, **changed: np.ndarray) -> dict[str, Any]:
+    """Motions with straight lines between the nodes, so that tables can follow them exactly; some changed."""
+    rng = np.random.default_rng(seed)
+    motions = {}
+    for axis in "XYZ":
+        for component in "XYZABC":
+            size = 4e-6 if component in "XYZ" else 1e-5
+            values = size * np.cumsum(rng.normal(size=6)) / 2
+            values = values - values[0] + changed.get(f"E{component}{axis}", np.zeros(6))
+            motions[f"E{component}{axis}"] = {"nodes": NODES, "values": values.tolist(), "interpolation": "linear"}
+    travel = {axis: (0.0, 0.4) for axis in "XYZ"}
+    return {"seed": seed, "chain": CHAIN, "travel": travel, "random": None, "motions": motions}
+
+
+def measured(name: str, seed: int, spec: dict[str, Any] | None = None, **outer: Any) -> Simulated:
+    """One of the plans on the machine of a seed; the readings' noise differs between plans."""
+    number = 1000 * seed + list(PLANS).index(name)
+    plan = {**PLANS[name], **({} if name == "diagonals" else {"chain": CHAIN})}
+    content = {"seed": number, "plan": plan, "machine": spec or machine(seed), **outer}
+    return simulate(SimulationSpec.model_validate(content))
+
+
+@pytest.fixture(scope="session")
+def several() -> SimpleNamespace:
+    """The functions of this file."""
+    return SimpleNamespace(machine=machine, measured=measured, nodes=np.array(NODES))

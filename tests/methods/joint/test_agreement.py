@@ -1,0 +1,66 @@
+"""Which session contradicts the others, and in which error motion."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.methods.joint import JointResult, identify_sessions
+
+BOW = 4e-6 * np.array([0.0, 0.6, 1.0, 1.0, 0.6, 0.0])
+
+
+def _fitted(
+    several: SimpleNamespace, seed: int, names: tuple[str, ...], odd: str = "", **changed: np.ndarray
+) -> JointResult:
+    """Sessions of one machine; one of them saw it changed."""
+    sessions = [
+        several.measured(name, seed, several.machine(seed, **(changed if name == odd else {}))).session
+        for name in names
+    ]
+    return identify_sessions(sessions, list(names))
+
+
+def test_sessions_of_one_machine_agree(several: SimpleNamespace) -> None:
+    found = [_fitted(several, seed, ("tracker", "run", "grid")).agreement for seed in range(25)]
+    assert sum(bool(entry.contradictions) for entry in found) <= 2  # one in a hundred by chance
+    assert all(entry.comparisons >= 10 for entry in found)
+    assert "the sessions agree" in found[0].statement
+
+
+@pytest.mark.parametrize("odd", ["tracker", "run", "grid"])
+@pytest.mark.parametrize("seed", range(3))
+def test_the_odd_one_of_three(several: SimpleNamespace, odd: str, seed: int) -> None:
+    (entry,) = _fitted(several, seed, ("tracker", "run", "grid"), odd, EXX=BOW).agreement.contradictions
+    assert (entry.session, entry.motion) == (odd, "EXX")
+    assert set(entry.others) == {"tracker", "run", "grid"} - {odd}
+    assert entry.p_value < 1e-6
+    # The bow of 4 um is found in size, from its own mean or from its ends.
+    assert 1.2e-6 < abs(entry.difference) < 4.6e-6
+    assert entry.difference_u < 3e-7
+
+
+def test_two_sessions_cannot_tell_which(several: SimpleNamespace) -> None:
+    agreement = _fitted(several, 5, ("tracker", "grid"), "grid", EYX=BOW).agreement
+    assert agreement.contradictions[0].motion == "EYX"
+    assert "contradict each other in EYX" in agreement.statement
+    assert "two sessions alone cannot tell" in agreement.statement
+
+
+def test_scatter_beyond_the_declared_is_no_contradiction(several: SimpleNamespace) -> None:
+    names = ("tracker", "run", "grid")
+    sessions = [several.measured(name, 6, noise_factor=4.0).session for name in names]
+    agreement = identify_sessions(sessions, list(names)).agreement
+    assert agreement.spread == pytest.approx(4.0, rel=0.1)
+    assert not agreement.contradictions
+
+
+def test_nothing_shared(several: SimpleNamespace) -> None:
+    run = several.measured("run", 7).session
+    bare = type(run)(run.description.model_copy(update={"terms": ()}), run.readings)
+    joint = identify_sessions([bare, bare], ["a", "b"])
+    assert joint.agreement.comparisons == 0
+    assert joint.agreement.p_value is None
+    assert "share no error motion" in joint.agreement.statement

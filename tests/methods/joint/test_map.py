@@ -1,0 +1,99 @@
+"""One map from several sessions: better than each alone, and with the right uncertainty."""
+
+from __future__ import annotations
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.methods.joint import JointResult, identify_sessions
+from machine_tool_calibration.methods.rigid_body import map_field
+from machine_tool_calibration.simulation.simulate import Simulated
+
+
+def _errors(result: JointResult, simulated: Simulated) -> np.ndarray:
+    """Map against the truth, without what all readings leave open."""
+    points, tables = result.error_map.points, result.common.tables
+    field = map_field(tables, points).reshape(-1, 3 * len(points))
+    open_ = field.T @ np.array([result.common.fixed[label] for table in tables for label in table.labels])
+    error = (result.error_map.error - simulated.truth.machine.position_error(points)).ravel()
+    left: np.ndarray = (error - open_ @ np.linalg.lstsq(open_, error, rcond=1e-9)[0]).reshape(-1, 3)
+    return left
+
+
+def test_normalised_errors_and_chi_square(several: SimpleNamespace) -> None:
+    normalised, chi = [], []
+    for seed in range(25):
+        simulated = [several.measured(name, seed) for name in ("tracker", "run", "grid")]
+        result = identify_sessions([s.session for s in simulated], ["tracker", "run", "grid"])
+        error, uncertainty = _errors(result, simulated[0]), result.error_map.uncertainty
+        normalised.append(np.mean((error / uncertainty)[uncertainty > 1e-12] ** 2))
+        chi.append(result.fit.reduced_chi_square)
+    assert 0.9 < np.mean(normalised) < 1.1
+    assert 0.98 < np.mean(chi) < 1.02
+
+
+def test_together_is_better_than_alone(several: SimpleNamespace) -> None:
+    tracker, run = several.measured("tracker", 1), several.measured("run", 1)
+    alone = identify(tracker.session, model="rigid_body")
+    both = identify_sessions([tracker.session, run.session], ["tracker", "run"])
+    table = both.error_map.content["tables"]["EXX"]
+    own = {p.name: p.standard_uncertainty for p in alone.parameters}
+    # The run by ISO 230-2 reads EXX from zero to each position directly.
+    assert table["value_u"][-1] < 0.9 * own["EXX(0.4)"]
+    assert {p.name for p in both.parameters} >= {"tracker/A.dead_path", "EXX(0.4)", "EYX(0.4)"}
+    json.dumps(both.document(), allow_nan=False)
+
+
+def test_step_diagonal_takes_angular_errors_from_a_tracker(several: SimpleNamespace) -> None:
+    simulated = [several.measured(name, 2) for name in ("tracker", "diagonals")]
+    result = identify_sessions([s.session for s in simulated], ["tracker", "diagonals"])
+    assert result.fit.reduced_chi_square < 1.1
+    assert not result.agreement.contradictions
+    assert not result.not_determined
+    names = {term.name for term in result.common.models[1].terms}
+    # EAX moves the mirror's centre, which a tracker sees; ECX only turns the mirror.
+    assert "EAX" in names and "angle.EAX" not in names
+    assert "ECX" not in names and "angle.ECX" in names
+
+
+def test_nodes_of_all_sessions_in_one_table(several: SimpleNamespace) -> None:
+    simulated = [several.measured(name, 3) for name in ("grid", "diagonals")]
+    result = identify_sessions([s.session for s in simulated], ["grid", "diagonals"])
+    (table,) = (table for table in result.common.tables if table.name == "EXX")
+    np.testing.assert_allclose(table.nodes, np.union1d(np.round(several.nodes, 9), np.round(np.arange(11) * 0.04, 9)))
+
+
+def test_effect_of_one_session_only(several: SimpleNamespace) -> None:
+    tracker = several.measured("tracker", 4)
+    run = several.measured("run", 4, effects=[{"id": "backlash_x", "size": 2e-6}])
+    result = identify_sessions([tracker.session, run.session], ["tracker", "run"], effects=["backlash_x"])
+    assert result.effects == ("backlash_x",)
+    assert "backlash_x.b" in {p.name for p in result.parameters}
+
+
+@pytest.mark.parametrize(
+    ("labels", "message"), [(["a"], "several sessions"), (["a", "a"], "label of its own"), (["a", "b", "c"], "label")]
+)
+def test_bad_requests(several: SimpleNamespace, labels: list[str], message: str) -> None:
+    session = several.measured("run", 0).session
+    with pytest.raises(ModelError, match=message):
+        identify_sessions([session] * min(len(labels), 2), labels)
+
+
+def test_another_machine(several: SimpleNamespace) -> None:
+    run = several.measured("run", 0).session
+    machine = run.description.machine.model_copy(update={"chain": "w-Y-b-X-Z-t"})
+    other = type(run)(run.description.model_copy(update={"machine": machine}), run.readings)
+    with pytest.raises(ModelError, match="session 'b' is of a machine with another chain"):
+        identify_sessions([run, other], ["a", "b"])
+
+
+def test_effect_that_acts_in_none(several: SimpleNamespace) -> None:
+    session = several.measured("run", 0).session
+    with pytest.raises(ModelError, match="effect mirror_misalignment acts in no session"):
+        identify_sessions([session, session], ["a", "b"], effects=["mirror_misalignment"])
