@@ -20,6 +20,8 @@ __all__ = ["Consequence", "consequences", "effect_estimates", "map_change", "map
 
 # How many of the best candidates are added in full, each by itself.
 _MOST = 8
+# Uncertainty over size of an effect's share in the readings, above which it is not told.
+_TOLD = 0.3
 
 
 @dataclass(frozen=True)
@@ -29,8 +31,9 @@ class Consequence:
     Attributes:
         effect: its id.
         parameters: its coefficients, with the names under which an identification publishes them.
-        signal_rms: RMS of what it changes in the readings, m.
-        signal_largest: the largest of these changes, m.
+        signal_rms: RMS of what it changes in the readings, m; None where the data tell only a part of that from the
+            model's own unknowns.
+        signal_largest: the largest of these changes, m; None likewise.
         rms_before: RMS residual without it, m.
         rms_after: RMS residual with it, m.
         map_change_rms: RMS length by which the position errors of the map's points change, m; None where the method's
@@ -39,8 +42,8 @@ class Consequence:
 
     effect: str
     parameters: tuple[Estimate, ...]
-    signal_rms: float
-    signal_largest: float
+    signal_rms: float | None
+    signal_largest: float | None
     rms_before: float
     rms_after: float
     map_change_rms: float | None
@@ -88,12 +91,13 @@ def _added(fit: Fit, ranked: Ranked) -> Fit | None:
 def _consequence(
     name: str, before: Fit, after: Fit, final: Fit, map_before: ErrorMap, map_after: ErrorMap
 ) -> Consequence:
-    signal = _signal(final, name)
+    signal, uncertainty = _signal(final, name)
+    told = rms(uncertainty) < _TOLD * rms(signal)
     return Consequence(
         effect=name,
         parameters=effect_estimates(final, [name]),
-        signal_rms=rms(signal),
-        signal_largest=float(np.abs(signal).max(initial=0.0)),
+        signal_rms=rms(signal) if told else None,
+        signal_largest=float(np.abs(signal).max(initial=0.0)) if told else None,
         rms_before=rms(before.residuals),
         rms_after=rms(after.residuals),
         map_change_rms=map_change(map_before, map_after),
@@ -110,19 +114,22 @@ def effect_estimates(fit: Fit, effects: Sequence[str]) -> tuple[Estimate, ...]:
     )
 
 
-def _signal(fit: Fit, name: str) -> Array:
-    """(n,) what an effect of the model changes in the readings, m."""
-    signal = np.zeros(len(fit.model.observations))
+def _signal(fit: Fit, name: str) -> tuple[Array, Array]:
+    """(n,) what an effect of the model changes in the readings, and its standard uncertainty, m."""
+    n = len(fit.model.observations)
     first = len(fit.model.own)
     for term in fit.model.terms:
         place = slice(first, first + len(term.parameters))
         first += len(term.parameters)
         if term.name != name or not term.parameters[0].name.startswith(f"{name}."):
             continue
-        # Unknowns that count from a reference belong to nonlinear coefficients, whose share the columns hold already.
+        # Unknowns that count from a reference are nonlinear coefficients, whose share the other columns hold already.
         linear = np.array([p.reference == 0.0 for p in term.parameters])
-        signal = signal + (fit.theta[place] * linear) @ term.columns
-    return signal
+        columns = term.columns[linear]
+        inner = fit.covariance[place, place][np.ix_(linear, linear)]
+        variance = np.einsum("kn,kl,ln->n", columns, inner, columns)
+        return fit.theta[place][linear] @ columns, np.sqrt(np.maximum(variance, 0.0))
+    return np.zeros(n), np.zeros(n)
 
 
 def map_change(before: ErrorMap, after: ErrorMap) -> float | None:
