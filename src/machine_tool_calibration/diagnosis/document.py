@@ -1,0 +1,210 @@
+"""A diagnosis for programs: the contract's JSON document `mtcal-diagnosis/1`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from machine_tool_calibration.diagnosis.consequence import Consequence, consequences, effect_estimates, rms
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis, Look, Structure
+from machine_tool_calibration.diagnosis.ranking import Ranked
+from machine_tool_calibration.model.result import plain
+from machine_tool_calibration.planning.advice import Advice, Separation, Visibility, alias_groups_of, what_to_measure
+
+__all__ = ["diagnosis_document", "named_probability"]
+
+# Chance of the structure that is left where its own p-value has vanished.
+_SMALLEST = 1e-300
+
+
+def diagnosis_document(
+    diagnosis: Diagnosis, advice: Advice | None = None, changes: Mapping[str, Consequence] | None = None
+) -> dict[str, Any]:
+    """The diagnosis as the contract's JSON document; what is not known is null.
+
+    Beyond the contract: `accepted` (effects named as the cause, in the order in which they were found), and in every
+    candidate `plausible`, `p_value_alone` (not paid for the search) and `explained_rms`; `detectable`, `excluded`,
+    `structure_left` (after the accepted effects) and `visible_by` (what would show an effect that hardly shows).
+    With the verdict `unexplained` no effect is the cause: `accepted` is empty, and a candidate's probability is that it
+    accounts for everything that was found, which the structure that remains speaks against.
+
+    Args:
+        diagnosis: what was found.
+        advice: what to measure next; worked out for the method's default model if absent.
+        changes: what candidates change, by id; worked out if absent.
+    """
+    advice = what_to_measure(diagnosis) if advice is None else advice
+    changes = consequences(diagnosis) if changes is None else changes
+    first, last = diagnosis.looks[0], diagnosis.looks[len(diagnosis.accepted)]
+    document = {
+        "format": "mtcal-diagnosis/1",
+        "method": diagnosis.session.method,
+        "verdict": diagnosis.verdict,
+        "accepted": list(diagnosis.accepted),
+        "observations": len(diagnosis.session.readings) + len(diagnosis.outliers),
+        "noise": {
+            "declared": diagnosis.noise.declared,
+            "from_repeats": diagnosis.noise.from_repeats,
+            "repeats_degrees_of_freedom": diagnosis.noise.repeats,
+            "chi_square_p_value": diagnosis.noise.chi_square_p,
+            "lack_of_fit_p_value": diagnosis.noise.lack_of_fit_p,
+        },
+        "fit": {
+            "before": _fit(first),
+            "after": _fit(diagnosis.looks[len(diagnosis.accepted)]),
+        },
+        "candidates": [_candidate(diagnosis, r, look, changes) for r, look in _ranked(diagnosis) if r.rank],
+        "alias_groups": [list(group) for group, _ in alias_groups_of(diagnosis)],
+        "separate_by": [_separation(s) for s in advice.separations],
+        "absorbed": [{"effect": a.effect, "by": a.by} for a in last.absorbed],
+        "structure": [_structure(s) for s in first.structure],
+        "structure_left": [_structure(s) for s in diagnosis.looks[-1].structure],
+        "outliers": [
+            {"row": o.row, "studentized": o.studentized, "deviation": o.deviation}
+            for o in sorted(diagnosis.outliers, key=lambda o: o.row)
+        ],
+        "detectable": list(_detectable(last)),
+        "visible_by": [_visibility(v) for v in advice.visibilities],
+        "excluded": [{"effect": name, "why": why} for name, why in diagnosis.excluded.items()],
+    }
+    return dict(plain(document))
+
+
+def named_probability(diagnosis: Diagnosis, ranked: Ranked) -> float:
+    """Probability that a candidate accounts for what the model lacks.
+
+    Where structure remains that no effect explains, the candidate's weight is multiplied with the largest probability
+    that chance made the structure, from its p-value (Sellke, Bayarri and Berger 2001).
+    """
+    left = diagnosis.looks[-1].structure
+    if diagnosis.verdict != "unexplained" or not left:
+        return ranked.probability
+    p = min(max(min(s.p_value for s in left), _SMALLEST), 1.0 / np.e)
+    factor = -np.e * p * float(np.log(p))
+    return ranked.probability * factor / (1.0 + factor)
+
+
+def _ranked(diagnosis: Diagnosis) -> Iterator[tuple[Ranked, Look]]:
+    """Candidates best first, each with the look that it was ranked in."""
+    for k, r in enumerate(diagnosis.ranked):
+        yield r, diagnosis.looks[k if k < len(diagnosis.accepted) else 0]
+
+
+def _candidate(
+    diagnosis: Diagnosis, ranked: Ranked, look: Look, changes: Mapping[str, Consequence]
+) -> dict[str, Any]:
+    name = ranked.candidate.name
+    change = changes.get(name)
+    before = rms(look.fit.residuals) if change is None else change.rms_before
+    after = ranked.rms_after if change is None else change.rms_after
+    return {
+        "effect": name,
+        "probability": named_probability(diagnosis, ranked),
+        "p_value": ranked.family_p_value,
+        "p_value_alone": ranked.p_value,
+        "delta_bic": -ranked.bic_gain,
+        "rms_before": before,
+        "rms_after": after,
+        "explained_rms": float(np.sqrt(max(before**2 - after**2, 0.0))),
+        "cross_validated_gain": _gain(look, ranked),
+        "parameters": _parameters(ranked, change),
+        "map_change_rms": None if change is None else change.map_change_rms,
+        "plausible": ranked.plausible,
+    }
+
+
+def _gain(look: Look, ranked: Ranked) -> float | None:
+    """Share of the loss on held-out readings that a candidate takes away; None for those that were not held out."""
+    if look.validation is None:
+        return None
+    validated = [r.candidate.name for r in look.ranked if r.rank][: len(look.validation.candidate)]
+    name = ranked.candidate.name
+    return look.validation.gain(validated.index(name)) if name in validated else None
+
+
+def _parameters(ranked: Ranked, change: Consequence | None) -> list[dict[str, Any]]:
+    """The coefficients of a full fit where there is one, otherwise those of the screening."""
+    name = ranked.candidate.name
+    if change is not None:
+        return [
+            {"name": p.name, "value": p.value, "standard_uncertainty": p.standard_uncertainty, "unit": p.unit}
+            for p in change.parameters
+        ]
+    out: list[dict[str, Any]] = [
+        {
+            "name": f"{name}.{size.coefficient.name}",
+            "value": size.value,
+            "standard_uncertainty": size.standard_uncertainty,
+            "unit": size.coefficient.unit,
+        }
+        for size in ranked.sizes
+    ]
+    shapes = ranked.candidate.effect.shapes if ranked.candidate.effect is not None else ()
+    out += [
+        {"name": f"{name}.{shape.name}", "value": value, "standard_uncertainty": None, "unit": shape.unit}
+        for shape, value in zip(shapes, ranked.shape, strict=False)
+        if not shape.discrete
+    ]
+    return out
+
+
+def _fit(look: Look) -> dict[str, Any]:
+    joint = look.fit.joint
+    added = [term.name for term in look.fit.model.terms if effect_estimates(look.fit, [term.name])]
+    return {
+        "effects": added,
+        "rms_residual": rms(look.fit.residuals),
+        "reduced_chi_square": joint.reduced_chi_square,
+        "degrees_of_freedom": joint.solution.degrees_of_freedom,
+        "p_value": joint.p_value,
+    }
+
+
+def _separation(separation: Separation) -> dict[str, Any]:
+    return {
+        "effects": list(separation.effects),
+        "measure": separation.measure,
+        "separates": separation.kind is not None and separation.separates,
+        "cosine_before": separation.cosine_before,
+        "cosine_after": separation.cosine_after,
+        "seconds": separation.seconds,
+        "besides": separation.aside or None,
+    }
+
+
+def _visibility(visibility: Visibility) -> dict[str, Any]:
+    return {
+        "effect": visibility.effect,
+        "measure": visibility.measure,
+        "coefficient": visibility.coefficient,
+        "unit": visibility.unit,
+        "detectable_before": visibility.before,
+        "detectable_after": visibility.after,
+        "seconds": visibility.seconds,
+        "besides": visibility.aside or None,
+    }
+
+
+def _structure(structure: Structure) -> dict[str, Any]:
+    return {
+        "covariate": structure.covariate,
+        "shape": structure.shape,
+        "p_value": structure.p_value,
+        "share": structure.share,
+    }
+
+
+def _detectable(look: Look) -> Iterator[dict[str, Any]]:
+    """Smallest size of each effect that this measurement would have found with a power of 80 %."""
+    units = {
+        (r.candidate.name, size.coefficient.name): size.coefficient.unit for r in look.ranked for size in r.sizes
+    }
+    for name, sizes in look.detectable.items():
+        yield {
+            "effect": name,
+            "smallest": [
+                {"name": f"{name}.{key}", "value": value, "unit": units[name, key]} for key, value in sizes.items()
+            ],
+        }

@@ -1,0 +1,135 @@
+"""What a user can do to learn more: run backwards, wait for another temperature, mount again, go elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.planning.mounting import mounted_again
+from machine_tool_calibration.planning.option import Option
+from machine_tool_calibration.planning.places import other_places
+from machine_tool_calibration.planning.rows import Changed, approached, first_repetition
+from machine_tool_calibration.session.session import Session
+
+__all__ = ["further_options"]
+
+_WARMER = 5.0
+_SWING = 2.5
+_TURNS = (90.0, 45.0)
+# What is turned, and the effects that turn with it.
+_PARTS = {
+    "tracking_interferometer": ("the retroreflector", ("retroreflector_form",)),
+    "probing": ("the probe", ("probe_pretravel",)),
+}
+_SETUP = {
+    "step_diagonal": "run",
+    "tracking_interferometer": "station",
+    "rotary_axis": "station",
+    "probing": "angle of C",
+}
+
+
+def further_options(session: Session, setups: Sequence[int] | None = None) -> list[Option]:
+    """Further measurements, one repetition each, that this session allows; the simplest first.
+
+    Args:
+        session: what was measured.
+        setups: only in these setups; in all of them if absent. Places that are new are proposed only if absent.
+    """
+    rows = first_repetition(session, setups)
+    if not len(rows):
+        return []
+    what = "everything"
+    if setups is not None and len(session.setup_ids) > 1:
+        what = f"{_SETUP.get(session.method, 'setup')} {', '.join(session.setup_ids[s] for s in setups)}"
+    out = list(_repeated(session, rows, f"measure {what} once more"))
+    if setups is None:
+        out += other_places(session)
+    return out
+
+
+def _repeated(session: Session, rows: IntArray, measure: str) -> Iterator[Option]:
+    """The same again, in another way."""
+    again = mounted_again(session, rows)
+
+    def option(kind: str, how: str, changed: Changed, aside: str = "", turned: dict[str, float] | None = None) -> Option:
+        besides = " and ".join(text for text in (again.aside, aside) if text)
+        return Option.of(session, kind, f"{measure}{again.words}{how}", again.added(changed), besides, turned or {})
+
+    yield option("again", ", just as before", Changed(rows))
+    backwards = _backwards(session, rows)
+    if backwards is not None:
+        yield option("backwards", backwards[1], backwards[0])
+    other = _other_order(session, rows)
+    if other is not None:
+        yield option("order", f", in another order of moves: {other[1].upper()} moving most often", other[0])
+    if any(name.startswith("temperature") for name in session.readings.columns):
+        # A day's swing while it is measured, and another day.
+        swing = _SWING * np.sin(2 * np.pi * np.arange(len(rows)) / max(len(rows), 1))
+        how = f", while the temperature goes up and down by {_SWING:g} K"
+        yield option("swing", how, Changed(rows, kelvin=swing), "the temperature must change meanwhile")
+        how = f", when everything is {_WARMER:g} K warmer or colder"
+        yield option("warmer", how, Changed(rows, kelvin=np.full(len(rows), _WARMER)), "waiting for the temperature")
+    part, effects = _PARTS.get(session.method, ("", ()))
+    for angle in _TURNS if part else ():
+        turned = dict.fromkeys(effects, float(np.radians(angle)))
+        how = f", with {part} turned by {angle:g}° (orient the spindle)"
+        yield option("turned", how, Changed(rows), turned=turned)
+
+
+def _backwards(session: Session, rows: IntArray) -> tuple[Changed, str] | None:
+    """The readings in reverse within each run, and the directions of approach that follow."""
+    columns = session.readings.columns
+    if session.method == "probing":
+        # A touch comes from outside whatever the order: only the table can be turned the other way.
+        if "dir_c" not in columns:
+            return None
+        changed = Changed(rows, {"dir_c": -columns["dir_c"][rows]})
+        return changed, ", turning C to every angle from the other side"
+    group = _runs(session, rows)
+    order = np.concatenate([np.flatnonzero(group == g)[::-1] for g in dict.fromkeys(group.tolist())])
+    rows, group = rows[order], group[order]
+    approaches = _approaches(session, rows, group, -1.0)
+    if not approaches and session.method != "step_diagonal":
+        return None
+    return Changed(rows, approaches), ", running backwards (order and direction of all moves reversed)"
+
+
+def _approaches(session: Session, rows: IntArray, group: IntArray, before: float) -> dict[str, Array]:
+    columns = session.readings.columns
+    out = {}
+    for axis in "xyzabc":
+        if axis in columns and f"dir_{axis}" in columns and np.ptp(columns[axis]) > 0:
+            old = columns[f"dir_{axis}"][rows]
+            out[f"dir_{axis}"] = approached(columns[axis][rows], group, before * old)
+    return out
+
+
+def _runs(session: Session, rows: IntArray) -> IntArray:
+    """(k,) runs, numbered."""
+    readings = session.readings
+    keys = [readings.setup[rows]]
+    if "target" in readings.labels:
+        keys.append(np.unique(readings.labels["target"][rows], return_inverse=True)[1].reshape(-1))
+    return np.asarray(np.unique(np.stack(keys), axis=1, return_inverse=True)[1].reshape(-1))
+
+
+def _other_order(session: Session, rows: IntArray) -> tuple[Changed, str] | None:
+    """The grid of targets with that axis moving most often that moved least often."""
+    if session.method != "tracking_interferometer":
+        return None
+    position = session.readings.position()[rows]
+    moves = (np.abs(np.diff(position, axis=0)) > 1e-9).sum(axis=0)
+    moving = np.flatnonzero(moves > 0)
+    if len(moving) < 2:
+        return None
+    slow_last = sorted(moving.tolist(), key=lambda j: -moves[j])
+    setup = session.readings.setup[rows]
+    # Station after station in the order of time, as they were; the last key counts most.
+    first = {int(s): k for k, s in enumerate(dict.fromkeys(setup.tolist()))}
+    station = np.array([first[int(s)] for s in setup])
+    order = np.lexsort([*(np.round(position[:, j], 9) for j in reversed(slow_last)), station])
+    rows = rows[order]
+    return Changed(rows, _approaches(session, rows, setup[order], 1.0)), "xyz"[slow_last[-1]]

@@ -1,0 +1,163 @@
+"""Further places of the instrument or the part: another station, another angle of C, another order of a diagonal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.instruments.tracking import pointing
+from machine_tool_calibration.methods.probing_geometry import touches
+from machine_tool_calibration.methods.step_diagonal.geometry import Run, runs_of
+from machine_tool_calibration.planning.option import Option
+from machine_tool_calibration.planning.rows import Changed, appended, first_repetition
+from machine_tool_calibration.session.description import Probing, RotaryAxis, StepDiagonal, TrackingInterferometer
+from machine_tool_calibration.session.nominal import on_table, places
+from machine_tool_calibration.session.session import Session
+
+__all__ = ["other_places"]
+
+_ORDERS = ("yzx", "zxy")
+
+
+def other_places(session: Session) -> Iterator[Option]:
+    """Further setups that the method allows, each with the readings of one that was made."""
+    description = session.description
+    if isinstance(description, TrackingInterferometer | RotaryAxis):
+        yield from _stations(session, description)
+    elif isinstance(description, Probing):
+        yield from _index(session, description)
+    elif isinstance(description, StepDiagonal):
+        yield from _orders(session, description)
+
+
+def _fresh(ids: list[str], name: str) -> str:
+    while name in ids:
+        name += "_new"
+    return name
+
+
+def _stations(session: Session, description: TrackingInterferometer | RotaryAxis) -> Iterator[Option]:
+    """A station in the widest gap between the others as seen from the targets, and one twice as far."""
+    old = np.array([setup.position for setup in description.setups])
+    used = np.unique(session.readings.setup)
+    rows = first_repetition(session, [int(used[0])])
+    points = _points(session, description, rows)
+    middle = points.mean(axis=0)
+    arm = old[used] - middle
+    angle = np.sort(np.arctan2(arm[:, 1], arm[:, 0]))
+    gaps = np.diff(angle, append=angle[0] + 2 * np.pi)
+    widest = int(np.argmax(gaps))
+    at = angle[widest] + gaps[widest] / 2
+    reach = float(np.median(np.hypot(arm[:, 0], arm[:, 1])))
+    height = float(np.median(old[used, 2]))
+    between = np.array([middle[0] + reach * np.cos(at), middle[1] + reach * np.sin(at), height])
+    far = middle + 2.0 * arm[0]
+    for place, where in ((between, "between the others"), (far, "twice as far away as the first one")):
+        line = points - place
+        distance = np.linalg.norm(line, axis=1)
+        if distance.min() < 0.05:
+            continue
+        setup = description.setups[int(used[0])].model_copy(
+            update={"id": _fresh(list(session.setup_ids), "new"), "position": tuple(float(v) for v in place)}
+        )
+        whole = description.model_copy(update={"setups": (*description.setups, setup)})
+        changed = {}
+        if "azimuth" in session.readings.columns:
+            changed["azimuth"], changed["elevation"] = pointing(points, place)
+            if getattr(description, "dimension", 3) == 2:
+                changed["elevation"] = np.zeros(len(points))
+        new = np.full(len(rows), len(description.setups), dtype=np.int64)
+        at_words = ", ".join(f"{v:.2f}" for v in place)
+        words = f"measure once from one more station, {where}: about ({at_words}) m"
+        extended = appended(session, Changed(rows, changed, distance - distance[0]), setup=new, description=whole)
+        yield Option.of(session, "station", words, extended, "setting up the instrument")
+
+
+def _points(session: Session, description: TrackingInterferometer | RotaryAxis, rows: IntArray) -> Array:
+    readings = session.readings.select(rows)
+    if isinstance(description, TrackingInterferometer):
+        return readings.position()
+    target = places(readings.labels["target"], [entry.id for entry in description.targets])
+    return on_table(session, description, target, readings, 1.0)
+
+
+def _index(session: Session, description: Probing) -> Iterator[Option]:
+    """The workpiece at an angle of C in the middle of the widest gap."""
+    used = np.unique(session.readings.setup)
+    angle = np.sort(np.array([description.setups[s].c for s in used]) % (2 * np.pi))
+    gaps = np.diff(angle, append=angle[0] + 2 * np.pi)
+    widest = int(np.argmax(gaps))
+    inner = np.argmax(gaps[:-1]) if len(gaps) > 1 else widest
+    proposals = {float((angle[k] + gaps[k] / 2) % (2 * np.pi)) for k in {widest, int(inner)}}
+    for c in sorted(proposals):
+        yield from _at_index(session, description, int(used[0]), c)
+
+
+def _at_index(session: Session, description: Probing, like: int, c: float) -> Iterator[Option]:
+    rows = first_repetition(session, [like])
+    readings = session.readings
+    turned = np.full(len(rows), c)
+    taken = readings.select(rows)
+    where = touches(description, replace(taken, columns={**taken.columns, "c": turned}), session.rotation_sign)
+    travel = description.machine.travel
+    reach = np.ones(len(rows), dtype=bool)
+    for j, axis in enumerate("xy"):
+        if axis in travel:
+            low, high = travel[axis]
+            reach &= (where.contact[:, j] >= low) & (where.contact[:, j] <= high)
+    if reach.mean() < 0.5:
+        return
+    rows, contact, normal = rows[reach], where.contact[reach], where.normal[reach]
+    changed = {"x": contact[:, 0], "y": contact[:, 1], "c": turned[reach]}
+    for j, axis in enumerate("xy"):
+        if f"dir_{axis}" in readings.columns:
+            changed[f"dir_{axis}"] = np.where(normal[:, j] > 0, -1.0, 1.0)
+    name = _fresh(list(session.setup_ids), "new")
+    setup = description.setups[like].model_copy(update={"id": name, "c": c})
+    whole = description.model_copy(update={"setups": (*description.setups, setup)})
+    new = np.full(len(rows), len(description.setups), dtype=np.int64)
+    extended = appended(session, Changed(rows, changed), setup=new, description=whole)
+    yield Option.of(session, "index", f"measure once at one more angle of C, {np.degrees(c):.0f}°", extended)
+
+
+def _orders(session: Session, description: StepDiagonal) -> Iterator[Option]:
+    """Every diagonal in an order of the single-axis moves in which it was not run."""
+    runs = runs_of(description)
+    used = set(np.unique(session.readings.setup).tolist())
+    for order in _ORDERS:
+        have = {(run.name, run.order) for k, run in enumerate(runs) if k in used}
+        todo = {run.name: k for k, run in enumerate(runs) if k in used and run.diagonal and len(run.order) == 3}
+        todo = {name: k for name, k in todo.items() if (name, order) not in have}
+        if todo:
+            yield _in_order(session, description, runs, todo, order)
+
+
+def _in_order(
+    session: Session, description: StepDiagonal, runs: tuple[Run, ...], todo: dict[str, int], order: str
+) -> Option:
+    setups = list(description.setups)
+    rows, position, sign, displacement, setup = [], [], [], [], []
+    for name, k in todo.items():
+        path = replace(runs[k], order=order).path(description.blocks)
+        mine = first_repetition(session, [k])
+        rows.append(mine[np.minimum(np.arange(len(path)), len(mine) - 1)])
+        position.append(path)
+        sign.append(np.tile(runs[k].sign, (len(path), 1)))
+        displacement.append((path - runs[k].start) @ runs[k].beam)
+        setup.append(np.full(len(path), len(setups), dtype=np.int64))
+        setups.append(description.setups[k].model_copy(update={"id": _fresh([s.id for s in setups], f"{name}_{order}")}))
+    at, towards = np.concatenate(position), np.concatenate(sign)
+    changed = {axis: at[:, j] for j, axis in enumerate("xyz") if axis in session.readings.columns}
+    changed |= {f"dir_{a}": towards[:, j] for j, a in enumerate("xyz") if f"dir_{a}" in session.readings.columns}
+    whole = description.model_copy(update={"setups": tuple(setups)})
+    extended = appended(
+        session,
+        Changed(np.concatenate(rows), changed, np.concatenate(displacement)),
+        setup=np.concatenate(setup),
+        description=whole,
+    )
+    words = f"run the diagonals {', '.join(todo)} once more with the axes moving in the order {order.upper()}"
+    return Option.of(session, "order", words, extended, "mounting the mirror again")
