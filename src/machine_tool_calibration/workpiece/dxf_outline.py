@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -38,17 +39,16 @@ def read_dxf_outline(file: Path, unit: float | None, layer: str | None) -> list[
         SessionError: ezdxf is not installed, the file is no DXF, its unit is not known, or nothing is in it.
     """
     try:
-        import ezdxf
-        from ezdxf.lldxf.const import DXFError
+        ezdxf, const = import_module("ezdxf"), import_module("ezdxf.lldxf.const")
     except ImportError:
         raise SessionError(f"{file}: reading DXF needs the package ezdxf: pip install ezdxf") from None
     try:
         if file.stat().st_size > _LARGEST:
             raise SessionError(f"{file}: is larger than {_LARGEST >> 20} MB")
-        drawing = ezdxf.readfile(str(file))  # type: ignore[attr-defined]
+        drawing = ezdxf.readfile(str(file))
     except (OSError, UnicodeDecodeError) as error:
         raise SessionError(f"{file}: cannot be read as DXF: {' '.join(str(error).split())}") from None
-    except DXFError as error:
+    except const.DXFError as error:
         raise SessionError(f"{file}: is not a valid DXF drawing: {' '.join(str(error).split())}") from None
     scale = unit if unit is not None else _UNITS.get(int(drawing.header.get("$INSUNITS", 0)))
     if scale is None:

@@ -65,6 +65,19 @@ def test_points_outside_the_grid(make, differences):
     assert "EXX(0.132)" in {entry["name"] for entry in document["parameters"]}
 
 
+def test_grid_that_is_not_named(make):
+    """As many nodes as in the paper's case studies, over the travel."""
+
+    def forget(document):
+        document["machine"]["table_grid"] = None
+
+    document = make(forget, part="cam").identified()
+    grid = np.array(document["error_map"]["grid"])
+    assert len(grid) == 121
+    assert np.abs(grid).max() == pytest.approx(0.132)
+    assert document["not_determined"] == []
+
+
 def test_disc(make, differences):
     """The angle of C has no effect on a disc; its form is found all the same."""
     case = make(part="disc", angles=degrees(0, 31, 83, 137, 191, 227, 257, 313))
