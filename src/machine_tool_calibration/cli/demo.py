@@ -18,7 +18,7 @@ from machine_tool_calibration.nodes.site import Moment, Site, SiteSpec, read_sit
 
 __all__ = ["command"]
 
-_PICTURES = "machine_tool_calibration.plots.demo"
+_PICTURES = "machine_tool_calibration.plots.pictures"
 
 
 @click.command("demo")
