@@ -1,0 +1,143 @@
+"""Pictures of direct deviations: an axis by ISO 230-2, tables of error motions, and a map with arrows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.session.session import Session
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["draw", "draw_map", "draw_positioning", "draw_tables"]
+
+# Share of the drawing's width that the largest error takes.
+_LENGTH = 0.08
+
+
+def draw(session: Session, result: Mapping[str, Any], folder: Path) -> list[Path]:
+    """Write the pictures of a result document into a folder.
+
+    Returns:
+        The files: one for each run by ISO 230-2, the tables, and the map where it fills a plane.
+    """
+    content = result["error_map"]
+    folder.mkdir(parents=True, exist_ok=True)
+    figures = {f"iso230_2_{run['setup']}": draw_positioning(run) for run in content.get("iso230_2", ())}
+    if any("nodes" in table for table in content["tables"].values()):
+        figures["tables"] = draw_tables(content["tables"])
+    points = _numbers(content["points"]).reshape(-1, 3)
+    if len(points) and (np.ptp(points, axis=0) > 1e-6).sum() >= 2:
+        figures["map"] = draw_map(content)
+    files = []
+    for name, figure in figures.items():
+        files.append(folder / f"{name}.png")
+        figure.savefig(files[-1], dpi=120)
+    return files
+
+
+def draw_positioning(run: Mapping[str, Any]) -> Figure:
+    """Mean deviations in both directions with their bands of two standard deviations, and the standard's figures.
+
+    Args:
+        run: one entry of `iso230_2` in the error map.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10, 5.5), layout="constrained")
+    panel = figure.subplots()
+    position = 1e3 * _numbers(run["position"])
+    for name, color, arrow in (("up", "tab:blue", "↑"), ("down", "tab:red", "↓")):
+        mean, s = 1e6 * _numbers(run[f"mean_{name}"]), 1e6 * _numbers(run[f"s_{name}"])
+        if np.isfinite(mean).any():
+            panel.fill_between(position, mean - 2 * s, mean + 2 * s, color=color, alpha=0.15, linewidth=0)
+            panel.plot(position, mean, "o-", color=color, markersize=4, label=f"mean {arrow} (band: 2 s)")
+    panel.axhline(0.0, color="0.8", linewidth=0.8, zorder=0)
+    panel.set_xlabel(f"{run['axis']} / mm")
+    panel.set_ylabel("deviation / µm")
+    figures = [(name, run[name]) for name in ("A", "E", "M", "R", "R_up", "R_down", "B", "B_mean")]
+    text = "   ".join(f"{_symbol(name)} {1e6 * value:.2f}" for name, value in figures if _known(value))
+    figure.suptitle(f"ISO 230-2:2014, axis {run['axis']}, setup {run['setup']}\n{text} µm")
+    panel.legend(frameon=False)
+    return figure
+
+
+def _symbol(name: str) -> str:
+    return {"B_mean": "mean B", "R_up": "R↑", "R_down": "R↓"}.get(name, name)
+
+
+def _known(value: Any) -> bool:
+    return value is not None and bool(np.isfinite(value))
+
+
+def draw_tables(tables: Mapping[str, Any]) -> Figure:
+    """Each error motion against its axis, with expanded uncertainty (k = 2); squareness in the title."""
+    from matplotlib.figure import Figure
+
+    curves = {name: table for name, table in tables.items() if "nodes" in table}
+    columns = min(3, len(curves))
+    rows = -(-len(curves) // columns)
+    figure = Figure(figsize=(4 * columns + 1, 2.8 * rows + 1), layout="constrained")
+    panels = np.atleast_1d(np.array(figure.subplots(rows, columns, squeeze=False))).ravel()
+    for panel, (name, table) in zip(panels, curves.items(), strict=False):
+        _curve(panel, name, table)
+    for panel in panels[len(curves) :]:
+        panel.set_visible(False)
+    squareness = [
+        f"{name} = {1e6 * table['value']:.2f} ± {2e6 * table['value_u']:.2f} µrad"
+        for name, table in tables.items()
+        if "nodes" not in table and _known(table["value"])
+    ]
+    figure.suptitle("Error motions with expanded uncertainty (k = 2)" + "".join(f"\n{text}" for text in squareness))
+    return figure
+
+
+def _curve(panel: Axes, name: str, table: Mapping[str, Any]) -> None:
+    node, value, u = 1e3 * _numbers(table["nodes"]), 1e6 * _numbers(table["value"]), 1e6 * _numbers(table["value_u"])
+    panel.axhline(0.0, color="0.8", linewidth=0.8)
+    panel.fill_between(node, value - 2 * u, value + 2 * u, color="tab:blue", alpha=0.2, linewidth=0)
+    panel.plot(node, value, "o-", color="tab:blue", markersize=3, linewidth=1)
+    panel.set_title(name)
+    panel.set_xlabel(f"{name[2]} / mm")
+    panel.set_ylabel("µrad" if name[1] in "ABC" else "µm")
+
+
+def draw_map(content: Mapping[str, Any]) -> Figure:
+    """Position errors as magnified arrows in the plane that the points fill most.
+
+    Args:
+        content: `error_map` of the result.
+    """
+    from matplotlib.figure import Figure
+
+    points, error = _numbers(content["points"]), _numbers(content["position_error"])
+    i, j = sorted(np.argsort(-np.ptp(points, axis=0))[:2].tolist())
+    figure = Figure(figsize=(8, 7.5), layout="constrained")
+    panel = figure.subplots()
+    shown = np.isfinite(error[:, [i, j]]).all(axis=1)
+    size = np.hypot(error[shown, i], error[shown, j])
+    largest = float(size.max(initial=0.0))
+    width = float(np.ptp(points[:, [i, j]], axis=0).max())
+    panel.plot(1e3 * points[:, i], 1e3 * points[:, j], ".", color="0.7", markersize=3)
+    if largest > 0:
+        # arrows in the axes' own unit, so that they turn and grow with the picture
+        arrow = 1e3 * _LENGTH * width / largest * error[shown][:, [i, j]]
+        start = 1e3 * points[shown][:, [i, j]]
+        panel.quiver(*start.T, *arrow.T, angles="xy", scale_units="xy", scale=1.0, color="tab:blue", width=0.003)
+    panel.set_aspect("equal", adjustable="datalim")
+    panel.set_xlabel(f"{'XYZ'[i]} / mm")
+    panel.set_ylabel(f"{'XYZ'[j]} / mm")
+    rms = 1e6 * float(np.sqrt(np.mean(size**2))) if shown.any() else 0.0
+    panel.set_title(f"Position error: largest arrow {1e6 * largest:.2f} µm, RMS {rms:.2f} µm")
+    return figure
+
+
+def _numbers(values: Any) -> Array:
+    """Numbers of a document; null is NaN."""
+    return np.array(values, dtype=np.float64)

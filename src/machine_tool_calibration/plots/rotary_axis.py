@@ -1,0 +1,123 @@
+"""Pictures of a rotary axis: its six error motions (Zhang et al. 2015, Fig. 6) and the arrangement."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.session.description import RotaryAxis
+from machine_tool_calibration.session.session import Session
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["draw", "draw_arrangement", "draw_motions"]
+
+
+def draw(session: Session, result: Mapping[str, Any], folder: Path) -> list[Path]:
+    """Write the pictures of a result document into a folder.
+
+    Returns:
+        The files.
+    """
+    description = session.description
+    assert isinstance(description, RotaryAxis)
+    axis = (description.machine.axis or "C").upper()
+    folder.mkdir(parents=True, exist_ok=True)
+    files = []
+    for name, figure in (
+        ("error_motions", draw_motions(result["error_map"], axis)),
+        ("arrangement", draw_arrangement(result["error_map"], axis)),
+    ):
+        files.append(folder / f"{name}.png")
+        figure.savefig(files[-1], dpi=120)
+    return files
+
+
+def draw_motions(content: Mapping[str, Any], axis: str = "C") -> Figure:
+    """Six panels: error motion against the angle, with expanded uncertainty (k = 2); what is not determined is gray.
+
+    Args:
+        content: `error_map` of the result.
+        axis: letter of the rotary axis.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12, 7), layout="constrained")
+    figure.suptitle(f"Error motions of {axis} relative to its axis average line, with expanded uncertainty (k = 2)")
+    panels = figure.subplots(2, 3, sharex=True)
+    angle = np.degrees(_numbers(content[axis.lower()]))
+    for panel, component in zip(panels.flat, "XYZABC", strict=True):
+        name = f"E{component}{axis}"
+        _curve(panel, angle, 1e6 * _numbers(content[name]), 1e6 * _numbers(content[f"{name}_u"]))
+        panel.set_title(name + _meaning(component, axis))
+        panel.set_ylabel("µm" if component in "XYZ" else "µrad")
+    for panel in panels[1]:
+        panel.set_xlabel(f"{axis} / °")
+    return figure
+
+
+def _meaning(component: str, axis: str) -> str:
+    if component == axis:
+        return ": angular positioning"
+    if component in "ABC":
+        return f": tilt about {'XYZ'['ABC'.index(component)]}"
+    return ": axial" if "XYZ".index(component) == "ABC".index(axis) else ": radial"
+
+
+def _curve(panel: Axes, angle: Array, value: Array, uncertainty: Array) -> None:
+    panel.axhline(0.0, color="0.8", linewidth=0.8)
+    low, high = value - 2 * uncertainty, value + 2 * uncertainty
+    panel.fill_between(angle, low, high, color="tab:blue", alpha=0.2, linewidth=0)
+    panel.plot(angle, value, "o-", color="tab:blue", markersize=3, linewidth=1)
+    for lost in angle[~np.isfinite(value)]:
+        panel.axvline(lost, color="0.6", linestyle=":", linewidth=1)
+    if not np.isfinite(value).any():
+        panel.text(0.5, 0.5, "not determined", transform=panel.transAxes, ha="center", va="center", color="0.4")
+
+
+def draw_arrangement(content: Mapping[str, Any], axis: str = "C") -> Figure:
+    """Stations, targets and axis, seen along the axis and from the side.
+
+    Args:
+        content: `error_map` of the result.
+        axis: letter of the rotary axis.
+    """
+    from matplotlib.figure import Figure
+
+    along = "ABC".index(axis)
+    first, second = (along + 1) % 3, (along + 2) % 3
+    figure = Figure(figsize=(11, 5.5), layout="constrained")
+    figure.suptitle("Where stations and targets were found, frame of the axis average line")
+    for panel, (i, j) in zip(figure.subplots(1, 2), ((first, second), (first, along)), strict=True):
+        stations, targets = _numbers(content["stations"]), _numbers(content["targets"])
+        _marks(panel, stations[:, [i, j]], content["station_ids"], "^", "tab:red")
+        _marks(panel, targets[:, [i, j]], content["target_ids"], "o", "tab:blue")
+        if j != along:
+            turn = np.linspace(0.0, 2 * np.pi, 200)
+            for radius in np.linalg.norm(targets[:, [i, j]], axis=1):
+                panel.plot(radius * np.cos(turn), radius * np.sin(turn), color="0.85", linewidth=0.8, zorder=0)
+        else:
+            panel.axvline(0.0, color="0.5", linestyle="-.", linewidth=1)
+        panel.plot(0.0, 0.0, "+", color="black")
+        panel.set_aspect("equal", adjustable="datalim")
+        panel.set_xlabel(f"{'XYZ'[i]} / m")
+        panel.set_ylabel(f"{'XYZ'[j]} / m")
+    return figure
+
+
+def _marks(panel: Axes, place: Array, names: Sequence[str], marker: str, color: str) -> None:
+    panel.plot(place[:, 0], place[:, 1], marker, color=color, linestyle="none")
+    for (x, y), name in zip(place, names, strict=True):
+        if np.isfinite([x, y]).all():
+            panel.annotate(name, (x, y), xytext=(5, 5), textcoords="offset points", color=color)
+
+
+def _numbers(values: Any) -> Array:
+    """Numbers of a document; null is NaN."""
+    return np.array(values, dtype=np.float64)

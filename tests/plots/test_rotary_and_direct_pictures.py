@@ -1,0 +1,55 @@
+"""Pictures of a rotary axis and of direct deviations: drawn from the document, also where values are null."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.plots import direct, rotary_axis
+from machine_tool_calibration.simulation.simulate import simulate
+from machine_tool_calibration.simulation.spec import SimulationSpec
+
+
+def _session(**plan):
+    return simulate(SimulationSpec.model_validate({"seed": 1, "plan": plan})).session
+
+
+@pytest.mark.parametrize("axis", ["C", "A"])
+def test_rotary_axis(tmp_path: Path, axis: str) -> None:
+    session = _session(method="rotary_axis", axis=axis, hidden={"P": (1.0, 1.5)})
+    document = identify(session).document()
+    files = rotary_axis.draw(session, document, tmp_path)
+    assert [file.name for file in files] == ["error_motions.png", "arrangement.png"]
+    assert all(file.stat().st_size > 10_000 for file in files)
+    figure = rotary_axis.draw_motions(document["error_map"], axis)
+    panels = figure.axes
+    assert [panel.get_title().split(":")[0] for panel in panels] == [f"E{c}{axis}" for c in "XYZABC"]
+    expected = 1e6 * np.array(document["error_map"][f"EX{axis}"], dtype=float)
+    drawn = next(line for line in panels[0].lines if len(line.get_xdata()) == 18)
+    np.testing.assert_allclose(drawn.get_ydata(), expected)
+    assert sum(line.get_linestyle() == ":" for line in panels[0].lines) == 2  # the two lost angles
+
+
+@pytest.mark.parametrize(
+    ("kind", "names"),
+    [
+        ("iso230_2", ["iso230_2_X.png", "tables.png"]),
+        ("grid_plate", ["tables.png", "map.png"]),
+        ("drilled_plate", ["map.png"]),
+    ],
+)
+def test_direct(tmp_path: Path, kind: str, names: list[str]) -> None:
+    session = _session(method="direct", kind=kind, repeats=3)
+    files = direct.draw(session, identify(session).document(), tmp_path)
+    assert [file.name for file in files] == names
+    assert all(file.stat().st_size > 5_000 for file in files)
+
+
+def test_figures_of_the_standard_are_written_on_the_picture() -> None:
+    (run,) = identify(_session(method="direct", kind="iso230_2", repeats=5)).document()["error_map"]["iso230_2"]
+    title = direct.draw_positioning(run).get_suptitle()
+    for name in ("A", "E", "M", "R", "B"):
+        assert f"{name} {1e6 * run[name]:.2f}" in title
+    single = {**run, "R": None, "A": None, "s_up": [None] * 11, "s_down": [None] * 11}
+    assert "R " not in direct.draw_positioning(single).get_suptitle().replace("R↑", "").replace("R↓", "")
