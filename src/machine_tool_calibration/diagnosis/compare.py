@@ -1,0 +1,417 @@
+"""How well a model fits its readings, and where it fails.
+
+This describes and draws; whether something is missing, and what, is for `diagnose` to say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from machine_tool_calibration.arrays import Array, BoolArray
+from machine_tool_calibration.diagnosis.covariates import bins, covariates, telling
+from machine_tool_calibration.diagnosis.leverage import leverage
+from machine_tool_calibration.diagnosis.noise import Noise, noise_of
+from machine_tool_calibration.diagnosis.spread import run_spreads
+from machine_tool_calibration.diagnosis.sums import residual_sums
+from machine_tool_calibration.effects.catalogue import find_effects
+from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.estimation.reduction import single_blas
+from machine_tool_calibration.methods.identify import build_model
+from machine_tool_calibration.model.effect_terms import add_effects
+from machine_tool_calibration.model.fit import Fit, fit_models
+from machine_tool_calibration.model.result import Result
+from machine_tool_calibration.session.session import Session
+
+__all__ = ["Approach", "Comparison", "Overall", "Region", "Share", "Trend", "compare"]
+
+# A reading with less than this share of itself in its residual cannot be judged.
+_SEEN = 0.02
+_POSITIONS = ("x", "y", "z", "c")
+_WORST = 10
+
+
+@dataclass(frozen=True)
+class Overall:
+    """The whole fit.
+
+    Attributes:
+        readings: number of readings.
+        rms: root mean square of measured minus predicted, m.
+        reduced_chi_square: weighted sum of squares over the degrees of freedom.
+        degrees_of_freedom: readings minus unknowns.
+        p_value: chance of so large a sum of squares if the model is right and the declared uncertainty too.
+        noise: declared, and from repeats.
+    """
+
+    readings: int
+    rms: float
+    reduced_chi_square: float
+    degrees_of_freedom: int
+    p_value: float
+    noise: Noise
+
+    @property
+    def ratio(self) -> float:
+        """How many times the declared uncertainty the readings scatter about the model."""
+        return float(np.sqrt(self.reduced_chi_square))
+
+
+@dataclass(frozen=True)
+class Share:
+    """A part of the readings: a setup, one repeat of it, a target.
+
+    Attributes:
+        name: of the part.
+        readings: how many.
+        rms: of their residuals, m.
+        reduced_chi_square: sum of squares over what is left of these readings by the model; None where nothing is.
+        share: of the whole sum of squares.
+        mean: of the residuals, m, with its standard uncertainty; None where the model takes it up.
+        slope: of the residuals over time, m/s, likewise.
+        worst_row: the reading with the largest studentized residual.
+    """
+
+    name: str
+    readings: int
+    rms: float
+    reduced_chi_square: float | None
+    share: float
+    mean: float | None = None
+    mean_u: float | None = None
+    slope: float | None = None
+    slope_u: float | None = None
+    worst_row: int | None = None
+
+
+@dataclass(frozen=True)
+class Region:
+    """Readings whose axis stands between two values, m or rad."""
+
+    axis: str
+    low: float
+    high: float
+    fit: Share
+
+
+@dataclass(frozen=True)
+class Approach:
+    """Difference between the two directions of approach of an axis.
+
+    Attributes:
+        axis: x, y, z or c.
+        forward: readings after a move in positive direction.
+        backward: the others.
+        difference: mean residual after positive moves minus that after negative ones, m; None if the model takes it up.
+        displacement: that difference as a displacement of the axis, if it were added to the model, m (C: rad): minus
+            twice the half width b of a backlash; None where the model takes it up.
+        p_value: chance of so large a displacement (or difference, without it) by chance.
+    """
+
+    axis: str
+    forward: int
+    backward: int
+    difference: float | None
+    difference_u: float | None
+    displacement: float | None
+    displacement_u: float | None
+    p_value: float | None
+
+
+@dataclass(frozen=True)
+class Trend:
+    """How the residuals change with a covariate.
+
+    Attributes:
+        covariate: its name.
+        span: range that it covers, in its unit.
+        slope: of the residuals, m per unit, with its standard uncertainty; None if the model takes it up.
+        added: slope that the model would find if it were added, m per unit; the residuals' own is smaller, as the
+            model's other unknowns took their part.
+        p_value: chance of so large a slope by chance.
+    """
+
+    covariate: str
+    span: float
+    slope: float | None
+    slope_u: float | None
+    added: float | None
+    added_u: float | None
+    p_value: float | None
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A model against its readings.
+
+    Uncertainties are those of the declared noise, or of the scatter about the model where that is larger; they allow
+    for what the model took up.
+
+    Attributes:
+        fit: the fitted model.
+        effects: ids of effects that are in it.
+        overall: the whole fit.
+        setups: worst first.
+        runs: each repeat of each setup, worst first.
+        labels: by text column (target, point), its values, worst first.
+        regions: bins of each axis position.
+        approaches: for each axis that was approached from both sides.
+        trends: over time, temperatures and every other covariate, most significant first.
+        telling: covariates, in the order in which their running mean follows the residuals, with the share it takes.
+        worst: indices of the readings with the largest studentized residuals.
+        residual: (n,) measured minus predicted, m.
+        studentized: (n,) residuals over their own standard uncertainty, as declared; NaN where the model has a
+            reading for itself.
+        covariates: (n,) each, SI.
+    """
+
+    fit: Fit
+    effects: tuple[str, ...]
+    overall: Overall
+    setups: tuple[Share, ...]
+    runs: tuple[Share, ...]
+    labels: Mapping[str, tuple[Share, ...]]
+    regions: tuple[Region, ...]
+    approaches: tuple[Approach, ...]
+    trends: tuple[Trend, ...]
+    telling: tuple[tuple[str, float], ...]
+    worst: tuple[int, ...]
+    residual: Array
+    studentized: Array
+    covariates: Mapping[str, Array]
+
+    @property
+    def measured(self) -> Array:
+        """(n,) the readings, m."""
+        return self.fit.model.observations.readings.displacement
+
+    @property
+    def predicted(self) -> Array:
+        """(n,) what the model expects, m."""
+        return self.measured - self.residual
+
+    def covariate(self, name: str) -> Array:
+        """(n,) the covariate of that name.
+
+        Raises:
+            ModelError: there is none, or it does not vary.
+        """
+        if name not in self.covariates:
+            known = ", ".join(self.covariates)
+            raise ModelError(f"there is no covariate {name!r} that varies; there are {known}")
+        return self.covariates[name]
+
+
+@single_blas()
+def compare(
+    subject: Session | Fit | Result,
+    *,
+    model: str | None = None,
+    effects: Sequence[str] = (),
+    own: Sequence[Effect] = (),
+) -> Comparison:
+    """Hold a model against its readings.
+
+    Args:
+        subject: a session, of which the model is fitted; or a fit or result of a single session.
+        model: for a session, the method's model; its default if absent.
+        effects: for a session, ids of effects in the model.
+        own: for a session, the user's own effects, beside the catalogue.
+
+    Raises:
+        ModelError: the data does not allow the model, or the fit is one of several sessions together.
+    """
+    if isinstance(subject, Session):
+        base, _ = build_model(subject, model)
+        fit = fit_models([add_effects(base, find_effects(effects, own))]).fits[0]
+    elif isinstance(subject, Result):
+        fit, effects = subject.fit, subject.effects
+    else:
+        fit = subject
+    if len(fit.joint.assembly.models) > 1:
+        raise ModelError("only the fit of a single session can be compared with its readings; compare each session")
+    return _Look(fit).comparison(tuple(effects))
+
+
+class _Look:
+    """What all parts of a comparison need."""
+
+    def __init__(self, fit: Fit) -> None:
+        self.fit = fit
+        self.observations = fit.model.observations
+        self.readings = self.observations.readings
+        self.n = len(self.readings)
+        self.residual = fit.residuals
+        self.normal = self.residual / fit.model.sigma
+        self.free = 1.0 - leverage(fit)
+        self.dof = fit.solution.degrees_of_freedom
+        with np.errstate(divide="ignore", invalid="ignore"):
+            self.studentized = np.where(self.free > _SEEN, self.normal / np.sqrt(self.free), np.nan)
+        # Where the readings scatter more than declared, all that is calculated from them does too.
+        self.factor = max(1.0, float(np.sqrt(fit.joint.reduced_chi_square)))
+        self.covariates = covariates(self.observations)
+
+    def comparison(self, effects: tuple[str, ...]) -> Comparison:
+        readings, fit = self.readings, self.fit
+        ids = self.observations.session.setup_ids
+        setups = {ids[s]: readings.setup == s for s in np.unique(readings.setup)}
+        runs = {
+            f"{ids[s]}, repeat {r}": (readings.setup == s) & (readings.repeat == r)
+            for s, r in np.unique(np.stack([readings.setup, readings.repeat]), axis=1).T
+        }
+        order = np.argsort(-np.nan_to_num(np.abs(self.studentized)), kind="stable")
+        overall = Overall(
+            self.n,
+            float(np.sqrt(np.mean(self.residual**2))),
+            fit.joint.reduced_chi_square,
+            self.dof,
+            fit.joint.p_value,
+            noise_of(fit, run_spreads(self.observations)),
+        )
+        return Comparison(
+            fit=fit,
+            effects=effects,
+            overall=overall,
+            setups=_worst_first(self._shares(setups, sums=True)),
+            runs=_worst_first(self._shares(runs, sums=True)),
+            labels={name: self._labels(values) for name, values in readings.labels.items()},
+            regions=self._regions(),
+            approaches=self._approaches(),
+            trends=self._trends(),
+            telling=tuple(telling(self.covariates, np.nan_to_num(self.studentized))),
+            worst=tuple(int(k) for k in order[: min(_WORST, self.n)]),
+            residual=self.residual,
+            studentized=self.studentized,
+            covariates=self.covariates,
+        )
+
+    def _shares(self, parts: Mapping[str, BoolArray], *, sums: bool) -> list[Share]:
+        means = slopes = None
+        time = self.readings.columns.get("time")
+        if sums:
+            means = self._sums([mask / max(int(mask.sum()), 1) for mask in parts.values()])
+            if time is not None and np.isfinite(time).all():
+                slopes = self._sums([_slope_weights(time, mask) for mask in parts.values()])
+        total = float(np.sum(self.normal**2))
+        out = []
+        for k, (name, mask) in enumerate(parts.items()):
+            squares, left = float(np.sum(self.normal[mask] ** 2)), float(np.sum(self.free[mask]))
+            where = np.flatnonzero(mask)
+            worst = where[int(np.argmax(np.nan_to_num(np.abs(self.studentized[where]))))]
+            out.append(
+                Share(
+                    name,
+                    len(where),
+                    float(np.sqrt(np.mean(self.residual[mask] ** 2))),
+                    squares / left if left > 0.5 else None,
+                    squares / total if total > 0 else 0.0,
+                    *(means[k] if means else (None, None)),
+                    *(slopes[k] if slopes else (None, None)),
+                    worst_row=int(self.readings.row[worst]),
+                )
+            )
+        return out
+
+    def _sums(self, weights: Sequence[Array]) -> list[tuple[float | None, float | None]]:
+        """Value and standard uncertainty of each sum of residuals."""
+        sums = residual_sums(self.fit, np.array(weights, dtype=float).reshape(-1, self.n))
+        return [(_number(v), _number(self.factor * u)) for v, u in zip(sums.value, sums.uncertainty, strict=True)]
+
+    def _labels(self, values: np.ndarray) -> tuple[Share, ...]:
+        names, number = np.unique(values.astype(str), return_inverse=True)
+        if len(names) * self.n > 20_000_000:
+            return ()
+        return _worst_first(self._shares({str(n): number == k for k, n in enumerate(names)}, sums=False))
+
+    def _regions(self) -> tuple[Region, ...]:
+        out = []
+        for axis in _POSITIONS:
+            values = self.covariates.get(axis)
+            if values is None or not np.isfinite(values).all():
+                continue
+            number = bins(values, 10)
+            masks = {f"{axis} {k}": number == k for k in np.unique(number)}
+            shares = self._shares(masks, sums=True)
+            out += [
+                Region(axis, float(values[mask].min()), float(values[mask].max()), share)
+                for mask, share in zip(masks.values(), shares, strict=True)
+            ]
+        return tuple(out)
+
+    def _approaches(self) -> tuple[Approach, ...]:
+        out = []
+        for axis in _POSITIONS:
+            sign = np.sign(self.readings.columns.get(f"dir_{axis}", np.zeros(self.n)))
+            forward, backward = int((sign > 0).sum()), int((sign < 0).sum())
+            if not forward or not backward:
+                continue
+            weights = np.where(sign > 0, 1.0 / forward, np.where(sign < 0, -1.0 / backward, 0.0))
+            (difference, u), (moved, moved_u) = self._sums([weights])[0], (None, None)
+            along = sign * self._sensed(axis)
+            if np.abs(along).max() > 1e-6:
+                sums = residual_sums(self.fit, along[None] / 2)
+                moved, moved_u = _number(sums.added[0]), _number(self.factor * sums.added_uncertainty[0])
+            p = self._p(moved, moved_u) if moved is not None else self._p(difference, u)
+            out.append(Approach(axis, forward, backward, difference, u, moved, moved_u, p))
+        return tuple(out)
+
+    def _sensed(self, axis: str) -> Array:
+        """(n,) change of each reading with a displacement of the axis."""
+        if axis in "xyz":
+            return self.observations.direction[:, "xyz".index(axis)]
+        turned = np.cross([0.0, 0.0, float(self.observations.session.rotation_sign)], self.observations.position)
+        return np.asarray(np.einsum("nj,nj->n", turned, self.observations.table_direction))
+
+    def _trends(self) -> tuple[Trend, ...]:
+        chosen = {
+            name: values
+            for name, values in self.covariates.items()
+            if np.isfinite(values).all() and not name.startswith("dir_") and name not in ("order", "repeat")
+        }
+        everywhere = np.ones(self.n, dtype=bool)
+        if not chosen:
+            return ()
+        slopes = self._sums([_slope_weights(values, everywhere) for values in chosen.values()])
+        centred = np.array([values - values.mean() for values in chosen.values()])
+        sums = residual_sums(self.fit, centred)
+        out = [
+            Trend(
+                name,
+                float(np.ptp(values)),
+                *slopes[k],
+                _number(sums.added[k]),
+                _number(self.factor * sums.added_uncertainty[k]),
+                self._p(*slopes[k]),
+            )
+            for k, (name, values) in enumerate(chosen.items())
+        ]
+        return tuple(sorted(out, key=lambda t: 2.0 if t.p_value is None else t.p_value))
+
+    def _p(self, value: float | None, uncertainty: float | None) -> float | None:
+        """Chance of a value so far from zero; Student's where the scatter was taken from the residuals."""
+        if value is None or not uncertainty:
+            return None
+        ratio = abs(value) / uncertainty
+        return float(2 * (stats.t.sf(ratio, self.dof) if self.factor > 1.0 else stats.norm.sf(ratio)))
+
+
+def _slope_weights(values: Array, mask: BoolArray) -> Array:
+    """(n,) weights whose sum with the residuals is their slope over the values, among some of the readings."""
+    out = np.zeros(len(values))
+    centred = values[mask] - values[mask].mean()
+    squares = float(centred @ centred)
+    if squares > 0:
+        out[mask] = centred / squares
+    return out
+
+
+def _worst_first(shares: Sequence[Share]) -> tuple[Share, ...]:
+    return tuple(sorted(shares, key=lambda s: -(s.reduced_chi_square or 0.0)))
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,204 @@
+"""Pictures of a model against its readings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.diagnosis.compare import Comparison
+from machine_tool_calibration.plots.residuals import color, draw_arrows, draw_residuals, grids, planes
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["chosen_covariates", "draw", "draw_against", "draw_fit", "draw_map", "draw_setups"]
+
+_PANELS = 6
+# Correlation above which two covariates make the same picture.
+_SAME = 0.97
+
+
+def draw(comparison: Comparison, folder: Path, against: Sequence[str] = ()) -> list[Path]:
+    """Write all pictures into a folder.
+
+    Args:
+        comparison: what to draw.
+        folder: where; made if it is not there.
+        against: covariates for the residuals; the most telling ones if empty.
+
+    Returns:
+        The files.
+
+    Raises:
+        ModelError: an unknown covariate.
+    """
+    names = list(against) or chosen_covariates(comparison)
+    figures = {
+        "measured_predicted.png": draw_fit(comparison),
+        "residuals.png": draw_against(comparison, names),
+        "residual_map.png": draw_map(comparison),
+        "setups.png": draw_setups(comparison),
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, figure in figures.items():
+        figure.savefig(folder / name, dpi=100)
+    return [folder / name for name in figures]
+
+
+def chosen_covariates(comparison: Comparison, most: int = _PANELS) -> list[str]:
+    """Covariates whose running mean follows the residuals best, without those that would make the same picture."""
+    values, out = comparison.covariates, list[str]()
+    for name, _ in comparison.telling:
+        if all(abs(_correlation(values[name], values[other])) < _SAME for other in out):
+            out.append(name)
+        if len(out) == most:
+            break
+    return out
+
+
+def draw_fit(comparison: Comparison) -> Figure:
+    """Measured against predicted, the residuals against predicted, and their distribution beside the expected one."""
+    from matplotlib.figure import Figure
+    from scipy import stats
+
+    figure = Figure(figsize=(13, 4.4), layout="constrained")
+    left, middle, right = figure.subplots(1, 3)
+    setup, ids = _setups(comparison)
+    predicted, measured = 1e6 * comparison.predicted, 1e6 * comparison.measured
+    factor, unit = (1e-3, "mm") if np.ptp(predicted) > 1e4 else (1.0, "µm")
+    for k, name in enumerate(ids):
+        mine = setup == k
+        style: dict[str, Any] = {"ls": "", "marker": ".", "ms": 3, "color": color(k), "label": name}
+        left.plot(factor * predicted[mine], factor * measured[mine], **style)
+        middle.plot(factor * predicted[mine], 1e6 * comparison.residual[mine], **style)
+    ends = factor * np.array([predicted.min(), predicted.max()])
+    left.plot(ends, ends, color="0.6", lw=0.8, zorder=0)
+    left.set(xlabel=f"predicted, {unit}", ylabel=f"measured, {unit}", title="Measured against predicted")
+    middle.set(xlabel=f"predicted, {unit}", ylabel="measured − predicted, µm", title="What the model leaves")
+    _noise_band(middle, comparison)
+    if len(ids) <= 12:
+        left.legend(title="setup", fontsize="small", markerscale=3)
+    normal = np.sort(comparison.studentized[np.isfinite(comparison.studentized)])
+    if len(normal):
+        expected = stats.norm.ppf((np.arange(len(normal)) + 0.5) / len(normal))
+        right.plot(expected, normal, ls="", marker=".", ms=3, color="tab:blue")
+        right.plot(expected[[0, -1]], expected[[0, -1]], color="0.6", lw=0.8, zorder=0)
+    right.set(xlabel="expected of normal noise", ylabel="residual over its declared uncertainty")
+    right.set_title(f"Studentized residuals: scatter {comparison.overall.ratio:.2g} × declared")
+    grids(figure)
+    return figure
+
+
+def draw_against(comparison: Comparison, names: Sequence[str]) -> Figure:
+    """Residuals against covariates, with their running mean and twice its standard uncertainty.
+
+    Args:
+        comparison: what to draw.
+        names: of covariates.
+
+    Raises:
+        ModelError: an unknown covariate.
+    """
+    from matplotlib.figure import Figure
+
+    columns = min(3, max(1, len(names)))
+    rows = -(-len(names) // columns) or 1
+    figure = Figure(figsize=(4.4 * columns, 3.5 * rows), layout="constrained")
+    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    setup, ids = _setups(comparison)
+    for panel, name in zip(panels, names, strict=False):
+        values = comparison.covariate(name)
+        draw_residuals(panel, name, values, comparison.residual, setup)
+        _noise_band(panel, comparison)
+    for panel in panels[len(names) :]:
+        panel.set_visible(False)
+    if len(ids) <= 12:
+        handles = [_marker(k) for k in range(len(ids))]
+        figure.legend(handles, ids, loc="outside upper center", ncols=len(ids), frameon=False, title="setup")
+    grids(figure)
+    return figure
+
+
+def draw_map(comparison: Comparison) -> Figure:
+    """Residuals as arrows along the sensed direction where they were read, seen along one or three axes."""
+    from matplotlib.figure import Figure
+
+    observations = comparison.fit.model.observations
+    position, arrow = observations.position, comparison.residual[:, None] * observations.direction
+    views = planes(position, observations.direction)
+    figure = Figure(figsize=(6.4 * len(views), 6.0), layout="constrained")
+    for panel, (a, b) in zip(figure.subplots(1, len(views), squeeze=False).ravel(), views, strict=True):
+        draw_arrows(panel, position[:, [a, b]], arrow[:, [a, b]], comparison.residual)
+        panel.set(xlabel=f"{'xyz'[a]}, mm", ylabel=f"{'xyz'[b]}, mm")
+    figure.suptitle("Residuals along the sensed direction (red: longer than predicted, blue: shorter)", fontsize=11)
+    grids(figure)
+    return figure
+
+
+def draw_setups(comparison: Comparison) -> Figure:
+    """Residuals of every setup in the order of the readings, worst first, with each repeat's mean."""
+    from matplotlib.figure import Figure
+
+    readings = comparison.fit.model.observations.readings
+    setup, ids = _setups(comparison)
+    figure = Figure(figsize=(11, max(3.2, 1.0 + 0.62 * len(ids))), layout="constrained")
+    strip, bars = figure.subplots(1, 2, sharey=True, width_ratios=(3, 1))
+    spread = float(np.quantile(np.abs(comparison.residual), 0.98)) or 1e-12
+    for line, share in enumerate(comparison.setups):
+        number = ids.index(share.name)
+        mine = np.flatnonzero(setup == number)
+        jitter = 0.5 * (np.arange(len(mine)) / max(len(mine) - 1, 1) - 0.5)
+        strip.plot(1e6 * comparison.residual[mine], line + jitter, ls="", marker=".", ms=3, color=color(number))
+        for repeat in np.unique(readings.repeat[mine]):
+            own = mine[readings.repeat[mine] == repeat]
+            at = line + jitter[np.isin(mine, own)]
+            mean = 1e6 * comparison.residual[own].mean()
+            strip.plot([mean, mean], [at.min() - 0.03, at.max() + 0.03], color="black", lw=1.2)
+        bars.barh(line, 1e6 * share.rms, height=0.5, color=color(number), alpha=0.8)
+        ratio = "" if share.reduced_chi_square is None else f"{share.reduced_chi_square**0.5:.2g} ×"
+        bars.annotate(f" {ratio}", (1e6 * share.rms, line), va="center", fontsize=8)
+    if np.abs(comparison.residual).max() > 2.5 * spread:
+        strip.set_xlim(-2.5e6 * spread, 2.5e6 * spread)
+        beyond = f"{int((np.abs(comparison.residual) > 2.5 * spread).sum())} readings beyond"
+        strip.text(0.99, 0.02, beyond, transform=strip.transAxes, ha="right", fontsize=8, color="0.4")
+    sigma = 2e6 * comparison.overall.noise.declared
+    strip.axvspan(-sigma, sigma, color="0.92", zorder=0)
+    strip.set_yticks(range(len(ids)), [share.name for share in comparison.setups])
+    strip.invert_yaxis()
+    strip.set(xlabel="measured − predicted, µm", ylabel="setup, worst first; readings in order downwards")
+    strip.set_title("Residuals (gray: twice the declared uncertainty; black: mean of each repeat)", fontsize=10)
+    bars.set(xlabel="RMS, µm", title="RMS, and times declared")
+    bars.title.set_fontsize(10)
+    bars.margins(x=0.25)
+    grids(figure)
+    return figure
+
+
+def _noise_band(panel: Axes, comparison: Comparison) -> None:
+    sigma = 2e6 * comparison.overall.noise.declared
+    panel.axhspan(-sigma, sigma, color="0.92", zorder=0)
+
+
+def _setups(comparison: Comparison) -> tuple[IntArray, list[str]]:
+    """Number of each reading's setup among those that were read, and their names."""
+    session = comparison.fit.model.observations.session
+    present, number = np.unique(comparison.fit.model.observations.readings.setup, return_inverse=True)
+    return number.reshape(-1), [session.setup_ids[k] for k in present]
+
+
+def _marker(index: int) -> Any:
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], ls="", marker="o", ms=5, color=color(index))
+
+
+def _correlation(a: Array, b: Array) -> float:
+    good = np.isfinite(a) & np.isfinite(b)
+    if good.sum() < 3 or np.ptp(a[good]) == 0 or np.ptp(b[good]) == 0:
+        return 0.0
+    return float(np.corrcoef(a[good], b[good])[0, 1])
