@@ -73,7 +73,9 @@ def _covariates(observations: Observations) -> dict[str, Array]:
     out = dict(observations.readings.columns)
     if np.ptp(observations.path) > 0:
         out["path"] = observations.path
-        out["displacement"] = observations.readings.displacement
+        if observations.session.method != "direct":
+            # There the reading is the deviation itself, which explains itself.
+            out["displacement"] = observations.readings.displacement
         out["path within the setup"] = _within(observations.path, observations.readings.setup)
     if np.abs(observations.table_direction).max() > 0 and observations.session.method == "probing":
         out["normal"] = np.arctan2(observations.table_direction[:, 1], observations.table_direction[:, 0])
