@@ -36,6 +36,11 @@ __all__ = ["command"]
     type=click.Choice(NODES),
     help="A node that runs elsewhere and is not started, such as a real machine's axes. May be repeated.",
 )
+@click.option(
+    "--params-file",
+    type=click.Path(path_type=Path),
+    help="ROS parameter file for the nodes, such as the package's config/nodes.yaml.",
+)
 @click.option("--model", default="", help="Variant of the method's model, such as free or rigid_body.")
 @click.option(
     "--effect", "effects", multiple=True, help="Physical effect to add to the model. May be given several times."
@@ -53,6 +58,7 @@ def command(
     driver: str,
     real_time: bool,
     external: tuple[str, ...],
+    params_file: Path | None,
     model: str,
     effects: tuple[str, ...],
     no_identify: bool,
@@ -83,6 +89,7 @@ def command(
         model=model,
         effects=effects,
         external=external,
+        parameters=params_file.resolve() if params_file is not None else None,
     )
     with bar() as progress:
         measured = measure(file, setting, progress)

@@ -20,7 +20,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.parameters import declare
-from machine_tool_calibration.nodes.process import run
+from machine_tool_calibration.nodes.process import STOP_GRACE, run
 from machine_tool_calibration.nodes.qos import COMMAND, STATE
 from machine_tool_calibration.nodes.site import Moment, Site, read_site
 from machine_tool_calibration.nodes.stamps import from_duration, from_message, nanoseconds, now, seconds, to_message
@@ -208,7 +208,7 @@ class AxisSimulator(Node):
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    return run(AxisSimulator, args)
+    return run(AxisSimulator, args, grace=STOP_GRACE)
 
 
 if __name__ == "__main__":

@@ -25,7 +25,7 @@ from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.nodes.clouds import cloud
 from machine_tool_calibration.nodes.deferred import Answer, DeferredService
 from machine_tool_calibration.nodes.parameters import declare
-from machine_tool_calibration.nodes.process import post, run
+from machine_tool_calibration.nodes.process import STOP_GRACE, post, run
 from machine_tool_calibration.nodes.qos import LATCHED, READINGS
 from machine_tool_calibration.nodes.stamps import from_message, now
 from machine_tool_calibration.nodes.status import Level, status_message
@@ -205,7 +205,7 @@ def _residual_fields(session: Session, result: Result) -> dict[str, Array]:
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    return run(Estimator, args)
+    return run(Estimator, args, grace=STOP_GRACE)
 
 
 if __name__ == "__main__":

@@ -47,11 +47,19 @@ class Graph:
         folder: for logs and parameter files.
         domain: ROS domain id.
         namespace: of all nodes, such as `/cell_1`; empty for none.
+        parameters: a ROS parameter file of the user's own, which counts after the programs' parameters.
     """
 
-    def __init__(self, programs: Sequence[Program], folder: Path, domain: int, namespace: str = "") -> None:
+    def __init__(
+        self,
+        programs: Sequence[Program],
+        folder: Path,
+        domain: int,
+        namespace: str = "",
+        parameters: Path | None = None,
+    ) -> None:
         self._programs = {program.name: program for program in programs}
-        self._folder, self._domain = folder, domain
+        self._folder, self._domain, self._parameters = folder, domain, parameters
         self.namespace = "/" + namespace.strip("/") if namespace.strip("/") else ""
         self._running: dict[str, subprocess.Popen[bytes]] = {}
 
@@ -76,6 +84,8 @@ class Graph:
         parameters.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
         command = [sys.executable, "-m", f"machine_tool_calibration.nodes.{name}", "--ros-args"]
         command += ["--params-file", str(parameters)]
+        if self._parameters is not None:
+            command += ["--params-file", str(self._parameters)]
         if self.namespace:  # /clock is absolute: without this two graphs would share one clock
             command += ["-r", f"__ns:={self.namespace}", "-r", f"/clock:={self.namespace}/clock"]
         default_environment()

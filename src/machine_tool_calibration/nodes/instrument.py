@@ -32,7 +32,7 @@ from machine_tool_calibration.nodes.deferred import Answer, DeferredService
 from machine_tool_calibration.nodes.driver_source import DriverSource, clock_offset
 from machine_tool_calibration.nodes.environment import TOPICS
 from machine_tool_calibration.nodes.parameters import declare
-from machine_tool_calibration.nodes.process import run
+from machine_tool_calibration.nodes.process import STOP_GRACE, run
 from machine_tool_calibration.nodes.qos import LATCHED, SLOW, STATE
 from machine_tool_calibration.nodes.simulated_source import SimulatedSource
 from machine_tool_calibration.nodes.site import Beam, Site, read_site
@@ -387,7 +387,7 @@ def _refuse(answer: Answer, kind: str, reason: str) -> None:
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    return run(Instrument, args)
+    return run(Instrument, args, grace=STOP_GRACE)
 
 
 if __name__ == "__main__":

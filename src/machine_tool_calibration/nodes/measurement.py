@@ -53,6 +53,7 @@ class Setting:
         model: variant of the model; empty: the default.
         effects: effects added to the model.
         external: nodes that run elsewhere and are not started.
+        parameters: a ROS parameter file for the nodes.
     """
 
     output: Path
@@ -66,6 +67,7 @@ class Setting:
     model: str = ""
     effects: tuple[str, ...] = ()
     external: tuple[str, ...] = ()
+    parameters: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -125,6 +127,8 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
             in an error; what was measured until then stays in the output folder.
     """
     procedure = read_procedure(file)
+    if setting.parameters is not None and not setting.parameters.is_file():
+        raise CalibrationError(f"{setting.parameters}: no such file")
     total = len(plan(procedure).steps)
     output = setting.output
     output.mkdir(parents=True, exist_ok=True)
@@ -135,7 +139,7 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
     begin = time.monotonic()
     with claimed_domain(setting.domain) as domain:
         programs = _programs(setting, copy, site, probes=procedure.session.method == "probing")
-        graph = Graph(programs, output / "log", domain, setting.namespace)
+        graph = Graph(programs, output / "log", domain, setting.namespace, setting.parameters)
         progress("starting the nodes", 0, total)
         with graph, Operator(domain, graph.namespace, graph.check) as operator:
             try:

@@ -25,7 +25,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.environment import EnvironmentWatch
 from machine_tool_calibration.nodes.parameters import declare
-from machine_tool_calibration.nodes.process import run
+from machine_tool_calibration.nodes.process import STOP_GRACE, run
 from machine_tool_calibration.nodes.qos import COMMAND, LATCHED, READINGS, STATE
 from machine_tool_calibration.nodes.stamps import duration_message, from_message, now, to_message
 from machine_tool_calibration.nodes.status import Level, status_message, values
@@ -153,7 +153,7 @@ class ProcedureNode(Node):
         self._axes = self.create_publisher(JointTrajectory, "axes/joint_trajectory", COMMAND)
         self._pointer = self.create_publisher(PointStamped, "pointer/command", COMMAND)
         self.create_subscription(DiagnosticArray, "axes/status", self._axes_status, STATE)
-        self.create_subscription(JointState, "joint_states", self._joint_states, STATE)
+        self._joints = self.create_subscription(JointState, "joint_states", self._joint_states, STATE)
         self.create_subscription(JointState, "pointer/state", self._pointer_state, STATE)
         self.create_subscription(DiagnosticArray, "instrument/status", self._instrument_status, LATCHED)
         self._datum = self.create_client(Trigger, "instrument/datum")
@@ -178,7 +178,12 @@ class ProcedureNode(Node):
             self.destroy_publisher(self._readings)
             self._readings = self.create_publisher(JointState, "reading", READINGS)
             self._publish_session()
-        self._carry_out(self.sequencer.start(now(self), time.monotonic(), self._here))
+        if self._arrival_source == "status" and self._joints is not None:
+            # where the axes stand before the first move is all that is needed of it
+            self.destroy_subscription(self._joints)
+            self._joints = None
+        here, self._here = self._here, None
+        self._carry_out(self.sequencer.start(now(self), time.monotonic(), here))
         return f"measuring {len(self.sequencer.plan.steps)} readings"
 
     def _pause(self) -> str:
@@ -386,7 +391,7 @@ def _reading(emit: Emit) -> JointState:
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    return run(ProcedureNode, args)
+    return run(ProcedureNode, args, grace=STOP_GRACE)
 
 
 if __name__ == "__main__":

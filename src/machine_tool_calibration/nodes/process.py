@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import faulthandler
 import os
 import signal
 import sys
+import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
-from types import FrameType
 
 import rclpy
 from rclpy.exceptions import ParameterException
@@ -19,9 +21,11 @@ from rclpy.signals import SignalHandlerOptions
 
 from machine_tool_calibration.errors import CalibrationError
 
-__all__ = ["default_environment", "post", "run"]
+__all__ = ["STOP_GRACE", "default_environment", "post", "run", "use_sim_time"]
 
-_TICK = 0.1  # s; Python sees a signal only between two calls of spin_once
+STOP_GRACE = 1.8  # s: nodes that have nothing to save end within 2 s, whatever happens
+_STOPS = {signal.SIGINT, signal.SIGTERM}
+_TICK = 0.1  # s
 
 
 def default_environment() -> None:
@@ -30,7 +34,7 @@ def default_environment() -> None:
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 
-def run(create: Callable[[], Node], args: list[str] | None = None) -> int:
+def run(create: Callable[[], Node], args: list[str] | None = None, *, grace: float = 10.0) -> int:
     """Run a node until SIGINT, SIGTERM or an external shutdown.
 
     A node may have a method `close()`, which is called before it is destroyed.
@@ -38,20 +42,18 @@ def run(create: Callable[[], Node], args: list[str] | None = None) -> int:
     Args:
         create: makes the node; called after rclpy is up.
         args: command line, by default the process's own.
+        grace: a node that has not ended so long after the signal is ended by force, s.
 
     Returns:
         Exit status: 0 stopped as asked, 1 the node could not start (one line on standard error).
     """
     default_environment()
-    stopped = False
-
-    def stop(signum: int, frame: FrameType | None) -> None:
-        nonlocal stopped
-        stopped = True
-
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, stop)
-    # its own handlers end the context while callbacks run; ours let the loop below finish
+    stop = threading.Event()
+    # A thread waits for the signals: it can end the process even where the middleware holds the main thread.
+    # Threads started from here on, the middleware's own, inherit the mask.
+    signal.pthread_sigmask(signal.SIG_BLOCK, _STOPS)
+    threading.Thread(target=_await_stop, args=(stop, grace), name="signals", daemon=True).start()
+    # rclpy's own handlers end the context while callbacks run; without them the loop below finishes first
     rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     node: Node | None = None
     executor = None
@@ -61,7 +63,7 @@ def run(create: Callable[[], Node], args: list[str] | None = None) -> int:
         executor = EventsExecutor()
         executor.add_node(node)
         node._post = executor.create_task  # type: ignore[attr-defined]
-        while not stopped and rclpy.ok():
+        while not stop.is_set() and rclpy.ok():
             # spin() of this executor hangs in Jazzy
             executor.spin_once(timeout_sec=_TICK)
     except ExternalShutdownException:
@@ -80,6 +82,16 @@ def run(create: Callable[[], Node], args: list[str] | None = None) -> int:
         if rclpy.ok():
             rclpy.shutdown()
     return status
+
+
+def _await_stop(stop: threading.Event, grace: float) -> None:
+    """Set the event at the first signal; end the process where that does not help."""
+    signal.sigwait(_STOPS)
+    stop.set()
+    time.sleep(grace)
+    faulthandler.dump_traceback(all_threads=True)
+    print(f"not ended {grace:g} s after the signal: ended by force", file=sys.stderr, flush=True)
+    os._exit(1)
 
 
 def post(node: Node, function: Callable[[], None]) -> None:

@@ -20,7 +20,7 @@ from std_msgs.msg import String
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.instruments.tracking import pointing
 from machine_tool_calibration.nodes.parameters import declare
-from machine_tool_calibration.nodes.process import run
+from machine_tool_calibration.nodes.process import STOP_GRACE, run
 from machine_tool_calibration.nodes.qos import COMMAND, LATCHED, STATE
 from machine_tool_calibration.nodes.site import Beam, Moment, Site, read_site
 from machine_tool_calibration.nodes.stamps import from_message, nanoseconds, now, seconds, to_message
@@ -166,7 +166,7 @@ def quaternion(beam: Beam) -> tuple[float, float, float, float]:
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    return run(RotaryPointer, args)
+    return run(RotaryPointer, args, grace=STOP_GRACE)
 
 
 if __name__ == "__main__":

@@ -39,7 +39,14 @@ class SimulatedSource:
     """
 
     def __init__(
-        self, site: Site, origin: int, rate: float, sample_noise: float, beam_radius: float, seed: int = 0, keep: int = 4000
+        self,
+        site: Site,
+        origin: int,
+        rate: float,
+        sample_noise: float,
+        beam_radius: float,
+        seed: int = 0,
+        keep: int = 4000,
     ) -> None:
         self.site, self.tracking = site, False
         self.blocked = False
