@@ -1,0 +1,118 @@
+"""`mtcal export`: compensation tables that a controller reads."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from machine_tool_calibration.cli.info import topic_names, topic_option
+from machine_tool_calibration.cli.output import console, json_option, note, write_json
+from machine_tool_calibration.errors import CalibrationError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rich.console import Console
+
+    from machine_tool_calibration.session.controller_tables.preview import Left
+
+__all__ = ["command"]
+
+_FORMATS = ("linuxcnc", "isg", "etalon", "csv", "json")
+
+
+@click.command("export")
+@click.argument("measurement", type=click.Path(path_type=Path))
+@click.option("--format", "form", type=click.Choice(_FORMATS), required=True, help="Whose tables.")
+@click.option(
+    "--output",
+    "-o",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Folder of the files; by default compensation_FORMAT. Files that are there are not overwritten.",
+)
+@click.option("--model", help="Model of the method; by default one with tables, such as rigid_body.")
+@click.option("--effect", "effects", multiple=True, help="Physical effect to add to the model; may be repeated.")
+@topic_option
+@json_option
+def command(
+    measurement: Path,
+    form: str,
+    output: Path | None,
+    model: str | None,
+    effects: tuple[str, ...],
+    topics: tuple[str, ...],
+    as_json: bool,
+) -> None:
+    """Write compensation tables for a controller, and show what would be left of the errors.
+
+    MEASUREMENT is a session folder or a recording. The files say sign, units, reference point and squareness
+    convention. The preview reads the written files as the controller does and compares the errors before and after: a
+    wrong sign would double them.
+
+    \b
+    mtcal export session --format linuxcnc     x.comp, y.comp, …, compensation.ini; positioning errors only
+    mtcal export session --format isg          TwinCAT CNC volumetric compensation, ISG CSV
+    mtcal export bag --format etalon           the same, Etalon Exchange
+    """
+    from machine_tool_calibration.methods.axis_tables import axis_tables
+    from machine_tool_calibration.methods.identify import identify
+    from machine_tool_calibration.session.controller_tables import read_tables, write_tables
+    from machine_tool_calibration.session.controller_tables.preview import preview
+    from machine_tool_calibration.session.open import open_measurement
+
+    session = open_measurement(measurement, topic_names(topics))
+    if model is None and session.method == "tracking_interferometer":
+        model = "rigid_body"  # its default has no tables
+    result = identify(session, model=model, effects=effects)
+    tables = axis_tables(result)
+    files = write_tables(form, tables, session.source)
+    left = preview(result.error_map, read_tables(form, files, tables))
+    folder = output or Path(f"compensation_{form}")
+    _save(folder, files)
+    if as_json:
+        write_json(
+            {
+                "format": "mtcal-exported/1",
+                "to": form,
+                "folder": folder,
+                "files": list(files),
+                "model": result.model_name,
+                "tables": [table.name for table in tables.tables],
+                "squareness": list(tables.squareness),
+                "not_determined": tables.left_out,
+                "preview": left,
+                "worse": left[-1].worse,
+            }
+        )
+    else:
+        _show(console(), folder, files, left)
+        for entry in tables.left_out:
+            note(f"not determined: {entry.name}: {entry.why}")
+    if left[-1].worse:
+        note("warning: the errors would grow; do not load these files")
+
+
+def _save(folder: Path, files: dict[str, str]) -> None:
+    for name in files:
+        if (folder / name).exists():
+            raise CalibrationError(f"{folder / name}: is there already; choose another folder with -o")
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in files.items():
+        (folder / name).write_text(text, encoding="utf-8")
+
+
+def _show(out: Console, folder: Path, files: dict[str, str], left: Sequence[Left]) -> None:
+    from rich.table import Table
+
+    for name in files:
+        out.print(f"[bold]{folder / name}[/]")
+    table = Table(title="Error of position over the measured points, µm, without shift and turn of the whole")
+    table.add_column("direction")
+    for column in ("RMS now", "RMS compensated", "largest now", "largest compensated", "U (k = 2), RMS"):
+        table.add_column(column, justify="right")
+    for row in left:
+        figures = (row.rms_before, row.rms_after, row.largest_before, row.largest_after, 2 * row.uncertainty)
+        table.add_row(row.name, *(f"{1e6 * figure:.2f}" for figure in figures))
+    out.print(table)

@@ -1,0 +1,229 @@
+"""A result as tables for each axis: what a controller compensates, with uncertainty, or why it is not there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.machine.chain import Chain
+from machine_tool_calibration.machine.error_motions import SQUARENESS, motion_field, parse_motion, squareness_field
+from machine_tool_calibration.machine.table import interpolation
+from machine_tool_calibration.machine.tables import MachineTable
+from machine_tool_calibration.model.model import NotDetermined
+from machine_tool_calibration.model.result import Result
+
+__all__ = ["AxisTable", "AxisTables", "axis_tables"]
+
+_OWN_SLOPE = (
+    "A0Z, B0Z, C0Y turn the later axis about the named direction (C0Y > 0: e_x = -y C0Y; B0Z > 0: e_x = z B0Z; "
+    "A0Z > 0: e_y = -z A0Z), apart from straightness, whose own line the datum states"
+)
+_IN_PROFILES = (
+    "no squareness is given apart: the slopes of the straightness tables hold it, and to add one would count it twice"
+)
+
+
+@dataclass(frozen=True)
+class AxisTable:
+    """One error motion of a linear axis.
+
+    Attributes:
+        name: EXX, ECY, …, as in ISO 230-1.
+        nodes: (k,) increasing positions of the axis, m; k is 2 or more.
+        value: (k,) deviation, actual minus commanded, m or rad; straight lines between the nodes.
+        uncertainty: (k,) standard uncertainty; NaN if it is not known.
+    """
+
+    name: str
+    nodes: Array
+    value: Array
+    uncertainty: Array
+
+    @property
+    def axis(self) -> str:
+        """X, Y or Z."""
+        return parse_motion(self.name).axis
+
+    @property
+    def unit(self) -> str:
+        """Of the values: m, or rad for an angle."""
+        return "rad" if parse_motion(self.name).is_rotation else "m"
+
+    @property
+    def is_positioning(self) -> bool:
+        """Whether it is the error along the axis itself."""
+        return parse_motion(self.name).component == self.axis
+
+
+@dataclass(frozen=True)
+class AxisTables:
+    """The machine's errors by axis; deviations, actual minus commanded.
+
+    Attributes:
+        chain: decides the lever arms of angles.
+        tables: error motions that are determined at all their nodes.
+        squareness: value and standard uncertainty, rad, of A0Z, B0Z, C0Y.
+        backlash: half the reversal error b of an axis (position -b dir) and its standard uncertainty, m.
+        left_out: what the result does not determine, or determines at a part of its nodes only.
+        datum: in words: where every table is zero.
+        squareness_words: the convention of squareness in words.
+    """
+
+    chain: Chain
+    tables: tuple[AxisTable, ...]
+    squareness: Mapping[str, tuple[float, float]]
+    backlash: Mapping[str, tuple[float, float]]
+    left_out: tuple[NotDetermined, ...]
+    datum: str
+    squareness_words: str
+
+    def field(self, points: Array, directions: Array | None = None) -> Array:
+        """Position error that the tables stand for.
+
+        Args:
+            points: (n, 3) commanded x, y, z, m; beyond a table's end its last interval is extended.
+            directions: (n, 3) signs of the last moves, for the backlash; without it the mean of both.
+
+        Returns:
+            (n, 3) actual minus commanded, m.
+        """
+        error = np.zeros_like(points)
+        for table in self.tables:
+            scalar = table.value @ interpolation(table.nodes, points[:, "XYZ".index(table.axis)])
+            error += scalar[:, None] * motion_field(self.chain, parse_motion(table.name), points)
+        for name, (value, _) in self.squareness.items():
+            error += value * squareness_field(name, points)
+        if directions is not None:
+            for axis, (half, _) in self.backlash.items():
+                error[:, "XYZ".index(axis)] -= half * directions[:, "XYZ".index(axis)]
+        return error
+
+    @property
+    def middle(self) -> Array:
+        """(3,) middle of the measured travel, m; 0 for an axis without a table."""
+        out = np.zeros(3)
+        for table in self.tables:
+            out["XYZ".index(table.axis)] = (table.nodes[0] + table.nodes[-1]) / 2
+        return out
+
+    def positioning(self, axis: str) -> AxisTable | None:
+        """The positioning error of an axis along the line through the middle of the measured travel.
+
+        For a controller that can correct an axis by its own position only: angles of the axis add to the error along a
+        line that is off the axis's own (Abbe), so the error in the middle is taken, counted from the axis's zero.
+
+        Args:
+            axis: X, Y or Z.
+
+        Returns:
+            The table at the nodes of EXX, EYY or EZZ, with its uncertainty; None where that is not determined.
+        """
+        own = next((table for table in self.tables if table.is_positioning and table.axis == axis), None)
+        if own is None:
+            return None
+        j = "XYZ".index(axis)
+        line = np.where(np.arange(3) == j, own.nodes[:, None], self.middle)
+        value = self.field(line)[:, j]
+        return AxisTable(own.name, own.nodes, value - value[np.argmin(np.abs(own.nodes))], own.uncertainty)
+
+
+def axis_tables(result: Result) -> AxisTables:
+    """The tables of the linear axes that a result determines.
+
+    They come from the machine's tables in the model (`rigid_body` of a tracking interferometer, `direct`,
+    `probing`), or from the profiles of the step diagonal, whose straightness holds the squareness.
+
+    Raises:
+        ModelError: the result has no table that is determined; the message says what to do.
+    """
+    model = result.fit.model
+    session = model.observations.session
+    tables: Sequence[MachineTable] = getattr(model, "tables", None) or ()
+    left_out = [entry for entry in result.not_determined if entry.name[:3] in SQUARENESS or entry.name[:1] == "E"]
+    squareness: dict[str, tuple[float, float]] = {}
+    if session.method == "step_diagonal":
+        found, words = _profiles(result, left_out), _IN_PROFILES
+    else:
+        found, squareness = _terms(result, tables, left_out)
+        words = _OWN_SLOPE
+    if not found and not squareness:
+        hint = "the result has none of a linear axis"
+        if session.method == "tracking_interferometer" and not tables:
+            hint = "the model 'free' has none; identify with --model rigid_body"
+        elif session.method == "direct" and not tables:
+            hint = "the session names no terms (such as terms: [EXX, C0Y]) to be determined"
+        elif left_out:
+            hint = f"{left_out[0].name}: {left_out[0].why}"
+        raise ModelError(f"{session.source}: no tables of error motions: {hint}")
+    return AxisTables(
+        Chain.parse(session.description.machine.chain),
+        tuple(found),
+        squareness,
+        _backlash(result),
+        tuple(left_out),
+        model.datum,
+        words,
+    )
+
+
+def _terms(
+    result: Result, tables: Sequence[MachineTable], left_out: list[NotDetermined]
+) -> tuple[list[AxisTable], dict[str, tuple[float, float]]]:
+    """Tables and squareness of the model's own machine terms."""
+    known = {estimate.name: estimate for estimate in result.parameters}
+    found: list[AxisTable] = []
+    squareness = {}
+    for table in tables:
+        estimates = [known.get(label) for label in table.labels]
+        if table.is_squareness:
+            if estimates[0] is not None:
+                squareness[table.name] = (estimates[0].value, estimates[0].standard_uncertainty)
+            continue
+        if parse_motion(table.name).axis not in "XYZ":
+            continue
+        nodes = np.asarray(table.nodes, dtype=float)
+        value = np.array([np.nan if e is None else e.value for e in estimates])
+        spread = np.array([np.nan if e is None else e.standard_uncertainty for e in estimates])
+        _take(AxisTable(table.name, nodes, value, spread), found, left_out)
+    return found, squareness
+
+
+def _profiles(result: Result, left_out: list[NotDetermined]) -> list[AxisTable]:
+    """Tables from the step diagonal's position errors of each axis."""
+    content = result.error_map.content
+    found: list[AxisTable] = []
+    for letter in "xyz":
+        nodes, error, spread = content[f"{letter}_position"], content[letter], content[f"{letter}_u"]
+        for j, component in enumerate("XYZ"):
+            _take(AxisTable(f"E{component}{letter.upper()}", nodes, error[:, j], spread[:, j]), found, left_out)
+        if f"{letter}_angular" in content:
+            angles, angles_u = content[f"{letter}_angular"], content[f"{letter}_angular_u"]
+            for j, component in enumerate("ABC"):
+                _take(AxisTable(f"E{component}{letter.upper()}", nodes, angles[:, j], angles_u[:, j]), found, left_out)
+    return found
+
+
+def _take(table: AxisTable, found: list[AxisTable], left_out: list[NotDetermined]) -> None:
+    """Keep a table that is whole; a gap must not be bridged by a controller's straight line."""
+    if len(table.nodes) < 2:
+        return
+    lost = int(np.count_nonzero(~np.isfinite(table.value)))
+    if not lost:
+        found.append(table)
+    elif all(entry.name != table.name for entry in left_out):
+        left_out.append(
+            NotDetermined(table.name, f"{lost} of its {len(table.nodes)} nodes are not determined by the readings")
+        )
+
+
+def _backlash(result: Result) -> dict[str, tuple[float, float]]:
+    found = {}
+    for estimate in result.parameters:
+        effect, _, coefficient = estimate.name.partition(".")
+        if effect in ("backlash_x", "backlash_y", "backlash_z") and coefficient == "b":
+            found[effect[-1].upper()] = (estimate.value, estimate.standard_uncertainty)
+    return found

@@ -1,0 +1,57 @@
+"""Compensation tables that controllers read, one format a module; made from public descriptions of the formats."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import ModuleType
+
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.methods.axis_tables import AxisTables
+from machine_tool_calibration.session.controller_tables import etalon, isg, linuxcnc, table_csv, table_json
+
+__all__ = ["FORMATS", "read_tables", "write_tables"]
+
+_MODULES: Mapping[str, ModuleType] = {
+    "linuxcnc": linuxcnc,
+    "isg": isg,
+    "etalon": etalon,
+    "csv": table_csv,
+    "json": table_json,
+}
+FORMATS = tuple(_MODULES)
+
+
+def write_tables(form: str, tables: AxisTables, source: str) -> dict[str, str]:
+    """The texts of the files by their names.
+
+    Args:
+        form: one of FORMATS.
+        tables: what is compensated.
+        source: which measurement it is, for the files' heads.
+
+    Raises:
+        CalibrationError: no such format, or one that cannot hold these tables.
+    """
+    write: Callable[[AxisTables, str], dict[str, str]] = _module(form).write
+    return write(tables, source)
+
+
+def read_tables(form: str, files: Mapping[str, str], tables: AxisTables) -> AxisTables:
+    """What a controller understands from the files: deviations that it takes away.
+
+    Args:
+        form: one of FORMATS.
+        files: texts by name, as from `write_tables`.
+        tables: for the chain and the words, which no controller reads from these files.
+
+    Raises:
+        CalibrationError: no such format, or text that is not of it.
+    """
+    read: Callable[[Mapping[str, str], AxisTables], AxisTables] = _module(form).read
+    return read(files, tables)
+
+
+def _module(form: str) -> ModuleType:
+    if form not in _MODULES:
+        raise CalibrationError(f"there is no format {form!r}; known are {', '.join(FORMATS)}")
+    return _MODULES[form]

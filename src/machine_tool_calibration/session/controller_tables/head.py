@@ -1,0 +1,81 @@
+"""The head of every file: sign, units, reference point, squareness, and what is not in it."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.methods.axis_tables import AxisTable, AxisTables
+
+__all__ = ["head", "number", "rebuilt"]
+
+SIGN = (
+    "deviations, actual minus commanded position of the tool in the workpiece frame (ISO 230-1); the compensation is "
+    "minus the deviation"
+)
+_REFERENCE = (
+    "positions are the commanded axis positions of the measurement, which must be machine coordinates of the homed "
+    "machine; the lever arms of angles end at the functional point (retroreflector, mirror, stylus) that was measured"
+)
+
+
+def head(tables: AxisTables, source: str, sign: str, units: str, absent: Collection[str] = ()) -> list[str]:
+    """Lines of text, without the mark of a comment.
+
+    Args:
+        tables: what is written.
+        source: which measurement it is.
+        sign: meaning of the numbers.
+        units: of the numbers.
+        absent: what the format cannot hold.
+    """
+    largest = {"m": 0.0, "rad": 0.0}
+    for table in tables.tables:
+        if table.name not in absent:
+            largest[table.unit] = max(largest[table.unit], float(table.uncertainty.max(initial=0.0)))
+    spread = f"{2e6 * largest['m']:.2f} um" + (f", {2e6 * largest['rad']:.2f} urad" if largest["rad"] else "")
+    lines = [
+        "Compensation table written by mtcal export",
+        f"measurement: {source}",
+        f"sign: {sign}",
+        f"units: {units}",
+        f"reference point: {_REFERENCE}",
+        f"datum: {tables.datum}",
+        f"squareness: {tables.squareness_words}",
+        f"largest expanded uncertainty U (k = 2) of an entry: {spread}",
+    ]
+    if absent:
+        lines.append(f"not in this format: {', '.join(absent)}")
+    lines += [f"not determined: {entry.name}: {entry.why}" for entry in tables.left_out]
+    return [" ".join(line.split()) for line in lines]
+
+
+def number(text: str, file: str, line: int) -> float:
+    """A number of a file.
+
+    Raises:
+        CalibrationError: it is none.
+    """
+    try:
+        return float(text)
+    except ValueError:
+        raise CalibrationError(f"{file}, line {line}: {text[:40]!r} is not a number") from None
+
+
+def rebuilt(
+    like: AxisTables,
+    tables: Collection[AxisTable],
+    squareness: dict[str, float] | None = None,
+    backlash: dict[str, float] | None = None,
+) -> AxisTables:
+    """What was read from a file, with the chain and the words of what was written."""
+    nan = float("nan")
+    return AxisTables(
+        like.chain,
+        tuple(tables),
+        {name: (value, nan) for name, value in (squareness or {}).items()},
+        {axis: (value, nan) for axis, value in (backlash or {}).items()},
+        (),
+        like.datum,
+        like.squareness_words,
+    )

@@ -1,0 +1,87 @@
+"""What would be left of the measured errors once a controller compensates: a wrong sign shows as twice the error."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.methods.axis_tables import AxisTables
+from machine_tool_calibration.model.result import ErrorMap
+
+__all__ = ["Left", "preview"]
+
+_PARTS = ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class Left:
+    """The position error in one direction, or its length, over the points of the error map, m.
+
+    Attributes:
+        name: x, y, z, or `length`.
+        rms_before: root mean square as measured.
+        rms_after: with the compensation.
+        largest_before: as measured.
+        largest_after: with the compensation.
+        uncertainty: root mean square standard uncertainty of the measured error: what is left cannot be told smaller.
+    """
+
+    name: str
+    rms_before: float
+    rms_after: float
+    largest_before: float
+    largest_after: float
+    uncertainty: float
+
+    @property
+    def worse(self) -> bool:
+        """Whether the compensation would do harm."""
+        return self.rms_after > self.rms_before
+
+
+def preview(error_map: ErrorMap, compensation: AxisTables) -> tuple[Left, ...]:
+    """Errors before and after, without what a shift and a turn of the whole would explain.
+
+    The workpiece's origin and direction are set on the machine, and the data of most methods leave them open.
+
+    Args:
+        error_map: the measured errors.
+        compensation: the deviations that the controller takes away, read back from the files.
+    """
+    known = np.isfinite(error_map.error)
+    predicted = compensation.field(error_map.points)
+    before = _without_motion(error_map.points, np.where(known, error_map.error, 0.0), known)
+    after = _without_motion(error_map.points, np.where(known, error_map.error - predicted, 0.0), known)
+    spread = np.where(known, error_map.uncertainty, 0.0)
+    out = []
+    for j, name in enumerate(_PARTS):
+        if known[:, j].any():
+            at = known[:, j]
+            out.append(_left(name, before[at, j], after[at, j], spread[at, j]))
+    lengths = [np.linalg.norm(part, axis=1) for part in (before, after, spread)]
+    return (*out, _left("length", *lengths))
+
+
+def _left(name: str, before: Array, after: Array, spread: Array) -> Left:
+    def rms(values: Array) -> float:
+        return float(np.sqrt(np.mean(values**2)))
+
+    def largest(values: Array) -> float:
+        return float(np.abs(values).max())
+
+    return Left(name, rms(before), rms(after), largest(before), largest(after), rms(spread))
+
+
+def _without_motion(points: Array, error: Array, known: Array) -> Array:
+    """(n, 3) the error less its least-squares shift and turn; zero where it is not known."""
+    arm = points - points.mean(axis=0)
+    columns = [np.tile(np.eye(3)[j], (len(points), 1)) for j in range(3)]
+    columns += [np.cross(np.eye(3)[j], arm) for j in range(3)]
+    mask = known.ravel().astype(float)
+    matrix = np.stack([column.ravel() * mask for column in columns], axis=1)
+    size = np.linalg.norm(matrix, axis=0)
+    matrix = matrix[:, size > 1e-12] / size[size > 1e-12]
+    fitted = matrix @ np.linalg.lstsq(matrix, error.ravel() * mask, rcond=1e-9)[0]
+    return np.asarray((error.ravel() * mask - fitted).reshape(-1, 3))
