@@ -5,12 +5,19 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
+import yaml
 from rcl_interfaces.msg import ParameterType
-from rcl_interfaces.srv import DescribeParameters, ListParameters
+from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
+from rclpy.parameter import parameter_value_to_python
+
+from machine_tool_calibration.nodes.graph import Graph, Program
 
 from .conftest import begin
+
+CONFIG = Path(__file__).parents[2] / "config"
 
 NAMES = ("axis_simulator", "rotary_pointer", "instrument", "procedure", "estimator")
 
@@ -104,3 +111,35 @@ def _call(operator, kind, service, request):
     future = client.call_async(request)
     assert operator.wait(future.done, 10.0)
     return future.result()
+
+
+@pytest.mark.timeout(60)
+def test_parameter_files_reach_the_nodes_in_a_namespace(bench):
+    text = (CONFIG / "nodes.yaml").read_text()
+    assert "    speed: 0.5 " in text
+    (bench.folder / "nodes.yaml").write_text(text.replace("    speed: 0.5 ", "    speed: 0.123 "))
+    program = Program("axis_simulator", {"use_sim_time": True})
+    for namespace in ("", "cell_3"):
+        folder = bench.folder / f"log-{namespace}"
+        graph = bench.stack.enter_context(
+            Graph([program], folder, bench.domain, namespace, bench.folder / "nodes.yaml")
+        )
+        operator = bench.operator(graph)
+        request = GetParameters.Request(names=["speed", "acceleration"])
+        values = _call(operator, GetParameters, "axis_simulator/get_parameters", request).values
+        assert [value.double_value for value in values] == [0.123, 2.0]
+
+
+@pytest.mark.timeout(60)
+def test_example_parameters_are_the_nodes_defaults(bench):
+    given = yaml.safe_load((CONFIG / "nodes.yaml").read_text())
+    graph = bench.graph(NAMES, simulated_time=False)
+    operator = bench.operator(graph)
+    assert sorted(key.rsplit("/", 1)[1] for key in given) == sorted(NAMES)
+    for name in NAMES:
+        wanted = given[f"/**/{name}"]["ros__parameters"]
+        if name == "instrument":
+            del wanted["sample_noise"]  # the bench sets it
+        request = GetParameters.Request(names=list(wanted))
+        found = _call(operator, GetParameters, f"{name}/get_parameters", request).values
+        assert {key: parameter_value_to_python(value) for key, value in zip(wanted, found, strict=True)} == wanted
