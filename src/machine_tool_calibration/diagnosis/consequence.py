@@ -1,8 +1,8 @@
-"""What adding an effect does: to the residuals, to the machine's map, and its coefficients as an identification names them."""
+"""What adding an effect does to the residuals and to the machine's map."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,11 +12,12 @@ from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.ranking import Ranked
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.model.effect_terms import add_effects
 from machine_tool_calibration.model.fit import Fit, fit_models
 from machine_tool_calibration.model.result import ErrorMap, Estimate
 
-__all__ = ["Consequence", "consequences", "effect_estimates", "map_change", "map_rms", "rms"]
+__all__ = ["Consequence", "before_and_after", "consequences", "effect_estimates", "map_change", "map_rms", "rms"]
 
 # How many of the best candidates are added in full, each by itself.
 _MOST = 8
@@ -38,6 +39,7 @@ class Consequence:
         rms_after: RMS residual with it, m.
         map_change_rms: RMS length by which the position errors of the map's points change, m; None where the method's
             map has none in common.
+        explained: (n,) what it takes out of the residual of each reading, m.
     """
 
     effect: str
@@ -47,8 +49,10 @@ class Consequence:
     rms_before: float
     rms_after: float
     map_change_rms: float | None
+    explained: Array
 
 
+@single_blas()
 def consequences(diagnosis: Diagnosis, most: int = _MOST) -> dict[str, Consequence]:
     """What each of the best candidates would change; of those accepted, what each did change, in their order.
 
@@ -78,6 +82,17 @@ def consequences(diagnosis: Diagnosis, most: int = _MOST) -> dict[str, Consequen
     return out
 
 
+def before_and_after(
+    diagnosis: Diagnosis, ranked: Ranked, changes: Mapping[str, Consequence]
+) -> tuple[float, float]:
+    """RMS residual without and with a candidate, m: of a full fit where there is one, else of the screening."""
+    name = ranked.candidate.name
+    if name in changes:
+        return changes[name].rms_before, changes[name].rms_after
+    k = diagnosis.accepted.index(name) if name in diagnosis.accepted else 0
+    return rms(diagnosis.looks[k].fit.residuals), ranked.rms_after
+
+
 def _added(fit: Fit, ranked: Ranked) -> Fit | None:
     effect = ranked.candidate.effect
     if not isinstance(effect, Effect):
@@ -101,11 +116,12 @@ def _consequence(
         rms_before=rms(before.residuals),
         rms_after=rms(after.residuals),
         map_change_rms=map_change(map_before, map_after),
+        explained=before.residuals - after.residuals,
     )
 
 
 def effect_estimates(fit: Fit, effects: Sequence[str]) -> tuple[Estimate, ...]:
-    """Coefficients of effects in a fit, as `identify` publishes them; those that the data does not determine are left out."""
+    """Coefficients of effects in a fit that the data determines, as `identify` publishes them."""
     uncertainty = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
     return tuple(
         Estimate(p.name, float(p.reference + value), float(u), p.unit)

@@ -7,16 +7,25 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.diagnosis.consequence import Consequence, consequences, effect_estimates, rms
+from machine_tool_calibration.diagnosis.consequence import (
+    Consequence,
+    before_and_after,
+    consequences,
+    effect_estimates,
+    rms,
+)
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, Look, Structure
 from machine_tool_calibration.diagnosis.ranking import Ranked
 from machine_tool_calibration.model.result import plain
-from machine_tool_calibration.planning.advice import Advice, Separation, Visibility, alias_groups_of, what_to_measure
+from machine_tool_calibration.planning.advice import Advice, Separation, Visibility, alias_groups_of
+from machine_tool_calibration.planning.what_to_measure import what_to_measure
 
-__all__ = ["diagnosis_document", "named_probability"]
+__all__ = ["diagnosis_document", "named_probability", "smallest_sizes"]
 
 # Chance of the structure that is left where its own p-value has vanished.
 _SMALLEST = 1e-300
+# Multiple of the largest size that occurs beyond which an effect counts as not detectable.
+_BEYOND = 10.0
 
 
 def diagnosis_document(
@@ -97,8 +106,7 @@ def _candidate(
 ) -> dict[str, Any]:
     name = ranked.candidate.name
     change = changes.get(name)
-    before = rms(look.fit.residuals) if change is None else change.rms_before
-    after = ranked.rms_after if change is None else change.rms_after
+    before, after = before_and_after(diagnosis, ranked, changes)
     return {
         "effect": name,
         "probability": named_probability(diagnosis, ranked),
@@ -198,13 +206,21 @@ def _structure(structure: Structure) -> dict[str, Any]:
 
 def _detectable(look: Look) -> Iterator[dict[str, Any]]:
     """Smallest size of each effect that this measurement would have found with a power of 80 %."""
-    units = {
-        (r.candidate.name, size.coefficient.name): size.coefficient.unit for r in look.ranked for size in r.sizes
-    }
-    for name, sizes in look.detectable.items():
-        yield {
-            "effect": name,
-            "smallest": [
-                {"name": f"{name}.{key}", "value": value, "unit": units[name, key]} for key, value in sizes.items()
-            ],
-        }
+    for r in look.ranked:
+        name = r.candidate.name
+        smallest = smallest_sizes(look, r)
+        if smallest:
+            units = {size.coefficient.name: size.coefficient.unit for size in r.sizes}
+            yield {
+                "effect": name,
+                "smallest": [
+                    {"name": f"{name}.{key}", "value": value, "unit": units[key]} for key, value in smallest.items()
+                ],
+            }
+
+
+def smallest_sizes(look: Look, ranked: Ranked) -> dict[str, float | None]:
+    """Smallest detectable size of each coefficient; None where it is beyond all that occurs, as if it were absorbed."""
+    found = look.detectable.get(ranked.candidate.name, {})
+    limits = {s.coefficient.name: max(abs(s.coefficient.low), abs(s.coefficient.high)) for s in ranked.sizes}
+    return {key: value if value <= _BEYOND * limits[key] else None for key, value in found.items()}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -56,7 +57,7 @@ def mounted_again(session: Session, rows: IntArray) -> Mounting:
     absolute = isinstance(description, Direct) and description.datum == "none"
     if session.method == "probing" or absolute:
         return Mounting(session, description, {}, "", "")
-    setups = list(description.setups)
+    setups: list[Any] = list(description.setups)
     ids = {setup.id for setup in setups}
     place = {}
     for s in sorted(set(session.readings.setup[rows].tolist())):

@@ -54,7 +54,9 @@ def _repeated(session: Session, rows: IntArray, measure: str) -> Iterator[Option
     """The same again, in another way."""
     again = mounted_again(session, rows)
 
-    def option(kind: str, how: str, changed: Changed, aside: str = "", turned: dict[str, float] | None = None) -> Option:
+    def option(
+        kind: str, how: str, changed: Changed, aside: str = "", turned: dict[str, float] | None = None
+    ) -> Option:
         besides = " and ".join(text for text in (again.aside, aside) if text)
         return Option.of(session, kind, f"{measure}{again.words}{how}", again.added(changed), besides, turned or {})
 

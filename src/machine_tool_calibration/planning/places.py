@@ -148,7 +148,8 @@ def _in_order(
         sign.append(np.tile(runs[k].sign, (len(path), 1)))
         displacement.append((path - runs[k].start) @ runs[k].beam)
         setup.append(np.full(len(path), len(setups), dtype=np.int64))
-        setups.append(description.setups[k].model_copy(update={"id": _fresh([s.id for s in setups], f"{name}_{order}")}))
+        new = _fresh([s.id for s in setups], f"{name}_{order}")
+        setups.append(description.setups[k].model_copy(update={"id": new}))
     at, towards = np.concatenate(position), np.concatenate(sign)
     changed = {axis: at[:, j] for j, axis in enumerate("xyz") if axis in session.readings.columns}
     changed |= {f"dir_{a}": towards[:, j] for j, a in enumerate("xyz") if f"dir_{a}" in session.readings.columns}

@@ -10,7 +10,8 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, BoolArray
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.estimation.projection import project
-from machine_tool_calibration.estimation.solve import gram, solve_normal
+from machine_tool_calibration.estimation.reduction import gram
+from machine_tool_calibration.estimation.solve import solve_normal
 from machine_tool_calibration.methods.identify import build_model
 from machine_tool_calibration.model.model import MethodModel, assemble
 from machine_tool_calibration.model.observations import Observations
@@ -56,8 +57,8 @@ class Sensed:
 
     def beside(self, names: Sequence[str]) -> Sensed:
         """The same with further effects in the model."""
-        index = np.concatenate([np.arange(len(self.gram))[self.place[n]] for n in names if n in self.place] or [[]])
-        index = index.astype(int)
+        every = np.arange(len(self.gram))
+        index = np.concatenate([every[:0], *(every[self.place[n]] for n in names if n in self.place)])
         if not len(index):
             return self
         cross = self.gram[index]

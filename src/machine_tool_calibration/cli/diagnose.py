@@ -1,0 +1,86 @@
+"""`mtcal diagnose`: which physical effect the model lacks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from machine_tool_calibration.cli.diagnosing import bar, model_options, own_effects, saved, search_options, show_table
+from machine_tool_calibration.cli.output import console, json_option, write_json
+
+__all__ = ["command"]
+
+
+@click.command("diagnose")
+@click.argument("measurement", metavar="SESSION", type=click.Path(path_type=Path))
+@model_options
+@search_options
+@click.option("--all", "everything", is_flag=True, help="List every effect that was looked for.")
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Folder for pictures (PNG) and the numbers behind them (CSV).",
+)
+@json_option
+def command(
+    measurement: Path,
+    effects: tuple[str, ...],
+    files: tuple[Path, ...],
+    model: str | None,
+    seed: int,
+    sets: int,
+    everything: bool,
+    output: Path | None,
+    as_json: bool,
+) -> None:
+    """Say which physical effect the model lacks, how large it is, and what to measure to be sure.
+
+    SESSION is a session folder or a recording. Every effect of the catalogue (`mtcal effects`) is tried, with a
+    threshold that pays for the search and allows for small irreproducibility between setups. The answer names
+    look-alikes that this measurement cannot tell apart, effects that would not show in it, the smallest size that it
+    would have found, structure that no effect explains, and readings that do not belong to the rest.
+
+    \b
+    mtcal diagnose measurements/cube
+    mtcal diagnose measurements/cube --effect backlash_y --output pictures
+    mtcal diagnose measurements/cube --json
+    """
+    from machine_tool_calibration.diagnosis.consequence import consequences
+    from machine_tool_calibration.diagnosis.diagnose import diagnose
+    from machine_tool_calibration.diagnosis.document import diagnosis_document
+    from machine_tool_calibration.diagnosis.report import diagnosis_report
+    from machine_tool_calibration.planning.what_to_measure import what_to_measure
+    from machine_tool_calibration.session.open import open_measurement
+
+    session = open_measurement(measurement)
+    own = own_effects(files)
+    with bar() as progress:
+        found = diagnose(
+            session,
+            model=model,
+            effects=effects,
+            own=own,
+            seed=seed,
+            sets=sets,
+            progress=lambda what, share: progress(what, 0.7 * share),
+        )
+        progress("what the candidates would change", 0.7)
+        changes = consequences(found)
+        advice = what_to_measure(
+            found, model=model, own=own, progress=lambda what, share: progress(what, 0.8 + 0.2 * share)
+        )
+    if output is not None:
+        from machine_tool_calibration.plots.diagnosis import save_diagnosis
+
+        saved(save_diagnosis(found, changes, output))
+    if as_json:
+        write_json(diagnosis_document(found, advice, changes))
+        return
+    report = diagnosis_report(found, advice, changes, 0 if everything else 8)
+    screen = console()
+    for paragraph in report.words:
+        screen.print(paragraph, markup=False)
+    for table in report.tables:
+        show_table(screen, table)

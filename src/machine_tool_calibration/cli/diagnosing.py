@@ -1,0 +1,110 @@
+"""What the verbs that diagnose share: options, the progress bar, tables."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from machine_tool_calibration.cli.output import error_console, note
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from machine_tool_calibration.diagnosis.report import TextTable
+    from machine_tool_calibration.effects.effect import Effect
+
+__all__ = ["bar", "model_options", "own_effects", "saved", "search_options", "show_table"]
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+# Longest text that a column keeps on one line.
+_UNBROKEN = 24
+
+
+def model_options(function: Command) -> Command:
+    """Add `--effect`, `--effects-file` and `--model`."""
+    for option in (
+        click.option("--model", help="Variant of the method's model, such as free or rigid_body."),
+        click.option(
+            "--effects-file",
+            "files",
+            type=click.Path(path_type=Path, dir_okay=False),
+            multiple=True,
+            help="YAML file with effects of your own; they are looked for like the built-in ones.",
+        ),
+        click.option(
+            "-e", "--effect", "effects", multiple=True, metavar="ID", help="Effect that is in the model already."
+        ),
+    ):
+        function = option(function)
+    return function
+
+
+def search_options(function: Command) -> Command:
+    """Add `--seed` and `--sets`."""
+    for option in (
+        click.option(
+            "--sets",
+            type=click.IntRange(min=199),
+            default=399,
+            show_default=True,
+            help="Simulated data sets in which nothing is missing; they decide what chance can do.",
+        ),
+        click.option(
+            "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of the simulated data sets."
+        ),
+    ):
+        function = option(function)
+    return function
+
+
+def own_effects(files: Sequence[Path]) -> list[Effect]:
+    """The user's own effects from their files."""
+    if not files:
+        return []
+    from machine_tool_calibration.effects.formula import read_effects
+
+    return [effect for file in files for effect in read_effects(file)]
+
+
+@contextmanager
+def bar() -> Iterator[Callable[[str, float], None]]:
+    """A progress bar on standard error; nothing where that is not a terminal."""
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    screen = error_console()
+    if not screen.is_terminal:
+        yield lambda what, share: None
+        return
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=screen, transient=True) as shown:
+        task = shown.add_task("reading", total=1.0)
+        yield lambda what, share: shown.update(task, description=what, completed=share)
+
+
+def show_table(screen: Console, table: TextTable) -> None:
+    """Print a table of text; columns without any text are left out."""
+    from rich.table import Table
+    from rich.text import Text
+
+    shown = Table(box=None, header_style="bold", pad_edge=False)
+    used = [k for k in range(len(table.columns)) if any(row[k] for row in table.rows)]
+    for k in used:
+        longest = max((len(row[k]) for row in table.rows), default=0)
+        shown.add_column(Text(table.columns[k]), overflow="fold", no_wrap=longest <= _UNBROKEN)
+    for row in table.rows:
+        shown.add_row(*(Text(row[k]) for k in used))
+    screen.print()
+    screen.print(Text(table.title, style="bold"))
+    screen.print(shown)
+    if table.note:
+        screen.print(Text(f"({table.note})", style="dim"))
+
+
+def saved(paths: Sequence[Path]) -> None:
+    """Say on standard error what was written."""
+    if paths:
+        note(f"wrote {', '.join(str(path) for path in paths)}")

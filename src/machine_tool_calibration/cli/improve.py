@@ -1,0 +1,190 @@
+"""`mtcal improve`: find the missing effects, add them, and watch the error fall."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from machine_tool_calibration.cli.diagnosing import bar, model_options, own_effects, saved, search_options, show_table
+from machine_tool_calibration.cli.output import console, json_option, write_json
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.diagnosis.report import TextTable
+    from machine_tool_calibration.methods.improve import Improvement, Step
+
+__all__ = ["command"]
+
+
+@click.command("improve")
+@click.argument("measurement", metavar="SESSION", type=click.Path(path_type=Path))
+@model_options
+@search_options
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Folder for the picture (PNG) and the numbers (CSV); by default ./mtcal_output/improve_<name of the session>.",
+)
+@click.option("--history/--no-history", default=True, help="Keep the models in the history of the session, or not.")
+@json_option
+def command(
+    measurement: Path,
+    effects: tuple[str, ...],
+    files: tuple[Path, ...],
+    model: str | None,
+    seed: int,
+    sets: int,
+    output: Path | None,
+    history: bool,
+    as_json: bool,
+) -> None:
+    """Add the effects that the diagnosis finds, one after the other, and watch the error fall.
+
+    SESSION is a session folder or a recording. Every model is identified; the table shows before and after side by
+    side: the residual, the map of errors and what is left at the tool point. A picture shows the error falling. The
+    models are kept in history.yaml in the session's folder, or beside the recording (`mtcal history` lists, compares
+    and undoes them).
+
+    \b
+    mtcal improve measurements/cube
+    mtcal improve measurements/cube --effect backlash_y
+    """
+    from machine_tool_calibration.methods.improve import entries, improve
+    from machine_tool_calibration.plots.improve import save_improvement
+    from machine_tool_calibration.session.history_file import fingerprint, history_path, read_history, update_history
+    from machine_tool_calibration.session.open import open_measurement
+
+    session = open_measurement(measurement)
+    kept = history_path(measurement)
+    if history:
+        # A damaged history is told before a long calculation, not after it.
+        read_history(kept)
+    with bar() as progress:
+        done = improve(
+            session, model=model, effects=effects, own=own_effects(files), seed=seed, sets=sets, progress=progress
+        )
+    if as_json:
+        write_json(_document(done))
+    else:
+        _show(done)
+    if history:
+        made = datetime.now(UTC).isoformat(timespec="seconds")
+        update_history(kept, lambda old: old.grown(entries(done, fingerprint(session), made, "improve")))
+    if output is None:
+        output = Path("mtcal_output") / f"improve_{measurement.absolute().name}"
+    saved([*save_improvement(done, output), *([kept] if history else [])])
+
+
+def _show(done: Improvement) -> None:
+    screen = console()
+    screen.print(_words(done), markup=False)
+    show_table(screen, _steps(done))
+    if len(done.steps) > 1:
+        show_table(screen, _side_by_side(done.steps[0], done.steps[-1]))
+
+
+def _words(done: Improvement) -> str:
+    from machine_tool_calibration.diagnosis.quantities import quantity
+
+    found, first, last = done.diagnosis, done.steps[0], done.steps[-1]
+    fell = (
+        f"the residual falls from {quantity(first.result.rms_residual, 'm')} to "
+        f"{quantity(last.result.rms_residual, 'm')} RMS (declared uncertainty {quantity(found.noise.declared, 'm')})."
+    )
+    if found.accepted:
+        return f"Added {', '.join(found.accepted)}: {fell}"
+    if found.verdict == "outliers":
+        return f"Set aside {len(found.outliers)} readings that do not belong to the rest: {fell} No effect is missing."
+    if found.verdict == "unexplained":
+        return (
+            "Nothing was added: the residuals have structure that no effect of the catalogue explains; "
+            "`mtcal diagnose` says on what they depend."
+        )
+    return "Nothing was added: this measurement shows no missing effect."
+
+
+def _steps(done: Improvement) -> TextTable:
+    from machine_tool_calibration.diagnosis.quantities import micrometres, sizes_in_words
+    from machine_tool_calibration.diagnosis.report import TextTable
+
+    rows = []
+    for step in done.steps:
+        own = [p for p in step.parameters if p.name.split(".")[0] == step.change]
+        rows.append(
+            (
+                step.label,
+                sizes_in_words(own) if own else "",
+                micrometres(step.result.rms_residual),
+                _chi(step),
+                micrometres(step.map_change),
+                micrometres(step.map_rms),
+                micrometres(None if step.map_uncertainty is None else 2 * step.map_uncertainty),
+                micrometres(None if step.left_at_tool is None else 2 * step.left_at_tool),
+            )
+        )
+    heads = ("model", "size ± U", "residual", "chi²/ν", "map moves", "map", "U of the map", "left at the tool point")
+    note = (
+        "µm RMS; U expanded (k = 2), from the declared uncertainty; left at the tool point: U as the readings' real "
+        "scatter makes it"
+    )
+    return TextTable("Step by step", heads, tuple(rows), note)
+
+
+def _side_by_side(first: Step, last: Step) -> TextTable:
+    from machine_tool_calibration.diagnosis.quantities import micrometres, probability
+    from machine_tool_calibration.diagnosis.report import TextTable
+
+    def pair(name: str, values: list[str]) -> tuple[str, str, str]:
+        return (name, values[0], values[1])
+
+    both = (first, last)
+    rows = [
+        pair("effects added", [", ".join(s.result.effects) or "none" for s in both]),
+        pair("readings used", [str(len(s.result.fit.model.observations)) for s in both]),
+        pair("residual, µm RMS", [micrometres(s.result.rms_residual) for s in both]),
+        pair("chi²/ν", [_chi(s) for s in both]),
+        pair("its p", [probability(s.result.fit.joint.p_value) for s in both]),
+        pair("map of errors, µm RMS", [micrometres(s.map_rms) for s in both]),
+        pair(
+            "left at the tool point, µm RMS (k = 2)",
+            [micrometres(None if s.left_at_tool is None else 2 * s.left_at_tool) for s in both],
+        ),
+    ]
+    return TextTable("Before and after", ("", "before", "after"), tuple(rows))
+
+
+def _chi(step: Step) -> str:
+    return "–" if step.reduced_chi_square is None else f"{step.reduced_chi_square:.2f}"
+
+
+def _document(done: Improvement) -> dict[str, Any]:
+    """SI units; NaN becomes null."""
+    return {
+        "format": "mtcal-improvement/1",
+        "verdict": done.diagnosis.verdict,
+        "accepted": done.diagnosis.accepted,
+        "set_aside": done.steps[-1].set_aside,
+        "steps": [
+            {
+                "change": step.change,
+                "effects": step.result.effects,
+                "readings": len(step.result.fit.model.observations),
+                "rms_residual": step.result.rms_residual,
+                "reduced_chi_square": step.reduced_chi_square,
+                "p_value": step.result.fit.joint.p_value,
+                "map_rms": step.map_rms,
+                "map_change_rms": step.map_change,
+                "map_uncertainty_rms": step.map_uncertainty,
+                "left_at_tool_rms": step.left_at_tool,
+                "parameters": [
+                    {"name": p.name, "value": p.value, "standard_uncertainty": p.standard_uncertainty, "unit": p.unit}
+                    for p in step.parameters
+                ],
+            }
+            for step in done.steps
+        ],
+        "result": done.steps[-1].result.document(),
+    }

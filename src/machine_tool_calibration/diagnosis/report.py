@@ -1,0 +1,241 @@
+"""A diagnosis for people: in plain words first, then tables; text only, without a terminal's colours."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from machine_tool_calibration.diagnosis.consequence import Consequence, before_and_after
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis
+from machine_tool_calibration.diagnosis.document import named_probability, smallest_sizes
+from machine_tool_calibration.diagnosis.quantities import (
+    duration,
+    micrometres,
+    probability,
+    quantity,
+    range_of,
+    sizes_in_words,
+)
+from machine_tool_calibration.diagnosis.ranking import Ranked
+from machine_tool_calibration.diagnosis.verdict_words import verdict_words
+from machine_tool_calibration.model.result import Estimate
+from machine_tool_calibration.planning.advice import Advice, alias_groups_of
+
+__all__ = ["Report", "TextTable", "diagnosis_report"]
+
+_SHOWN = 8
+_MANY = 3
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """A table of text.
+
+    Attributes:
+        title: what it shows.
+        columns: heads.
+        rows: as many texts as there are heads.
+        note: to be read below it.
+    """
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Report:
+    """A diagnosis in words.
+
+    Attributes:
+        words: paragraphs, the verdict first.
+        tables: the numbers; empty ones are left out.
+    """
+
+    words: tuple[str, ...]
+    tables: tuple[TextTable, ...]
+
+
+def diagnosis_report(
+    diagnosis: Diagnosis, advice: Advice, changes: Mapping[str, Consequence], shown: int = _SHOWN
+) -> Report:
+    """The diagnosis in words and tables.
+
+    Args:
+        diagnosis: what was found.
+        advice: what to measure next.
+        changes: what candidates change, by id.
+        shown: how many candidates beside the accepted ones; 0 for all.
+    """
+    tables = [
+        _candidates(diagnosis, changes, shown),
+        _outliers(diagnosis),
+        _structure(diagnosis),
+        _alike(diagnosis, advice),
+        _next(advice),
+        _absorbed(diagnosis),
+        _detectable(diagnosis),
+        _excluded(diagnosis),
+    ]
+    return Report(tuple(verdict_words(diagnosis, changes, advice)), tuple(table for table in tables if table.rows))
+
+
+def _candidates(diagnosis: Diagnosis, changes: Mapping[str, Consequence], shown: int) -> TextTable:
+    letters: dict[str, str] = {}
+    for k, (group, _) in enumerate(alias_groups_of(diagnosis)):
+        for name in group:
+            letters.setdefault(name, chr(ord("A") + k % 26))
+    accepted = diagnosis.accepted
+    ranked = [r for r in diagnosis.ranked if r.rank]
+    rows = []
+    for r in ranked[: len(accepted) + shown] if shown else ranked:
+        name = r.candidate.name
+        change = changes.get(name)
+        before, after = before_and_after(diagnosis, r, changes)
+        rows.append(
+            (
+                f"{'✓ ' if name in accepted else ''}{name}",
+                letters.get(name, ""),
+                probability(named_probability(diagnosis, r)),
+                probability(r.family_p_value),
+                _sizes(r, change),
+                "yes" if r.plausible else "no",
+                f"{micrometres(before)} → {micrometres(after)}",
+                micrometres(None if change is None else change.map_change_rms),
+            )
+        )
+    title = "Effects looked for, the most probable first"
+    if diagnosis.verdict == "unexplained":
+        title = "Effects looked for: none of them is named as the cause"
+    left = len(ranked) - len(rows)
+    note = "alike: the same letter, look-alikes; p: paid for the whole search; size ± U (k = 2)"
+    if accepted:
+        note = f"✓ found; {note}; the others as they were before anything was added"
+    if left:
+        note += f"; {left} less probable ones are left out"
+    heads = ("effect", "alike", "probability", "p", "size", "plausible", "residual RMS / µm", "map moves / µm RMS")
+    return TextTable(title, heads, tuple(rows), note)
+
+
+def _sizes(ranked: Ranked, change: Consequence | None) -> str:
+    if change is not None and change.parameters:
+        return sizes_in_words(change.parameters)
+    name = ranked.candidate.name
+    sizes = [
+        Estimate(f"{name}.{s.coefficient.name}", s.value, s.standard_uncertainty, s.coefficient.unit)
+        for s in ranked.sizes
+    ]
+    return sizes_in_words(sizes)
+
+
+def _outliers(diagnosis: Diagnosis) -> TextTable:
+    rows = tuple(
+        (str(o.row), f"{o.studentized:+.1f}", f"{1e6 * o.deviation:+.2f}")
+        for o in sorted(diagnosis.outliers, key=lambda o: o.row)
+    )
+    return TextTable(
+        "Readings that do not belong to the rest; they were set aside",
+        ("row", "studentized", "deviation / µm"),
+        rows,
+        "rows count from 0: row 0 is the second line of observations.csv",
+    )
+
+
+def _structure(diagnosis: Diagnosis) -> TextTable:
+    left = diagnosis.looks[-1].structure
+    rows = tuple((s.covariate, s.shape, probability(s.p_value), f"{100 * s.share:.0f} %") for s in left[:_SHOWN])
+    title = "What the residuals still depend on"
+    note = f"{len(left) - _SHOWN} more" if len(left) > _SHOWN else ""
+    return TextTable(title, ("covariate", "shape", "p", "share of the sum of squares"), rows, note)
+
+
+def _alike(diagnosis: Diagnosis, advice: Advice) -> TextTable:
+    rows = []
+    for s in advice.separations:
+        told = s.effects[0] in diagnosis.accepted
+        rows.append(
+            (
+                ", ".join(s.effects),
+                s.measure,
+                duration(s.seconds),
+                s.aside,
+                f"{s.cosine_before:.2f} → {s.cosine_after:.2f}",
+                f"{s.apart_before:.1f} → {s.apart_after:.1f}" if told else "",
+            )
+        )
+    heads = ("look-alikes", "to tell them apart", "time", "besides", "cosine", "apart / σ")
+    note = (
+        "cosine: 1 if they cannot be told apart; apart: how many standard uncertainties the nearest of the others is "
+        "from the effect found, at its size"
+    )
+    return TextTable("Look-alikes, and what to measure next", heads, tuple(rows), note)
+
+
+def _next(advice: Advice) -> TextTable:
+    rows = tuple(
+        (
+            v.effect,
+            v.measure,
+            duration(v.seconds),
+            v.aside,
+            "not at all" if v.before is None else quantity(v.before, v.unit),
+            quantity(v.after, v.unit),
+        )
+        for v in advice.visibilities
+    )
+    heads = ("effect", "to see it", "time", "besides", "seen from: now", "then")
+    return TextTable("Effects that hardly show here, and what would show them", heads, rows)
+
+
+def _absorbed(diagnosis: Diagnosis) -> TextTable:
+    look = diagnosis.looks[len(diagnosis.accepted)]
+    by: dict[str, list[str]] = {}
+    for a in look.absorbed:
+        by.setdefault(a.by, []).append(a.effect)
+    rows = tuple((", ".join(names), what) for what, names in by.items())
+    title = "Effects that would not show: the model's own freedom takes them up"
+    return TextTable(title, ("effect", "taken up by"), rows)
+
+
+def _detectable(diagnosis: Diagnosis) -> TextTable:
+    look = diagnosis.looks[len(diagnosis.accepted)]
+    rows = []
+    for r in look.ranked:
+        sizes = smallest_sizes(look, r)
+        if sizes:
+            rows.append((r.candidate.name, *_smallest(r, sizes)))
+    rows.sort()
+    title = "Smallest size that this measurement would have found (80 % power)"
+    return TextTable(title, ("effect", "smallest size", "sizes that occur"), tuple(rows))
+
+
+def _smallest(ranked: Ranked, sizes: Mapping[str, float | None]) -> tuple[str, str]:
+    known = {s.coefficient.name: s.coefficient for s in ranked.sizes}
+    first = known[next(iter(sizes))]
+    seen = {name: value for name, value in sizes.items() if value is not None}
+    if not seen:
+        text = "none that occurs"
+    elif len(sizes) <= _MANY:
+        text = ", ".join(f"{name} {quantity(value, known[name].unit)}" for name, value in seen.items())
+    else:
+        low, high = min(seen.values()), max(seen.values())
+        text = f"{len(seen)} of {len(sizes)} coefficients, {quantity(low, first.unit)} to {quantity(high, first.unit)}"
+    return text, range_of(first.low, first.high, first.unit)
+
+
+def _excluded(diagnosis: Diagnosis) -> TextTable:
+    by: dict[str, list[str]] = {}
+    for name, why in diagnosis.excluded.items():
+        by.setdefault(why, []).append(name)
+    rows = tuple((", ".join(names), why) for why, names in _longest_last(by))
+    return TextTable("Effects that were not looked for", ("effect", "why"), rows)
+
+
+def _longest_last(by: Mapping[str, list[str]]) -> Iterator[tuple[str, list[str]]]:
+    lengths = np.argsort([len(names) for names in by.values()], kind="stable")
+    items = list(by.items())
+    for k in lengths:
+        yield items[int(k)]

@@ -1,0 +1,158 @@
+"""The verdict in sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from machine_tool_calibration.diagnosis.consequence import Consequence, rms
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis, Structure
+from machine_tool_calibration.diagnosis.quantities import probability, quantity, sizes_in_words
+from machine_tool_calibration.planning.advice import Advice, Separation
+from machine_tool_calibration.session.session import Session
+
+__all__ = ["mounted_more_than_once", "verdict_words"]
+
+# Chance below which residuals count as larger than declared.
+_TOO_LARGE = 0.01
+_MANY = 3
+# Standard uncertainties between look-alikes from which the readings tell them apart all the same.
+_APART = 6.0
+
+
+def verdict_words(diagnosis: Diagnosis, changes: Mapping[str, Consequence], advice: Advice) -> Iterator[str]:
+    """Paragraphs: the verdict, every effect found, and what the data cannot tell."""
+    yield _verdict(diagnosis)
+    for name in diagnosis.accepted:
+        yield _found(diagnosis, name, changes.get(name), advice)
+    if diagnosis.verdict == "unexplained":
+        yield from _unexplained(diagnosis)
+    yield from _noise(diagnosis)
+
+
+def _verdict(diagnosis: Diagnosis) -> str:
+    first = diagnosis.looks[0].fit
+    declared = quantity(diagnosis.noise.declared, "m")
+    residual = f"{quantity(rms(first.residuals), 'm')} RMS (declared uncertainty {declared})"
+    if diagnosis.verdict == "missing_effect":
+        names = [_title(diagnosis, name) for name in diagnosis.accepted]
+        what = names[0] if len(names) == 1 else f"{len(names)} effects: {', '.join(names)}"
+        return f"The model lacks {what}."
+    if diagnosis.verdict == "unexplained":
+        return (
+            "The model lacks something that no effect of the catalogue explains: the residuals have structure. "
+            "No effect is named as the cause."
+        )
+    if diagnosis.verdict == "outliers":
+        n = len(diagnosis.outliers)
+        many = "One reading does" if n == 1 else f"{n} readings do"
+        return (
+            f"{many} not belong to the rest: single, large deviations that do not repeat, as a chip or a broken beam "
+            f"makes them. Without them nothing is missing that this measurement could show; the residual is {residual}."
+        )
+    return f"Nothing is missing that this measurement could show: the residual is {residual}."
+
+
+def _title(diagnosis: Diagnosis, name: str) -> str:
+    effect = next((r.candidate.effect for r in diagnosis.ranked if r.candidate.name == name), None)
+    return f"{effect.title} ({name})" if effect is not None else name
+
+
+def _found(diagnosis: Diagnosis, name: str, change: Consequence | None, advice: Advice) -> str:
+    k = diagnosis.accepted.index(name)
+    ranked = next(r for r in diagnosis.looks[k].ranked if r.candidate.name == name)
+    effect = ranked.candidate.effect
+    words = [f"{name}: {effect.formula}." if effect is not None else f"{name}."]
+    if change is not None:
+        if 0 < len(change.parameters) <= _MANY:
+            words.append(f"Its size is {sizes_in_words(change.parameters)} (k = 2).")
+        if change.signal_rms is not None and change.signal_largest is not None:
+            words.append(
+                f"It changes the readings by {quantity(change.signal_rms, 'm')} RMS, "
+                f"{quantity(change.signal_largest, 'm')} at most."
+            )
+        moved = ""
+        if change.map_change_rms is not None:
+            moved = f", and the errors at the tool point move by {quantity(change.map_change_rms, 'm')} RMS"
+        words.append(
+            f"With it in the model the residual falls from {quantity(change.rms_before, 'm')} to "
+            f"{quantity(change.rms_after, 'm')} RMS{moved}."
+        )
+    words.append(f"Chance would do as well with a probability of {probability(ranked.family_p_value)}.")
+    if not ranked.plausible:
+        words.append("Such a size does not usually occur: look for another cause as well.")
+    separation = next((s for s in advice.separations if s.effects[0] == name), None)
+    if separation is not None:
+        words.append(_lookalike(separation))
+    return " ".join(words)
+
+
+def _lookalike(separation: Separation) -> str:
+    others = " or ".join(separation.effects[1:])
+    if separation.apart_before >= _APART:
+        return (
+            f"In this measurement {others} would look similar, but is {separation.apart_before:.0f} standard "
+            "uncertainties away at this size."
+        )
+    text = f"It may as well be {others}: this measurement cannot tell them apart."
+    return f"{text} To tell: {separation.measure}." if separation.kind is not None else text
+
+
+def _unexplained(diagnosis: Diagnosis) -> Iterator[str]:
+    left = diagnosis.looks[-1].structure
+    if left:
+        best = left[0]
+        yield (
+            f"They depend on {_covariate(best)}: this takes up {100 * best.share:.0f} % of their sum of squares "
+            f"(p {probability(best.p_value)})."
+        )
+    tried = [
+        r.candidate.name
+        for look in diagnosis.looks[:-1]
+        if (r := look.winner()) is not None
+    ]
+    if tried:
+        yield f"Even with {', '.join(tried)} in the model structure remains, so that none of these can be trusted."
+
+
+def _covariate(structure: Structure) -> str:
+    if structure.covariate == "place":
+        return f"the place: {structure.shape}"
+    shape = {"smooth": "in a smooth curve", "periodic": "in waves", "its sign": "by its sign"}
+    return f"{structure.covariate}, {shape.get(structure.shape, structure.shape)}"
+
+
+def _noise(diagnosis: Diagnosis) -> Iterator[str]:
+    noise = diagnosis.noise
+    look = diagnosis.looks[len(diagnosis.accepted)]
+    joint = look.fit.joint
+    ratio = float(np.sqrt(joint.reduced_chi_square))
+    again = mounted_more_than_once(diagnosis.session)
+    if diagnosis.verdict in ("adequate", "outliers", "missing_effect") and joint.p_value < _TOO_LARGE:
+        text = f"The readings scatter {ratio:.2f} times as much as declared, which chance does not explain."
+        if noise.from_repeats is not None and noise.from_repeats > 0.9 * ratio * noise.declared:
+            repeats = quantity(noise.from_repeats, "m")
+            text += f" Repeats scatter as much ({repeats}): the declared uncertainty is too small."
+        elif again:
+            text += " The rest is the model, in a way that no effect and no covariate shows."
+        else:
+            text += (
+                " Whether that is the model or the reproducibility of the setups cannot be told: none was measured "
+                "again after being mounted again."
+            )
+        yield text
+    elif diagnosis.verdict in ("missing_effect", "unexplained") and not again:
+        yield (
+            "No setup was measured again after being mounted again; small slopes and bows from setup to setup are "
+            "allowed for, but a larger irreproducibility cannot be told from the model."
+        )
+
+
+def mounted_more_than_once(session: Session) -> bool:
+    """Whether a setup was measured, left, and measured again."""
+    setup = session.readings.setup
+    if not len(setup):
+        return False
+    stretches = setup[np.r_[True, np.diff(setup) != 0]]
+    return len(stretches) > len(np.unique(stretches))

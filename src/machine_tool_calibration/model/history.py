@@ -1,0 +1,162 @@
+"""The models of a measurement that were tried: which effects they hold, how well they fit, which one is current."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.model.result import Estimate
+
+__all__ = ["Coefficient", "Entry", "History"]
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Coefficient(_Record):
+    """A coefficient of an effect in a model."""
+
+    name: str
+    value: Number
+    standard_uncertainty: Number
+    unit: str
+
+
+class Entry(_Record):
+    """A model that was fitted.
+
+    Attributes:
+        number: from 1, in the order in which models were tried; never given twice.
+        parent: number of the model that it was made from; None for a first one.
+        made: date and time, ISO 8601.
+        by: the command that made it.
+        model: the method's variant.
+        effects: ids of the effects that were added to it.
+        change: what it has and its parent has not, in a few words.
+        data: fingerprint of the readings; another one means other readings.
+        used: number of readings in the fit.
+        set_aside: rows of readings that were taken for outliers.
+        rms_residual: m.
+        reduced_chi_square: weighted sum of squared residuals over the degrees of freedom.
+        degrees_of_freedom: of the fit.
+        p_value: chance of so large a sum of squares if model and declared uncertainty are right.
+        map_rms: RMS length of the position errors of the map's points, m.
+        map_uncertainty_rms: RMS length of their standard uncertainty, m.
+        map_change_rms: RMS length by which they moved against the parent, m.
+        parameters: coefficients of the effects.
+    """
+
+    number: Annotated[int, Field(ge=1)]
+    parent: int | None = None
+    made: str
+    by: str
+    model: str
+    effects: tuple[str, ...] = ()
+    change: str = ""
+    data: str
+    used: int
+    set_aside: tuple[int, ...] = ()
+    rms_residual: Number
+    reduced_chi_square: Number | None = None
+    degrees_of_freedom: int
+    p_value: Number | None = None
+    map_rms: Number | None = None
+    map_uncertainty_rms: Number | None = None
+    map_change_rms: Number | None = None
+    parameters: tuple[Coefficient, ...] = ()
+
+    def estimates(self) -> list[Estimate]:
+        """The coefficients as an identification gives them."""
+        return [Estimate(p.name, p.value, p.standard_uncertainty, p.unit) for p in self.parameters]
+
+    def same_model(self, other: Entry) -> bool:
+        """Whether another entry is the same model of the same readings, with the same outcome."""
+        mine = (self.data, self.model, frozenset(self.effects), self.set_aside)
+        alike = mine == (other.data, other.model, frozenset(other.effects), other.set_aside)
+        return alike and math.isclose(self.rms_residual, other.rms_residual, rel_tol=1e-6)
+
+
+class History(_Record):
+    """All models that were tried; nothing is ever removed.
+
+    Attributes:
+        current: number of the model in use; None while there is none.
+        models: in the order in which they were tried.
+    """
+
+    format: Literal["mtcal-history/1"] = "mtcal-history/1"
+    current: int | None = None
+    models: tuple[Entry, ...] = ()
+
+    @model_validator(mode="after")
+    def _check(self) -> History:
+        numbers = [entry.number for entry in self.models]
+        if len(set(numbers)) < len(numbers):
+            raise ValueError("two models have the same number")
+        for entry in self.models:
+            if entry.parent is not None and not (entry.parent in numbers and entry.parent < entry.number):
+                raise ValueError(f"model {entry.number} comes from model {entry.parent}, which is not there before it")
+        if self.current is not None and self.current not in numbers:
+            raise ValueError(f"the current model {self.current} is not there")
+        return self
+
+    def entry(self, number: int) -> Entry:
+        """The model of that number.
+
+        Raises:
+            ModelError: there is none.
+        """
+        for entry in self.models:
+            if entry.number == number:
+                return entry
+        known = ", ".join(str(entry.number) for entry in self.models) or "none yet"
+        raise ModelError(f"the history has no model {number}; it has {known}")
+
+    @property
+    def in_use(self) -> Entry | None:
+        """The current model."""
+        return None if self.current is None else self.entry(self.current)
+
+    def grown(self, entries: Sequence[Entry]) -> History:
+        """With models made one from the other; the last is the current one.
+
+        A model that is there already is not repeated. Numbers and parents of the entries given do not matter.
+        """
+        models = list(self.models)
+        parent: int | None = None
+        for entry in entries:
+            old = next((known for known in models if known.same_model(entry)), None)
+            if old is None:
+                number = max((known.number for known in models), default=0) + 1
+                old = entry.model_copy(update={"number": number, "parent": parent})
+                models.append(old)
+            parent = old.number
+        return self.model_copy(update={"models": tuple(models), "current": parent if entries else self.current})
+
+    def undone(self) -> History:
+        """With that model in use which the current one was made from.
+
+        Raises:
+            ModelError: the current model is a first one, or there is none.
+        """
+        now = self.in_use
+        if now is None:
+            raise ModelError("the history is empty: there is nothing to undo")
+        if now.parent is None:
+            raise ModelError(f"model {now.number} was made from no other: there is nothing to undo")
+        return self.using(now.parent)
+
+    def using(self, number: int) -> History:
+        """With the model of that number in use.
+
+        Raises:
+            ModelError: there is none.
+        """
+        return self.model_copy(update={"current": self.entry(number).number})

@@ -1,0 +1,154 @@
+"""Pictures of a diagnosis: candidates, what the best one explains, what the residuals depend on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.diagnosis.consequence import Consequence, before_and_after
+from machine_tool_calibration.diagnosis.covariates import covariates, telling
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis
+from machine_tool_calibration.diagnosis.document import named_probability
+from machine_tool_calibration.plots.residuals import axis_label, color, grids
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["candidate_table", "draw_diagnosis", "save_diagnosis"]
+
+_SHOWN = 10
+_LISTED = 8
+
+
+def draw_diagnosis(diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> Figure:
+    """Three panels: the residual with each candidate, what the best explains, residuals over a covariate."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(15, 4.8), layout="constrained")
+    ranking, added, over = figure.subplots(1, 3)
+    figure.suptitle(_title(diagnosis))
+    _ranking(ranking, diagnosis, changes)
+    _added(added, diagnosis, changes)
+    _over(over, diagnosis)
+    grids(figure)
+    return figure
+
+
+def _title(diagnosis: Diagnosis) -> str:
+    what = {
+        "adequate": "nothing is missing that this measurement could show",
+        "missing_effect": f"missing: {', '.join(diagnosis.accepted)}",
+        "unexplained": "structure that no effect explains",
+        "outliers": f"{len(diagnosis.outliers)} readings do not belong to the rest",
+    }
+    return f"{diagnosis.session.method}, {len(diagnosis.session.readings)} readings: {what[diagnosis.verdict]}"
+
+
+def _ranking(panel: Axes, diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> None:
+    """Residual without and with each candidate, and the probability that it is the cause."""
+    table = candidate_table(diagnosis, changes)[:_SHOWN]
+    place = np.arange(len(table))[::-1]
+    before, after = 1e6 * table["rms_before"].to_numpy(), 1e6 * table["rms_after"].to_numpy()
+    colors = ["tab:green" if name in diagnosis.accepted else "tab:blue" for name in table["effect"]]
+    panel.barh(place, before, color="0.88", label="without it")
+    panel.barh(place, after, height=0.55, color=colors, label="with it")
+    for y, value, p in zip(place, before, table["probability"], strict=True):
+        panel.text(value, y, f" {p:.2f}" if p >= 0.005 else " 0", va="center", fontsize=8, color="0.3")
+    panel.axvline(1e6 * diagnosis.noise.declared, color="0.3", ls=":", label="declared uncertainty")
+    panel.set_yticks(place, table["effect"], fontsize=8)
+    panel.set_xlabel("residual, µm RMS")
+    panel.set_title("Candidates; at the end of each bar its probability", fontsize=10)
+    panel.set_xlim(0.0, 1.12 * max(float(before.max(initial=0.0)), 1e6 * diagnosis.noise.declared))
+    panel.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=3, frameon=False)
+
+
+def _added(panel: Axes, diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> None:
+    """Added-variable plot: a slope of one through the points if the effect is the cause."""
+    name = next((r.candidate.name for r in diagnosis.ranked if r.candidate.name in changes), None)
+    if name is None:
+        panel.set_axis_off()
+        return
+    explained = 1e6 * changes[name].explained
+    residuals = 1e6 * diagnosis.looks[0].fit.residuals
+    setup = diagnosis.looks[0].fit.model.observations.readings.setup
+    used = np.unique(setup)
+    for k in used:
+        mine = setup == k
+        label = diagnosis.session.setup_ids[int(k)] if len(used) <= _LISTED else None
+        panel.plot(explained[mine], residuals[mine], ".", ms=4, alpha=0.7, color=color(int(k)), label=label)
+    ends = [float(explained.min()), float(explained.max())]
+    panel.plot(ends, ends, color="0.3", lw=0.8)
+    panel.set_xlabel(f"what {name} takes out, µm")
+    panel.set_ylabel("residual without it, µm")
+    panel.set_title("The first candidate: do the readings follow the line?", fontsize=10)
+    if len(used) <= _LISTED:
+        panel.legend(fontsize=7)
+
+
+def _over(panel: Axes, diagnosis: Diagnosis) -> None:
+    """Residuals over what they depend on most, before and after."""
+    first, last = diagnosis.looks[0].fit, diagnosis.looks[len(diagnosis.accepted)].fit
+    name, values = _covariate(diagnosis)
+    label, factor = axis_label(name)
+    panel.plot(factor * values, 1e6 * first.residuals, ".", ms=4, color="tab:red", alpha=0.6, label="before")
+    if diagnosis.accepted:
+        after = f"with {', '.join(diagnosis.accepted)}"
+        panel.plot(factor * values, 1e6 * last.residuals, ".", ms=4, color="tab:green", alpha=0.7, label=after)
+    band = 2e6 * diagnosis.noise.declared
+    panel.axhspan(-band, band, color="0.92", zorder=0, label="declared uncertainty U (k = 2)")
+    panel.set_xlabel(label)
+    panel.set_ylabel("residual, µm")
+    panel.set_title("Residuals over what they follow most", fontsize=10)
+    panel.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=3, frameon=False)
+
+
+def _covariate(diagnosis: Diagnosis) -> tuple[str, Array]:
+    """The covariate of the structure found first; else the one that what was taken out follows; else the order."""
+    first, last = diagnosis.looks[0], diagnosis.looks[len(diagnosis.accepted)].fit
+    known = covariates(first.fit.model.observations)
+    if not diagnosis.accepted:
+        for structure in first.structure:
+            if structure.covariate in known and np.isfinite(known[structure.covariate]).all():
+                return structure.covariate, known[structure.covariate]
+    what = first.fit.residuals - last.residuals if diagnosis.accepted else first.fit.residuals
+    best = telling(known, what)
+    name = best[0][0] if best else "order"
+    return name, known.get(name, np.arange(len(what), dtype=float))
+
+
+def candidate_table(diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> pd.DataFrame:
+    """One row for each candidate, best first; SI units."""
+    rows = []
+    for r in diagnosis.ranked:
+        if not r.rank:
+            continue
+        change = changes.get(r.candidate.name)
+        before, after = before_and_after(diagnosis, r, changes)
+        rows.append(
+            {
+                "effect": r.candidate.name,
+                "probability": named_probability(diagnosis, r),
+                "p_value": r.family_p_value,
+                "delta_bic": -r.bic_gain,
+                "plausible": r.plausible,
+                "rms_before": before,
+                "rms_after": after,
+                "map_change_rms": None if change is None else change.map_change_rms,
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def save_diagnosis(diagnosis: Diagnosis, changes: Mapping[str, Consequence], folder: Path) -> list[Path]:
+    """Write `diagnosis.png` and `candidates.csv` into a folder, which is made where it is missing."""
+    folder.mkdir(parents=True, exist_ok=True)
+    picture, table = folder / "diagnosis.png", folder / "candidates.csv"
+    draw_diagnosis(diagnosis, changes).savefig(picture, dpi=110)
+    candidate_table(diagnosis, changes).to_csv(table, index=False, lineterminator="\n")
+    return [picture, table]

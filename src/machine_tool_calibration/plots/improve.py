@@ -1,0 +1,168 @@
+"""Pictures of the error falling: its size step by step, and the residuals before and after."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.methods.improve import Improvement, Step
+from machine_tool_calibration.plots.residuals import axis_label, color, grids, planes
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["draw_improvement", "residual_table", "save_improvement", "step_table"]
+
+# Methods whose readings lie along runs, where arrows would lie on each other.
+_ALONG = {"step_diagonal": "path", "rotary_axis": "c"}
+_LENGTH = 0.12
+_LISTED = 8
+
+
+def draw_improvement(improvement: Improvement) -> Figure:
+    """The residual and the uncertainty of the map after every change, and maps of the residuals, to the same scale."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(15, 5.2), layout="constrained")
+    fall, before, after = figure.subplots(1, 3, width_ratios=[1, 1.15, 1.15])
+    _fall(fall, improvement)
+    first, last = improvement.steps[0], improvement.steps[-1]
+    # Outliers would hide everything else: the first picture is of the readings that are kept.
+    if len(improvement.steps) > 1 and last.set_aside:
+        first = improvement.steps[1] if len(improvement.steps) > 2 else first
+    method = improvement.diagnosis.session.method
+    size = _size(first)
+    for panel, step, title in ((before, first, "before"), (after, last, "after")):
+        if method in _ALONG:
+            _curves(panel, step, _ALONG[method], size)
+        else:
+            _arrows(panel, step, size)
+        panel.set_title(f"{title}: {1e6 * step.result.rms_residual:.3g} µm RMS", fontsize=10)
+    grids(figure)
+    return figure
+
+
+def _fall(panel: Axes, improvement: Improvement) -> None:
+    steps = improvement.steps
+    at = np.arange(len(steps))
+    panel.plot(at, [1e6 * s.result.rms_residual for s in steps], "o-", color="tab:red", label="residual, RMS")
+    tool = [np.nan if s.left_at_tool is None else 1e6 * s.left_at_tool for s in steps]
+    if np.isfinite(tool).any():
+        panel.plot(at, tool, "s-", color="tab:blue", label="left at the tool point, RMS (k = 1)")
+    declared = 1e6 * improvement.diagnosis.noise.declared
+    panel.axhline(declared, color="0.3", ls=":", label="declared uncertainty of a reading")
+    panel.set_xticks(at, [s.label for s in steps], rotation=20, ha="right", fontsize=8)
+    panel.set_ylim(0.0)
+    panel.margins(x=0.15)
+    panel.set_ylabel("µm")
+    panel.set_title("The error falls", fontsize=10)
+    panel.legend(fontsize=8)
+
+
+def _size(step: Step) -> float:
+    """Size of the bulk of the residuals, m."""
+    return float(np.quantile(np.abs(step.result.fit.residuals), 0.98)) or 1e-9
+
+
+def _arrows(panel: Axes, step: Step, size: float) -> None:
+    """Residuals as arrows along what they sense, where the tool was."""
+    observations = step.result.fit.model.observations
+    a, b = (planes(observations.position, observations.direction) or [(0, 1)])[0]
+    place = 1e3 * observations.position[:, [a, b]]
+    sense = observations.direction
+    if np.abs(observations.table_direction).max(initial=0.0) > 0 and observations.session.method == "probing":
+        sense = observations.table_direction
+    arrow = step.result.fit.residuals[:, None] * sense[:, [a, b]]
+    extent = max(float(np.ptp(place, axis=0).max()), 1e-6)
+    scale = _LENGTH * extent / size
+    colors = [color(int(k)) for k in observations.readings.setup]
+    panel.plot(*place.T, ls="", marker=".", ms=2, color="0.7", zorder=0)
+    quiver = panel.quiver(
+        *place.T, *(scale * arrow.T), color=colors, angles="xy", scale_units="xy", scale=1.0, width=0.003, alpha=0.8
+    )
+    panel.quiverkey(quiver, 0.9, 1.03, scale * size, f"{1e6 * size:.2g} µm", labelpos="W", color="0.2")
+    for k in np.unique(observations.readings.setup):
+        panel.plot([], [], "-", color=color(int(k)), label=observations.session.setup_ids[int(k)])
+    if len(np.unique(observations.readings.setup)) <= _LISTED:
+        panel.legend(fontsize=7, ncols=8, loc="upper center", bbox_to_anchor=(0.5, -0.11), frameon=False)
+    # Room for the arrows, which do not count as data.
+    corners = np.array([place.min(axis=0), place.max(axis=0)]) + 1.6 * _LENGTH * extent * np.array([[-1.0], [1.0]])
+    panel.plot(*corners.T, ls="")
+    panel.set_aspect("equal", adjustable="datalim")
+    panel.margins(0.0)
+    panel.set_xlabel(f"{'xyz'[a]}, mm")
+    panel.set_ylabel(f"{'xyz'[b]}, mm")
+
+
+def _curves(panel: Axes, step: Step, name: str, size: float) -> None:
+    """Residuals along each run."""
+    observations = step.result.fit.model.observations
+    label, factor = axis_label(name)
+    values = observations.path if name == "path" else observations.readings.columns[name]
+    residuals = 1e6 * step.result.fit.residuals
+    setups = observations.session.setup_ids
+    named: set[int] = set()
+    for run in np.unique(observations.run):
+        mine = observations.run == run
+        k = int(observations.readings.setup[mine][0])
+        text = None if k in named else setups[k]
+        named.add(k)
+        panel.plot(factor * values[mine], residuals[mine], ".-", ms=3, lw=0.7, color=color(k), label=text)
+    panel.set_ylim(-1.6e6 * size, 1.6e6 * size)
+    panel.set_xlabel(label)
+    panel.set_ylabel("residual, µm")
+    panel.legend(fontsize=7, ncols=4, loc="lower center")
+
+
+def step_table(improvement: Improvement) -> pd.DataFrame:
+    """One row for each step; SI units."""
+    return pd.DataFrame(
+        [
+            {
+                "change": step.change or "first model",
+                "effects": " ".join(step.result.effects),
+                "readings": len(step.result.fit.model.observations),
+                "rms_residual": step.result.rms_residual,
+                "reduced_chi_square": step.reduced_chi_square,
+                "map_rms": step.map_rms,
+                "map_change_rms": step.map_change,
+                "map_uncertainty_rms": step.map_uncertainty,
+                "left_at_tool_rms": step.left_at_tool,
+            }
+            for step in improvement.steps
+        ]
+    )
+
+
+def residual_table(improvement: Improvement) -> pd.DataFrame:
+    """One row for each reading of the first model, with its residual there and in the last one; SI units."""
+    first, last = (improvement.steps[k].result.fit for k in (0, -1))
+    readings = first.model.observations.readings
+    after = dict(zip(last.model.observations.readings.row.tolist(), last.residuals.tolist(), strict=True))
+    where: dict[str, Array] = {a: readings.columns[a] for a in ("time", *"xyzc") if a in readings.columns}
+    ids = improvement.diagnosis.session.setup_ids
+    return pd.DataFrame(
+        {
+            "row": readings.row,
+            "setup": [ids[int(s)] for s in readings.setup],
+            "repeat": readings.repeat,
+            **where,
+            "residual_before": first.residuals,
+            "residual_after": [after.get(int(row), np.nan) for row in readings.row],
+        }
+    )
+
+
+def save_improvement(improvement: Improvement, folder: Path) -> list[Path]:
+    """Write `improve.png`, `improve.csv` and `residuals.csv` into a folder, which is made where it is missing."""
+    folder.mkdir(parents=True, exist_ok=True)
+    picture, steps, residuals = (folder / name for name in ("improve.png", "improve.csv", "residuals.csv"))
+    draw_improvement(improvement).savefig(picture, dpi=110)
+    step_table(improvement).to_csv(steps, index=False, lineterminator="\n")
+    residual_table(improvement).to_csv(residuals, index=False, lineterminator="\n")
+    return [picture, steps, residuals]

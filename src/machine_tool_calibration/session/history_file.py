@@ -1,0 +1,140 @@
+"""The file that keeps the models of a measurement: `history.yaml` in a session folder, or beside a recording."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from pydantic import ValidationError
+
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.model.history import History
+from machine_tool_calibration.session.open import is_session_folder
+from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.session.text import read_text
+from machine_tool_calibration.session.yaml_text import Document, load_yaml
+
+__all__ = ["HISTORY_FILE", "fingerprint", "history_path", "read_history", "update_history"]
+
+HISTORY_FILE = "history.yaml"
+_LARGEST = 64 << 20
+_HEAD = "# Models tried by `mtcal improve`; `mtcal history` lists, compares and undoes them.\n"
+
+
+def history_path(measurement: Path) -> Path:
+    """Where the history of a measurement is kept: in its session folder, or beside the recording."""
+    measurement = Path(measurement)
+    if measurement.is_file() and measurement.name in ("session.yaml", "observations.csv"):
+        measurement = measurement.parent
+    if is_session_folder(measurement):
+        return measurement / HISTORY_FILE
+    measurement = measurement.absolute()
+    return measurement.with_name(f"{measurement.name}.{HISTORY_FILE}")
+
+
+def fingerprint(session: Session) -> str:
+    """Short text that changes with any reading."""
+    readings = session.readings
+    digest = hashlib.sha256(session.method.encode())
+    arrays: list[tuple[str, np.ndarray]] = [
+        ("setup", readings.setup),
+        ("repeat", readings.repeat),
+        ("displacement", readings.displacement),
+        *sorted(readings.columns.items()),
+    ]
+    for name, values in arrays:
+        digest.update(name.encode() + b"\0" + np.ascontiguousarray(values).tobytes())
+    for name, labels in sorted(readings.labels.items()):
+        digest.update("\0".join([name, *(str(v) for v in labels)]).encode())
+    # Not digits alone, nor anything else that a YAML reader would take for a number.
+    return f"sha256-{digest.hexdigest()[:16]}"
+
+
+def read_history(path: Path) -> History:
+    """The history in a file; an empty one if there is no file.
+
+    Raises:
+        SessionError: one line with file, line and key of the first defect; the file is left as it is.
+    """
+    if not path.exists():
+        return History()
+    document = load_yaml(read_text(path, _LARGEST), str(path))
+    if not isinstance(document.value, dict):
+        raise SessionError(f"{path}: is no history of models; move it away to start a new one")
+    try:
+        return History.model_validate(document.value)
+    except ValidationError as error:
+        raise SessionError(_message(path, document, dict(error.errors(include_url=False)[0]))) from None
+
+
+def _message(path: Path, document: Document, defect: dict[str, Any]) -> str:
+    where = tuple(defect["loc"])
+    line = document.line(where) if where else None
+    key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in where).lstrip(".")
+    text = str(defect.get("ctx", {}).get("error") or defect["msg"])
+    at = f"{path} line {line}" if line else str(path)
+    what = f"{key}: {text}" if key else text
+    return f"{at}: {what[0].lower()}{what[1:]}; mend the file, or move it away to start a new history"
+
+
+def update_history(path: Path, change: Callable[[History], History]) -> History:
+    """Read the history, change it, and put the new one in its place.
+
+    Whatever happens, the file holds the whole old history or the whole new one; two commands at once wait for each
+    other.
+
+    Args:
+        path: the file; its folder must be there.
+        change: makes the new history from the old one.
+
+    Raises:
+        SessionError: the file is damaged (and is left as it is), or cannot be written.
+    """
+    try:
+        with _alone(path.parent):
+            old = read_history(path)
+            new = change(old)
+            if new != old:
+                _write(path, new)
+    except OSError as error:
+        raise SessionError(f"{path}: cannot be written: {error.strerror}") from None
+    return new
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """One process at a time in a folder, where the system can tell."""
+    try:
+        import fcntl
+    except ImportError:  # pragma: no cover - not on this system
+        yield
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        with suppress(OSError):  # some network drives cannot
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
+
+
+def _write(path: Path, history: History) -> None:
+    content = history.model_dump(mode="json")
+    text = _HEAD + yaml.dump(content, Dumper=yaml.SafeDumper, sort_keys=False, width=120, allow_unicode=True)
+    part = path.with_name(f"{path.name}.part")
+    with part.open("w", encoding="utf-8") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(part, path)
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
