@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +9,12 @@ import click
 import numpy as np
 
 from machine_tool_calibration.cli.measuring import bar, graph_options, show_files, show_result
-from machine_tool_calibration.cli.output import console, json_option, note, write_json
+from machine_tool_calibration.cli.output import console, json_option, write_json
 from machine_tool_calibration.cli.truth import MapError, map_error
 from machine_tool_calibration.nodes.measurement import Measured, Setting, free_folder, measure
 from machine_tool_calibration.nodes.shared import procedure_file
 from machine_tool_calibration.nodes.site import Moment, Site, SiteSpec, read_site
+from machine_tool_calibration.plots.pictures import draw
 
 __all__ = ["command"]
 
@@ -48,7 +48,7 @@ def command(
         measured = measure(procedure_file(f"tracking_{dimension}d"), setting, progress)
         progress("drawing", len(measured.session.readings), len(measured.session.readings))
         judged = _judge(measured, int(dimension))
-        pictures = _pictures(measured)
+        pictures = draw(measured.session, measured.result or {}, measured.output)
     if as_json:
         write_json(_document(measured, judged, pictures, number))
         return
@@ -78,17 +78,6 @@ def _judge(measured: Measured, dimension: int) -> MapError:
     actual = np.array([site.functional_point(Moment(0.0, dict(zip("xyz", row, strict=True)), upwards)) for row in full])
     identified = np.array(content["position_error"], dtype=float)[:, :dimension]
     return map_error(full[:, :dimension], identified, (actual - full)[:, :dimension])
-
-
-def _pictures(measured: Measured) -> list[Path]:
-    """Pictures of the map, by the package's plots; none where they cannot be drawn."""
-    try:
-        draw = importlib.import_module(_PICTURES).draw
-    except ImportError as error:
-        note(f"mtcal: no pictures: {error}")
-        return []
-    paths: list[Path] = draw(measured.session, measured.result, measured.output)
-    return paths
 
 
 def _document(measured: Measured, judged: MapError, pictures: list[Path], seed: int) -> dict[str, Any]:
