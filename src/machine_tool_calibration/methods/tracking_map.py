@@ -130,7 +130,9 @@ def _published(model: TrackingModel, fit: Fit, network: _Network) -> ErrorMap:
     lost = tuple(NotDetermined(f"target {_place(model.targets[k])}", why) for k, why in network.why.items())
     full = np.full((len(covariance), 3, 3), np.nan)
     full[:, :d, :d] = covariance
-    return ErrorMap(content, model.targets, _three(error), _three(uncertainty), full, lost)
+    names = [parameter.name for parameter in model.own]
+    moved = dict(zip(names, zip(network.own.tolist(), network.own_u.tolist(), strict=True), strict=True))
+    return ErrorMap(content, model.targets, _three(error), _three(uncertainty), full, lost, moved)
 
 
 def _place(position: Array) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -44,6 +44,8 @@ class ErrorMap:
         uncertainty: (n, 3).
         covariance: (n, 3, 3) of the position error, m^2, or None.
         not_determined: parts of the map that the data does not determine.
+        in_datum: unknowns that the map's datum moves, as found in it: value (without reference) and standard
+            uncertainty by name. The solver's datum is another one.
     """
 
     content: Mapping[str, Any]
@@ -52,6 +54,7 @@ class ErrorMap:
     uncertainty: Array
     covariance: Array | None = None
     not_determined: tuple[NotDetermined, ...] = ()
+    in_datum: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -81,15 +84,16 @@ class Result:
 
     @property
     def parameters(self) -> list[Estimate]:
-        """The unknowns that the data determines."""
-        uncertainty = np.sqrt(np.diag(self.fit.covariance))
-        return [
-            Estimate(p.name, float(p.reference + value), float(u), p.unit)
-            for p, value, u, good in zip(
-                self.fit.model.parameters, self.fit.theta, uncertainty, self.fit.determined, strict=True
-            )
-            if good
-        ]
+        """The unknowns that the data determines, in the datum of the map."""
+        fit, moved = self.fit, self.error_map.in_datum
+        uncertainty = np.sqrt(np.diag(fit.covariance))
+        found = zip(fit.model.parameters, fit.theta, uncertainty, fit.determined, strict=True)
+        out = []
+        for parameter, value, u, good in found:
+            if good:
+                value, u = moved.get(parameter.name, (value, u))
+                out.append(Estimate(parameter.name, float(parameter.reference + value), float(u), parameter.unit))
+        return out
 
     @property
     def not_determined(self) -> list[NotDetermined]:

@@ -163,3 +163,14 @@ def test_datum_and_uncertainty_are_stated(simulated):
         assert np.shape(content[name]) == np.shape(content[name + "_u"])
     assert np.shape(content["position_error"]) == (36, 2)
     assert content["stations"][0][2] is None
+
+
+@pytest.mark.parametrize("model", ["free", "rigid_body"])
+def test_parameters_and_map_are_in_one_datum(model, simulated):
+    result = identify(simulated(3, "tracking", seed=2).session, model=model)
+    values = {e.name: (e.value, e.standard_uncertainty) for e in result.parameters}
+    content = result.error_map.content
+    for k, name in enumerate(content["station_ids"]):
+        for j, axis in enumerate("xyz"):
+            assert values[f"{name}.{axis}"] == (content["stations"][k, j], content["stations_u"][k, j])
+        assert values[f"{name}.dead_path"] == (content["dead_path"][k], content["dead_path_u"][k])
