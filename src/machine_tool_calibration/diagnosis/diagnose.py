@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import threadpoolctl
 
+from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.diagnosis.absorbed import absorbed_by
 from machine_tool_calibration.diagnosis.candidates import Candidate, effect_candidates, stack
 from machine_tool_calibration.diagnosis.crossvalidation import CrossValidation, cross_validate
@@ -21,6 +22,7 @@ from machine_tool_calibration.diagnosis.spread import run_spreads
 from machine_tool_calibration.diagnosis.structure import structure_candidates
 from machine_tool_calibration.effects.catalogue import catalogue, find_effects
 from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.identify import build_model
 from machine_tool_calibration.model.effect_terms import add_effects
 from machine_tool_calibration.model.fit import Fit, fit_models, screen
@@ -200,9 +202,17 @@ def _diagnose(
         winner = looks[-1].winner()
         if winner is None or len(accepted) == _ROUNDS:
             break
-        assert winner.candidate.effect is not None
-        accepted.append(winner.candidate.effect)
-        fit = fit_models([add_effects(base, [*present, *accepted])]).fits[0]
+        effect = winner.candidate.effect
+        assert effect is not None
+        try:
+            fit = _settled(fit_models([add_effects(base, [*present, *accepted, effect])]).fits[0])
+        except ModelError as error:
+            # Together with it the data no longer determines the rest: nothing can be said of it.
+            excluded[effect.id] = str(error)
+            candidates = [c for c in candidates if c.effect is not effect]
+            looks.pop()
+            continue
+        accepted.append(effect)
     if accepted and outliers:
         # With the effects in the model some of them belong to the rest again.
         outliers, session, _ = find_outliers(whole, build)
@@ -219,6 +229,19 @@ def _diagnose(
     )
 
 
+def _settled(fit: Fit) -> Fit:
+    """The fit, if the iteration came to rest.
+
+    Raises:
+        ModelError: it did not: the unknowns are so nearly interchangeable that no step is small.
+    """
+    squares = float(np.sum((fit.residuals / fit.model.sigma) ** 2))
+    expected = fit.solution.chi_square
+    if abs(squares - expected) > max(1.0, 0.02 * expected) and fit.joint.assembly.problem.priors is None:
+        raise ModelError("together with the model's own unknowns the data does not determine it")
+    return fit
+
+
 def _verdict(looks: Sequence[Look], accepted: bool, outliers: bool) -> str:
     first, last = looks[0].fit.solution.chi_square, looks[-1].fit.solution.chi_square
     left = looks[-1].structure[0].share * last if looks[-1].structure else 0.0
@@ -227,6 +250,18 @@ def _verdict(looks: Sequence[Look], accepted: bool, outliers: bool) -> str:
     if left:
         return "unexplained"
     return "outliers" if outliers else "adequate"
+
+
+def _within_runs(columns: Array, run: IntArray) -> Array:
+    """(k,) squared norms of columns, the mean of every run taken out."""
+    count = int(run.max()) + 1
+    means = np.stack(
+        [columns[:, run == r].mean(axis=1) if (run == r).any() else 0 * columns[:, 0] for r in range(count)], 1
+    )
+    # A column that is constant in every run keeps its norm: there is nothing that it could be judged by.
+    within = np.sum((columns - means[:, run]) ** 2, axis=1)
+    whole = np.sum(columns**2, axis=1)
+    return np.asarray(np.where(within > 1e-6 * whole, within, np.maximum(whole, np.finfo(float).tiny)))
 
 
 def _best_by_covariate(seen: Sequence[Ranked]) -> dict[str, float]:
@@ -264,6 +299,9 @@ def _look(
     spread = run_spreads(observations)
     columns, places = stack([*candidates, *structures], n)
     projected = screen(fit, np.concatenate([columns, spread.columns]))
+    # A constant of a run is its datum: an effect counts by how it varies within the runs.
+    within = _within_runs(columns / observations.session.sigma, observations.run)
+    projected = replace(projected, squares=np.concatenate([within, projected.squares[len(columns) :]]))
     most = _SPREAD.get(observations.session.method, _SPREAD["any"])
     reduced = reduce(projected, spread.family, fit.solution.degrees_of_freedom, most)
     data = observed(projected.gram)

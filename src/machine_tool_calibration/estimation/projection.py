@@ -42,7 +42,10 @@ def project(total: Array, squares: Array, covariance: Array, k: int) -> Projecte
         k: number of further columns.
     """
     m = len(total) - k - 1
-    cross = total[:m, m:]
+    cross = total[:m, m:].copy()
+    # At the solution the residual has nothing left along the model; where the model is nearly degenerate, what the
+    # iteration left over would be blown up by the covariance.
+    cross[:, -1] = 0.0
     response = covariance @ cross
     gram = total[m:, m:] - cross.T @ response
     return Projected((gram + gram.T) / 2, squares[m:], np.diag(total)[m:].copy(), response[:, :k])
