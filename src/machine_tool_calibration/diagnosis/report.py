@@ -167,10 +167,9 @@ def _alike(diagnosis: Diagnosis, advice: Advice) -> TextTable:
             )
         )
     heads = ("look-alikes", "to tell them apart", "time", "besides", "cosine", "apart / σ")
-    note = (
-        "cosine: 1 if they cannot be told apart; apart: how many standard uncertainties the nearest of the others is "
-        "from the effect found, at its size"
-    )
+    note = "cosine: 1 if they cannot be told apart"
+    if any(row[-1] for row in rows):
+        note += "; apart: how many standard uncertainties the nearest is from the effect found, at its size"
     return TextTable("Look-alikes, and what to measure next", heads, tuple(rows), note)
 
 
@@ -222,7 +221,8 @@ def _smallest(ranked: Ranked, sizes: Mapping[str, float | None]) -> tuple[str, s
         text = ", ".join(f"{name} {quantity(value, known[name].unit)}" for name, value in seen.items())
     else:
         low, high = min(seen.values()), max(seen.values())
-        text = f"{len(seen)} of {len(sizes)} coefficients, {quantity(low, first.unit)} to {quantity(high, first.unit)}"
+        many = f"{len(sizes)}" if len(seen) == len(sizes) else f"{len(seen)} of {len(sizes)}"
+        text = f"{many} coefficients, {quantity(low, first.unit)} to {quantity(high, first.unit)}"
     return text, range_of(first.low, first.high, first.unit)
 
 

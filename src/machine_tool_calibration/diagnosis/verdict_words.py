@@ -41,7 +41,7 @@ def _verdict(diagnosis: Diagnosis) -> str:
         return f"The model lacks {what}."
     if diagnosis.verdict == "unexplained":
         return (
-            "The model lacks something that no effect of the catalogue explains: the residuals have structure. "
+            "The model lacks something that no effect of the catalogue explains. "
             "No effect is named as the cause."
         )
     if diagnosis.verdict == "outliers":
@@ -104,7 +104,7 @@ def _unexplained(diagnosis: Diagnosis) -> Iterator[str]:
     if left:
         best = left[0]
         yield (
-            f"They depend on {_covariate(best)}: this takes up {100 * best.share:.0f} % of their sum of squares "
+            f"The residuals depend on {_covariate(best)}: this takes up {100 * best.share:.0f} % of their sum of squares "
             f"(p {probability(best.p_value)})."
         )
     tried = [

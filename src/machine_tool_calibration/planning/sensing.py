@@ -90,7 +90,8 @@ class Sensed:
 
     def _products(self, one: str, other: str) -> tuple[float, float]:
         a, b = self.place[one], self.place[other]
-        signal = self.signal[one]
+        # What the model absorbs of the signal itself is not seen either.
+        signal = _inverse(self.gram[a, a], self.squares[a]) @ self.gram[a, a] @ self.signal[one]
         own = float(signal @ self.gram[a, a] @ signal)
         right = self.gram[b, a] @ signal
         return own, float(right @ _inverse(self.gram[b, b], self.squares[b]) @ right)

@@ -1,0 +1,159 @@
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.methods.identify import build_model
+from machine_tool_calibration.model.fit import fit_models
+from machine_tool_calibration.planning.option import Option
+from machine_tool_calibration.planning.options import further_options
+from machine_tool_calibration.planning.rows import approached, first_repetition, pace
+from machine_tool_calibration.session.session import Session
+
+Simulated = Callable[..., Session]
+EVERY = ("tracking_2d", "tracking_3d", "rotary_axis", "step_diagonal", "step_diagonal_three_orders", "probing_cross",
+         "iso230_2", "drilled_plate")
+
+
+def named(options: list[Option], kind: str) -> Option:
+    return next(option for option in options if option.kind == kind)
+
+
+@pytest.mark.parametrize("plan", EVERY)
+def test_every_option_is_a_session_that_the_method_understands(simulated: Simulated, plan: str) -> None:
+    session = simulated(plan)
+    options = further_options(session)
+    assert options[0].kind == "again"
+    before = fit_models([build_model(session)[0]]).solution
+    for option in options:
+        readings = option.session.readings
+        new = readings.row >= option.first_row
+        n = int(new.sum())
+        assert n > 0
+        assert len(readings) == len(session.readings) + n
+        assert np.array_equal(readings.displacement[~new], session.readings.displacement)
+        assert np.isfinite(readings.displacement).all()
+        assert (np.diff(readings.columns["time"]) >= 0).all()
+        assert option.seconds is not None
+        assert option.seconds > 0
+        assert option.words
+        # More readings of the same machine leave more to be seen, whatever setups they bring.
+        after = fit_models([build_model(option.session)[0]]).solution
+        assert after.degrees_of_freedom > before.degrees_of_freedom
+
+
+def test_an_instrument_that_travels_is_mounted_again_and_a_clamped_part_is_not(simulated: Simulated) -> None:
+    again = named(further_options(simulated("tracking_2d")), "again")
+    assert [setup.id for setup in again.session.description.setups] == [
+        *"ABCD", "again_A", "again_B", "again_C", "again_D",
+    ]
+    assert "mounting" in again.aside
+    probing = simulated("probing_cross")
+    again = named(further_options(probing), "again")
+    assert again.session.description == probing.description
+    assert again.aside == ""
+
+
+def test_backwards_is_the_reverse_order_with_the_other_approach(simulated: Simulated) -> None:
+    session = simulated("tracking_2d")
+    option = named(further_options(session), "backwards")
+    rows = first_repetition(session)
+    new = option.session.readings.select(option.session.readings.row >= option.first_row)
+    old = session.readings.select(rows)
+    for setup in range(4):
+        mine, theirs = new.setup == 4 + setup, old.setup == setup
+        assert np.array_equal(new.columns["x"][mine], old.columns["x"][theirs][::-1])
+        assert np.array_equal(new.columns["y"][mine], old.columns["y"][theirs][::-1])
+    # The simulator runs every second repeat backwards: once an axis has moved, its approach is the same.
+    second = session.readings.select((session.readings.repeat == 1) & (session.readings.setup == 0))
+    mine = new.setup == 4
+    for axis in "xy":
+        moved = np.flatnonzero(np.diff(second.columns[axis]) != 0)[0] + 1
+        assert np.array_equal(new.columns[f"dir_{axis}"][mine][moved:], second.columns[f"dir_{axis}"][moved:])
+
+
+def test_a_reversed_run_starts_at_zero_where_runs_do(simulated: Simulated) -> None:
+    session = simulated("step_diagonal")
+    new = named(further_options(session), "backwards").session.readings
+    for setup in np.unique(new.setup[new.row >= len(session.readings)]):
+        assert new.displacement[new.setup == setup][0] == 0.0
+
+
+def test_surroundings_go_on_in_time_and_only_temperatures_rise(simulated: Simulated) -> None:
+    session = simulated("tracking_2d")
+    rows = first_repetition(session)
+    options = further_options(session)
+    for kind, rise in (("backwards", 0.0), ("warmer", 5.0)):
+        option = named(options, kind)
+        new = option.session.readings.select(option.session.readings.row >= option.first_row)
+        old = session.readings.select(rows)
+        assert new.columns["temperature_air"] == pytest.approx(old.columns["temperature_air"] + rise)
+        assert np.array_equal(new.columns["air_pressure"], old.columns["air_pressure"])
+
+
+def test_missing_readings_are_not_taken_again(simulated: Simulated) -> None:
+    session = simulated("tracking_2d", missing=0.1)
+    lost = ~np.isfinite(session.readings.displacement)
+    assert lost.any()
+    rows = first_repetition(session)
+    assert not lost[rows].any()
+    assert all(session.readings.repeat[rows] == 0)
+
+
+def test_only_some_setups(simulated: Simulated) -> None:
+    session = simulated("tracking_2d")
+    for option in further_options(session, [2]):
+        assert option.kind not in ("station", "index")
+        assert "station C" in option.words
+        assert option.seconds is not None
+        assert option.seconds < 1000
+
+
+def test_a_new_station_sees_the_same_targets_from_elsewhere(simulated: Simulated) -> None:
+    session = simulated("tracking_2d")
+    option = named(further_options(session), "station")
+    new = option.session.readings.select(option.session.readings.row >= option.first_row)
+    place = np.array(option.session.description.setups[-1].position)
+    line = new.position() - place
+    assert new.columns["azimuth"] == pytest.approx(np.arctan2(line[:, 1], line[:, 0]))
+    assert np.diff(new.displacement) == pytest.approx(np.diff(np.linalg.norm(line, axis=1)))
+    others = np.array([setup.position for setup in session.description.setups])
+    assert np.linalg.norm(others - place, axis=1).min() > 0.2
+
+
+def test_a_new_angle_of_c_turns_the_part(simulated: Simulated) -> None:
+    session = simulated("probing_cross")
+    option = named(further_options(session), "index")
+    c = option.session.description.setups[-1].c
+    assert min(abs((c - s.c + np.pi) % (2 * np.pi) - np.pi) for s in session.description.setups) > 0.05
+    # The model itself would refuse touches that are not where the turned part is.
+    model, _ = build_model(option.session)
+    assert len(model.observations) == len(option.session.readings)
+
+
+def test_approach_before_the_first_move_is_as_told() -> None:
+    values = np.array([0.0, 0.0, 1.0, 0.5, 0.5, 3.0, 2.0])
+    group = np.array([0, 0, 0, 0, 0, 1, 1])
+    assert approached(values, group, np.full(7, 7.0)).tolist() == [7, 7, 1, -1, -1, 7, -1]
+
+
+def test_a_night_between_two_setups_is_not_measuring_time(simulated: Simulated) -> None:
+    session = simulated("tracking_2d")
+    columns = dict(session.readings.columns)
+    late = columns["time"] + np.where(session.readings.setup > 1, 50_000.0, 0.0)
+    from dataclasses import replace
+
+    slow = session.with_readings(replace(session.readings, columns={**columns, "time": late}))
+    rows = first_repetition(slow)
+    spent = pace(slow, rows)
+    assert spent is not None
+    assert spent.sum() < 4000.0
+
+
+def test_without_a_time_there_is_no_duration(simulated: Simulated) -> None:
+    session = simulated("drilled_plate")
+    columns = {n: v for n, v in session.readings.columns.items() if n != "time"}
+    from dataclasses import replace
+
+    timeless = session.with_readings(replace(session.readings, columns=columns))
+    assert all(option.seconds is None for option in further_options(timeless))

@@ -1,0 +1,93 @@
+"""Proposals, and that they keep their word in the simulator, which knows nothing of them."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
+from machine_tool_calibration.planning.advice import Advice, Separation, alias_groups_of
+from machine_tool_calibration.planning.what_to_measure import what_to_measure
+from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
+
+Simulated = Callable[..., Session]
+
+
+def look(session: Session) -> tuple[Diagnosis, Advice]:
+    found = diagnose(session, sets=199)
+    return found, what_to_measure(found)
+
+
+def separation(advice: Advice, *names: str) -> Separation:
+    return next(s for s in advice.separations if set(names) <= set(s.effects))
+
+
+def test_retroreflector_and_pointer_are_told_apart_by_turning_one(simulated: Simulated) -> None:
+    found, advice = look(simulated("tracking_2d", 5, FlawSpec(id="pointer_radial_error", amplitude=4e-6)))
+    assert found.verdict == "missing_effect"
+    way = separation(advice, "pointer_radial_error", "retroreflector_form")
+    assert way.kind == "turned"
+    assert way.cosine_before == pytest.approx(1.0, abs=1e-6)
+    assert way.separates
+    assert way.apart_before < 1.0 < 6.0 < way.apart_after
+
+
+def test_every_group_of_look_alikes_gets_an_answer(simulated: Simulated) -> None:
+    found, advice = look(simulated("step_diagonal", 5, FlawSpec(id="dead_path", amplitude=2e-6)))
+    groups = [group for group, _ in alias_groups_of(found)]
+    assert found.accepted == ("dead_path",)
+    assert [s.effects for s in advice.separations] == groups
+    for s in advice.separations:
+        assert s.measure
+        assert 0.0 <= s.cosine_after <= 1.0
+        assert (s.kind is None) == (not s.separates) or s.cosine_after < s.cosine_before
+
+
+def test_a_group_of_the_effect_found_begins_with_it(simulated: Simulated) -> None:
+    found, _ = look(simulated("tracking_2d", 5, FlawSpec(id="backlash_y", amplitude=1.5e-6)))
+    groups = [group for group, _ in alias_groups_of(found) if "backlash_y" in group]
+    assert all(group[0] == "backlash_y" for group in groups)
+
+
+def test_backlash_that_one_direction_hides_shows_when_run_backwards(simulated: Simulated) -> None:
+    """One-way runs of the table absorb the backlash of C; both ways show what was promised."""
+    found, advice = look(simulated("rotary_axis"))
+    assert "backlash_c" in {a.effect for a in found.looks[0].absorbed}
+    way = next(v for v in advice.visibilities if v.effect == "backlash_c")
+    assert way.kind == "backwards"
+    assert way.before is None
+    promised = way.after
+    plan = PRESETS["rotary_axis_both_ways"]
+    seen = 0
+    for seed in range(2):
+        effects = (FlawSpec(id="backlash_c", size=1.5 * promised),)
+        session = simulate(SimulationSpec(plan=plan, seed=seed, effects=effects)).session
+        seen += "backlash_c" in diagnose(session, sets=199).accepted
+    assert seen == 2
+
+
+def test_a_promised_size_is_what_the_longer_measurement_detects(simulated: Simulated) -> None:
+    """The dead path in a step diagonal: a larger swing of the temperature shows a smaller one."""
+    session = simulated("step_diagonal_three_orders", 5, environment_swing=0.3)
+    _, advice = look(session)
+    way = next((v for v in advice.visibilities if v.effect == "dead_path"), None)
+    assert way is not None
+    assert way.kind in ("swing", "warmer")
+    assert way.before is not None
+    assert way.after < 0.5 * way.before
+
+
+def test_advice_does_not_depend_on_the_readings_noise(simulated: Simulated) -> None:
+    _, one = look(simulated("rotary_axis", 5))
+    _, other = look(simulated("rotary_axis", 6))
+    kinds = [{v.effect: v.kind for v in advice.visibilities}.get("backlash_c") for advice in (one, other)]
+    assert kinds == ["backwards", "backwards"]
+
+
+def test_progress_is_told(simulated: Simulated) -> None:
+    found = diagnose(simulated("tracking_2d"), sets=199)
+    shares: list[float] = []
+    what_to_measure(found, progress=lambda what, share: shares.append(share))
+    assert shares
+    assert np.all(np.diff(shares) >= 0)
