@@ -182,26 +182,32 @@ def build(session: Session, model: str = "free") -> RotaryAxisModel:
         table,
         np.array([setup.position for setup in description.setups]),
         np.array([target.position for target in description.targets]),
+        tilted=True,
     )
     refuse_mistakes(session, start)
     first = _model(session, table, start)
     if len(np.unique(table.target)) > 2 and covered_angle(table) > _LARGE_TURN:
         return first
-    # What is undetermined depends on where stations and targets are: say so at their fitted places.
-    found = _moved(start, first)
+    held = _held(first)
     if len(np.unique(table.target)) < 3:
-        first = _model(session, table, found)
-    stations, targets = description.setups, description.targets
+        # What is undetermined then depends on where stations and targets are: say so at their fitted places.
+        held = _held(_model(session, table, _moved(start, held)))
+    return held
+
+
+def _held(model: RotaryAxisModel) -> RotaryAxisModel:
+    """The model with the stated places of stations and targets, as far as the readings leave them open."""
+    stations, targets = model.description.setups, model.description.targets
     nominal = np.ravel([entry.position for entry in stations] + [entry.position for entry in targets])
     uncertainties = [entry.position_uncertainty for entry in stations]
     uncertainties += [entry.position_uncertainty for entry in targets]
     stated = max(value or 0.0 for value in uncertainties)
-    names = [p.name for p in first.own[: start.stations.size]] + [p.name for p in first.terms[6].parameters]
-    priors = weak_places(fit_models([first]).fits[0], names, nominal, max(HELD_WITHIN, 10 * stated))
+    names = [p.name for p in model.own[: model.stations.size]] + [p.name for p in model.terms[6].parameters]
+    priors = weak_places(model, names, nominal, max(HELD_WITHIN, 10 * stated))
     if not priors:
-        return first
+        return model
     held = f"{len(priors)} directions of stations and targets that the readings leave open stay where they are stated"
-    return replace(first, priors=priors, datum=f"{first.datum}; {held}")
+    return replace(model, priors=priors, datum=f"{model.datum}; {held}")
 
 
 def _moved(start: Start, model: RotaryAxisModel) -> Start:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from machine_tool_calibration.arrays import Array
 
 __all__ = ["average_line", "line_names"]
+
+_STEPS = 20
 
 
 def line_names(axis: str) -> tuple[tuple[str, int], ...]:
@@ -19,7 +22,8 @@ def line_names(axis: str) -> tuple[tuple[str, int], ...]:
 def average_line(stations: Array, covariance: Array, nominal: Array, uncertainty: Array) -> tuple[Array, Array] | None:
     """Shift and turn from the frame of the axis to the machine's.
 
-    nominal = station + shift + turn x station, by weighted least squares.
+    nominal = R(turn) station + shift, by weighted least squares; the turn is a rotation vector, which for a table that
+    stands tilted is large.
 
     Args:
         stations: (S, 3) in the frame of the axis, m.
@@ -33,14 +37,24 @@ def average_line(stations: Array, covariance: Array, nominal: Array, uncertainty
     """
     if len(stations) < 3:
         return None
-    columns = np.zeros((len(stations), 3, 6))
-    columns[:, :, :3] = np.eye(3)
-    for j in range(3):
-        columns[:, :, 3 + j] = np.cross(np.eye(3)[j], stations)
-    flat = columns.reshape(-1, 6)
-    weight = np.linalg.inv(covariance + np.diag(np.repeat(uncertainty**2, 3)))
-    normal = flat.T @ weight @ flat
-    if np.linalg.cond(normal) > 1e12:
-        return None
-    inverse = np.asarray(np.linalg.inv(normal), dtype=np.float64)
-    return np.asarray(inverse @ flat.T @ weight @ (nominal - stations).ravel()), inverse
+    known = np.repeat(uncertainty**2, 3)
+    turn, shift = Rotation.identity(), np.zeros(3)
+    inverse = np.zeros((6, 6))
+    for _ in range(_STEPS):
+        seen = turn.apply(stations)
+        columns = np.zeros((len(stations), 3, 6))
+        columns[:, :, :3] = np.eye(3)
+        for j in range(3):
+            columns[:, :, 3 + j] = np.cross(np.eye(3)[j], seen)
+        flat = columns.reshape(-1, 6)
+        carry = np.kron(np.eye(len(stations)), turn.as_matrix())
+        weight = np.linalg.inv(carry @ covariance @ carry.T + np.diag(known))
+        normal = flat.T @ weight @ flat
+        if np.linalg.cond(normal) > 1e12:
+            return None
+        inverse = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+        step = inverse @ flat.T @ weight @ (nominal - seen - shift).ravel()
+        shift, turn = shift + step[:3], Rotation.from_rotvec(step[3:]) * turn
+        if np.abs(step).max() < 1e-12:
+            break
+    return np.concatenate([shift, turn.as_rotvec()]), inverse

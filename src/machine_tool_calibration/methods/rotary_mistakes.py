@@ -6,7 +6,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.methods.rotary_geometry import TableReadings, table_readings
-from machine_tool_calibration.methods.rotary_start import Start, find_start
+from machine_tool_calibration.methods.rotary_start import Start, aligned, find_start
 from machine_tool_calibration.methods.suspicions import refuse_mistake
 from machine_tool_calibration.session.description import RotaryAxis
 from machine_tool_calibration.session.session import Session
@@ -49,7 +49,8 @@ def _misfit(session: Session, table: TableReadings, start: Start) -> float:
     stated = np.array([setup.position_uncertainty or 0.0 for setup in description.setups])
     used = np.unique(table.readings.setup)
     size = max(float(np.ptp(nominal[used], axis=0).max()), 1e-3)
-    stations = _too_far(_aligned(start.stations[used], nominal[used]) - nominal[used], stated[used])
+    moved = aligned(start.stations, nominal, used)
+    stations = _too_far((moved - nominal)[used], stated[used])
     places = np.array([target.position for target in description.targets])
     stated = np.array([target.position_uncertainty or 0.0 for target in description.targets])
     targets = _too_far(start.targets - places, stated)
@@ -60,11 +61,3 @@ def _too_far(moved: Array, stated: Array) -> float:
     """How much further the worst place is off than a survey can be, m."""
     allowed = np.maximum(_MISPLACED, _MANY * stated)
     return float(np.max(np.clip(np.linalg.norm(moved, axis=1) - allowed, 0.0, None)))
-
-
-def _aligned(points: Array, onto: Array) -> Array:
-    """Points after the shift and turn that brings them nearest to others (Kabsch)."""
-    a, b = points - points.mean(axis=0), onto - onto.mean(axis=0)
-    u, _, vt = np.linalg.svd(a.T @ b)
-    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-    return np.asarray(a @ u @ flip @ vt + onto.mean(axis=0))

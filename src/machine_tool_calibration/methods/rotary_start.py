@@ -6,16 +6,20 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.methods.rotary_geometry import TableReadings
 
-__all__ = ["Start", "find_start"]
+__all__ = ["Start", "aligned", "find_start"]
 
 # Errors of a rotary axis are some micrometres; a nominal position may be wrong by centimetres. Both only shape the way
 # to the start: the fit that follows holds no such knowledge.
 _ERRORS = 1e-5
 _NOMINAL = 0.05
+# Misfit at which other places to set out from are tried, m, and how many.
+_ABSURD = 3e-5
+_TRIES = 8
 
 
 @dataclass(frozen=True)
@@ -33,7 +37,7 @@ class Start:
     misfit: float
 
 
-def find_start(table: TableReadings, stations: Array, targets: Array) -> Start:
+def find_start(table: TableReadings, stations: Array, targets: Array, *, tilted: bool = False) -> Start:
     """Fit stations and targets with the table turning without error.
 
     The datum of each run is taken out by subtracting the run's mean.
@@ -42,7 +46,73 @@ def find_start(table: TableReadings, stations: Array, targets: Array) -> Start:
         table: the readings.
         stations: (S, 3) nominal, m.
         targets: (T, 3) nominal at c = 0, m.
+        tilted: where the nominal places lead nowhere, try whether the axis stands tilted in the machine, by up to a
+            right angle: then all stations are first turned together.
     """
+    start = _fitted(table, stations, targets)
+    if not tilted or start.misfit < _ABSURD:
+        return start
+    turned = [_turned(stations, table.axis, tilt) for tilt in _tilts()]
+    rough = [_misfit(table, places, targets) for places in turned]
+    posed = [_posed(table, turned[k], targets) for k in np.argsort(rough)[:_TRIES]]
+    # The nearest to where the rotation is as stated is the one that fits; a mirror image may fit as well.
+    tries = [_fitted(table, places, targets) for places in posed]
+    return min([start, *tries], key=lambda found: found.misfit)
+
+
+def _posed(table: TableReadings, stations: Array, targets: Array) -> Array:
+    """All stations moved as one body to where the readings fit best, targets as stated."""
+    arm, reading = table.turned(targets), table.readings.displacement
+    count = np.bincount(table.run)
+
+    def place(x: Array) -> Array:
+        return np.asarray(Rotation.from_rotvec(x[3:]).apply(stations) + x[:3])
+
+    def residual(x: Array) -> Array:
+        off = np.linalg.norm(arm - place(x)[table.readings.setup], axis=1) - reading
+        return np.asarray(off - (np.bincount(table.run, off) / count)[table.run])
+
+    found = least_squares(residual, np.zeros(6), method="lm", xtol=1e-8, ftol=1e-8)
+    return place(np.asarray(found.x))
+
+
+def _tilts() -> list[tuple[float, float]]:
+    """Turns about the two directions across the axis, rad: up to a right angle, beyond it would turn the other way."""
+    around = np.arange(12) * np.pi / 6
+    return [(a * np.cos(b), a * np.sin(b)) for a in np.radians([20, 40, 60, 75, 90]) for b in around]
+
+
+def _turned(stations: Array, axis: str, tilt: tuple[float, float]) -> Array:
+    """Stations seen from an axis that is tilted by a rotation vector across it."""
+    along = "ABC".index(axis)
+    vector = np.zeros(3)
+    vector[(along + 1) % 3], vector[(along + 2) % 3] = tilt
+    return np.asarray(Rotation.from_rotvec(-vector).apply(stations))
+
+
+def _misfit(table: TableReadings, stations: Array, targets: Array) -> float:
+    """Median absolute difference between readings and places as they are, m."""
+    length = np.linalg.norm(table.turned(targets) - stations[table.readings.setup], axis=1)
+    off = length - table.readings.displacement
+    mean = np.bincount(table.run, off) / np.bincount(table.run)
+    return float(np.median(np.abs(off - mean[table.run])))
+
+
+def aligned(points: Array, onto: Array, used: IntArray) -> Array:
+    """Points after the shift and turn that brings the used ones nearest to others (Kabsch).
+
+    Args:
+        points: (n, 3).
+        onto: (n, 3).
+        used: which of them count.
+    """
+    middle, goal = points[used].mean(axis=0), onto[used].mean(axis=0)
+    u, _, vt = np.linalg.svd((points[used] - middle).T @ (onto[used] - goal))
+    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
+    return np.asarray((points - middle) @ u @ flip @ vt + goal)
+
+
+def _fitted(table: TableReadings, stations: Array, targets: Array) -> Start:
     setup, reading = table.readings.setup, table.readings.displacement
     size = len(stations) * 3
     nominal = np.concatenate([stations.ravel(), targets.ravel()])

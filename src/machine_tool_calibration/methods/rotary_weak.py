@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.estimation.solve import gram, solve_normal
 from machine_tool_calibration.methods.rotary_geometry import TableReadings
-from machine_tool_calibration.model.fit import Fit
-from machine_tool_calibration.model.model import Prior
+from machine_tool_calibration.model.model import MethodModel, Prior, assemble
 
 __all__ = ["HELD_WITHIN", "covered_angle", "weak_places"]
 
@@ -29,23 +29,28 @@ def covered_angle(table: TableReadings) -> float:
     return float(2 * np.pi - gaps.max())
 
 
-def weak_places(fit: Fit, names: list[str], nominal: Array, within: float) -> tuple[Prior, ...]:
-    """Directions of stations and targets that a fit fixes worse than a limit.
+def weak_places(model: MethodModel, names: list[str], nominal: Array, within: float) -> tuple[Prior, ...]:
+    """Directions of stations and targets that the readings fix worse than a limit, at the model's first estimates.
 
     Args:
-        fit: without such knowledge, of the model to which it is to be added.
+        model: without such knowledge.
         names: of the stations' and targets' coordinates.
         nominal: (k,) their stated values, m.
         within: the limit, and the standard uncertainty within which they are held, m.
     """
-    place = {parameter.name: k for k, parameter in enumerate(fit.model.parameters)}
+    assembly = assemble([model])
+    problem = assembly.problem
+    m = problem.size
+    total, squares = gram(problem, np.zeros(m), [np.zeros((part.dimension, part.n_points)) for part in problem.parts])
+    normal = solve_normal(total[:m, :m], total[:m, m], problem.constraints, problem.constraint_values, squares[:m])
+    place = {parameter.name: k for k, parameter in enumerate(assembly.parameters)}
     index = np.array([place[name] for name in names])
-    spread: Array = fit.covariance[np.ix_(index, index)]
-    open_ = fit.undetermined[index]
+    spread: Array = normal.covariance[np.ix_(index, index)]
+    open_ = normal.undetermined[index]
     open_ = open_[:, np.linalg.norm(open_, axis=0) > _LOOSE]
     # An undetermined direction is as uncertain as you like: a kilometre will do.
     values, vectors = np.linalg.eigh(spread + 1e6 * open_ @ open_.T)
-    away = nominal - np.array([fit.model.parameters[k].reference for k in index])
+    away = nominal - np.array([assembly.parameters[k].reference for k in index])
     return tuple(
         Prior({name: float(w) for name, w in zip(names, vector, strict=True)}, float(vector @ away), within)
         for vector in vectors.T[values > within**2]

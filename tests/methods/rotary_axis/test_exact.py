@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from machine_tool_calibration.methods.identify import identify
 
@@ -68,3 +70,24 @@ def test_stations_stated_wrong_by_centimetres_do_no_harm(rotary: SimpleNamespace
     )
     assert np.abs(difference[:3]).max() < 5e-9
     assert np.abs(difference[3:]).max() < 1e-8
+
+
+@pytest.mark.parametrize(("about", "degrees"), [("X", 45.0), ("Y", 90.0), ("X", 30.0)])
+def test_a_table_that_stands_tilted_in_the_machine(rotary: SimpleNamespace, about: str, degrees: float) -> None:
+    simulated = rotary.measured(4, noise_factor=0.0, station_uncertainty=1e-4)
+    turn = np.zeros(3)
+    turn["XYZ".index(about)] = np.radians(degrees)
+    shift = np.array([0.03, -0.02, 0.01])
+    stated = simulated.session.description.model_dump()
+    for entry in stated["setups"]:
+        entry["position"] = tuple(Rotation.from_rotvec(turn).apply(entry["position"]) + shift)
+    description = type(simulated.session.description).model_validate(stated)
+    content = identify(replace(simulated.session, description=description)).error_map.content
+    angles = np.asarray(content["c"])
+    value, _ = rotary.found(content)
+    truth = rotary.without_datum(rotary.true_motions(simulated, angles), angles)
+    difference = rotary.without_datum(value, angles) - truth
+    assert np.abs(difference[:3]).max() < 5e-9
+    line = content["axis_average_line"]
+    found = [line[name] for name in ("X0C", "Y0C", "A0C", "B0C")]
+    np.testing.assert_allclose(found, [*shift[:2], *turn[:2]], atol=5e-4)
