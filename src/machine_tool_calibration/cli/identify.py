@@ -7,16 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from machine_tool_calibration.cli.measuring import figures
-from machine_tool_calibration.cli.output import console, json_option, plain, write_json
+from machine_tool_calibration.cli.identified import show_result
+from machine_tool_calibration.cli.output import console, json_option, plain, to_json, write_json
 
 if TYPE_CHECKING:
     from machine_tool_calibration.effects.effect import Effect
+    from machine_tool_calibration.model.result import Result
     from machine_tool_calibration.session.session import Session
 
 __all__ = ["command"]
-
-_MOST_ROWS = 40
 
 
 @click.command("identify")
@@ -30,6 +29,7 @@ _MOST_ROWS = 40
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path), help="Folder for the result document and the pictures."
 )
+@click.option("--plot", is_flag=True, help="Draw pictures: into --output, or into the present folder.")
 @json_option
 def command(
     sessions: tuple[Path, ...],
@@ -38,6 +38,7 @@ def command(
     model: str | None,
     formulation: str | None,
     output: Path | None,
+    plot: bool,
     as_json: bool,
 ) -> None:
     """Identify the machine's errors, each with its uncertainty.
@@ -56,33 +57,39 @@ def command(
 
     own = read_effects(effects_file) if effects_file else []
     opened = [open_measurement(path) for path in sessions]
-    document = plain(_document(opened, sessions, effects, own, model, formulation))
-    pictures = _write(document, opened, output) if output else []
+    document, result = _identified(opened, sessions, effects, own, model, formulation)
+    folder = output or (Path() if plot else None)
+    written = _write(document, result, opened, folder, result_file=output is not None) if folder else []
     if as_json:
         write_json(document)
         return
-    _show(document)
-    for path in pictures:
+    if "formulation" in document:
+        _show_profiles(document)
+    else:
+        show_result(document, opened)
+    for path in written:
         console().print(f"written: {path}")
 
 
-def _document(
+def _identified(
     opened: list[Session],
     paths: tuple[Path, ...],
     effects: tuple[str, ...],
     own: list[Effect],
     model: str | None,
     formulation: str | None,
-) -> dict[str, Any]:
+) -> tuple[dict[str, Any], Result | None]:
+    """The document, and for a single session the result behind it."""
     from machine_tool_calibration.methods.identify import identify
 
     if formulation is not None:
-        return _by_formulation(opened, effects, model, formulation)
+        return plain(_by_formulation(opened, effects, model, formulation)), None
     if len(opened) == 1:
-        return identify(opened[0], model=model, effects=effects, own=own).document()
+        result = identify(opened[0], model=model, effects=effects, own=own)
+        return result.document(), result
     from machine_tool_calibration.methods.joint import identify_sessions
 
-    return identify_sessions(opened, _labels(paths), model=model, effects=effects, own=own).document()
+    return identify_sessions(opened, _labels(paths), model=model, effects=effects, own=own).document(), None
 
 
 def _by_formulation(
@@ -114,84 +121,28 @@ def _labels(paths: tuple[Path, ...]) -> list[str]:
     return [f"{name}#{k + 1}" if names.count(name) > 1 else name for k, name in enumerate(names)]
 
 
-def _write(document: dict[str, Any], opened: list[Session], output: Path) -> list[Path]:
-    from machine_tool_calibration.cli.output import to_json
+def _write(
+    document: dict[str, Any], result: Result | None, opened: list[Session], folder: Path, *, result_file: bool
+) -> list[Path]:
     from machine_tool_calibration.errors import CalibrationError
-    from machine_tool_calibration.plots.pictures import draw
+    from machine_tool_calibration.plots.pictures import draw, draw_common
+    from machine_tool_calibration.plots.tracking import draw_residuals
 
+    written = []
     try:
-        output.mkdir(parents=True, exist_ok=True)
-        file = output / "result.json"
-        file.write_text(to_json(document) + "\n", encoding="utf-8")
+        folder.mkdir(parents=True, exist_ok=True)
+        if result_file:
+            written.append(folder / "result.json")
+            written[0].write_text(to_json(document) + "\n", encoding="utf-8")
+        if result is not None:
+            written += draw(opened[0], document, folder)
+            written.append(folder / "residuals.png")
+            draw_residuals(result.fit).savefig(written[-1], dpi=110)
+        elif "formulation" not in document:
+            written += draw_common(document, folder)
     except OSError as error:
-        raise CalibrationError(f"{output}: cannot be written: {error.strerror}") from None
-    drawn = draw(opened[0], document, output) if len(opened) == 1 and "formulation" not in document else []
-    return [file, *drawn]
-
-
-def _show(document: dict[str, Any]) -> None:
-    from rich.table import Table
-
-    screen = console()
-    if "formulation" in document:
-        _show_profiles(document)
-        return
-    screen.print(_verdict(document))
-    table = Table(show_header=False, box=None, pad_edge=False)
-    for name, text in figures(document):
-        table.add_row(name, text)
-    screen.print(table)
-    for entry in document["rejected"][:10]:
-        screen.print(f"not used: row {entry['row']}, {entry['reason']}")
-    if "agreement" in document:
-        screen.print(document["agreement"]["statement"])
-    _show_parameters(document)
-    for entry in document["not_determined"]:
-        screen.print(f"not determined: {entry['name']}: {entry['why']}")
-    screen.print(f"datum: {document['datum']}")
-
-
-def _verdict(document: dict[str, Any]) -> str:
-    """How well the model fits, in plain words."""
-    chi, p = document["reduced_chi_square"], document["p_value"]
-    ratio = chi**0.5
-    if p < 1e-3:
-        return (
-            f"The readings scatter {ratio:.1f} times their declared uncertainty about the model (p = {p:.1g}): "
-            "something is missing in it, or the declared uncertainty is too small. `mtcal diagnose` looks for it."
-        )
-    if p > 1 - 1e-3:
-        return f"The readings scatter only {ratio:.2f} times their declared uncertainty: it is stated too large."
-    return f"The model fits the readings within their declared uncertainty (p = {p:.2g})."
-
-
-def _show_parameters(document: dict[str, Any]) -> None:
-    from rich.table import Table
-
-    table = Table(title="parameters", title_justify="left", box=None, pad_edge=False)
-    for heading in ("name", "value", "u (k = 1)", "U (k = 2)", "unit"):
-        table.add_column(heading, justify="left" if heading in ("name", "unit") else "right")
-    added = tuple(f"{effect}." for effect in document["effects"])
-    ordered = sorted(document["parameters"], key=lambda entry: not entry["name"].startswith(added) if added else True)
-    for entry in ordered[:_MOST_ROWS]:
-        table.add_row(entry["name"], *_shown(entry["value"], entry["standard_uncertainty"], entry["unit"]))
-    console().print(table)
-    if len(ordered) > _MOST_ROWS:
-        console().print(f"… and {len(ordered) - _MOST_ROWS} more; --json gives all of them")
-
-
-def _shown(value: float, uncertainty: float, unit: str) -> tuple[str, str, str, str]:
-    """Value and uncertainties, in micrometres and microradians for people."""
-    factor, name = {"m": (1e6, "µm"), "rad": (1e6, "µrad")}.get(unit, (1.0, unit))
-    if unit == "m" and abs(value) > 1e-2:
-        factor, name = 1e3, "mm"
-    digits = ".6g" if name == "mm" else ".4g"
-    return (
-        f"{value * factor:{digits}}",
-        f"{uncertainty * factor:.2g}",
-        f"{2 * uncertainty * factor:.2g}",
-        "" if name == "1" else name,
-    )
+        raise CalibrationError(f"{folder}: cannot be written: {error.strerror}") from None
+    return written
 
 
 def _show_profiles(document: dict[str, Any]) -> None:

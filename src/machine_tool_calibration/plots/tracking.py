@@ -1,4 +1,4 @@
-"""The map of a tracking interferometer: targets where they were found, errors magnified, as in paper 003's Fig. 10."""
+"""Pictures of a tracking interferometer's session: the map, the error motions, and where the stations stood."""
 
 from __future__ import annotations
 
@@ -8,123 +8,134 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.plots.error_map import draw_map
+from machine_tool_calibration.plots.style import BAND, COLORS, NOMINAL, new_figure
+from machine_tool_calibration.plots.tables import draw_tables
 from machine_tool_calibration.session.session import Session
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw", "draw_map"]
+    from machine_tool_calibration.model.fit import Fit
 
-_NOMINAL, _FOUND, _BAND = "0.7", "#0072b2", "#e69f00"
-# Largest error as a share of the smallest distance between neighbours.
-_SHARE = 0.6
+__all__ = ["draw", "draw_map", "draw_residuals", "draw_stations"]
 
 
 def draw(session: Session, result: Mapping[str, Any], folder: Path) -> list[Path]:
-    """Write the picture of a result document into a folder.
+    """Write the pictures of a result document into a folder.
 
     Returns:
-        The file.
+        The files.
     """
-    file = folder / "error_map.png"
-    draw_map(result["error_map"]).savefig(file, dpi=110)
-    return [file]
+    figures = {
+        "error_map.png": draw_map(result["error_map"]),
+        "stations.png": draw_stations(result["error_map"]),
+        "error_motions.png": draw_tables(result.get("parameters", ())),
+    }
+    written = []
+    for name, figure in figures.items():
+        if figure is not None:
+            figure.savefig(folder / name, dpi=110)
+            written.append(folder / name)
+    return written
 
 
-def draw_map(content: Mapping[str, Any], title: str = "") -> Figure:
-    """Commanded and found positions, with ellipses of expanded uncertainty (k = 2); three views of a volume.
+def draw_stations(content: Mapping[str, Any]) -> Figure:
+    """Plan of targets and stations with the lines of sight; for a volume also the side view.
 
     Args:
-        content: the error map of a result, as in its document or with arrays.
-        title: above the picture.
+        content: the error map of a result, in its document or with arrays.
     """
-    from matplotlib.figure import Figure
-
-    points = np.array(content["points"], dtype=float)
-    error = np.array(content["position_error"], dtype=float)
-    uncertainty = np.array(content["position_error_u"], dtype=float)
-    views = [(0, 1)] if error.shape[1] == 2 else [(0, 1), (0, 2), (1, 2)]
-    figure = Figure(figsize=(7.5 if len(views) == 1 else 16.5, 7.2 if len(views) == 1 else 6.2), layout="constrained")
-    panels = np.atleast_1d(figure.subplots(1, len(views)))
-    scale = _magnification(points[:, : error.shape[1]], error)
-    for panel, axes in zip(panels, views, strict=True):
-        _view(panel, points, error, uncertainty, axes, scale)
-    largest = float(np.nanmax(np.linalg.norm(error, axis=1)))
-    text = title or "Targets as found, errors magnified"
-    times = f"{scale:,.0f}".replace(",", " ")
-    figure.suptitle(f"{text} {times} times; largest error {largest * 1e6:.1f} µm", fontsize="medium")
+    points = np.array(content["points"], dtype=float) * 1e3
+    stations = np.array(content["stations"], dtype=float) * 1e3
+    uncertainty = np.array(content["stations_u"], dtype=float) * 1e6
+    flat = np.array(content["position_error"]).shape[1] == 2
+    views = [(0, 1)] if flat else [(0, 1), (0, 2)]
+    figure = new_figure(
+        6.4 * len(views), 6.4, "Stations and targets; in brackets the largest U (k = 2) of a coordinate"
+    )
+    for panel, (a, b) in zip(np.atleast_1d(figure.subplots(1, len(views))), views, strict=True):
+        _plan(panel, points[:, [a, b]], stations[:, [a, b]], uncertainty, list(content["station_ids"]))
+        panel.set_xlabel(f"{'xyz'[a]}, mm")
+        panel.set_ylabel(f"{'xyz'[b]}, mm")
     return figure
 
 
-def _view(panel: Axes, points: Array, error: Array, uncertainty: Array, axes: tuple[int, int], scale: float) -> None:
-    """One projection; in a volume all layers lie on each other."""
-    from matplotlib.collections import EllipseCollection
-
-    a, b = axes
-    nominal = points[:, [a, b]] * 1e3
-    found = nominal + scale * error[:, [a, b]] * 1e3
-    good = np.isfinite(found).all(axis=1)
-    for lines, style in (
-        (nominal, {"color": _NOMINAL, "lw": 0.8}),
-        (found, {"color": _FOUND, "lw": 0.6, "alpha": 0.7}),
-    ):
-        for k, m in _neighbours(points, axes):
-            panel.plot(lines[[k, m], 0], lines[[k, m], 1], zorder=1, **style)  # type: ignore[arg-type]
-    larger = _larger(nominal, scale * uncertainty[:, [a, b]] * 1e3)
-    size = 4 * larger * scale * uncertainty[:, [a, b]] * 1e3
-    ellipses = EllipseCollection(
-        size[good, 0], size[good, 1], np.zeros(int(good.sum())), units="xy", offsets=found[good],
-        offset_transform=panel.transData, facecolor="none", edgecolor=_BAND, lw=0.9, zorder=2,
-    )  # fmt: skip
-    panel.add_collection(ellipses)
-    panel.plot(nominal[:, 0], nominal[:, 1], ".", color=_NOMINAL, ms=4, label="commanded", zorder=2)
-    panel.plot(found[good, 0], found[good, 1], "o", color=_FOUND, ms=2.5, label="found", zorder=3)
-    panel.plot(
-        [], [], "o", mfc="none", mec=_BAND, label="U (k = 2)" + (f", {larger:g} times larger" if larger > 1 else "")
-    )
-    bar = _round(0.4 * float(np.nanmax(np.abs(error))) * 2.5)
+def _plan(panel: Axes, points: Array, stations: Array, uncertainty: Array, names: list[str]) -> None:
+    low, high = points.min(axis=0), points.max(axis=0)
+    corners = np.array([[low[0], low[1]], [low[0], high[1]], [high[0], low[1]], [high[0], high[1]]])
+    for k, (station, name) in enumerate(zip(stations, names, strict=True)):
+        if not np.isfinite(station).all():
+            continue
+        if ((station < low) | (station > high)).any():
+            sight = np.vstack([station, corners])
+            panel.fill(*sight[_outline(sight)].T, color=COLORS[k % len(COLORS)], alpha=0.08, lw=0)
+        panel.plot(*station, "^", color=COLORS[k % len(COLORS)], ms=9, zorder=3)
+        known = uncertainty[k][np.isfinite(uncertainty[k])]
+        text = f"{name} ({2 * known.max():.2g} µm)" if len(known) else name
+        outwards = np.sign(station - (low + high) / 2)
+        panel.annotate(
+            text, station, (0, 9 * outwards[1] or 9), textcoords="offset points", ha="center",
+            va="bottom" if outwards[1] >= 0 else "top",
+        )  # fmt: skip
+    panel.plot(points[:, 0], points[:, 1], ".", color=NOMINAL, ms=3, zorder=2)
     panel.set_aspect("equal")
-    panel.margins(0.1)
-    panel.set_xlabel(f"{'xyz'[a]}, mm")
-    panel.set_ylabel(f"{'xyz'[b]}, mm")
-    low_x, low_y = np.nanmin(np.vstack([nominal, found[good]]), axis=0)
-    drop = 0.12 * float(np.ptp(nominal[:, 1]) or 1.0)
-    panel.plot([low_x, low_x + scale * bar * 1e3], [low_y - drop] * 2, color="black", lw=2)
-    panel.annotate(
-        f"{bar * 1e6:g} µm", (low_x + scale * bar * 1e3, low_y - drop), (4, 0), textcoords="offset points", va="center"
-    )
-    panel.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, fontsize="small", frameon=False)
+    panel.margins(0.14)
 
 
-def _larger(nominal: Array, uncertainty: Array) -> float:
-    """How much larger than the errors the ellipses must be drawn to be seen beside their points."""
-    typical = float(np.nanmedian(2 * uncertainty))
-    seen = 0.012 * float(np.ptp(nominal, axis=0).max() or 1.0)
-    return 1.0 if not typical > 0 or typical >= seen else max(_round(2.0 * seen / typical), 1.0)
+def _outline(places: Array) -> IntArray:
+    """Places on the outside, in order around them; all of them where they lie on a line."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        return np.asarray(ConvexHull(places).vertices, dtype=np.int64)
+    except QhullError:
+        return np.arange(len(places))
 
 
-def _neighbours(points: Array, axes: tuple[int, int]) -> list[tuple[int, int]]:
-    """Pairs of points next to each other along one of the view's axes, all else equal."""
-    keys = np.round(points, 7)
-    pairs = []
-    for axis in axes:
-        others = [j for j in range(3) if j != axis]
-        order = np.lexsort((keys[:, axis], keys[:, others[0]], keys[:, others[1]]))
-        same = (keys[order[1:]][:, others] == keys[order[:-1]][:, others]).all(axis=1)
-        pairs += [(int(k), int(m)) for k, m, s in zip(order[:-1], order[1:], same, strict=True) if s]
-    return pairs
+def draw_residuals(fit: Fit) -> Figure:
+    """Residuals of each station in the order of reading, with twice the declared uncertainty and their own RMS.
+
+    Args:
+        fit: of a session whose setups are stations (or any other setups).
+    """
+    session = fit.model.observations.session
+    readings = fit.model.observations.readings
+    residual, limit = fit.residuals * 1e6, 2e6 * session.sigma
+    names = session.setup_ids
+    height = max(float(np.abs(residual).max(initial=0.0)), limit) * 1.15
+    columns = min(len(names), 2)
+    rows = -(-len(names) // columns)
+    chi = fit.joint.reduced_chi_square
+    figure = new_figure(6.2 * columns, 2.3 * rows + 0.8, f"Measured minus predicted; reduced chi-square {chi:.2f}")
+    panels = np.atleast_1d(figure.subplots(rows, columns, sharey=True)).reshape(-1)
+    for k, panel in enumerate(panels):
+        if k >= len(names):
+            panel.set_axis_off()
+            continue
+        _station(panel, residual, np.flatnonzero(readings.setup == k), readings.repeat, limit)
+        own = residual[readings.setup == k]
+        rms = f"RMS {np.sqrt(np.mean(own**2)):.2g} µm" if len(own) else "not read"
+        panel.set_title(f"{names[k]}: {rms}", fontsize="medium")
+        panel.set_ylim(-height, height)
+        if k % columns == 0:
+            panel.set_ylabel("residual, µm")
+        if k + columns >= len(names):
+            panel.set_xlabel("reading")
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False, fontsize="small")
+    return figure
 
 
-def _magnification(points: Array, error: Array) -> float:
-    """Round number that makes the largest error a good part of the distance between neighbours."""
-    steps = [np.diff(np.unique(np.round(points[:, j], 7))) for j in range(points.shape[1])]
-    smallest = min((float(s.min()) for s in steps if len(s)), default=0.1)
-    return _round(_SHARE * smallest / max(float(np.nanmax(np.abs(error))), 1e-12))
-
-
-def _round(value: float) -> float:
-    """The largest of 1, 2, 5 times a power of ten below a value."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(max(m for m in (1, 2, 5) if m * power <= value * (1 + 1e-9)) * power)
+def _station(panel: Axes, residual: Array, mine: IntArray, repeat: IntArray, limit: float) -> None:
+    order = np.arange(len(mine))
+    panel.axhspan(-limit, limit, color=BAND, alpha=0.18, lw=0, label="± 2 declared u")
+    panel.axhline(0.0, color="0.6", lw=0.8)
+    repeats = np.unique(repeat[mine])
+    for k, number in enumerate(repeats[:4]):
+        chosen = repeat[mine] == number if k < 3 or len(repeats) == 4 else repeat[mine] >= number
+        name = f"repeat {number}" + ("" if k < 3 or len(repeats) == 4 else " and later")
+        panel.plot(order[chosen], residual[mine][chosen], ".", color=COLORS[k], ms=5, label=name)
+    panel.margins(x=0.02)

@@ -1,0 +1,165 @@
+"""What `mtcal identify` tells people: the result document in words, micrometres and microradians."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from machine_tool_calibration.cli.measuring import figures
+from machine_tool_calibration.cli.output import console
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.session.session import Session
+
+__all__ = ["grouped", "measured", "show_result", "shown", "verdict"]
+
+_MOST_ROWS = 40
+_MOST_NAMES = 8
+_TABLE = re.compile(r"((?:.*[./])?E[XYZABC][XYZABC])\((.+)\)")
+_MOTION = re.compile(r"E[XYZABC][XYZABC]")
+_PUBLISHED = ("x", "y", "z", "workpiece_error", "workpiece_form")
+
+
+def show_result(document: Mapping[str, Any], opened: Iterable[Session]) -> None:
+    """Print a result document."""
+    from rich.table import Table
+
+    screen = console()
+    for session in opened:
+        screen.print(measured(session))
+    screen.print(verdict(document))
+    table = Table(show_header=False, box=None, pad_edge=False)
+    for name, text in [*figures({**document, "not_determined": []}), *_motions(document["error_map"])]:
+        table.add_row(name, text)
+    screen.print(table)
+    if "agreement" in document:
+        screen.print(document["agreement"]["statement"])
+    for reason, rows in grouped((str(entry["row"]), entry["reason"]) for entry in document["rejected"]):
+        screen.print(f"not used: {'rows' if ',' in rows else 'row'} {rows} (the first row is 0): {reason}")
+    _show_parameters(document)
+    for why, names in grouped((entry["name"], entry["why"]) for entry in document["not_determined"]):
+        screen.print(f"not determined: {names}: {why}")
+    screen.print(f"datum: {document['datum']}")
+
+
+def measured(session: Session) -> str:
+    """What was measured, in one line."""
+    ids = session.setup_ids
+    names = ", ".join(ids[:_MOST_NAMES]) + (" …" if len(ids) > _MOST_NAMES else "")
+    description = session.description
+    kind = session.method.replace("_", " ")
+    if session.method == "tracking_interferometer":
+        pointing = "following the target" if description.pointing == "tracking" else "pointed open loop"  # type: ignore[union-attr]
+        kind += f" in {description.dimension} dimensions, {pointing}"  # type: ignore[union-attr]
+    repeats = len(np.unique(session.readings.repeat))
+    return (
+        f"{kind}: {len(session.readings)} readings in {len(ids)} setup{'s' if len(ids) > 1 else ''} ({names}), "
+        f"{repeats} repeat{'s' if repeats > 1 else ''}, declared standard uncertainty {session.sigma * 1e6:.3g} µm"
+    )
+
+
+def verdict(document: Mapping[str, Any]) -> str:
+    """How well the model fits, in plain words."""
+    chi, p = document["reduced_chi_square"], document["p_value"]
+    ratio = chi**0.5
+    if p < 1e-3:
+        return (
+            f"The readings scatter {ratio:.1f} times their declared uncertainty about the model "
+            f"(p {'< 1e-12' if p < 1e-12 else f'= {p:.1g}'}): something is missing in it, or the declared uncertainty "
+            "is too small. `mtcal diagnose` looks for it."
+        )
+    if p > 1 - 1e-3:
+        return f"The readings scatter only {ratio:.2f} times their declared uncertainty: it is stated too large."
+    return f"The model fits the readings within their declared uncertainty (p = {p:.2g})."
+
+
+def grouped(entries: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
+    """From (name, reason) to each reason with the names that share it, the first ones by name."""
+    names: dict[str, list[str]] = {}
+    for name, reason in entries:
+        names.setdefault(reason, []).append(name)
+    return [
+        (
+            reason,
+            ", ".join(own[:_MOST_NAMES]) + (f" and {len(own) - _MOST_NAMES} more" if len(own) > _MOST_NAMES else ""),
+        )
+        for reason, own in names.items()
+    ]
+
+
+def _motions(content: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Largest value and uncertainty of what a map holds beside positions."""
+    out = []
+    for name, value in content.items():
+        known = name in _PUBLISHED or _MOTION.fullmatch(name)
+        if not known or f"{name}_u" not in content or not isinstance(value, list):
+            continue
+        found, u = (np.array(content[key], dtype=float).reshape(-1) for key in (name, f"{name}_u"))
+        good = np.isfinite(found)
+        title = f"errors of {name.upper()}" if name in ("x", "y", "z") else name.replace("_", " ")
+        if not good.any():
+            out.append((title, "not determined"))
+            continue
+        unit = "µrad" if _MOTION.fullmatch(name) and name[1] in "ABC" else "µm"
+        text = (
+            f"{1e6 * np.abs(found[good]).max():.2f} {unit} at most, U (k = 2) at most {2e6 * u[good].max():.2f} {unit}"
+        )
+        out.append((title, text + ("" if good.all() else f"; {int((~good).sum())} of {len(good)} not determined")))
+    return out
+
+
+def _show_parameters(document: Mapping[str, Any]) -> None:
+    from rich.table import Table
+
+    single = [entry for entry in document["parameters"] if not _TABLE.fullmatch(entry["name"])]
+    added = tuple(f"{effect}." for effect in document["effects"])
+    if added:
+        single.sort(key=lambda entry: not entry["name"].startswith(added))
+    if single:
+        table = Table(title="parameters", title_justify="left", box=None, pad_edge=False)
+        for heading in ("name", "value", "u (k = 1)", "U (k = 2)", "unit"):
+            table.add_column(heading, justify="left" if heading in ("name", "unit") else "right")
+        for entry in single[:_MOST_ROWS]:
+            table.add_row(entry["name"], *shown(entry["value"], entry["standard_uncertainty"], entry["unit"]))
+        console().print(table)
+        if len(single) > _MOST_ROWS:
+            console().print(f"… and {len(single) - _MOST_ROWS} more; --json gives all of them")
+    _show_tables(entry for entry in document["parameters"] if _TABLE.fullmatch(entry["name"]))
+
+
+def _show_tables(entries: Iterable[Mapping[str, Any]]) -> None:
+    """Each table of an error motion in one row."""
+    from rich.table import Table
+
+    tables: dict[str, list[Mapping[str, Any]]] = {}
+    for entry in entries:
+        match = _TABLE.fullmatch(entry["name"])
+        assert match is not None
+        tables.setdefault(match[1], []).append(entry)
+    if not tables:
+        return
+    table = Table(title="error motions (--json gives every value)", title_justify="left", box=None, pad_edge=False)
+    for heading in ("name", "values", "smallest", "largest", "U (k = 2) at most", "unit"):
+        table.add_column(heading, justify="left" if heading in ("name", "unit") else "right")
+    for name, own in tables.items():
+        value, u = (1e6 * np.array([entry[key] for entry in own]) for key in ("value", "standard_uncertainty"))
+        unit = "µrad" if own[0]["unit"] == "rad" else "µm"
+        table.add_row(name, str(len(own)), f"{value.min():.2f}", f"{value.max():.2f}", f"{2 * u.max():.2g}", unit)
+    console().print(table)
+
+
+def shown(value: float, uncertainty: float, unit: str) -> tuple[str, str, str, str]:
+    """Value, u and U with as many digits as the uncertainty bears, and the unit that people use."""
+    factor, name = {"m": (1e6, "µm"), "rad": (1e6, "µrad")}.get(unit, (1.0, unit))
+    if unit == "m" and abs(value) > 1e-2:
+        factor, name = 1e3, "mm"
+    u = uncertainty * factor
+    if 1e-9 < u < 1e4 and abs(value * factor) < 1e9:
+        digits = max(0, 1 - int(np.floor(np.log10(u))))
+        texts = tuple(f"{number:.{digits}f}" for number in (value * factor, u, 2 * u))
+    else:
+        texts = (f"{value * factor:.5g}", f"{u:.2g}", f"{2 * u:.2g}")
+    return texts[0], texts[1], texts[2], "" if name == "1" else name

@@ -1,0 +1,208 @@
+"""A map of position errors: measured against nominal places, errors magnified, as in the papers' figures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, BoolArray
+from machine_tool_calibration.plots.style import (
+    BAND,
+    DIVERGING,
+    FOUND,
+    NOMINAL,
+    new_figure,
+    round_down,
+    scale_bar,
+    spaced,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["draw_map"]
+
+# Largest error as a share of the distance between neighbours.
+_SHARE = 0.6
+# Smallest ellipse that is seen beside its point, as a share of the map.
+_SEEN = 0.014
+_MOST_LAYERS = 6
+_MOST_ELLIPSES = 1500
+
+
+@dataclass(frozen=True)
+class _Map:
+    """What is drawn: m throughout; (n, 3), (n, d), (n, d)."""
+
+    points: Array
+    error: Array
+    uncertainty: Array
+
+    @property
+    def good(self) -> BoolArray:
+        """Points that are determined."""
+        return np.asarray(np.isfinite(self.error).all(axis=1))
+
+    def take(self, keep: BoolArray) -> _Map:
+        """Some of the points."""
+        return _Map(self.points[keep], self.error[keep], self.uncertainty[keep])
+
+
+def draw_map(content: Mapping[str, Any], title: str = "Measured positions") -> Figure:
+    """Nominal and measured positions, with ellipses of expanded uncertainty (k = 2).
+
+    A plane is one panel; a volume is drawn layer by layer, with the error across the layer as the colour.
+
+    Args:
+        content: `points`, `position_error` and `position_error_u` of a result's error map (document or arrays).
+        title: begins the title.
+    """
+    whole = _Map(*(np.array(content[key], dtype=float) for key in ("points", "position_error", "position_error_u")))
+    flat = whole.error.shape[1] == 2
+    layers = [("", whole)] if flat else _layers(whole)
+    scale = _magnification(layers[0][1], whole)
+    columns = {1: 1, 2: 2, 4: 2}.get(len(layers), 3)
+    rows = -(-len(layers) // columns)
+    size = (7.2, 7.4) if columns == 1 else (4.6 * columns, 4.7 * rows + 0.6)
+    figure = new_figure(*size, f"{title}, errors magnified {spaced(scale)} times{_figures(whole)}")
+    panels = np.atleast_1d(figure.subplots(rows, columns, sharex=True, sharey=True)).reshape(-1)
+    limit = 0.0 if flat else 1e6 * float(np.nanmax(np.abs(whole.error[:, 2]), initial=0.0))
+    drawn = _Drawing(scale, _larger(whole, scale), limit, float(np.nanmax(np.abs(whole.error[:, :2]), initial=0.0)))
+    for panel, (name, layer) in zip(panels, layers, strict=False):
+        _layer(panel, layer, drawn)
+        panel.set_title(name, fontsize="medium")
+    for panel in panels[len(layers) :]:
+        panel.set_axis_off()
+    _finish(figure, list(panels), len(layers), columns, limit)
+    return figure
+
+
+def _layers(whole: _Map) -> list[tuple[str, _Map]]:
+    """Layers of a volume with their names: some of its levels, or slices where the points lie at random."""
+    z = whole.points[:, 2]
+    levels = np.unique(np.round(z, 6))
+    if len(levels) <= 1 or 4 * len(levels) <= len(z) + 4:
+        chosen = levels[np.unique(np.linspace(0, len(levels) - 1, _MOST_LAYERS).round().astype(int))]
+        return [(f"z = {level * 1e3:.6g} mm", whole.take(np.abs(z - level) < 1e-6)) for level in chosen]
+    edges = np.quantile(z, [0.0, 0.25, 0.5, 0.75, 1.0])
+    slices = np.clip(np.searchsorted(edges, z, side="right") - 1, 0, 3)
+    return [
+        (f"z = {edges[k] * 1e3:.4g} to {edges[k + 1] * 1e3:.4g} mm", whole.take(slices == k))
+        for k in range(4)
+        if (slices == k).any()
+    ]
+
+
+@dataclass(frozen=True)
+class _Drawing:
+    """Magnification of errors, of ellipses beside them; largest error along z, um, and across it, m."""
+
+    scale: float
+    larger: float
+    limit: float
+    largest: float
+
+
+def _figures(whole: _Map) -> str:
+    """The map in one line."""
+    if not whole.good.any():
+        return "; no target is determined"
+    largest = float(np.linalg.norm(whole.error[whole.good], axis=1).max())
+    expanded = 2 * float(np.linalg.norm(whole.uncertainty[whole.good], axis=1).max())
+    return f"\nlargest error {largest * 1e6:.1f} µm, U (k = 2) at most {expanded * 1e6:.2g} µm"
+
+
+def _layer(panel: Axes, layer: _Map, drawing: _Drawing) -> None:
+    """Nominal and measured grid of one layer, seen along z."""
+    from matplotlib.collections import EllipseCollection, LineCollection
+
+    scale, larger, limit = drawing.scale, drawing.larger, drawing.limit
+    nominal = layer.points[:, :2] * 1e3
+    found = nominal + scale * layer.error[:, :2] * 1e3
+    good = layer.good
+    pairs = _neighbours(layer.points)
+    if 2 * len(pairs) < len(nominal):
+        pairs = pairs[:0]
+    for places, color, width in ((nominal, NOMINAL, 0.8), (found, FOUND, 1.0)):
+        panel.add_collection(LineCollection(list(places[pairs]), colors=color, linewidths=width, zorder=1))
+    if not len(pairs):
+        # No grid: each point is joined to its own nominal place.
+        own = np.stack([nominal[good], found[good]], axis=1)
+        panel.add_collection(LineCollection(list(own), colors=FOUND, linewidths=1.0, zorder=1))
+    if good.sum() <= _MOST_ELLIPSES:
+        size = 4 * larger * scale * layer.uncertainty[good][:, :2] * 1e3
+        panel.add_collection(
+            EllipseCollection(
+                size[:, 0], size[:, 1], np.zeros(len(size)), units="xy", offsets=found[good],
+                offset_transform=panel.transData, facecolor="none", edgecolor=BAND, lw=1.1, zorder=2,
+            )
+        )  # fmt: skip
+        text = "U (k = 2)" + (f", {larger:g} times larger" if larger > 1 else "")
+        panel.plot([], [], "o", mfc="none", mec=BAND, label=text)
+    panel.plot(nominal[:, 0], nominal[:, 1], ".", color=NOMINAL, ms=4, label="nominal", zorder=2)
+    if layer.error.shape[1] == 3:
+        across = layer.error[good][:, 2] * 1e6
+        panel.scatter(
+            found[good, 0], found[good, 1], s=34, c=across, cmap=DIVERGING, vmin=-limit, vmax=limit, ec="0.2", lw=0.5,
+            label="measured", zorder=3,
+        )  # fmt: skip
+    else:
+        panel.plot(found[good, 0], found[good, 1], "o", color=FOUND, ms=4, label="measured", zorder=3)
+    if not good.all():
+        panel.plot(nominal[~good, 0], nominal[~good, 1], "x", color="black", ms=6, label="not determined", zorder=3)
+    panel.set_aspect("equal")
+    panel.margins(0.08)
+    drawn = np.vstack([nominal, found[good]])
+    if drawing.largest > 0:
+        scale_bar(panel, scale, drawing.largest, drawn.min(axis=0), drawn.max(axis=0))
+
+
+def _finish(figure: Figure, panels: list[Axes], count: int, columns: int, limit: float) -> None:
+    """Labels on the outer panels, one legend, one colour bar."""
+    for k, panel in enumerate(panels[:count]):
+        if k % columns == 0:
+            panel.set_ylabel("y, mm")
+        if k + columns >= count:
+            panel.set_xlabel("x, mm")
+            panel.tick_params(labelbottom=True)
+    seen: dict[str, Any] = {}
+    for panel in panels[:count]:
+        for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
+            seen.setdefault(str(label), handle)
+    figure.legend(seen.values(), seen.keys(), loc="outside lower center", ncols=4, frameon=False, fontsize="small")
+    shown = next((c for p in panels[:count] for c in p.collections if c.get_array() is not None), None)
+    if shown is not None and limit > 0:
+        figure.colorbar(shown, ax=panels[:count], label="error along z, µm", shrink=0.7)
+
+
+def _larger(whole: _Map, scale: float) -> float:
+    """How much larger than the errors the ellipses must be drawn to be seen beside their points."""
+    typical = scale * 2 * float(np.nanmedian(whole.uncertainty[:, :2])) if whole.good.any() else 0.0
+    seen = _SEEN * float(np.ptp(whole.points[:, :2], axis=0).max(initial=0.0))
+    return 1.0 if not typical > 0 or typical >= seen else max(round_down(2 * seen / typical), 1.0)
+
+
+def _neighbours(points: Array) -> np.ndarray:
+    """(k, 2) pairs of points next to each other along x or along y, all else equal."""
+    keys = np.round(points, 7)
+    pairs = [np.zeros((0, 2), dtype=np.int64)]
+    for axis, other in ((0, 1), (1, 0)):
+        order = np.lexsort((keys[:, axis], keys[:, other]))
+        same = keys[order[1:], other] == keys[order[:-1], other]
+        pairs.append(np.column_stack([order[:-1], order[1:]])[same])
+    return np.concatenate(pairs)
+
+
+def _magnification(layer: _Map, whole: _Map) -> float:
+    """Round number that makes the largest error a good part of the distance between neighbours."""
+    steps = [np.diff(np.unique(np.round(layer.points[:, j], 7))) for j in range(2)]
+    # A grid has few different places along an axis; of points at random the mean distance counts.
+    even = [float(np.median(s)) for s in steps if 0 < len(s) <= 2 * np.sqrt(len(layer.points)) + 2]
+    spread = float(np.ptp(layer.points[:, :2], axis=0).max(initial=0.0)) / np.sqrt(max(len(layer.points), 1))
+    smallest = min(even, default=spread) or 0.1
+    largest = float(np.nanmax(np.abs(whole.error[:, :2]), initial=0.0))
+    return round_down(_SHARE * smallest / largest) if largest > 0 else 1.0

@@ -1,0 +1,69 @@
+"""One look for all pictures: colours that the colour-blind tell apart (Okabe and Ito 2008), sizes, scales."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "BAND",
+    "COLORS",
+    "DIVERGING",
+    "FOUND",
+    "MARKERS",
+    "NOMINAL",
+    "new_figure",
+    "round_down",
+    "scale_bar",
+    "spaced",
+]
+
+COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+NOMINAL, FOUND, BAND = "0.7", COLORS[0], COLORS[4]
+DIVERGING = "RdBu_r"
+
+
+def new_figure(width: float, height: float, title: str = "") -> Figure:
+    """An empty figure that keeps its parts apart; inches."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained")
+    if title:
+        figure.suptitle(title, fontsize="medium")
+    return figure
+
+
+def round_down(value: float) -> float:
+    """The largest of 1, 2, 5 times a power of ten that is not above a positive value."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(max(m for m in (1, 2, 5) if m * power <= value * (1 + 1e-9)) * power)
+
+
+def spaced(number: float) -> str:
+    """A large round number with its thousands set apart."""
+    return f"{number:,.0f}".replace(",", " ")
+
+
+def scale_bar(panel: Axes, magnification: float, largest: float, low: Array, high: Array) -> None:
+    """Draw a bar below the content that stands for a round error.
+
+    Args:
+        panel: in millimetres.
+        magnification: of errors.
+        largest: error, m: the bar is about as long.
+        low: (2,) lower left corner of what was drawn, mm.
+        high: (2,) upper right corner.
+    """
+    bar = round_down(max(largest, 1e-12))
+    length = magnification * bar * 1e3
+    drop = low[1] - 0.09 * max(float(high[1] - low[1]), 0.5 * float(high[0] - low[0]), 1e-9)
+    panel.plot([low[0], low[0] + length], [drop] * 2, color="black", lw=2.5, solid_capstyle="butt")
+    panel.annotate(f"{bar * 1e6:g} µm", (low[0] + length, drop), (5, 0), textcoords="offset points", va="center")

@@ -1,0 +1,207 @@
+"""`mtcal identify`: for people, for programs, and for what is wrong."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.cli.identified import grouped, shown, verdict
+from machine_tool_calibration.cli.main import run
+from machine_tool_calibration.session.writer import write_session
+from machine_tool_calibration.simulation import FlawSpec, SimulationSpec, TrackingPlan, simulate
+
+DATA = Path(__file__).parents[1] / "data"
+
+
+@pytest.fixture
+def say(capsys):
+    """Exit status, standard output and standard error of `mtcal identify …`."""
+
+    def run_it(*words: object) -> tuple[int, str, str]:
+        status = run(["identify", *map(str, words)])
+        captured = capsys.readouterr()
+        return status, captured.out, captured.err
+
+    return run_it
+
+
+@pytest.fixture(scope="module")
+def backlash(tmp_path_factory):
+    """A session of a machine with backlash of Y."""
+    folder = tmp_path_factory.mktemp("backlash")
+    spec = SimulationSpec(plan=TrackingPlan(dimension=2), seed=4, effects=(FlawSpec(id="backlash_y", size=2e-6),))
+    write_session(simulate(spec).session, folder / "session")
+    return folder / "session"
+
+
+def words(text: str) -> str:
+    return " ".join(text.split())
+
+
+def test_for_people(say):
+    status, out, err = say(DATA / "tracking_2d")
+    assert (status, err) == (0, "")
+    text = words(out)
+    assert "tracking interferometer in 2 dimensions, pointed open loop: 288 readings in 4 setups (A, B, C, D)" in text
+    assert "The model fits the readings within their declared uncertainty (p = 0.57)." in text
+    assert "error of position 5.10 µm RMS, 10.84 µm at most" in text
+    assert "its uncertainty U (k = 2) 0.46 µm RMS" in text
+    assert "datum: no shift and no turn of all targets" in text
+
+
+@pytest.mark.parametrize("name", ["tracking_2d", "step_diagonal", "rotary_axis", "probing_cross"])
+def test_for_programs(name, say):
+    status, out, err = say(DATA / name, "--json")
+    assert (status, err) == (0, "")
+    document = json.loads(out, parse_constant=pytest.fail)
+    assert document["format"] == "mtcal-result/1"
+    assert document["observations"] == document["used"] > 100
+    assert all(set(entry) == {"name", "value", "standard_uncertainty", "unit"} for entry in document["parameters"])
+    for key, value in document["error_map"].items():
+        if key.endswith("_u"):
+            assert np.shape(value) == np.shape(document["error_map"][key[:-2]])
+
+
+def test_an_effect_makes_the_model_fit(say, backlash):
+    _, without, _ = say(backlash)
+    assert "something is missing in it" in words(without)
+    status, out, _ = say(backlash, "--effect", "backlash_y", "--json")
+    document = json.loads(out)
+    assert status == 0
+    assert document["effects"] == ["backlash_y"]
+    (estimate,) = [e for e in document["parameters"] if e["name"].startswith("backlash_y")]
+    assert abs(estimate["value"] - 2e-6) < 4 * estimate["standard_uncertainty"]
+    assert document["p_value"] > 1e-3
+    _, text, _ = say(backlash, "--effect", "backlash_y")
+    rows = [line for line in text.splitlines() if "mm" in line or "µm" in line]
+    assert next(k for k, row in enumerate(rows) if row.startswith("backlash_y")) < next(
+        k for k, row in enumerate(rows) if row.startswith("A.x")
+    )
+
+
+def test_model_with_tables_in_one_row_each(say):
+    status, out, _ = say(DATA / "tracking_2d", "--model", "rigid_body")
+    assert status == 0
+    assert "EXX(0.08)" not in out
+    (row,) = [line.split() for line in out.splitlines() if line.startswith("EXX ")]
+    assert row[1] == "6"
+    assert row[-1] == "µm"
+    assert "not determined: EZX, EZY, EAX, EBX" in words(out)
+
+
+def test_several_sessions_together(say, tmp_path):
+    for seed in (1, 2):
+        spec = SimulationSpec(plan=TrackingPlan(dimension=2), seed=seed)
+        session = simulate(spec).session
+        write_session(session, tmp_path / f"day{seed}")
+    shutil.copytree(tmp_path / "day1", tmp_path / "again")
+    status, out, _ = say(tmp_path / "day1", tmp_path / "again", "--json")
+    assert status == 0
+    document = json.loads(out)
+    assert [entry["label"] for entry in document["sessions"]] == ["day1", "again"]
+    status, out, _ = say(tmp_path / "day1", tmp_path / "again", "--output", tmp_path / "both")
+    assert status == 0
+    assert out.count("tracking interferometer in 2 dimensions") == 2
+    assert {path.name for path in (tmp_path / "both").iterdir()} >= {"result.json", "error_motions.png"}
+
+
+def test_missing_readings_are_listed_by_row(say, tmp_path):
+    shutil.copytree(DATA / "tracking_2d", tmp_path / "session")
+    file = tmp_path / "session" / "observations.csv"
+    lines = file.read_text().splitlines()
+    place = lines[0].split(",").index("displacement")
+    for row in (3, 7):
+        fields = lines[row + 1].split(",")
+        fields[place] = ""
+        lines[row + 1] = ",".join(fields)
+    file.write_text("\n".join(lines) + "\n")
+    status, out, _ = say(tmp_path / "session")
+    assert status == 0
+    assert "readings used 286 of 288" in words(out)
+    assert "not used: rows 3, 7 (the first row is 0): the reading is missing" in words(out)
+    document = json.loads(say(tmp_path / "session", "--json")[1])
+    assert [entry["row"] for entry in document["rejected"]] == [3, 7]
+
+
+def test_output_folder(say, tmp_path):
+    status, out, _ = say(DATA / "tracking_2d", "-o", tmp_path / "new" / "folder")
+    assert status == 0
+    names = {path.name for path in (tmp_path / "new" / "folder").iterdir()}
+    assert names == {"result.json", "error_map.png", "stations.png", "residuals.png"}
+    assert all(name in out for name in names)
+    document = json.loads((tmp_path / "new" / "folder" / "result.json").read_text())
+    assert document == json.loads(say(DATA / "tracking_2d", "--json")[1])
+
+
+def test_pictures_in_the_present_folder(say, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    status, _, _ = say(DATA / "step_diagonal", "--plot")
+    assert status == 0
+    assert {path.name for path in tmp_path.iterdir()} == {"error_motions.png", "residuals.png"}
+
+
+def test_formulation_of_a_step_diagonal(say):
+    status, out, _ = say(DATA / "step_diagonal", "--formulation", "new", "--json")
+    assert status == 0
+    assert np.shape(json.loads(out)["error_map"]["x"])[1] == 3
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nowhere"], "nowhere: no such file or folder"),
+        ([DATA / "tracking_2d", "--effect", "gremlins"], "gremlins"),
+        ([DATA / "tracking_2d", "--model", "clay"], "known are free, rigid_body"),
+        ([DATA / "tracking_2d", "--formulation", "new"], "step"),
+        ([DATA / "tracking_2d", "--formulation", "new", "--effect", "backlash_x"], "without --effect"),
+        ([DATA / "tracking_2d", DATA / "nothing"], "nothing: no such file or folder"),
+    ],
+)
+def test_one_clear_line(arguments, message, say):
+    status, out, err = say(*arguments)
+    assert status == 1
+    assert out == ""
+    assert message in err
+    assert err.count("\n") == 1
+
+
+def test_without_a_session_the_command_line_is_wrong(say):
+    assert say()[0] == 2
+
+
+def test_output_that_cannot_be_written(say, tmp_path):
+    (tmp_path / "file").write_text("")
+    status, _, err = say(DATA / "tracking_2d", "-o", tmp_path / "file" / "below")
+    assert status == 1
+    assert "cannot be written" in err
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        ((1.23456e-6, 3.4e-8, "m"), ("1.235", "0.034", "0.068", "µm")),
+        ((-0.3500141, 1.7e-6, "m"), ("-350.0141", "0.0017", "0.0034", "mm")),
+        ((-3.278e-5, 4.1e-7, "rad"), ("-32.78", "0.41", "0.82", "µrad")),
+        ((0.25, 0.01, "1"), ("0.250", "0.010", "0.020", "")),
+        ((12.3456, 0.5, "1/K"), ("12.35", "0.50", "1.00", "1/K")),
+        ((0.0, 0.0, "m"), ("0", "0", "0", "µm")),
+    ],
+)
+def test_digits_that_the_uncertainty_bears(value, expected):
+    assert shown(*value) == expected
+
+
+def test_verdicts():
+    assert "within their declared" in verdict({"reduced_chi_square": 1.0, "p_value": 0.5})
+    assert "scatter 2.0 times" in verdict({"reduced_chi_square": 4.0, "p_value": 1e-9})
+    assert "p < 1e-12" in verdict({"reduced_chi_square": 4.0, "p_value": 0.0})
+    assert "stated too large" in verdict({"reduced_chi_square": 0.25, "p_value": 0.99999})
+
+
+def test_grouped():
+    assert grouped([("a", "why"), ("b", "because"), ("c", "why")]) == [("why", "a, c"), ("because", "b")]
+    assert grouped((str(k), "lost") for k in range(20))[0][1].endswith("7 and 12 more")
