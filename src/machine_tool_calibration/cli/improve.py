@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from machine_tool_calibration.diagnosis.report import TextTable
     from machine_tool_calibration.methods.improve import Improvement, Step
 
-__all__ = ["command"]
+__all__ = ["command", "show_improvement"]
 
 
 @click.command("improve")
@@ -69,7 +69,7 @@ def command(
     if as_json:
         write_json(_document(done))
     else:
-        _show(done)
+        show_improvement(done)
     if history:
         made = datetime.now(UTC).isoformat(timespec="seconds")
         update_history(kept, lambda old: old.grown(entries(done, fingerprint(session), made, "improve")))
@@ -78,7 +78,8 @@ def command(
     saved([*save_improvement(done, output), *([kept] if history else [])])
 
 
-def _show(done: Improvement) -> None:
+def show_improvement(done: Improvement) -> None:
+    """In words first, then a row for every step and before and after side by side."""
     screen = console()
     screen.print(_words(done), markup=False)
     show_table(screen, _steps(done))

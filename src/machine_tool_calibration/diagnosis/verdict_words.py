@@ -104,8 +104,8 @@ def _unexplained(diagnosis: Diagnosis) -> Iterator[str]:
     if left:
         best = left[0]
         yield (
-            f"The residuals depend on {_covariate(best)}: this takes up {100 * best.share:.0f} % of their sum of squares "
-            f"(p {probability(best.p_value)})."
+            f"The residuals depend on {_covariate(best)}: this takes up {100 * best.share:.0f} % of their sum of "
+            f"squares (p {probability(best.p_value)})."
         )
     tried = [
         r.candidate.name

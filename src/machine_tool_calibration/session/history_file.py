@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -52,7 +53,6 @@ def fingerprint(session: Session) -> str:
         digest.update(name.encode() + b"\0" + np.ascontiguousarray(values).tobytes())
     for name, labels in sorted(readings.labels.items()):
         digest.update("\0".join([name, *(str(v) for v in labels)]).encode())
-    # Not digits alone, nor anything else that a YAML reader would take for a number.
     return f"sha256-{digest.hexdigest()[:16]}"
 
 
@@ -124,9 +124,17 @@ def _alone(folder: Path) -> Iterator[None]:
         os.close(handle)
 
 
+class _Dumper(yaml.SafeDumper):
+    """Quotes whatever a reader of YAML 1.2 would take for a number."""
+
+
+_NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?$")
+_Dumper.add_implicit_resolver("tag:yaml.org,2002:float", _NUMBER, list("-+.0123456789"))
+
+
 def _write(path: Path, history: History) -> None:
     content = history.model_dump(mode="json")
-    text = _HEAD + yaml.dump(content, Dumper=yaml.SafeDumper, sort_keys=False, width=120, allow_unicode=True)
+    text = _HEAD + yaml.dump(content, Dumper=_Dumper, sort_keys=False, width=120, allow_unicode=True)
     part = path.with_name(f"{path.name}.part")
     with part.open("w", encoding="utf-8") as file:
         file.write(text)

@@ -1,0 +1,126 @@
+"""`mtcal improve` and `mtcal history` as they are called."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from machine_tool_calibration.cli.main import run
+from machine_tool_calibration.session.history_file import read_history
+from machine_tool_calibration.session.open import open_measurement
+from machine_tool_calibration.session.writer import write_session
+from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
+
+SETS = ["--sets", "199"]
+Run = pytest.CaptureFixture[str]
+
+
+@pytest.fixture(scope="module")
+def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("improve") / "cube"
+    spec = SimulationSpec(plan=PRESETS["tracking_2d"], seed=77, effects=(FlawSpec(id="backlash_y", size=1.5e-6),))
+    write_session(simulate(spec).session, folder)
+    return folder
+
+
+@pytest.fixture
+def cube(original: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    folder = tmp_path / "cube"
+    shutil.copytree(original, folder)
+    monkeypatch.chdir(tmp_path)
+    yield folder
+
+
+def test_the_error_falls_and_the_models_are_kept(cube: Path, tmp_path: Path, capsys: Run) -> None:
+    assert run(["improve", str(cube), *SETS]) == 0
+    shown = capsys.readouterr()
+    assert shown.out.startswith("Added backlash_y: the residual falls from")
+    assert "+ backlash_y" in shown.out
+    assert "left at the tool point" in shown.out
+    output = tmp_path / "mtcal_output" / "improve_cube"
+    assert (output / "improve.png").read_bytes().startswith(b"\x89PNG")
+    steps = (output / "improve.csv").read_text().splitlines()
+    assert len(steps) == 3
+    residuals = (output / "residuals.csv").read_text().splitlines()
+    assert len(residuals) == 1 + len(open_measurement(cube).readings)
+    history = read_history(cube / "history.yaml")
+    assert [e.effects for e in history.models] == [(), ("backlash_y",)]
+    assert history.current == 2
+    # The session is still a session.
+    assert len(open_measurement(cube).readings) == 288
+
+
+def test_one_document(cube: Path, tmp_path: Path, capsys: Run) -> None:
+    assert run(["improve", str(cube), "--json", "--no-history", "-o", str(tmp_path / "here"), *SETS]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["format"] == "mtcal-improvement/1"
+    assert [s["change"] for s in document["steps"]] == ["", "backlash_y"]
+    before, after = document["steps"]
+    assert after["rms_residual"] < 0.5 * before["rms_residual"]
+    assert after["left_at_tool_rms"] < before["left_at_tool_rms"]
+    assert document["result"]["format"] == "mtcal-result/1"
+    assert document["result"]["effects"] == ["backlash_y"]
+    assert not (cube / "history.yaml").exists()
+
+
+def test_history_is_listed_compared_and_undone(cube: Path, capsys: Run) -> None:
+    assert run(["improve", str(cube), *SETS]) == 0
+    capsys.readouterr()
+    assert run(["history", str(cube)]) == 0
+    listed = capsys.readouterr().out
+    assert "→ 2" in listed
+    assert run(["history", str(cube), "--compare", "1", "2"]) == 0
+    compared = capsys.readouterr().out
+    assert "model 1" in compared
+    assert "backlash_y.b" in compared
+    assert run(["history", str(cube), "--undo", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["format"] == "mtcal-history/1"
+    assert document["current"] == 1
+    assert len(document["models"]) == 2
+    assert run(["history", str(cube), "--undo"]) == 1
+    assert "nothing to undo" in capsys.readouterr().err
+    assert run(["history", str(cube), "--use", "2"]) == 0
+    assert read_history(cube / "history.yaml").current == 2
+    # Improving once more repeats nothing.
+    before = (cube / "history.yaml").read_text()
+    assert run(["improve", str(cube), *SETS]) == 0
+    assert (cube / "history.yaml").read_text() == before
+
+
+def test_a_bag_keeps_its_history_beside_it(cube: Path, tmp_path: Path, capsys: Run) -> None:
+    bag = tmp_path / "run.mcap"
+    assert run(["convert", str(cube), str(bag)]) == 0
+    capsys.readouterr()
+    assert run(["improve", str(bag), *SETS]) == 0
+    assert (tmp_path / "run.mcap.history.yaml").exists()
+    assert run(["history", str(bag)]) == 0
+    assert "backlash_y" in capsys.readouterr().out
+
+
+def test_a_damaged_history_is_told_before_anything_is_calculated(cube: Path, capsys: Run) -> None:
+    (cube / "history.yaml").write_text("models: [")
+    for words in (["improve", str(cube), *SETS], ["history", str(cube)]):
+        assert run(words) == 1
+        shown = capsys.readouterr()
+        assert shown.out == ""
+        assert shown.err.count("\n") == 1
+        assert "history.yaml" in shown.err
+    assert (cube / "history.yaml").read_text() == "models: ["
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "part"),
+    [
+        (["no/such"], 1, "no such file"),
+        (["CUBE"], 1, "no model was tried yet"),
+        (["CUBE", "--undo", "--use", "1"], 2, "either"),
+    ],
+)
+def test_a_wrong_request(cube: Path, words: list[str], status: int, part: str, capsys: Run) -> None:
+    assert run(["history", *(str(cube) if word == "CUBE" else word for word in words)]) == status
+    assert part in capsys.readouterr().err

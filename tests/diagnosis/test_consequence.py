@@ -1,0 +1,52 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.diagnosis.consequence import consequences, map_change, map_rms
+from machine_tool_calibration.diagnosis.diagnose import diagnose
+from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
+
+
+def test_two_effects_found_are_told_with_both_in_the_model() -> None:
+    effects = (FlawSpec(id="backlash_y", amplitude=1.5e-6), FlawSpec(id="backlash_x", amplitude=1.2e-6))
+    found = diagnose(simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=31, effects=effects)).session, sets=199)
+    assert set(found.accepted) == {"backlash_x", "backlash_y"}
+    changes = consequences(found, most=2)
+    assert list(changes)[:2] == list(found.accepted)
+    assert len(changes) == 4
+    both = {p.name: p.value for p in identify(found.session, effects=found.accepted).parameters}
+    for name in found.accepted:
+        (size,) = changes[name].parameters
+        assert size.value == pytest.approx(both[size.name], rel=1e-6)
+    first, second = (changes[name] for name in found.accepted)
+    assert first.rms_after == pytest.approx(second.rms_before)
+    assert second.rms_after < second.rms_before < first.rms_before
+    taken = found.looks[0].fit.residuals - found.looks[2].fit.residuals
+    assert first.explained + second.explained == pytest.approx(taken)
+
+
+def test_a_share_in_the_readings_is_told_only_where_the_data_tell_it() -> None:
+    found = diagnose(simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=101)).session, sets=199)
+    changes = consequences(found)
+    # Nothing is missing: no candidate's share is larger than its uncertainty.
+    assert all(change.signal_rms is None for change in changes.values())
+    strong = SimulationSpec(plan=PRESETS["tracking_2d"], seed=7, effects=(FlawSpec(id="backlash_y", size=2e-6),))
+    change = consequences(diagnose(simulate(strong).session, sets=199))["backlash_y"]
+    assert change.signal_largest == pytest.approx(2e-6, rel=0.1)
+    assert change.signal_rms is not None
+    assert change.signal_rms < 2e-6
+
+
+def test_maps_that_have_nothing_in_common_have_no_change() -> None:
+    points = np.zeros((2, 3))
+    nothing = np.full((2, 3), np.nan)
+    known = ErrorMap({}, points, np.array([[1e-6, 0.0, np.nan], [0.0, 0.0, np.nan]]), np.ones((2, 3)))
+    moved = ErrorMap({}, points, np.array([[4e-6, 4e-6, np.nan], [0.0, 0.0, np.nan]]), np.ones((2, 3)))
+    assert map_change(known, moved) == pytest.approx(5e-6 / np.sqrt(2))
+    assert map_change(known, ErrorMap({}, points, nothing, nothing)) is None
+    assert map_change(known, ErrorMap({}, points[:1], known.error[:1], nothing[:1])) is None
+    assert map_rms(nothing) is None
+    assert map_rms(known.error) == pytest.approx(1e-6 / np.sqrt(2))
