@@ -22,18 +22,22 @@ def mtcal(*arguments, folder, timeout=100):
 
 
 @pytest.mark.timeout(120)
-def test_demo_measures_records_identifies_and_judges(tmp_path):
+def test_demo_finds_what_is_hidden_and_its_recording_gives_the_same_map(tmp_path):
     ended = mtcal("demo", "--seed", 3, "--json", folder=tmp_path)
     assert ended.returncode == 0, ended.stderr
     document = json.loads(ended.stdout)
     assert document["format"] == "mtcal-demo/1"
     assert document["readings"] == 288
-    assert document["seconds"] < 60.0
-    # the map is as good as its stated uncertainty, and far better than no map
-    stated = np.array(document["result"]["error_map"]["position_error_u"], dtype=float)[:, :2]
+    # what was hidden is found, and the map gets better
+    assert document["verdict"] == "missing_effect"
+    assert document["found"] == [document["hidden"]]
+    assert document["result"]["reduced_chi_square"] > 2.0
+    assert 0.5 < document["improved"]["reduced_chi_square"] < 1.5
+    assert document["map_error_rms"] < document["map_error_rms_before"]
+    # the improved map is as good as its stated uncertainty, and far better than no map
+    stated = np.array(document["improved"]["error_map"]["position_error_u"], dtype=float)[:, :2]
     assert document["map_error_rms"] < 2.0 * np.sqrt(np.mean(np.sum(stated**2, axis=1)))
     assert document["map_error_rms"] < 0.3 * document["machine_error_rms"]
-    assert 0.5 < document["result"]["reduced_chi_square"] < 1.5
 
     # the recording and the session hold the same readings, and give the same map to the last bit
     recorded = session_from_bag(tmp_path / document["bag"])

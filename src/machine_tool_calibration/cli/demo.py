@@ -1,24 +1,57 @@
-"""Measure a simulated machine with a tracking interferometer at four stations, and identify its errors."""
+"""The whole story: a simulated machine hides an effect; it is measured, found out, and the error falls."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
 
 from machine_tool_calibration.cli.measuring import bar, graph_options, show_files, show_result
-from machine_tool_calibration.cli.output import console, json_option, write_json
+from machine_tool_calibration.cli.output import console, json_option, plain, write_json
 from machine_tool_calibration.cli.truth import MapError, map_error
 from machine_tool_calibration.nodes.measurement import Measured, Setting, free_folder, measure
 from machine_tool_calibration.nodes.shared import procedure_file
 from machine_tool_calibration.nodes.site import Moment, Site, SiteSpec, read_site
 from machine_tool_calibration.plots.pictures import draw
+from machine_tool_calibration.simulation import FlawSpec
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.methods.improve import Improvement
 
 __all__ = ["command"]
 
-_PICTURES = "machine_tool_calibration.plots.pictures"
+# What may be hidden, with the smallest and the largest size.
+_HIDDEN = {
+    "backlash_x": (0.8e-6, 2.5e-6),
+    "backlash_y": (0.8e-6, 2.5e-6),
+    "pointer_radial_error": (2e-6, 5e-6),
+}
+
+
+@dataclass(frozen=True)
+class _Story:
+    """What came of the demonstration.
+
+    Attributes:
+        seed: repeats it.
+        hidden: effect and its size; None if nothing was hidden.
+        measured: the measurement, with the first model's result.
+        improvement: the loop.
+        before: the first model's map against the truth.
+        after: the last model's.
+        pictures: files.
+    """
+
+    seed: int
+    hidden: FlawSpec | None
+    measured: Measured
+    improvement: Improvement
+    before: MapError
+    after: MapError
+    pictures: list[Path]
 
 
 @click.command("demo")
@@ -26,72 +59,145 @@ _PICTURES = "machine_tool_calibration.plots.pictures"
     "--dimension", type=click.Choice(["2", "3"]), default="2", show_default=True, help="A plane, or the whole volume."
 )
 @click.option("--seed", type=click.IntRange(min=0), help="Repeats a demonstration; drawn at random if absent.")
+@click.option("--hide", metavar="ID", help="Effect to hide, or none; drawn at random if absent.")
 @graph_options
 @json_option
 def command(
-    dimension: str, seed: int | None, output: Path | None, domain_id: int | None, namespace: str, as_json: bool
+    dimension: str,
+    seed: int | None,
+    hide: str | None,
+    output: Path | None,
+    domain_id: int | None,
+    namespace: str,
+    as_json: bool,
 ) -> None:
-    """Measure a simulated machine with a tracking interferometer at four stations, and identify its errors.
+    """Measure a simulated machine that hides a physical effect, find it out, add it, and watch the error fall.
 
-    The whole way that a real measurement goes: the nodes of the graph are started, the machine is moved and measured,
-    everything is recorded, the errors are identified with their uncertainty. At the end the map is compared with the
-    simulated machine's true errors, which nothing before has seen.
+    The whole way that a real measurement goes: the nodes of the graph are started, the machine is moved and measured
+    with a tracking interferometer at four stations, everything is recorded, and the errors are identified with their
+    uncertainty. The model is found to disagree with the readings, the missing effect is looked for and added. Only
+    then is told what was hidden, and the map is compared with the true errors, which nothing before has seen.
     """
     number = int(np.random.default_rng().integers(1_000_000)) if seed is None else seed
+    hidden = _hidden(number, hide)
     setting = Setting(
         output=free_folder("demo", output),
-        site=SiteSpec(seed=number),
+        site=SiteSpec(seed=number, effects=(hidden,) if hidden else ()),
         domain=domain_id,
         namespace=namespace,
     )
     with bar() as progress:
         measured = measure(procedure_file(f"tracking_{dimension}d"), setting, progress)
-        progress("drawing", len(measured.session.readings), len(measured.session.readings))
-        judged = _judge(measured, int(dimension))
-        pictures = draw(measured.session, measured.result or {}, measured.output)
+        story = _story(number, hidden, measured, int(dimension), progress)
     if as_json:
-        write_json(_document(measured, judged, pictures, number))
+        write_json(_document(story))
         return
+    _tell(story, dimension)
+
+
+def _hidden(seed: int, wanted: str | None) -> FlawSpec | None:
+    """What the machine hides; the same seed hides the same."""
+    rng = np.random.default_rng([seed, 1])
+    name = str(rng.choice(sorted(_HIDDEN)))
+    share = float(rng.uniform())
+    if wanted == "none":
+        return None
+    if wanted is not None and wanted not in _HIDDEN:
+        raise click.BadParameter(f"{wanted!r} is none of {', '.join([*_HIDDEN, 'none'])}", param_hint="--hide")
+    low, high = _HIDDEN[wanted or name]
+    return FlawSpec(id=wanted or name, size=low + share * (high - low))
+
+
+def _story(seed: int, hidden: FlawSpec | None, measured: Measured, dimension: int, progress: Any) -> _Story:
+    from machine_tool_calibration.methods.improve import improve
+    from machine_tool_calibration.plots.improve import save_improvement
+
+    count = len(measured.session.readings)
+    improvement = improve(
+        measured.session, seed=seed, progress=lambda text, share: progress(text, int(share * count), count)
+    )
+    progress("drawing", count, count)
+    folder = measured.output / "pictures"
+    folder.mkdir()
+    last = plain(improvement.steps[-1].result.document())
+    pictures = [*draw(measured.session, last, folder), *save_improvement(improvement, folder)]
+    true = _truth(measured)
+    maps = [step.result.error_map.error[:, :dimension] for step in (improvement.steps[0], improvement.steps[-1])]
+    points = improvement.steps[0].result.error_map.points
+    actual = true(points)[:, :dimension]
+    before, after = (map_error(points[:, :dimension], one, actual) for one in maps)
+    return _Story(seed, hidden, measured, improvement, before, after, pictures)
+
+
+def _truth(measured: Measured) -> Any:
+    """The machine's own errors, without the hidden effect, from the nodes' site file."""
+    spec = read_site(str(measured.output / "site.yaml"))
+    site = Site(spec.model_copy(update={"effects": ()}))
+    upwards = dict.fromkeys("xyz", 1)
+
+    def at(points: np.ndarray) -> np.ndarray:
+        rows = [dict(zip("xyz", (float(v) for v in row), strict=True)) for row in points]
+        return np.asarray(np.array([site.functional_point(Moment(0.0, row, upwards)) for row in rows]) - points)
+
+    return at
+
+
+def _tell(story: _Story, dimension: str) -> None:
+    from machine_tool_calibration.cli.improve import show_improvement
+
     screen = console()
+    measured = story.measured
     screen.print(
-        f"Simulated machine, seed {number}: measured in {dimension} dimensions from "
-        f"{len(measured.session.setup_ids)} stations in {measured.seconds[0]:.1f} s altogether."
+        f"[bold]1. Measured[/]: a simulated machine (seed {story.seed}) in {dimension} dimensions from "
+        f"{len(measured.session.setup_ids)} stations, in {measured.seconds[0]:.1f} s altogether; the first model:"
     )
     show_result(screen, measured)
+    screen.print("\n[bold]2. Diagnosed and improved[/]")
+    show_improvement(story.improvement)
+    screen.print("\n[bold]3. The truth[/], which nothing before has seen")
+    screen.print(_reveal(story), markup=False)
     screen.print(
-        f"Against the simulated truth (shift and turn taken out): the map is off by {judged.rms * 1e6:.2f} µm RMS, "
-        f"{judged.largest * 1e6:.2f} µm at most; the machine's own errors are {judged.before * 1e6:.2f} µm RMS."
+        f"The map is off by {story.before.rms * 1e6:.2f} µm RMS with the first model and by "
+        f"{story.after.rms * 1e6:.2f} µm with the last (shift and turn taken out); the machine's own errors are "
+        f"{story.before.before * 1e6:.2f} µm RMS.\n"
     )
-    screen.print()
-    show_files(screen, measured, [("picture", path) for path in pictures])
+    show_files(screen, measured, [("picture" if p.suffix == ".png" else "table", p) for p in story.pictures])
 
 
-def _judge(measured: Measured, dimension: int) -> MapError:
-    """The map against the truth, which the nodes' site file holds."""
-    assert measured.result is not None
-    content = measured.result["error_map"]
-    points = np.array(content["points"], dtype=float)
-    site = Site(read_site(str(measured.output / "site.yaml")))
-    full = np.zeros((len(points), 3))
-    full[:, : points.shape[1]] = points
-    upwards = dict.fromkeys("xyz", 1)
-    actual = np.array([site.functional_point(Moment(0.0, dict(zip("xyz", row, strict=True)), upwards)) for row in full])
-    identified = np.array(content["position_error"], dtype=float)[:, :dimension]
-    return map_error(full[:, :dimension], identified, (actual - full)[:, :dimension])
+def _reveal(story: _Story) -> str:
+    found = story.improvement.diagnosis.accepted
+    if story.hidden is None:
+        return "Nothing was hidden." + ("" if not found else " What was added is a false alarm.")
+    said = f"Hidden was {story.hidden.id}, of size {story.hidden.size:.3g} (SI)."
+    alike = {story.hidden.id}
+    for look in story.improvement.diagnosis.looks:
+        alike |= {name for group in look.groups if story.hidden.id in group for name in group}
+    if story.hidden.id in found:
+        return f"{said} It was found."
+    if alike & set(found):
+        return f"{said} Found was {', '.join(found)}, which this measurement cannot tell from it."
+    return f"{said} It was not found."
 
 
-def _document(measured: Measured, judged: MapError, pictures: list[Path], seed: int) -> dict[str, Any]:
+def _document(story: _Story) -> dict[str, Any]:
+    measured = story.measured
     return {
         "format": "mtcal-demo/1",
-        "seed": seed,
+        "seed": story.seed,
         "output": measured.output,
         "session": measured.session_folder,
         "bag": measured.bag,
-        "pictures": pictures,
+        "pictures": story.pictures,
         "seconds": measured.seconds[0],
         "readings": len(measured.session.readings),
-        "map_error_rms": judged.rms,
-        "map_error_largest": judged.largest,
-        "machine_error_rms": judged.before,
+        "verdict": story.improvement.diagnosis.verdict,
+        "found": story.improvement.diagnosis.accepted,
+        "hidden": story.hidden.id if story.hidden else None,
+        "hidden_size": story.hidden.size if story.hidden else None,
+        "map_error_rms_before": story.before.rms,
+        "map_error_rms": story.after.rms,
+        "map_error_largest": story.after.largest,
+        "machine_error_rms": story.before.before,
         "result": measured.result,
+        "improved": story.improvement.steps[-1].result.document(),
     }
