@@ -93,13 +93,26 @@ class RotaryAxisModel(MethodModel):
         return np.asarray(self.observations.path[first] - self.table.readings.displacement[first])
 
     def part(self, own_index: IntArray, dense_index: IntArray) -> Part:
-        """Readings of one run share a block: their station's place and their zero."""
+        """Every station is a block: its place, and the zeros of its runs."""
         count = 3 * len(self.stations)
         station = own_index[:count].reshape(-1, 3)
-        block_index = np.column_stack([station[self.table.run_key[:, 0]], own_index[count:]])
+        order = self._order_of_run()
+        # A station with fewer runs than others has columns of zeros there, which may point anywhere.
+        zeros = np.repeat(station[:, :1], int(order.max()) + 1, axis=1)
+        zeros[self.table.run_key[:, 0], order] = own_index[count:]
         return FunctionPart(
-            group_rows(self.table.run), self.sigma, self._linearise(), block_index, dense_index, linear=False
+            group_rows(self.table.readings.setup),
+            self.sigma,
+            self._linearise(),
+            np.column_stack([station, zeros]),
+            dense_index,
+            linear=False,
         )
+
+    def _order_of_run(self) -> IntArray:
+        """(runs,) place of each run among those of its station."""
+        setup = self.table.run_key[:, 0]
+        return np.arange(len(setup)) - np.searchsorted(setup, setup)
 
     def _linearise(self) -> Callable[[Array, Array], tuple[Array, Array, Array]]:
         table = self.table
@@ -107,20 +120,23 @@ class RotaryAxisModel(MethodModel):
         k, t, n = len(table.nodes), len(self.targets), len(table.readings)
         first = 6 * k + 3 * t
         path = table.readings.displacement + self.datum_path[table.run]
-        stations = self.stations[table.readings.setup]
+        setup = table.readings.setup
+        stations = self.stations[setup]
+        zero = 3 + self._order_of_run()[table.run]
+        offsets = np.zeros((int(zero.max()) - 2, n))
+        offsets[zero - 3, np.arange(n)] = -1.0
 
         def linearise(own: Array, shared: Array) -> tuple[Array, Array, Array]:
             motion = shared[: 6 * k].reshape(6, k)[:, table.node].T
             moved = shared[6 * k : first].reshape(t, 3)
             arm = table.turned(self.targets + moved)
-            away = arm + motion[:, :3] + np.cross(motion[:, 3:], arm) - stations - own[table.run, :3]
+            away = arm + motion[:, :3] + np.cross(motion[:, 3:], arm) - stations - own[setup, :3]
             length = np.linalg.norm(away, axis=1)
             g = away / length[:, None]
             columns = dense.copy()
             _fill(columns, table, g, arm, motion[:, 3:])
-            residual = path + own[table.run, 3] - length - shared[first:] @ dense[first:]
-            block = np.concatenate([-g.T, -np.ones((1, n))])
-            return residual, block, columns
+            residual = path + own[setup, zero] - length - shared[first:] @ dense[first:]
+            return residual, np.concatenate([-g.T, offsets]), columns
 
         return linearise
 

@@ -76,3 +76,16 @@ def test_too_few_angles_say_so_in_one_line(rotary: SimpleNamespace) -> None:
     with pytest.raises(ModelError, match="too few readings: 36 for 36 unknowns") as caught:
         identify(session)
     assert "\n" not in str(caught.value)
+
+
+def test_a_target_that_one_station_never_sees(rotary: SimpleNamespace) -> None:
+    simulated = rotary.measured(9, noise_factor=0.0, repeats=2)
+    readings = simulated.session.readings
+    gone = (readings.labels["target"] == "Q") & (readings.setup == 1)
+    result = identify(simulated.session.with_readings(readings.select(np.flatnonzero(~gone))))
+    assert not result.not_determined
+    angles = np.asarray(result.error_map.content["c"])
+    value, _ = rotary.found(result.error_map.content)
+    truth = rotary.without_datum(rotary.true_motions(simulated, angles), angles)
+    assert np.abs(rotary.without_datum(value, angles) - truth)[:3].max() < 5e-9
+    assert len([p for p in result.parameters if p.name.endswith("dead_path")]) == 2 * 11
