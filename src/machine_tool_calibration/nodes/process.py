@@ -37,7 +37,8 @@ def default_environment() -> None:
 def run(create: Callable[[], Node], args: list[str] | None = None, *, grace: float = 10.0) -> int:
     """Run a node until SIGINT, SIGTERM or an external shutdown.
 
-    A node may have a method `close()`, which is called before it is destroyed.
+    A node may have a method `close()`, which is called before it is destroyed, and an attribute `done`, which ends it
+    once it is true.
 
     Args:
         create: makes the node; called after rclpy is up.
@@ -63,7 +64,7 @@ def run(create: Callable[[], Node], args: list[str] | None = None, *, grace: flo
         executor = EventsExecutor()
         executor.add_node(node)
         node._post = executor.create_task  # type: ignore[attr-defined]
-        while not stop.is_set() and rclpy.ok():
+        while not stop.is_set() and rclpy.ok() and not getattr(node, "done", False):
             # spin() of this executor hangs in Jazzy
             executor.spin_once(timeout_sec=_TICK)
     except ExternalShutdownException:

@@ -19,7 +19,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.recording.graph import compatible, request_for
 from machine_tool_calibration.recording.qos import Qos
 
-__all__ = ["Taken", "Tap", "Taps", "offered_qos"]
+__all__ = ["Taken", "Tap", "Taps", "message_class", "offered_qos"]
 
 _MOST_AT_ONCE = 2000  # messages of one topic, so that no topic keeps the others waiting
 _NO_NUMBER = 2**64 - 1
@@ -161,7 +161,7 @@ class Taps:
 
     def _subscribe(self, topic: str, message_type: str, request: Qos) -> Subscription:
         return self._hidden.create_subscription(
-            _message_class(message_type), topic, lambda _: None, _profile(request), raw=True
+            message_class(message_type), topic, lambda _: None, _profile(request), raw=True
         )
 
 
@@ -188,7 +188,12 @@ def _profile(request: Qos) -> QoSProfile:
     )
 
 
-def _message_class(message_type: str) -> type:
+def message_class(message_type: str) -> type:
+    """The class of a message type such as `sensor_msgs/msg/JointState`.
+
+    Raises:
+        CalibrationError: it is not installed.
+    """
     parts = message_type.split("/")
     try:
         return getattr(importlib.import_module(f"{parts[0]}.{parts[1]}"), parts[2])

@@ -1,0 +1,106 @@
+"""`mtcal play`: a bag's messages, published again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from machine_tool_calibration.cli.output import console, json_option, write_json
+from machine_tool_calibration.errors import CalibrationError
+
+__all__ = ["command"]
+
+
+@click.command("play")
+@click.argument("bag", type=click.Path(path_type=Path))
+@click.argument("topics", nargs=-1)
+@click.option("--rate", "-r", type=click.FloatRange(min=0, min_open=True), default=1.0, help="Times as fast.")
+@click.option("--fast", is_flag=True, help="As fast as the subscribers take it.")
+@click.option("--offset", type=click.FloatRange(min=0), default=0.0, help="Where in the bag to begin, s.")
+@click.option("--loop", "-l", is_flag=True, help="Begin again at the end, until Ctrl-C.")
+@click.option("--paused", "-p", is_flag=True, help="Wait for the service player/resume.")
+@click.option("--keep", is_flag=True, help="Stay at the end, so that late subscribers get what is latched.")
+@click.option(
+    "--clock-rate", type=click.FloatRange(0, 10000), default=40.0, help="Rate of /clock, Hz; 0: do not publish it."
+)
+@click.option("--remap", multiple=True, metavar="FROM:=TO", help="Another name for a topic; may be repeated.")
+@json_option
+def command(
+    bag: Path,
+    topics: tuple[str, ...],
+    rate: float,
+    fast: bool,
+    offset: float,
+    loop: bool,
+    paused: bool,
+    keep: bool,
+    clock_rate: float,
+    remap: tuple[str, ...],
+    as_json: bool,
+) -> None:
+    """Play a recording: publish its messages at their pace, with /clock.
+
+    TOPICS are names in the bag, all by default. Messages go out as they are stored; latched topics are latched again.
+    The services player/pause, player/resume and player/step (one message while paused) steer it; player/status tells
+    where it stands.
+
+    \b
+    mtcal play bag
+    mtcal play bag --rate 10 --offset 60
+    mtcal play bag --fast --keep               feed a live estimator
+    """
+    from rclpy.executors import ExternalShutdownException
+
+    from machine_tool_calibration.nodes.player import Player
+    from machine_tool_calibration.nodes.process import run
+    from machine_tool_calibration.recording.reader import BagReader
+
+    for entry in remap:
+        if ":=" not in entry:
+            raise click.UsageError(f"--remap {entry}: write FROM:=TO, such as /reading:=/cell/reading")
+    BagReader(bag)  # a bag that cannot be read is told in the same words as everywhere
+    parameters = {
+        "bag": _quoted(str(bag)),
+        "rate": repr(0.0 if fast else rate),
+        "offset": repr(offset),
+        "loop": str(loop).lower(),
+        "paused": str(paused).lower(),
+        "clock_rate": repr(clock_rate),
+        "exit_at_end": str(not keep).lower(),
+    }
+    if topics:
+        parameters["topics"] = "[" + ", ".join(map(_quoted, topics)) + "]"
+    arguments = ["--ros-args"]
+    for name, value in parameters.items():
+        arguments += ["-p", f"{name}:={value}"]
+    for entry in remap:
+        arguments += ["-r", entry]
+    made: list[Player] = []
+    refused: list[CalibrationError] = []
+
+    def create() -> Player:
+        try:
+            made.append(Player())
+        except CalibrationError as error:
+            refused.append(error)  # to be told once, by the command
+            raise ExternalShutdownException from None
+        return made[0]
+
+    status = run(create, arguments)
+    if refused:
+        raise refused[0]
+    if status or not made:
+        raise CalibrationError("the player did not start")
+    player = made[0]
+    if as_json:
+        write_json({"format": "mtcal-played/1", "bag": bag, "messages": player.sent, "state": player.state})
+    else:
+        console().print(f"[bold]{bag}[/]: {player.sent} messages sent, {player.state}")
+    if player.trouble:
+        raise CalibrationError(player.trouble)
+
+
+def _quoted(text: str) -> str:
+    """A YAML text in single quotes, which is how ROS reads parameters on a command line."""
+    return "'" + text.replace("'", "''") + "'"

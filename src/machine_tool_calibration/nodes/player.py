@@ -1,0 +1,307 @@
+"""Node `player`: publishes what a bag holds, at its pace or any other.
+
+Messages are published as they are stored, without being decoded. What was latched is latched again, also what stands
+before the offset. The last publication of a topic is waited for before its queue would overflow, so a reliable
+subscriber loses nothing at full speed either.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock as ClockMessage
+from std_srvs.srv import Trigger
+
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.nodes.parameters import declare
+from machine_tool_calibration.nodes.process import run
+from machine_tool_calibration.nodes.qos import LATCHED
+from machine_tool_calibration.nodes.stamps import to_message
+from machine_tool_calibration.nodes.status import Level, status_message
+from machine_tool_calibration.nodes.taps import message_class
+from machine_tool_calibration.recording.errors import RecordingError
+from machine_tool_calibration.recording.pace import Pace
+from machine_tool_calibration.recording.qos import Qos
+from machine_tool_calibration.recording.reader import BagReader, Message, Topic
+
+__all__ = ["Player", "main"]
+
+_TICK = 0.002  # s
+_AT_ONCE = 500  # messages, so that services are answered in between
+_SHOW = 0.2  # s
+_ACKNOWLEDGE = Duration(seconds=2.0)
+_LEAST_DEPTH = 100
+_NEVER = ("/rosout", "/parameter_events")
+
+
+@dataclass
+class _Outlet:
+    """A topic's publisher, and how much of its queue may be on the way."""
+
+    publisher: Publisher
+    depth: int
+    reliable: bool
+    latched: bool
+    unacknowledged: int = 0
+
+    def send(self, data: bytes) -> None:
+        """Publish one serialized message."""
+        if self.reliable and self.unacknowledged >= self.depth // 2:
+            self.settle()
+        self.publisher.publish(data)
+        self.unacknowledged += 1
+
+    def settle(self) -> None:
+        """Wait until all subscribers have what was sent."""
+        if self.reliable and self.publisher.get_subscription_count():
+            self.publisher.wait_for_all_acked(_ACKNOWLEDGE)
+        self.unacknowledged = 0
+
+
+class Player(Node):
+    """See the module; says on `player/status` where it stands."""
+
+    def __init__(self) -> None:
+        """Open the bag and create its publishers.
+
+        Raises:
+            CalibrationError: no bag, or a parameter is wrong.
+        """
+        super().__init__("player")
+        path = declare(self, "bag", "", "the recording: a rosbag2 folder or an .mcap file")
+        self._rate = declare(self, "rate", 1.0, "seconds of the bag per second; 0: as fast as possible", low=0.0)
+        offset = declare(self, "offset", 0.0, "where in the bag to begin", unit="s", low=0.0)
+        self._loop = declare(self, "loop", False, "begin again at the end")
+        paused = declare(self, "paused", False, "wait for the service player/resume")
+        frequency = declare(self, "clock_rate", 40.0, "of /clock; 0: none", unit="Hz", low=0.0, high=10000.0)
+        wanted = declare(self, "topics", [""], "names of the topics to play; all if there are none")
+        self._leave = declare(self, "exit_at_end", False, "end the node when the bag has been played")
+        if not path:
+            raise CalibrationError("the parameter bag is missing: which recording is to be played?")
+        self.bag = BagReader(Path(path))
+        self._start = self.bag.first + round(offset * 1e9)
+        if self.bag.messages_in_all and self._start > self.bag.last:
+            raise CalibrationError(
+                f"{path}: lasts {self.bag.duration:.3f} s; the offset {offset:g} s is behind its end"
+            )
+        self.sent = 0
+        self.trouble = ""
+        self.done = False
+        self._outlets = self._create_outlets({name for name in wanted if name}, with_clock=bool(frequency))
+        self._time_topic = self.create_publisher(ClockMessage, "/clock", 10) if frequency else None
+        self._period = round(1e9 / frequency) if frequency else 0
+        self._last_clock: int | None = None
+        self._status = self.create_publisher(DiagnosticArray, "player/status", LATCHED)
+        self._shown: object = None
+        for name, action in (("pause", self._pause), ("resume", self._resume), ("step", self._step)):
+            self.create_service(Trigger, f"player/{name}", action)
+        self._pace = Pace(self._rate, self._start, time.monotonic_ns(), paused=paused)
+        self._messages: Iterator[Message] = iter(())
+        self._next: Message | None = None
+        self._ended = False
+        self._rewind()
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_TICK, self._tick, clock=steady)
+        self.create_timer(_SHOW, self._show, clock=steady)
+        if self._time_topic is not None:
+            self.create_timer(1.0 / frequency, self._tell_time, clock=steady)
+        self._show()
+
+    def close(self) -> None:
+        """Let what was sent arrive."""
+        for outlet in self._outlets.values():
+            outlet.settle()
+        self._show()
+
+    def _create_outlets(self, wanted: set[str], *, with_clock: bool) -> dict[str, _Outlet]:
+        names = {name if name.startswith("/") else f"/{name}" for name in wanted}
+        unknown = sorted(names - set(self.bag.topics))
+        if unknown:
+            known = ", ".join(sorted(self.bag.topics))
+            raise CalibrationError(f"{self.bag.path}: no topic {unknown[0]!r}; it holds {known or 'none'}")
+        outlets = {}
+        for name, topic in self.bag.topics.items():
+            if (names and name not in names) or name in _NEVER or (with_clock and name == "/clock"):
+                continue
+            try:
+                if topic.encoding != "cdr":
+                    raise CalibrationError(f"its messages are encoded as {topic.encoding!r}, not as cdr")
+                kind = message_class(topic.type)
+            except CalibrationError as error:
+                self.get_logger().warning(f"{name} is not played: {error}")
+                continue
+            offered = _offered(topic)
+            outlets[name] = _Outlet(
+                self.create_publisher(kind, name, _profile(offered)),
+                offered.depth,
+                offered.reliability == "reliable",
+                offered.latched,
+            )
+        return outlets
+
+    def _rewind(self) -> None:
+        """To the offset; what was latched before it is sent at once."""
+        self._messages = self.bag.messages(self._outlets)
+        self._next = None
+        latched = {name: deque(maxlen=outlet.depth) for name, outlet in self._outlets.items() if outlet.latched}
+        for message in self._messages:
+            if message.log_time >= self._start:
+                self._next = message
+                break
+            if message.topic in latched:
+                latched[message.topic].append(message)
+        earlier = sorted((m for held in latched.values() for m in held), key=lambda message: message.log_time)
+        for message in earlier:
+            self._publish(message)
+        self._ended = self._next is None
+        self._last_clock = None
+        self._pace.set(self._start, time.monotonic_ns())
+
+    def _tick(self) -> None:
+        """Send all that is due."""
+        try:
+            now = time.monotonic_ns()
+            for _ in range(_AT_ONCE):
+                message = self._next
+                if message is None or not self._pace.is_due(message.log_time, now):
+                    return
+                self._advance(message)
+        except RecordingError as error:
+            self._fail(error)
+
+    def _advance(self, message: Message) -> None:
+        if not self._pace.rate:
+            self._pace.set(message.log_time, time.monotonic_ns())
+        if self._last_clock is None or message.log_time - self._last_clock >= self._period:
+            self._tell_time(message.log_time)
+        self._publish(message)
+        self._next = next(self._messages, None)
+        if self._next is None:
+            self._end()
+
+    def _publish(self, message: Message) -> None:
+        self._outlets[message.topic].send(message.data)
+        self.sent += 1
+
+    def _end(self) -> None:
+        if self._loop:
+            self._rewind()
+            return
+        self._ended = True
+        self._pace.pause(time.monotonic_ns())
+        self._pace.set(self.bag.last, time.monotonic_ns())
+        self._tell_time()
+        self._show()
+        self.done = self._leave
+
+    def _fail(self, error: RecordingError) -> None:
+        self.trouble = str(error)
+        self.get_logger().error(self.trouble)
+        self._next, self._loop = None, False
+        self._end()
+
+    def _tell_time(self, at: int | None = None) -> None:
+        if self._time_topic is None:
+            return
+        if at is None:
+            at = min(self._pace.position(time.monotonic_ns()), self.bag.last)
+            if self._next is not None and self._pace.rate:
+                at = min(at, self._next.log_time)  # what is late must not seem to come from the past
+        if self._last_clock is not None and at < self._last_clock:
+            at = self._last_clock
+        self._last_clock = at
+        self._time_topic.publish(ClockMessage(clock=to_message(at)))
+
+    def _pause(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._pace.pause(time.monotonic_ns())
+        return self._answer(response, "paused")
+
+    def _resume(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self._ended:
+            response.success, response.message = False, "the bag has been played to its end"
+            return response
+        self._pace.resume(time.monotonic_ns())
+        return self._answer(response, "playing")
+
+    def _step(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        message = self._next
+        if not self._pace.paused or message is None:
+            response.success = False
+            response.message = "only a paused replay can be stepped" if message else "no message is left"
+            return response
+        self._pace.set(message.log_time, time.monotonic_ns())
+        try:
+            self._advance(message)
+        except RecordingError as error:
+            self._fail(error)
+        return self._answer(response, message.topic)
+
+    def _answer(self, response: Trigger.Response, text: str) -> Trigger.Response:
+        response.success, response.message = True, text
+        self._show()
+        return response
+
+    @property
+    def state(self) -> str:
+        """playing, paused, finished or failed."""
+        if self.trouble:
+            return "failed"
+        if self._ended:
+            return "finished"
+        return "paused" if self._pace.paused else "playing"
+
+    def _show(self) -> None:
+        """Publish the status where it has changed."""
+        position = min(max(self._pace.position(time.monotonic_ns()), self.bag.first), self.bag.last)
+        entries = {
+            "state": self.state,
+            "position": f"{(position - self.bag.first) / 1e9:.3f}",
+            "duration": f"{self.bag.duration:.3f}",
+            "messages": self.sent,
+            "rate": self._rate,
+        }
+        if entries == self._shown:
+            return
+        self._shown = entries
+        level = Level.ERROR if self.trouble else Level.OK
+        self._status.publish(status_message(time.time_ns(), "player", level, self.trouble or self.state, entries))
+
+
+def _offered(topic: Topic) -> Qos:
+    """What the recorded publishers offered, with a queue that is worth waiting for."""
+    if not topic.qos:
+        return Qos(depth=_LEAST_DEPTH)
+    first = topic.qos[0]
+    depth = max(first.depth, 1 if first.latched else _LEAST_DEPTH)
+    return Qos(depth=depth, reliability=first.reliability, durability=first.durability)
+
+
+def _profile(offered: Qos) -> QoSProfile:
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=offered.depth,
+        reliability=ReliabilityPolicy.BEST_EFFORT
+        if offered.reliability == "best_effort"
+        else ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if offered.latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+def main(args: list[str] | None = None) -> int:
+    """Entry point of the executable `player`."""
+    return run(Player, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

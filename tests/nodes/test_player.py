@@ -1,0 +1,172 @@
+"""Replays: what a live graph hears of a bag, when, and that it identifies the same from it."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="the graph needs ROS 2")
+
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+
+from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.nodes.clouds import columns
+from machine_tool_calibration.nodes.graph import Graph, Program
+from machine_tool_calibration.nodes.operator import Operator
+from machine_tool_calibration.nodes.stamps import from_message
+from machine_tool_calibration.recording.cdr import JOINT_STATE, TEXT, encode, encode_joint_state
+from machine_tool_calibration.recording.qos import LATCHED, RELIABLE
+from machine_tool_calibration.recording.session_to_bag import session_to_bag
+from machine_tool_calibration.recording.writer import BagWriter
+from machine_tool_calibration.session.open import open_measurement
+
+SESSION = Path(__file__).parents[1] / "data" / "tracking_2d"
+START = 1_700_000_000_000_000_000
+PATIENCE = 60.0  # s
+
+
+@pytest.fixture
+def play(tmp_path: Path, bench) -> Callable[..., Operator]:
+    """Starts a player, and whatever else is named, in a namespace of its own; gives an operator that hears it."""
+
+    def start(bag: Path, *more: str, **parameters: object) -> Operator:
+        programs = [Program(name) for name in more] + [Program("player", {"bag": str(bag), **parameters})]
+        graph = bench.stack.enter_context(Graph(programs, tmp_path / "log", bench.domain))
+        operator = bench.operator(graph)
+        operator._watch = graph.check
+        return operator
+
+    return start
+
+
+def ticks(path: Path, count: int = 20, step: int = 50_000_000) -> Path:
+    """A bag with one volatile topic, evenly in time, and a latched text at its beginning."""
+    with BagWriter(path) as bag:
+        bag.add_topic("/session", TEXT, qos=[LATCHED])
+        bag.add_topic("/joint_states", JOINT_STATE, qos=[RELIABLE])
+        bag.write("/session", encode(TEXT, "latched"), START)
+        for k in range(count):
+            at = START + k * step
+            bag.write("/joint_states", encode_joint_state(at, "f", ["x"], np.array([float(k)])), at)
+    return path
+
+
+class Heard:
+    """Positions of `joint_states` and times of `/clock`."""
+
+    def __init__(self, operator: Operator) -> None:
+        self.values: list[float] = []
+        self.clock: list[int] = []
+        operator._node.create_subscription(JointState, "/joint_states", self._take, 1000)
+        operator._node.create_subscription(Clock, "/clock", lambda m: self.clock.append(from_message(m.clock)), 1000)
+
+    def _take(self, message: JointState) -> None:
+        self.values.append(message.position[0])
+
+
+def ready(operator: Operator) -> Heard:
+    """Heard by both sides: a clock that stands still has come."""
+    heard = Heard(operator)
+    assert operator.wait(lambda: bool(heard.clock) and operator._node.count_publishers("/joint_states") == 1, PATIENCE)
+    return heard
+
+
+@pytest.mark.timeout(180)
+def test_a_live_estimator_gives_the_same_map_to_the_last_bit(tmp_path: Path, play) -> None:
+    bag = tmp_path / "bag"
+    session_to_bag(open_measurement(SESSION), bag, start=START)
+    operator = play(bag, "estimator", rate=0.0)
+    total = len(open_measurement(bag).readings)
+    assert operator.wait(
+        lambda: operator.estimator.number("readings") == total and operator.estimator.entries["session"] == "described",
+        PATIENCE,
+    ), operator.estimator
+    operator.call("estimator/identify", PATIENCE)
+    assert operator.wait(lambda: operator.error_map is not None and operator.document, PATIENCE)
+    direct = identify(open_measurement(bag))
+    heard = columns(operator.error_map)
+    for names, values in (("xyz", direct.error_map.points), ("e", direct.error_map.error)):
+        fields = list(names) if names == "xyz" else ["ex", "ey", "ez"]
+        for j, name in enumerate(fields):
+            assert np.array_equal(heard[name], values[:, j], equal_nan=True)
+    assert operator.document == json.dumps(direct.document(), allow_nan=False)
+
+
+@pytest.mark.timeout(120)
+def test_pause_step_and_go_on(tmp_path: Path, play) -> None:
+    operator = play(ticks(tmp_path / "bag"), paused=True)
+    heard = ready(operator)
+    assert heard.values == [] and set(heard.clock) == {START}
+    assert operator.session == ""  # what is at the beginning itself has not been played yet
+    assert operator.call("player/step", PATIENCE) == "/session"
+    assert operator.wait(lambda: operator.session == "latched", PATIENCE)
+    for expected in ([0.0], [0.0, 1.0]):
+        assert operator.call("player/step", PATIENCE) == "/joint_states"
+        assert operator.wait(lambda expected=expected: heard.values == expected, PATIENCE)
+    assert operator.wait(lambda: heard.clock[-1] == START + 50_000_000, PATIENCE)
+    operator.call("player/resume", PATIENCE)
+    assert operator.wait(lambda: len(heard.values) == 20, PATIENCE)
+    assert heard.values == [float(k) for k in range(20)]
+    assert operator.wait(lambda: heard.clock[-1] == START + 19 * 50_000_000, PATIENCE)
+    assert heard.clock == sorted(heard.clock)
+
+
+@pytest.mark.timeout(120)
+def test_the_rate_is_kept(tmp_path: Path, play) -> None:
+    """Never faster than asked; how much slower a busy machine is, is not ours to say."""
+    operator = play(ticks(tmp_path / "bag", 21, 200_000_000), rate=4.0, paused=True)
+    heard = ready(operator)
+    begin = time.monotonic()
+    operator.call("player/resume", PATIENCE)
+    assert operator.wait(lambda: len(heard.values) == 21, PATIENCE)
+    assert time.monotonic() - begin >= 4.0 / 4.0
+    assert heard.values == [float(k) for k in range(21)]
+
+
+@pytest.mark.timeout(120)
+def test_from_an_offset_in_a_loop_with_what_was_latched(tmp_path: Path, play) -> None:
+    operator = play(ticks(tmp_path / "bag", 10), rate=0.0, offset=0.375, loop=True, paused=True)
+    heard = ready(operator)
+    assert operator.wait(lambda: operator.session == "latched", PATIENCE)  # it stands before the offset
+    operator.call("player/resume", PATIENCE)
+    assert operator.wait(lambda: len(heard.values) >= 6, PATIENCE)
+    operator.call("player/pause", PATIENCE)
+    assert heard.values[:6] == [8.0, 9.0] * 3
+
+
+def mtcal(*words: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "machine_tool_calibration", *words]
+    return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
+
+
+@pytest.mark.timeout(120)
+def test_ends_by_itself_and_counts(tmp_path: Path) -> None:
+    bag = ticks(tmp_path / "bag")
+    answer = mtcal("play", str(bag), "/joint_states", "--fast", "--json")
+    assert answer.returncode == 0, answer.stderr
+    assert json.loads(answer.stdout) == {
+        "format": "mtcal-played/1",
+        "bag": str(bag),
+        "messages": 20,
+        "state": "finished",
+    }
+
+
+@pytest.mark.timeout(120)
+def test_wrong_requests_are_one_line(tmp_path: Path) -> None:
+    bag = str(ticks(tmp_path / "bag"))
+    for words, expected in (
+        ([str(tmp_path / "none")], "no such file"),
+        ([bag, "/nothing"], "no topic '/nothing'"),
+        ([bag, "--offset", "100"], "the offset 100 s is behind its end"),
+    ):
+        answer = mtcal("play", *words)
+        assert answer.returncode == 1 and expected in answer.stderr and answer.stderr.count("\n") == 1, answer.stderr
