@@ -12,7 +12,7 @@ import numpy as np
 from scipy import stats
 
 from machine_tool_calibration.arrays import Array, BoolArray
-from machine_tool_calibration.diagnosis.covariates import bins, covariates, telling
+from machine_tool_calibration.diagnosis.covariates import bins, covariates, sensed, telling
 from machine_tool_calibration.diagnosis.leverage import leverage
 from machine_tool_calibration.diagnosis.noise import Noise, noise_of
 from machine_tool_calibration.diagnosis.spread import run_spreads
@@ -351,20 +351,13 @@ class _Look:
                 continue
             weights = np.where(sign > 0, 1.0 / forward, np.where(sign < 0, -1.0 / backward, 0.0))
             (difference, u), (moved, moved_u) = self._sums([weights])[0], (None, None)
-            along = sign * self._sensed(axis)
+            along = sign * sensed(self.observations, axis)
             if np.abs(along).max() > 1e-6:
                 sums = residual_sums(self.fit, along[None] / 2)
                 moved, moved_u = _number(sums.added[0]), _number(self.factor * sums.added_uncertainty[0])
             p = self._p(moved, moved_u) if moved is not None else self._p(difference, u)
             out.append(Approach(axis, forward, backward, difference, u, moved, moved_u, p))
         return tuple(out)
-
-    def _sensed(self, axis: str) -> Array:
-        """(n,) change of each reading with a displacement of the axis."""
-        if axis in "xyz":
-            return self.observations.direction[:, "xyz".index(axis)]
-        turned = np.cross([0.0, 0.0, float(self.observations.session.rotation_sign)], self.observations.position)
-        return np.asarray(np.einsum("nj,nj->n", turned, self.observations.table_direction))
 
     def _trends(self) -> tuple[Trend, ...]:
         chosen = {

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import numpy as np
+from scipy import stats
+
 from machine_tool_calibration.diagnosis.compare import Comparison, Overall
 
 __all__ = ["in_words"]
 
 # Chances at which the fit is called worse, or better, than declared, and repeats speak against the model.
 _LEVEL, _TOO_GOOD, _LACK = 0.01, 0.999, 0.003
+# Share of the misfit that repeats must show to be called as large.
+_NOISE = 0.7
+# A few readings stand out: beyond so many times the bulk's scatter, at most this share, the bulk itself this quiet.
+_FAR, _FEW, _QUIET = 5.0, 0.1, 0.7
 # How much worse than all readings together a setup must be to be named.
 _WORSE = 1.15
 
@@ -22,7 +29,8 @@ def in_words(comparison: Comparison) -> str:
         first = f"the model fits within the declared uncertainty ({_um(overall.noise.declared)}; p = {p:.2g})"
     else:
         first = f"the readings scatter {ratio:.2g} times the declared uncertainty; {_where(comparison)}"
-    return f"{first}. {_repeats(overall)}"
+    apart = _stand_out(comparison)
+    return f"{first}.{apart} {_repeats(overall, bool(apart))}"
 
 
 def _where(comparison: Comparison) -> str:
@@ -37,7 +45,7 @@ def _where(comparison: Comparison) -> str:
     return f"worst is setup {worst.name} ({times:.2g} times, {worst.share:.0%} of the sum of squares)"
 
 
-def _repeats(overall: Overall) -> str:
+def _repeats(overall: Overall, apart: bool) -> str:
     noise = overall.noise
     if noise.from_repeats is None:
         return "Nothing was repeated often enough to tell noise from a lack of fit."
@@ -45,11 +53,29 @@ def _repeats(overall: Overall) -> str:
     lack = noise.lack_of_fit_p
     if lack is not None and lack < _LACK:
         return f"{scatter}, and places differ by more than that: the model lacks something, or setups do not reproduce."
-    if overall.p_value < _LEVEL and noise.from_repeats < 0.7 * overall.ratio * noise.declared:
-        return f"{scatter}: what is left is not their noise but the model's, or that setups and runs do not reproduce."
-    if overall.p_value < _LEVEL:
-        return f"{scatter}: they explain what is left, and the declared uncertainty is too small."
-    return f"{scatter}: no more is left than they explain."
+    if overall.p_value >= _LEVEL or apart:
+        return f"{scatter}."
+    if noise.from_repeats < _NOISE * overall.ratio * noise.declared:
+        return f"{scatter}: what is left is more than their noise; the model lacks something, or runs do not reproduce."
+    return (
+        f"{scatter}: repeats differ as much, so either the declared uncertainty is too small, or something changes "
+        "from one repeat to the next (time, temperature)."
+    )
+
+
+def _stand_out(comparison: Comparison) -> str:
+    """A few large residuals over a quiet rest."""
+    normal = np.abs(comparison.studentized[np.isfinite(comparison.studentized)])
+    if not len(normal):
+        return ""
+    bulk = float(np.median(normal)) / float(stats.norm.ppf(0.75))
+    far = int((normal > _FAR * max(bulk, 1.0)).sum())
+    if not far or far > _FEW * len(normal) or bulk > _QUIET * comparison.overall.ratio:
+        return ""
+    return (
+        f" {far} reading{'s stand' if far > 1 else ' stands'} far out of the others, "
+        f"which scatter {bulk:.2g} times the declared uncertainty."
+    )
 
 
 def _um(value: float) -> str:

@@ -7,9 +7,9 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.model.observations import Observations
 
-__all__ = ["bins", "covariates", "telling"]
+__all__ = ["bins", "covariates", "sensed", "telling"]
 
-_AXES = "xyz"
+_AXES = "xyzc"
 _SENSED = 1e-6
 _BINS = 8
 
@@ -20,7 +20,7 @@ def covariates(observations: Observations) -> dict[str, Array]:
     Returns:
         (n,) arrays, NaN where a column has gaps: the recorded columns; `order` in the recording; `path`; `azimuth` and
         `elevation` of the sensed direction; `normal`, the angle of a probed surface's normal; and for each axis
-        `dir_x along x`: the direction of approach times how much a displacement of X changes the reading.
+        `dir_x along x`: the direction of approach times how much a displacement of X changes the reading (C: m/rad).
     """
     readings = observations.readings
     out: dict[str, Array] = {"order": readings.row.astype(float), "repeat": readings.repeat.astype(float)}
@@ -32,12 +32,20 @@ def covariates(observations: Observations) -> dict[str, Array]:
         out.setdefault("elevation", np.arcsin(np.clip(observations.direction[:, 2], -1.0, 1.0)))
     if observations.session.method == "probing":
         out["normal"] = np.arctan2(observations.table_direction[:, 1], observations.table_direction[:, 0])
-    for j, axis in enumerate(_AXES):
+    for axis in _AXES:
         approach = readings.columns.get(f"dir_{axis}")
-        along = observations.direction[:, j]
+        along = sensed(observations, axis)
         if approach is not None and np.ptp(along) > _SENSED:
             out[f"dir_{axis} along {axis}"] = approach * along
     return {name: values for name, values in out.items() if _varies(values)}
+
+
+def sensed(observations: Observations, axis: str) -> Array:
+    """(n,) change of each reading with a displacement of x, y or z, 1, or with a turn of c, m/rad."""
+    if axis in "xyz":
+        return observations.direction[:, "xyz".index(axis)]
+    turned = np.cross([0.0, 0.0, float(observations.session.rotation_sign)], observations.position)
+    return np.asarray(np.einsum("nj,nj->n", turned, observations.table_direction))
 
 
 def telling(values: dict[str, Array], residual: Array) -> list[tuple[str, float]]:

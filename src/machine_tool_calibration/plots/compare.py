@@ -10,7 +10,9 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.diagnosis.compare import Comparison
+from machine_tool_calibration.diagnosis.noise import same_place
 from machine_tool_calibration.plots.residuals import color, draw_arrows, draw_residuals, grids, planes
+from machine_tool_calibration.plots.style import COLORS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -86,7 +88,7 @@ def draw_fit(comparison: Comparison) -> Figure:
     normal = np.sort(comparison.studentized[np.isfinite(comparison.studentized)])
     if len(normal):
         expected = stats.norm.ppf((np.arange(len(normal)) + 0.5) / len(normal))
-        right.plot(expected, normal, ls="", marker=".", ms=3, color="tab:blue")
+        right.plot(expected, normal, ls="", marker=".", ms=3, color=COLORS[0])
         right.plot(expected[[0, -1]], expected[[0, -1]], color="0.6", lw=0.8, zorder=0)
     right.set(xlabel="expected of normal noise", ylabel="residual over its declared uncertainty")
     right.set_title(f"Studentized residuals: scatter {comparison.overall.ratio:.2g} × declared")
@@ -130,12 +132,13 @@ def draw_map(comparison: Comparison) -> Figure:
 
     observations = comparison.fit.model.observations
     position, arrow = observations.position, comparison.residual[:, None] * observations.direction
+    same = same_place(observations)
     views = planes(position, observations.direction)
     figure = Figure(figsize=(6.4 * len(views), 6.0), layout="constrained")
     for panel, (a, b) in zip(figure.subplots(1, len(views), squeeze=False).ravel(), views, strict=True):
-        draw_arrows(panel, position[:, [a, b]], arrow[:, [a, b]], comparison.residual)
+        draw_arrows(panel, position[:, [a, b]], arrow[:, [a, b]], comparison.residual, same)
         panel.set(xlabel=f"{'xyz'[a]}, mm", ylabel=f"{'xyz'[b]}, mm")
-    figure.suptitle("Residuals along the sensed direction (red: longer than predicted, blue: shorter)", fontsize=11)
+    figure.suptitle("Residuals along the sensed direction (orange: more than predicted, blue: less)", fontsize=11)
     grids(figure)
     return figure
 
@@ -170,8 +173,9 @@ def draw_setups(comparison: Comparison) -> Figure:
     strip.axvspan(-sigma, sigma, color="0.92", zorder=0)
     strip.set_yticks(range(len(ids)), [share.name for share in comparison.setups])
     strip.invert_yaxis()
-    strip.set(xlabel="measured − predicted, µm", ylabel="setup, worst first; readings in order downwards")
-    strip.set_title("Residuals (gray: twice the declared uncertainty; black: mean of each repeat)", fontsize=10)
+    strip.set(xlabel="measured − predicted, µm", ylabel="setup, worst first")
+    title = "Residuals, in order downwards (gray: twice the declared uncertainty; black: means of repeats)"
+    strip.set_title(title, fontsize=10)
     bars.set(xlabel="RMS, µm", title="RMS, and times declared")
     bars.title.set_fontsize(10)
     bars.margins(x=0.25)

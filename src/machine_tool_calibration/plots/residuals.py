@@ -8,6 +8,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.diagnosis.covariates import bins
+from machine_tool_calibration.plots.style import COLORS, round_down
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -18,6 +19,8 @@ __all__ = ["axis_label", "color", "draw_arrows", "draw_residuals", "grids", "pla
 _BINS = 12
 # Arrows of one panel beyond which they hide each other, and the share of the panel that the longest takes.
 _ARROWS, _LENGTH = 700, 0.10
+# Share of the largest range of an axis that another must have to be shown beside it.
+_WIDE = 0.3
 
 
 def draw_residuals(panel: Axes, name: str, values: Array, residual: Array, setup: IntArray) -> None:
@@ -42,24 +45,23 @@ def draw_residuals(panel: Axes, name: str, values: Array, residual: Array, setup
         at = [float(x[number == k].mean()) for k in used]
         mean = [float(y[number == k].mean()) for k in used]
         bar = [2 * float(y[number == k].std(ddof=1)) / np.sqrt((number == k).sum()) for k in used]
-        panel.errorbar(at, mean, bar, color="black", marker="o", ms=3.5, lw=1.2, capsize=2, zorder=5)
+        panel.errorbar(at, mean, bar, color="black", marker="o", ms=3.5, lw=1.0, capsize=2, zorder=5)
     panel.set(xlabel=label, ylabel="measured − predicted, µm")
+    panel.locator_params(axis="x", nbins=6)
+    panel.ticklabel_format(axis="x", useOffset=False)
 
 
-def draw_arrows(panel: Axes, place: Array, arrow: Array, sign: Array) -> None:
-    """Arrows with a scale, repeats at one place in one direction averaged.
+def draw_arrows(panel: Axes, place: Array, arrow: Array, sign: Array, same: IntArray) -> None:
+    """Arrows with a scale; readings that repeat each other are averaged.
 
     Args:
         panel: where to draw.
         place: (n, 2) m.
         arrow: (n, 2) m.
         sign: (n,) positive for red, negative for blue.
+        same: (n,) index shared by readings that repeat each other.
     """
-    with np.errstate(invalid="ignore", divide="ignore"):
-        toward = np.where(np.abs(sign)[:, None] > 0, arrow / sign[:, None], 0.0)
-    key = np.round(np.column_stack([place, toward]) * 1e4)
-    _, number = np.unique(key, axis=0, return_inverse=True)
-    number = number.reshape(-1)
+    _, number = np.unique(same, return_inverse=True)
     count = np.bincount(number)
     place, arrow = (np.column_stack([np.bincount(number, c) / count for c in a.T]) for a in (place, arrow))
     sign = np.asarray(np.bincount(number, sign), dtype=float)
@@ -69,17 +71,25 @@ def draw_arrows(panel: Axes, place: Array, arrow: Array, sign: Array) -> None:
         place, arrow, sign = place[keep], arrow[keep], sign[keep]
     extent = max(float(np.ptp(place, axis=0).max()), 1e-6)
     # The scale is that of the bulk: a single outlier may leave the panel.
-    long = float(np.quantile(np.linalg.norm(arrow, axis=1), 0.98)) or 1e-12
+    long = max(float(np.quantile(np.linalg.norm(arrow, axis=1), 0.98)), 1e-12)
     scale = _LENGTH * extent / long
     panel.plot(*1e3 * place.T, ls="", marker=".", ms=2, color="0.7", zorder=0)
-    colors = np.where(sign > 0, "tab:red", "tab:blue")
+    reach = np.clip(scale * arrow, -1.5 * _LENGTH * extent, 1.5 * _LENGTH * extent)
+    panel.update_datalim(1e3 * (place + reach))
     quiver = panel.quiver(
-        *(1e3 * place.T), *(1e3 * scale * arrow.T), color=colors, angles="xy", scale_units="xy", scale=1.0, width=0.003
+        *(1e3 * place.T),
+        *(1e3 * scale * arrow.T),
+        color=np.where(sign > 0, COLORS[1], COLORS[0]),
+        angles="xy",
+        scale_units="xy",
+        scale=1.0,
+        width=0.003,
     )
-    shown = _round(long)
-    panel.quiverkey(quiver, 0.80, 1.025, 1e3 * scale * shown, f"{1e6 * shown:g} µm", labelpos="E", color="0.2")
+    shown = round_down(long)
+    panel.set_title(" ", fontsize=10)  # room for the key
+    panel.quiverkey(quiver, 0.80, 1.03, 1e3 * scale * shown, f"{1e6 * shown:g} µm", labelpos="E", color="0.2")
     panel.set_aspect("equal", adjustable="datalim")
-    panel.margins(0.12)
+    panel.margins(0.04)
 
 
 def axis_label(name: str) -> tuple[str, float]:
@@ -100,16 +110,18 @@ def axis_label(name: str) -> tuple[str, float]:
 def planes(position: Array, direction: Array) -> list[tuple[int, int]]:
     """Pairs of axes in which there is something to see, for maps of residuals at (n, 3) positions and directions."""
     span = np.ptp(position, axis=0)
-    seen = [j for j in range(3) if span[j] > 0.02 * span.max() or np.abs(direction[:, j]).max() > 0.2]
-    moved = [j for j in range(3) if span[j] > 0]
-    if len(seen) < 2:
-        seen = sorted({*seen, *moved, 0, 1})[:2]
-    return [(a, b) for a, b in ((0, 1), (0, 2), (1, 2)) if a in seen and b in seen and (a in moved or b in moved)]
+    pairs = [(0, 1), (0, 2), (1, 2)]
+    wide = [(a, b) for a, b in pairs if min(span[a], span[b]) > _WIDE * span.max() > 0]
+    if wide:
+        return wide
+    # A line, or readings at one place: the pair that shows its axis and what is sensed.
+    seen = span / max(float(span.max()), 1e-12) + 0.5 * np.abs(direction).max(axis=0)
+    return [max(pairs, key=lambda pair: float(seen[list(pair)].sum()))]
 
 
 def color(index: int) -> str:
     """Of a setup, by its number."""
-    return f"C{index % 10}"
+    return COLORS[index % len(COLORS)]
 
 
 def grids(figure: Figure) -> None:
@@ -117,9 +129,3 @@ def grids(figure: Figure) -> None:
     for panel in figure.axes:
         panel.grid(color="0.93", zorder=-1)
         panel.set_axisbelow(True)
-
-
-def _round(value: float) -> float:
-    """Down to 1, 2 or 5 times a power of ten."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(power * max(step for step in (1, 2, 5) if step <= value / power * (1 + 1e-9)))

@@ -1,0 +1,72 @@
+"""A comparison for programs: one JSON document, and the readings as columns of a table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from machine_tool_calibration.diagnosis.compare import Comparison
+from machine_tool_calibration.diagnosis.compare_words import in_words
+
+__all__ = ["comparison_columns", "comparison_document"]
+
+
+def comparison_document(comparison: Comparison) -> dict[str, Any]:
+    """The comparison as `mtcal-comparison/1`: SI units, None where the model takes a figure up."""
+    overall, session = comparison.overall, comparison.fit.model.observations.session
+    rows = comparison.fit.model.observations.readings.row
+    ids = session.setup_ids
+    setup = comparison.fit.model.observations.readings.setup
+    return {
+        "format": "mtcal-comparison/1",
+        "method": session.method,
+        "effects": list(comparison.effects),
+        "summary": in_words(comparison),
+        "readings": overall.readings,
+        "rms_residual": overall.rms,
+        "reduced_chi_square": overall.reduced_chi_square,
+        "degrees_of_freedom": overall.degrees_of_freedom,
+        "p_value": overall.p_value,
+        "noise": {"declared": overall.noise.declared, "from_repeats": overall.noise.from_repeats},
+        "lack_of_fit_p_value": overall.noise.lack_of_fit_p,
+        "setups": [asdict(share) for share in comparison.setups],
+        "runs": [asdict(share) for share in comparison.runs],
+        "labels": {name: [asdict(share) for share in shares] for name, shares in comparison.labels.items()},
+        "regions": [asdict(region) for region in comparison.regions],
+        "approaches": [asdict(approach) for approach in comparison.approaches],
+        "trends": [asdict(trend) for trend in comparison.trends],
+        "depends_on": [{"covariate": name, "share": share} for name, share in comparison.telling],
+        "worst": [
+            {
+                "row": int(rows[k]),
+                "setup": ids[setup[k]],
+                "residual": float(comparison.residual[k]),
+                "studentized": float(comparison.studentized[k]),
+            }
+            for k in comparison.worst
+        ],
+    }
+
+
+def comparison_columns(comparison: Comparison) -> Mapping[str, np.ndarray]:
+    """Every reading with what was predicted: columns of equal length, SI, in the order of the recording."""
+    observations = comparison.fit.model.observations
+    readings = observations.readings
+    ids = np.asarray(observations.session.setup_ids)
+    out: dict[str, np.ndarray] = {
+        "row": readings.row,
+        "setup": ids[readings.setup],
+        "repeat": readings.repeat,
+        **{name: np.asarray(values) for name, values in readings.labels.items()},
+        **{f"position_{axis}": observations.position[:, j] for j, axis in enumerate("xyz")},
+        **{f"direction_{axis}": observations.direction[:, j] for j, axis in enumerate("xyz")},
+        "measured": comparison.measured,
+        "predicted": comparison.predicted,
+        "residual": comparison.residual,
+        "studentized": comparison.studentized,
+    }
+    known = {**readings.columns, **comparison.covariates}
+    return out | {name.replace(" ", "_"): values for name, values in known.items() if name not in (*out, "order")}

@@ -1,0 +1,80 @@
+"""`mtcal compare`: words, tables, JSON, pictures and the readings behind them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from machine_tool_calibration.cli.main import run
+
+DATA = Path(__file__).parents[1] / "data"
+SESSION = str(DATA / "tracking_2d")
+PICTURES = ("measured_predicted.png", "residuals.png", "residual_map.png", "setups.png")
+OWN = """
+effects:
+  - id: creep
+    enters: reading
+    formula: b * time
+    coefficients: {b: {unit: m/s, low: -1.0e-8, high: 1.0e-8}}
+"""
+
+
+@pytest.mark.parametrize("method", ["tracking_2d", "step_diagonal", "rotary_axis", "probing_cross"])
+def test_the_first_sentence_says_whether_the_model_fits(method: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["compare", str(DATA / method)]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("The model fits within the declared uncertainty")
+    for title in ("Setups, worst first", "Straight lines over time", "Single readings, worst first"):
+        assert title in out
+    assert "nan" not in out
+
+
+def test_json_is_one_document(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["compare", SESSION, "--json", "--effect", "linear_drift"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["format"] == "mtcal-comparison/1"
+    assert document["effects"] == ["linear_drift"]
+    assert {share["name"] for share in document["setups"]} == {"A", "B", "C", "D"}
+
+
+@pytest.mark.parametrize("method", ["tracking_2d", "step_diagonal", "rotary_axis", "probing_cross"])
+def test_pictures_and_readings_are_written(method: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["compare", str(DATA / method), "--output", str(tmp_path / "new"), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    for name in PICTURES:
+        assert (tmp_path / "new" / name).read_bytes().startswith(b"\x89PNG")
+    table = pd.read_csv(tmp_path / "new" / "comparison.csv")
+    assert len(table) == document["readings"]
+    assert np.sqrt(np.mean(table.residual**2)) == pytest.approx(document["rms_residual"])
+    assert {"row", "setup", "repeat", "measured", "predicted", "studentized", "temperature_air"} <= set(table.columns)
+
+
+def test_residuals_are_drawn_against_the_columns_asked_for(tmp_path: Path) -> None:
+    assert run(["compare", SESSION, "--against", "path", "--against", "temperature_x", "-o", str(tmp_path)]) == 0
+    assert (tmp_path / "residuals.png").is_file()
+
+
+def test_an_effect_of_the_users_own_is_in_the_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "own.yaml"
+    file.write_text(OWN)
+    assert run(["compare", SESSION, "--effects-file", str(file), "--effect", "creep"]) == 0
+    assert "In the model: creep." in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--against", "nonsense"], "there is no covariate 'nonsense'"),
+        (["--effect", "nonsense"], "unknown effect 'nonsense'"),
+        (["--model", "nonsense"], "no model 'nonsense'"),
+    ],
+)
+def test_a_wrong_request_is_one_line(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["compare", SESSION, *words]) == 1
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert message in captured.err and captured.err.count("\n") == 1

@@ -1,0 +1,199 @@
+"""The comparison of a model with its readings: figures against hand counts, statistics, and known faults."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.diagnosis.compare import Comparison, compare
+from machine_tool_calibration.diagnosis.compare_document import comparison_columns, comparison_document
+from machine_tool_calibration.diagnosis.compare_words import in_words
+from machine_tool_calibration.diagnosis.covariates import bins, covariates
+from machine_tool_calibration.diagnosis.sums import residual_sums
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.methods.identify import build_model, identify
+from machine_tool_calibration.model.fit import fit_models
+from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, measured_again, simulate
+
+PLANS = ["tracking_2d", "tracking_3d", "step_diagonal", "rotary_axis_both_ways", "probing_cross", "iso230_2"]
+
+
+def simulated(plan: str, seed: int = 3, *flaws: FlawSpec, **changes: object) -> Session:
+    spec = SimulationSpec(plan=PRESETS[plan], seed=seed, effects=flaws, **changes)  # type: ignore[arg-type]
+    return simulate(spec).session
+
+
+def moved(session: Session, change: np.ndarray) -> Session:
+    readings = session.readings
+    return session.with_readings(replace(readings, displacement=readings.displacement + change))
+
+
+@pytest.mark.parametrize("plan", PLANS)
+def test_the_figures_are_those_of_the_residuals(plan: str) -> None:
+    found = compare(simulated(plan))
+    fit, readings = found.fit, found.fit.model.observations.readings
+    np.testing.assert_allclose(found.measured, found.predicted + found.residual, atol=1e-15)
+    assert found.overall.rms == pytest.approx(np.sqrt(np.mean(fit.residuals**2)))
+    for shares in (found.setups, found.runs):
+        assert sum(share.share for share in shares) == pytest.approx(1.0)
+        assert sum(share.readings for share in shares) == len(readings)
+        ratios = [share.reduced_chi_square or 0.0 for share in shares]
+        assert ratios == sorted(ratios, reverse=True)
+    for share in found.setups:
+        mine = readings.setup == found.fit.model.observations.session.setup_ids.index(share.name)
+        assert share.rms == pytest.approx(np.sqrt(np.mean(fit.residuals[mine] ** 2)))
+        if share.mean is not None:
+            assert share.mean == pytest.approx(fit.residuals[mine].mean(), abs=1e-3 * found.overall.noise.declared)
+        if share.slope is not None:
+            slope = np.polyfit(readings.column("time")[mine], fit.residuals[mine], 1)[0]
+            assert share.slope == pytest.approx(slope, rel=1e-3, abs=1e-3 * (share.slope_u or 0.0))
+
+
+@pytest.mark.parametrize("plan", PLANS)
+def test_every_reading_has_a_scatter_of_one_if_the_model_is_right(plan: str) -> None:
+    squares = []
+    for seed in range(5, 9):
+        studentized = compare(simulated(plan, seed)).studentized
+        squares.append(np.mean(studentized[np.isfinite(studentized)] ** 2))
+    assert 0.9 < np.mean(squares) < 1.1
+
+
+def test_sums_of_residuals_have_the_stated_uncertainty() -> None:
+    """The residuals of a fit are smaller than the noise: the stated uncertainty allows for what the model took up."""
+    clean = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=3, noise_factor=0.0))
+    rng = np.random.default_rng([12, 34])
+    weights = None
+    scaled, added = [], []
+    for seed in range(200):
+        session = measured_again(clean, seed)
+        fit = fit_models([build_model(session)[0]]).fits[0]
+        if weights is None:
+            smooth = np.sin(np.linspace(0.0, 7.0, len(fit.residuals)))
+            first = (fit.model.observations.readings.repeat == 0).astype(float)
+            weights = np.array([smooth, first, rng.normal(size=len(smooth))])
+        sums = residual_sums(fit, weights)
+        assert sums.value == pytest.approx(weights @ fit.residuals, abs=1e-4 * sums.uncertainty.min())
+        scaled.append(sums.value / sums.uncertainty)
+        added.append(sums.added / sums.added_uncertainty)
+    # Relative standard error of a variance from 200 sets is 0.1.
+    assert np.all(np.abs(np.mean(np.square(scaled), axis=0) - 1.0) < 0.3)
+    np.testing.assert_allclose(scaled, added, rtol=1e-6)
+
+
+def test_what_the_model_takes_up_is_no_number() -> None:
+    """Every station has a free dead path: the mean of its residuals is zero whatever was read."""
+    found = compare(simulated("tracking_2d"))
+    assert all(share.mean is None and share.mean_u is None for share in found.setups)
+    sums = residual_sums(found.fit, np.ones((1, found.overall.readings)))
+    assert np.isnan(sums.value).all() and np.isnan(sums.added).all()
+
+
+def test_a_good_model_is_said_to_fit() -> None:
+    words = in_words(compare(simulated("tracking_2d")))
+    assert words.startswith("the model fits within the declared uncertainty (0.3 µm")
+
+
+def test_a_bad_setup_is_named() -> None:
+    session = simulated("tracking_2d")
+    readings = session.readings
+    wave = 4e-6 * np.sin(readings.column("time") / 40.0) * (readings.setup == 2)
+    found = compare(moved(session, wave))
+    assert found.setups[0].name == "C"
+    assert "worst is setup C" in in_words(found)
+    assert found.overall.p_value < 1e-6
+
+
+@pytest.mark.parametrize(("plan", "axis"), [("tracking_3d", "y"), ("rotary_axis_both_ways", "c"), ("iso230_2", "x")])
+def test_backlash_shows_as_a_displacement_of_twice_its_half_width(plan: str, axis: str) -> None:
+    size = 20e-6 if axis == "c" else 2e-6
+    found = compare(simulated(plan, 3, FlawSpec(id=f"backlash_{axis}", size=size)))
+    approach = next(a for a in found.approaches if a.axis == axis)
+    assert approach.displacement is not None and approach.displacement_u is not None and approach.p_value is not None
+    assert abs(approach.displacement + 2 * size) < 4 * approach.displacement_u
+    assert approach.p_value < 1e-6
+    assert found.telling[0][0] == f"dir_{axis} along {axis}" or plan == "iso230_2"
+
+
+def test_a_drift_shows_over_time_with_its_rate() -> None:
+    session = simulated("tracking_3d")
+    rate = 2e-10
+    found = compare(moved(session, rate * session.readings.column("time")))
+    trend = next(t for t in found.trends if t.covariate == "time")
+    clean = next(t for t in compare(session).trends if t.covariate == "time")
+    assert trend.added is not None and clean.added is not None
+    assert trend.added - clean.added == pytest.approx(rate, rel=1e-3)
+
+
+def test_added_drift_is_exactly_what_adding_it_gives() -> None:
+    session = simulated("tracking_2d", 3, FlawSpec(id="linear_drift", amplitude=3e-6))
+    trend = next(t for t in compare(session).trends if t.covariate == "time")
+    rate = next(p for p in identify(session, effects=["linear_drift"]).parameters if p.name.startswith("linear_drift"))
+    assert trend.added == pytest.approx(rate.value, rel=1e-3)
+
+
+def test_single_bad_readings_are_named_by_row_and_said_to_stand_out() -> None:
+    simulation = simulate(SimulationSpec(plan=PRESETS["probing_cross"], seed=5, chips=Chips(fraction=0.02)))
+    found = compare(simulation.session)
+    rows = {int(found.fit.model.observations.readings.row[k]) for k in found.worst[:3]}
+    assert rows <= {int(row) for row in simulation.truth.document()["outliers"]}
+    assert "far out of the others" in in_words(found)
+
+
+def test_rows_are_those_of_the_recording_where_readings_are_missing() -> None:
+    session = simulated("tracking_2d", missing=0.1)
+    readings = session.readings
+    bad = int(np.flatnonzero(np.isfinite(readings.displacement))[150])
+    change = np.zeros(len(readings))
+    change[bad] = 1e-4
+    found = compare(moved(session, change))
+    assert int(found.fit.model.observations.readings.row[found.worst[0]]) == readings.row[bad]
+    assert comparison_columns(found)["row"].tolist() == np.flatnonzero(np.isfinite(readings.displacement)).tolist()
+
+
+def test_a_session_its_fit_and_its_result_give_the_same() -> None:
+    session = simulated("tracking_2d", 3, FlawSpec(id="backlash_y", amplitude=1e-6))
+    result = identify(session, effects=["backlash_y"])
+    found: list[Comparison] = [compare(session, effects=["backlash_y"]), compare(result), compare(result.fit)]
+    for other in found[1:]:
+        np.testing.assert_allclose(other.residual, found[0].residual, atol=1e-13)
+        assert other.overall.p_value == pytest.approx(found[0].overall.p_value, rel=1e-6)
+    assert found[1].effects == ("backlash_y",)
+
+
+def test_a_fit_of_several_sessions_is_refused() -> None:
+    models = [build_model(simulated("tracking_2d", seed))[0] for seed in (1, 2)]
+    joint = fit_models(models, ["a", "b"])
+    with pytest.raises(ModelError, match="single session"):
+        compare(joint.fits[0])
+
+
+def test_covariates_that_do_not_vary_are_left_out_and_an_unknown_one_is_named() -> None:
+    session = simulated("iso230_2")
+    found = compare(session)
+    assert "y" not in found.covariates
+    assert "x" in covariates(found.fit.model.observations)
+    with pytest.raises(ModelError, match="no covariate 'humidity' that varies; there are order"):
+        found.covariate("humidity")
+
+
+def test_bins_keep_distinct_values_apart_and_equal_ones_together() -> None:
+    values = np.array([0.1 + 0.2, 0.3, 1.0, 1.0, 2.0])
+    assert len(set(bins(values)[:2])) == 1
+    assert bins(values)[4] not in bins(values)[:4]
+    assert len(np.unique(bins(np.random.default_rng(0).normal(size=1000), 10))) == 10
+
+
+@pytest.mark.parametrize("plan", PLANS)
+def test_the_document_and_the_columns_hold_every_reading(plan: str) -> None:
+    from machine_tool_calibration.cli.output import to_json
+
+    found = compare(simulated(plan))
+    document = comparison_document(found)
+    assert "NaN" not in to_json(document)
+    assert document["format"] == "mtcal-comparison/1"
+    columns = comparison_columns(found)
+    assert {len(values) for values in columns.values()} == {found.overall.readings}
+    np.testing.assert_allclose(columns["measured"] - columns["predicted"], columns["residual"], atol=1e-15)
