@@ -192,12 +192,13 @@ def _diagnose(
     )
     structures = structure_candidates(base.observations)
     looks: list[Look] = []
+    alike: set[str] = set()
     while True:
         progress(
             f"round {len(looks) + 1}: {len(candidates)} effects, {sets} simulated sets",
             (len(looks) + 0.2) / (_ROUNDS + 1),
         )
-        left = [c for c in candidates if c.effect not in accepted]
+        left = [c for c in candidates if c.effect not in accepted and c.name not in alike]
         looks.append(_look(fit, left, structures, rng, sets))
         winner = looks[-1].winner()
         if winner is None or len(accepted) == _ROUNDS:
@@ -213,6 +214,8 @@ def _diagnose(
             looks.pop()
             continue
         accepted.append(effect)
+        # What cannot be told from it would only take up what its linearisation leaves.
+        alike |= {name for group in looks[-1].groups if effect.id in group for name in group}
     if accepted and outliers:
         # With the effects in the model some of them belong to the rest again.
         outliers, session, _ = find_outliers(whole, build)

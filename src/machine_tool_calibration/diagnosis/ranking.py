@@ -163,7 +163,8 @@ def _with_probabilities(ranked: list[Ranked]) -> tuple[Ranked, ...]:
     weights = np.where(possible, np.exp(log_weight - top), 0.0)
     total = float(weights.sum() + np.exp(-top))
     filled = [replace(r, probability=float(w / total)) for r, w in zip(ranked, weights, strict=True)]
-    return tuple(sorted(filled, key=lambda r: (not (r.possible and r.rank), _log_p(r), -r.statistic)))
+    # Candidates with the same columns keep the catalogue's order, whatever the last bits say.
+    return tuple(sorted(filled, key=lambda r: (not (r.possible and r.rank), round(_log_p(r), 6))))
 
 
 def _log_p(ranked: Ranked) -> float:
