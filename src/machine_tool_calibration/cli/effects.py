@@ -1,0 +1,112 @@
+"""`mtcal effects`: the catalogue of physical effects."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from machine_tool_calibration.cli.diagnosing import bar, own_effects, saved, show_table
+from machine_tool_calibration.cli.output import console, json_option, write_json
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.effects.effect import Effect
+
+__all__ = ["command"]
+
+
+@click.command("effects")
+@click.argument("ids", metavar="[ID …]", nargs=-1)
+@click.option(
+    "--effects-file",
+    "files",
+    type=click.Path(path_type=Path, dir_okay=False),
+    multiple=True,
+    help="YAML file with effects of your own; they are listed and drawn like the built-in ones.",
+)
+@click.option(
+    "--gallery",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Folder for a picture of each effect's residuals, made by putting it into perfect data, and a page of them.",
+)
+@json_option
+def command(ids: tuple[str, ...], files: tuple[Path, ...], gallery: Path | None, as_json: bool) -> None:
+    """List the physical effects that can be looked for, or say everything about some of them.
+
+    Without ID all effects are listed; those of --effects-file and of installed plugins too. With IDs each is described
+    in full, with what every method's default model would leave of it.
+
+    \b
+    mtcal effects
+    mtcal effects backlash_x warmup_y
+    mtcal effects --effects-file my_effects.yaml my_creep --gallery pictures
+    """
+    from machine_tool_calibration.diagnosis.effect_page import effect_document
+    from machine_tool_calibration.effects.catalogue import catalogue, find_effects
+
+    own = own_effects(files)
+    chosen = find_effects(ids, own) if ids else list(catalogue(own).values())
+    if gallery is not None:
+        from machine_tool_calibration.plots.gallery import draw_gallery
+
+        with bar() as progress:
+            written = draw_gallery(chosen, gallery, progress)
+        saved([written[-1]] if len(written) > 5 else written)
+    if as_json:
+        write_json({"format": "mtcal-effects/1", "effects": [effect_document(effect) for effect in chosen]})
+    elif ids:
+        for effect in chosen:
+            _describe(effect)
+    elif gallery is None:
+        _list(chosen)
+
+
+def _list(effects: Sequence[Effect]) -> None:
+    from rich.table import Table
+    from rich.text import Text
+
+    from machine_tool_calibration.diagnosis.effect_page import coefficients_in_words
+
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    table.add_column("id", no_wrap=True)
+    table.add_column("effect and formula", ratio=6)
+    table.add_column("plausible size", ratio=3)
+    table.add_column("columns", ratio=2)
+    table.add_column("methods", ratio=2)
+    table.add_column("source", ratio=3)
+    for effect in effects:
+        table.add_row(
+            effect.id,
+            Text(f"{effect.title}\n{effect.formula}"),
+            Text("\n".join(coefficients_in_words(effect))),
+            Text("\n".join(effect.needs)),
+            Text("\n".join(m.split("_")[0] for m in effect.methods) or "all"),
+            Text(effect.source),
+        )
+    screen = console()
+    screen.print(table)
+    screen.print(f"\n{len(effects)} effects; `mtcal effects ID` says what each method leaves of one.", markup=False)
+
+
+def _describe(effect: Effect) -> None:
+    from rich.text import Text
+
+    from machine_tool_calibration.diagnosis.effect_page import coefficients_in_words, shown_table
+    from machine_tool_calibration.diagnosis.injected import where_it_shows
+
+    screen = console()
+    enters = "displaces the functional point" if effect.kind == "position" else "changes the reading itself"
+    screen.print(Text(f"{effect.id}: {effect.title}", style="bold"))
+    lines = {
+        "formula": f"{effect.formula} ({enters})",
+        "coefficients": "; ".join(coefficients_in_words(effect)),
+        "columns": ", ".join(effect.needs) or "none",
+        "methods": ", ".join(effect.methods) or "all",
+        "source": effect.source,
+    }
+    for name, text in lines.items():
+        screen.print(Text(f"  {name + ':':14}{text}"))
+    show_table(screen, shown_table(where_it_shows(effect)))
+    screen.print()
