@@ -33,7 +33,7 @@ def test_topics_services_and_parameters_are_those_of_the_running_nodes(bench):
     begin(operator)
     node = operator._node
     table = documented()
-    assert len(table) == 25
+    assert len(table) == 27
     wanted = {f"/{name.strip('/')}" for name in table}
     assert operator.wait(lambda: wanted <= {name for name, _ in node.get_topic_names_and_types()}, 10.0)
     for name, types in node.get_topic_names_and_types():

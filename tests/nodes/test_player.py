@@ -16,11 +16,13 @@ pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
+from visualization_msgs.msg import MarkerArray
 
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.nodes.clouds import columns
 from machine_tool_calibration.nodes.graph import Graph, Program
 from machine_tool_calibration.nodes.operator import Operator
+from machine_tool_calibration.nodes.qos import LATCHED as LATCHED_QOS
 from machine_tool_calibration.nodes.stamps import from_message
 from machine_tool_calibration.recording.cdr import JOINT_STATE, TEXT, encode, encode_joint_state
 from machine_tool_calibration.recording.qos import LATCHED, RELIABLE
@@ -89,8 +91,11 @@ def test_a_live_estimator_gives_the_same_map_to_the_last_bit(tmp_path: Path, pla
         lambda: operator.estimator.number("readings") == total and operator.estimator.entries["session"] == "described",
         PATIENCE,
     ), operator.estimator
+    drawn: list[MarkerArray] = []
+    operator._node.create_subscription(MarkerArray, "/error_map/arrows", drawn.append, LATCHED_QOS)
     operator.call("estimator/identify", PATIENCE)
-    assert operator.wait(lambda: operator.error_map is not None and operator.document, PATIENCE)
+    assert operator.wait(lambda: operator.error_map is not None and operator.document and drawn, PATIENCE)
+    assert len(drawn[0].markers) == operator.error_map.width + 2
     direct = identify(open_measurement(bag))
     heard = columns(operator.error_map)
     for names, values in (("xyz", direct.error_map.points), ("e", direct.error_map.error)):

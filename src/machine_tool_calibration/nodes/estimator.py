@@ -17,6 +17,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
+from visualization_msgs.msg import MarkerArray
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
@@ -24,6 +25,7 @@ from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.nodes.clouds import cloud
 from machine_tool_calibration.nodes.deferred import Answer, DeferredService
+from machine_tool_calibration.nodes.map_views import arrows, axis_cloud
 from machine_tool_calibration.nodes.parameters import declare
 from machine_tool_calibration.nodes.process import STOP_GRACE, post, run
 from machine_tool_calibration.nodes.qos import LATCHED, READINGS
@@ -71,6 +73,7 @@ class Estimator(Node):
             read_only=False,
         )
         declare(self, "effects", [""], "ids of physical effects to add to the model", read_only=False)
+        declare(self, "magnification", 0.0, "of errors as arrows; 0: a round number", low=0.0, read_only=False)
         self._text = ""
         self._messages: dict[int, _Reading] = {}
         self._origin: int | None = None
@@ -80,6 +83,8 @@ class Estimator(Node):
         self._shown: object = None
         self._map = self.create_publisher(PointCloud2, "error_map", LATCHED)
         self._document = self.create_publisher(String, "error_map/result", LATCHED)
+        self._axes = self.create_publisher(PointCloud2, "error_map/axes", LATCHED)
+        self._arrows = self.create_publisher(MarkerArray, "error_map/arrows", LATCHED)
         self._residuals = self.create_publisher(PointCloud2, "residuals", LATCHED)
         self._status = self.create_publisher(DiagnosticArray, "estimator/status", LATCHED)
         self.create_subscription(String, "session", self._described, LATCHED)
@@ -143,6 +148,8 @@ class Estimator(Node):
         result = outcome.result
         stamp = now(self)
         self._map.publish(cloud(stamp, _map_fields(result)))
+        self._axes.publish(axis_cloud(stamp, result))
+        self._arrows.publish(arrows(stamp, result.error_map, self.get_parameter("magnification").value))
         self._residuals.publish(cloud(stamp, _residual_fields(outcome.session, result)))
         self._document.publish(String(data=outcome.document))
         summary = {
