@@ -13,6 +13,9 @@ from machine_tool_calibration.model.observations import Observations
 
 __all__ = ["Block", "Candidate", "effect_candidates", "stack"]
 
+# Change of a reading, in standard uncertainties, below which an effect does not act.
+_TRACE = 0.01
+
 
 @dataclass(frozen=True)
 class Block:
@@ -59,7 +62,7 @@ def effect_candidates(observations: Observations, effects: Sequence[Effect]) -> 
             blocks = tuple(
                 Block(shape, effect.columns(observations, shape)) for shape in effect.shape_grid(observations)
             )
-            blocks = tuple(block for block in blocks if np.isfinite(block.columns).all() and block.columns.any())
+            blocks = tuple(block for block in blocks if _acts(effect, block, observations))
             if blocks:
                 # Each coefficient of a setup is told by the readings of that setup alone.
                 sample = len(observations) // n_setups if effect.setup_level else len(observations)
@@ -68,6 +71,15 @@ def effect_candidates(observations: Observations, effects: Sequence[Effect]) -> 
             why = "no reading depends on it"
         excluded[effect.id] = why
     return found, excluded
+
+
+def _acts(effect: Effect, block: Block, observations: Observations) -> bool:
+    """Whether the largest plausible size would change any reading by more than a trace of its uncertainty."""
+    if not np.isfinite(block.columns).all():
+        return False
+    limits = [max(abs(c.low), abs(c.high)) for c in effect.coefficients_for(observations, block.shape)]
+    largest = np.abs(block.columns).max(axis=1) * np.array(limits)
+    return bool(largest.max(initial=0.0) > _TRACE * observations.session.sigma)
 
 
 def stack(candidates: Sequence[Candidate], n: int) -> tuple[Array, list[list[slice]]]:
