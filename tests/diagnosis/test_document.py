@@ -103,7 +103,7 @@ def test_candidates_come_best_first_after_those_accepted(verdict: str) -> None:
     assert names[: len(accepted)] == accepted
     assert len(set(names)) == len(names)
     rest = [c["probability"] for c in document["candidates"][len(accepted) :]]
-    assert rest == sorted(rest, reverse=True)
+    assert rest == pytest.approx(sorted(rest, reverse=True), rel=1e-6)
 
 
 def test_the_effect_that_was_hidden_stands_first_with_its_size() -> None:

@@ -23,6 +23,7 @@ from machine_tool_calibration.model.result import Estimate
         (5480.0, "s", None, "91.3 min"),
         (0.0, "m", None, "0 µm"),
         (0.25, "1", 0.1, "0.25 ± 0.20"),
+        (3.76e-5, "1", 4e-7, "37.60 ± 0.80 µm/m"),
         (3e-6, "m", float("inf"), "3.00 µm"),
         (2.0, "m kg", 0.0, "2.00 m kg"),
         (5e-6, "m", 3e-3, "0.0 ± 6.0 mm"),

@@ -89,7 +89,8 @@ def test_too_small_a_declared_uncertainty_is_not_blamed_on_an_effect() -> None:
 
 def test_without_repeats_model_and_reproducibility_cannot_be_told() -> None:
     found, _ = report("too noisy")
-    bare = replace(found, noise=replace(found.noise, from_repeats=None))
+    look = replace(found.looks[0], noise=replace(found.noise, from_repeats=None))
+    bare = replace(found, looks=(look, *found.looks[1:]))
     words = diagnosis_report(bare, what_to_measure(bare), {}).words
     assert "model or the reproducibility of the setups cannot be told" in words[1]
 

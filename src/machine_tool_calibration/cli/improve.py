@@ -128,8 +128,8 @@ def _steps(done: Improvement) -> TextTable:
         )
     heads = ("model", "size ± U", "residual", "chi²/ν", "map moves", "map", "U of the map", "left at the tool point")
     note = (
-        "µm RMS; U expanded (k = 2), from the declared uncertainty; left at the tool point: U as the readings' real "
-        "scatter makes it"
+        "µm RMS; U expanded (k = 2), from the declared uncertainty; left at the tool point: U with the real scatter of "
+        "the readings, and what they see there and the model does not explain"
     )
     return TextTable("Step by step", heads, tuple(rows), note)
 

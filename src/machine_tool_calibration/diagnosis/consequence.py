@@ -149,15 +149,20 @@ def _signal(fit: Fit, name: str) -> tuple[Array, Array]:
 
 
 def map_change(before: ErrorMap, after: ErrorMap) -> float | None:
-    """RMS length of the change of the position errors that both maps determine, m."""
-    if before.error.shape != after.error.shape or not np.array_equal(before.points, after.points):
-        return None
-    change = after.error - before.error
-    known = np.isfinite(change)
-    if not known.any():
-        return None
-    points = known.any(axis=1)
-    return float(np.sqrt(np.sum(np.where(known, change, 0.0) ** 2) / points.sum()))
+    """RMS length of the change of the position errors that both maps determine, m.
+
+    A map may hold a point several times, once for every state of an effect there (approached from either side); each is
+    compared with what the other map says of the same place.
+    """
+    old = before.error
+    if not np.array_equal(before.points, after.points):
+        places, number = np.unique(np.round(before.points * 1e9), axis=0, return_inverse=True)
+        count = np.bincount(number.reshape(-1))
+        mean = np.stack([np.bincount(number.reshape(-1), e) for e in before.error.T], axis=1) / count[:, None]
+        at = {tuple(place): value for place, value in zip(places.tolist(), mean, strict=True)}
+        nothing = np.full(3, np.nan)
+        old = np.array([at.get(tuple(p), nothing) for p in np.round(after.points * 1e9).tolist()]).reshape(-1, 3)
+    return map_rms(after.error - old)
 
 
 def map_rms(values: Array) -> float | None:

@@ -36,6 +36,8 @@ def diagnosis_document(
     Beyond the contract: `accepted` (effects named as the cause, in the order in which they were found), and in every
     candidate `plausible`, `p_value_alone` (not paid for the search) and `explained_rms`; `detectable`, `excluded`,
     `structure_left` (after the accepted effects) and `visible_by` (what would show an effect that hardly shows).
+    The noise is judged with the accepted effects in the model.
+
     With the verdict `unexplained` no effect is the cause: `accepted` is empty, and a candidate's probability is that it
     accounts for everything that was found, which the structure that remains speaks against.
 
@@ -54,15 +56,15 @@ def diagnosis_document(
         "accepted": list(diagnosis.accepted),
         "observations": len(diagnosis.session.readings) + len(diagnosis.outliers),
         "noise": {
-            "declared": diagnosis.noise.declared,
-            "from_repeats": diagnosis.noise.from_repeats,
-            "repeats_degrees_of_freedom": diagnosis.noise.repeats,
-            "chi_square_p_value": diagnosis.noise.chi_square_p,
-            "lack_of_fit_p_value": diagnosis.noise.lack_of_fit_p,
+            "declared": last.noise.declared,
+            "from_repeats": last.noise.from_repeats,
+            "repeats_degrees_of_freedom": last.noise.repeats,
+            "chi_square_p_value": last.noise.chi_square_p,
+            "lack_of_fit_p_value": last.noise.lack_of_fit_p,
         },
         "fit": {
             "before": _fit(first),
-            "after": _fit(diagnosis.looks[len(diagnosis.accepted)]),
+            "after": _fit(last),
         },
         "candidates": [_candidate(diagnosis, r, look, changes) for r, look in _ranked(diagnosis) if r.rank],
         "alias_groups": [list(group) for group, _ in alias_groups_of(diagnosis)],

@@ -13,6 +13,7 @@ __all__ = ["duration", "micrometres", "probability", "quantity", "range_of", "si
 _MANY = 3
 # (smallest absolute value, factor, unit) for each SI unit, the largest first.
 _SCALES: dict[str, tuple[tuple[float, float, str], ...]] = {
+    "1": ((1e-3, 1.0, ""), (0.0, 1e6, "µm/m")),
     "m": ((1.0, 1.0, "m"), (1e-3, 1e3, "mm"), (0.0, 1e6, "µm")),
     "rad": ((0.1, 1.0, "rad"), (0.0, 1e6, "µrad")),
     "s": ((7200.0, 1 / 3600.0, "h"), (120.0, 1 / 60.0, "min"), (0.0, 1.0, "s")),

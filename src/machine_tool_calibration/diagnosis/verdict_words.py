@@ -124,8 +124,8 @@ def _covariate(structure: Structure) -> str:
 
 
 def _noise(diagnosis: Diagnosis) -> Iterator[str]:
-    noise = diagnosis.noise
     look = diagnosis.looks[len(diagnosis.accepted)]
+    noise = look.noise
     joint = look.fit.joint
     ratio = float(np.sqrt(joint.reduced_chi_square))
     again = mounted_more_than_once(diagnosis.session)

@@ -52,16 +52,33 @@ class Step:
         return value if np.isfinite(value) else None
 
     @property
+    def unexplained_at_tool(self) -> float:
+        """RMS length of what the readings saw of the tool point and the model does not explain, m; noise taken off.
+
+        Only where the model gives the tool point's errors by the machine's: where every point is free, what is left
+        are contradictions between readings of the same point.
+        """
+        observations = self.result.fit.model.observations
+        method = observations.session.method
+        if method != "direct" and (method, self.result.model_name) != ("tracking_interferometer", "rigid_body"):
+            return 0.0
+        beyond = max((self.reduced_chi_square or 1.0) - 1.0, 0.0) * observations.session.sigma**2
+        # A reading sees one direction of as many as were looked along.
+        seen = np.linalg.eigvalsh(observations.direction.T @ observations.direction / len(observations))
+        return float(np.sqrt(beyond * np.sum(seen > 1e-3)))
+
+    @property
     def left_at_tool(self) -> float | None:
         """Standard uncertainty (RMS length) left at the tool point, m.
 
-        That of the map, times the factor by which the readings scatter more than declared: what the model does not
-        explain is taken to act on the map as noise does. An effect that the model lacks may act more.
+        That of the map, times the factor by which the readings scatter more than declared, as what the model does not
+        explain is taken to act on the map as noise does (an effect that the model lacks may act more); and what is
+        seen at the tool point itself and not explained.
         """
         chi = self.reduced_chi_square
         if self.map_uncertainty is None or chi is None:
             return None
-        return self.map_uncertainty * float(np.sqrt(max(chi, 1.0)))
+        return float(np.hypot(self.map_uncertainty * np.sqrt(max(chi, 1.0)), self.unexplained_at_tool))
 
     @property
     def parameters(self) -> tuple[Estimate, ...]:

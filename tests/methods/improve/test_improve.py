@@ -82,6 +82,18 @@ def test_effects_that_are_there_already_stay() -> None:
     assert {p.name for p in done.steps[-1].parameters} == {"backlash_y.b", "backlash_x.b"}
 
 
+def test_direct_readings_see_the_tool_point_itself() -> None:
+    effects = (FlawSpec(id="backlash_x", size=2e-6),)
+    done = improve(simulate(SimulationSpec(plan=PRESETS["iso230_2"], seed=4, effects=effects)).session, sets=199)
+    first, last = done.steps
+    # One axis, both directions of approach: all of the backlash is unexplained first, and nothing of it in the end.
+    assert first.unexplained_at_tool == pytest.approx(2e-6, rel=0.1)
+    assert last.unexplained_at_tool < 1e-7
+    assert first.left_at_tool is not None
+    assert first.left_at_tool >= first.unexplained_at_tool
+    assert last.map_change == pytest.approx(2e-6, rel=0.1)
+
+
 def test_steps_become_entries_of_a_history() -> None:
     spec = SimulationSpec(plan=PRESETS["tracking_2d"], seed=77, effects=(FlawSpec(id="backlash_y", size=2e-6),))
     done = improve(simulate(spec).session, sets=199)

@@ -1,0 +1,69 @@
+"""Pictures of a diagnosis and of the error falling: for every method, and with the numbers that they are of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from machine_tool_calibration.diagnosis.consequence import consequences
+from machine_tool_calibration.diagnosis.diagnose import diagnose
+from machine_tool_calibration.methods.improve import improve
+from machine_tool_calibration.plots.diagnosis import draw_diagnosis, save_diagnosis
+from machine_tool_calibration.plots.improve import draw_improvement, save_improvement
+from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
+
+CASES = [
+    ("tracking_2d", FlawSpec(id="backlash_y", size=1.5e-6)),
+    ("rotary_axis_both_ways", FlawSpec(id="backlash_c", size=1.3e-5)),
+    ("step_diagonal", FlawSpec(id="dead_path", size=3.0)),
+    ("probing_cross", FlawSpec(id="probe_pretravel", amplitude=4e-6)),
+    ("iso230_2", FlawSpec(id="backlash_x", size=2e-6)),
+]
+
+
+@pytest.mark.parametrize(("plan", "flaw"), CASES)
+def test_every_method_has_its_pictures(plan: str, flaw: FlawSpec) -> None:
+    session = simulate(SimulationSpec(plan=PRESETS[plan], seed=7, effects=(flaw,))).session
+    done = improve(session, sets=199)
+    figure = draw_improvement(done)
+    fall, before, after = figure.axes[:3]
+    residual = fall.lines[0].get_ydata()
+    assert np.asarray(residual) == pytest.approx([1e6 * s.result.rms_residual for s in done.steps])
+    assert [t.get_text() for t in fall.get_xticklabels()] == [s.label for s in done.steps]
+    # Both maps to the same scale.
+    assert before.get_ylim() == pytest.approx(after.get_ylim())
+    assert before.get_xlim() == pytest.approx(after.get_xlim())
+    found = done.diagnosis
+    figure = draw_diagnosis(found, consequences(found))
+    ranking, added, over = figure.axes
+    assert ranking.get_yticklabels()[0].get_text() == found.ranked[0].candidate.name
+    measured = np.concatenate([np.asarray(line.get_ydata()) for line in added.lines[:-1]])
+    assert np.sort(measured) == pytest.approx(np.sort(1e6 * found.looks[0].fit.residuals))
+    assert over.get_ylabel() == "residual, µm"
+
+
+def test_files(tmp_path: Path) -> None:
+    spec = SimulationSpec(plan=PRESETS["tracking_2d"], seed=7, effects=(FlawSpec(id="backlash_y", size=1.5e-6),))
+    session = simulate(spec).session
+    done = improve(session, sets=199)
+    picture, steps, residuals = save_improvement(done, tmp_path / "a" / "b")
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    table = pd.read_csv(steps)
+    assert table["rms_residual"].to_numpy() == pytest.approx([s.result.rms_residual for s in done.steps])
+    each = pd.read_csv(residuals)
+    for column, step in (("residual_before", done.steps[0]), ("residual_after", done.steps[-1])):
+        assert np.sqrt(np.mean(each[column] ** 2)) == pytest.approx(step.result.rms_residual, rel=1e-9)
+    picture, candidates = save_diagnosis(done.diagnosis, consequences(done.diagnosis), tmp_path)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    table = pd.read_csv(candidates)
+    assert table["effect"][0] == "backlash_y"
+    assert (table["rms_after"] <= table["rms_before"] * 1.001).all()
+
+
+def test_without_a_candidate_that_was_added_the_picture_says_less() -> None:
+    session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=101)).session
+    figure = draw_diagnosis(diagnose(session, sets=199), {})
+    assert not figure.axes[1].axison
