@@ -69,7 +69,7 @@ def diagnosis_document(
         "candidates": [_candidate(diagnosis, r, look, changes) for r, look in _ranked(diagnosis) if r.rank],
         "alias_groups": [list(group) for group, _ in alias_groups_of(diagnosis)],
         "separate_by": [_separation(s) for s in advice.separations],
-        "absorbed": [{"effect": a.effect, "by": a.by} for a in last.absorbed],
+        "absorbed": [{"effect": a.effect, "by": a.by} for a in first.absorbed],
         "structure": [_structure(s) for s in first.structure],
         "structure_left": [_structure(s) for s in diagnosis.looks[-1].structure],
         "outliers": [

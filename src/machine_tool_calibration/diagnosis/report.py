@@ -190,9 +190,8 @@ def _next(advice: Advice) -> TextTable:
 
 
 def _absorbed(diagnosis: Diagnosis) -> TextTable:
-    look = diagnosis.looks[len(diagnosis.accepted)]
     by: dict[str, list[str]] = {}
-    for a in look.absorbed:
+    for a in diagnosis.looks[0].absorbed:
         by.setdefault(a.by, []).append(a.effect)
     rows = tuple((", ".join(names), what) for what, names in by.items())
     title = "Effects that would not show: the model's own freedom takes them up"
