@@ -61,7 +61,7 @@ def main() -> None:
     if action == "demo":
         hand_over(environment, ["mtcal", "demo", *arguments])
     elif action == "test":
-        hand_over(environment, ["python", "-m", "pytest", *(arguments or ["-n", "2", "--dist", "worksteal"])], ROOT)
+        hand_over(environment, ["python", "-m", "pytest", *arguments], ROOT)
     else:
         say(f"the command is {environment / 'bin' / 'mtcal'}")
 

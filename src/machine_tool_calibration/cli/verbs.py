@@ -24,7 +24,7 @@ ROS_MODULES = ("rclpy", "rosgraph_msgs", "sensor_msgs", "std_msgs", "std_srvs", 
 SECTIONS = {
     "Measure": ("demo", "run", "simulate", "plan"),
     "Identify": ("info", "identify", "compare-formulations"),
-    "Find what the model lacks": ("compare", "diagnose", "improve", "effects"),
+    "Find what the model lacks": ("compare", "diagnose", "improve", "history", "effects"),
     "Recordings and exchange": ("record", "play", "recover", "convert", "export"),
 }
 
