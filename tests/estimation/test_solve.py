@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -197,3 +199,17 @@ def test_problem_counts_readings(make_network):
     problem = network.problem()
     assert problem.n_readings == 48
     assert replace(problem, parts=[network.part(), network.part()]).n_readings == 96
+
+
+def _theta(network) -> bytes:
+    return solve(network.problem()).theta.tobytes()
+
+
+def test_in_a_forked_process_and_in_threads(make_network):
+    """Threads that the solver keeps do not survive a fork; several callers at once share them."""
+    network = make_network(n_points=20_000).network
+    expected = _theta(network)
+    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("fork")) as processes:
+        assert list(processes.map(_theta, [network] * 3, timeout=60)) == [expected] * 3
+    with ThreadPoolExecutor(4) as threads:
+        assert list(threads.map(_theta, [network] * 8, timeout=60)) == [expected] * 8

@@ -19,8 +19,7 @@ from machine_tool_calibration.estimation.layout import Group
 
 __all__ = ["CHUNK", "FunctionPart", "LinearPart", "Part", "PriorRows", "Problem"]
 
-# Points of one chunk: few enough to stay in the cache and for freed memory to be used again rather than returned to the
-# system and fetched anew (which took more time than the arithmetic), enough to make NumPy's overhead small.
+# Points of one chunk: few enough to stay in the cache, enough to make NumPy's overhead small.
 CHUNK = 4096
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -17,12 +18,22 @@ from machine_tool_calibration.estimation.problem import CHUNK, Part, Problem
 __all__ = ["gram", "over_chunks", "single_blas"]
 
 _THREADS = 2
+_KEPT = 3 << 20
 
 
 @cache
 def _controller() -> threadpoolctl.ThreadpoolController:
     """Looking for the libraries takes longer than a small fit: once."""
     return threadpoolctl.ThreadpoolController()
+
+
+@cache
+def _pool(process: int, threads: int) -> ThreadPoolExecutor:
+    """Threads that stay, so that the memory which they have is used again; a forked process needs its own."""
+    # The C library hands freed memory back to the system beyond twice the largest block freed before; to fetch it anew
+    # for every chunk took more time than the arithmetic. This block is never touched, so that it costs nothing.
+    np.empty(_KEPT)
+    return ThreadPoolExecutor(threads, thread_name_prefix=f"chunks-{process}")
 
 
 @contextmanager
@@ -37,8 +48,8 @@ def over_chunks(part: Part, work: Callable[[int, slice], Array], size: int = CHU
     chunks = part.chunks(size)
     if len(chunks) <= 2:
         return [work(*chunk) for chunk in chunks]
-    with single_blas(), ThreadPoolExecutor(_THREADS) as pool:
-        return list(pool.map(lambda chunk: work(*chunk), chunks))
+    with single_blas():
+        return list(_pool(os.getpid(), _THREADS).map(lambda chunk: work(*chunk), chunks))
 
 
 @single_blas()
