@@ -91,3 +91,21 @@ def test_progress_is_told(simulated: Simulated) -> None:
     what_to_measure(found, progress=lambda what, share: shares.append(share))
     assert shares
     assert np.all(np.diff(shares) >= 0)
+
+
+def test_effects_that_are_in_the_model_keep_their_shape(simulated: Simulated) -> None:
+    """A time constant, which is an unknown of the model, and a number of harmonics, which is not."""
+    from machine_tool_calibration.planning.assumptions import present_effects
+
+    warm = FlawSpec(id="warmup_y", size=3e-5, parameters={"tau": 900.0})
+    flaws = (warm, FlawSpec(id="pointer_radial_error", amplitude=4e-6))
+    session = simulated("tracking_2d", 5, *flaws)
+    found = diagnose(session, effects=["warmup_y", "pointer_radial_error", "backlash_x"], sets=199)
+    present = {p.effect.id: p for p in present_effects(found, ())}
+    assert set(present) == {"warmup_y", "pointer_radial_error", "backlash_x"}
+    assert present["warmup_y"].shape[0] > 0
+    assert present["pointer_radial_error"].shape[0] in (3.0, 5.0, 8.0)
+    assert present["backlash_x"].shape == ()
+    advice = what_to_measure(found)
+    named = {name for s in advice.separations for name in s.effects}
+    assert not named & set(present)
