@@ -24,7 +24,7 @@ NODES = ("axis_simulator", "rotary_pointer", "instrument", "procedure", "estimat
 ROS = re.compile(r"rclpy|ament_index_python|launch|launch_ros|std_srvs|[a-z]+_(msgs|interfaces)")
 # Name of the distribution in package.xml, where it is not python3-<name>; None where rosdep has no key for it.
 ROSDEP = {"mcap": "mcap-ros2-support", "zstandard": "mcap-ros2-support", "lz4": "mcap-ros2-support",
-          "threadpoolctl": None, "pyarrow": None, "pyserial": "python3-serial",
+          "threadpoolctl": None, "pyarrow": None, "pillow": "python3-pil", "pyserial": "python3-serial",
           "pyyaml": "python3-yaml", "rosbags": "python3-rosbags-pip"}  # fmt: skip
 
 
