@@ -82,8 +82,8 @@ def source():
 
 
 def hold(source, begin, end, x):
-    source.add_point(begin, np.array([x, 0.0, 0.0]))
-    source.add_point(end, np.array([x, 0.0, 0.0]))
+    source.add_pose(begin, np.array([x, 0.0, 0.0]))
+    source.add_pose(end, np.array([x, 0.0, 0.0]))
 
 
 def test_a_reading_in_simulated_time_is_the_path_and_its_noise(source):
@@ -102,14 +102,14 @@ def test_no_reading_while_the_axes_move_or_have_not_stood_long_enough(source):
     hold(source, 0, 50 * MS, 0.1)
     with pytest.raises(NotYet, match="not stood still for"):
         source.window(0.1)
-    source.add_point(500 * MS, np.array([0.2, 0.0, 0.0]))
+    source.add_pose(500 * MS, np.array([0.2, 0.0, 0.0]))
     with pytest.raises(NotYet, match="not stood still"):
         source.window(0.1)
 
 
 def test_a_target_beside_the_beam_is_not_read(source):
-    source.add_point(0, np.array([0.1, 0.003, 0.0]))
-    source.add_point(500 * MS, np.array([0.1, 0.003, 0.0]))
+    source.add_pose(0, np.array([0.1, 0.003, 0.0]))
+    source.add_pose(500 * MS, np.array([0.1, 0.003, 0.0]))
     with pytest.raises(NotYet) as caught:
         source.window(0.1)
     assert caught.value.kind == "beam"
@@ -125,7 +125,7 @@ def test_moving_the_instrument_to_another_setup_loses_the_count(source):
 def test_the_stream_follows_the_motion_without_gaps(source):
     batches = []
     for tick in range(100):
-        source.add_point(tick * 10 * MS, np.array([0.001 * tick, 0.0, 0.0]))
+        source.add_pose(tick * 10 * MS, np.array([0.001 * tick, 0.0, 0.0]))
         batches.append(source.take(tick * 10 * MS))
     time = np.concatenate([entry.time for entry in batches])
     path = np.concatenate([entry.path for entry in batches])
@@ -136,7 +136,7 @@ def test_the_stream_follows_the_motion_without_gaps(source):
 def test_the_streams_noise_has_the_declared_size(source):
     batches = []
     for tick in range(4000):
-        source.add_point(tick * 50 * MS, np.array([0.1, 0.0, 0.0]))
+        source.add_pose(tick * 50 * MS, np.array([0.1, 0.0, 0.0]))
         batches.append(source.take(tick * 50 * MS).path)
     assert np.concatenate(batches).std() == pytest.approx(3e-7, rel=0.15)
 

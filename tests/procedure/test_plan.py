@@ -1,9 +1,10 @@
+import math
 from pathlib import Path
 
 import pytest
 
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.procedure import plan, read_procedure
+from machine_tool_calibration.procedure import parse_procedure, plan, read_procedure
 from machine_tool_calibration.procedure.description import Spread
 from machine_tool_calibration.session.parse import description_yaml, parse_description
 
@@ -92,3 +93,65 @@ def test_defects_are_named_with_their_place(old, new, message):
         small(TEXT.replace(old, new))
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def made(name, **changes):
+    import yaml
+
+    content = yaml.safe_load((CONFIG / f"{name}.yaml").read_text())
+    content["session"] |= changes
+    return plan(parse_procedure(yaml.safe_dump(content), f"{name}.yaml")).steps
+
+
+def test_step_diagonal_moves_one_axis_at_a_time_from_the_start_of_each_run():
+    steps = made("step_diagonal", blocks=2)
+    assert len(steps) == 2 * (3 * 7 + 3 * 3)
+    run = steps[:7]
+    assert [tuple(step.position[axis] for axis in "xyz") for step in run[:4]] == [
+        (0.0, 0.0, 0.0), (0.01, 0.0, 0.0), (0.01, 0.01, 0.0), (0.01, 0.01, 0.01)
+    ]  # fmt: skip
+    assert [step.datum for step in run] == [True] + [False] * 6
+    assert steps[7].repeat == 1 and steps[7].datum
+    backwards = [step for step in steps if step.setup == "npp"][:7]
+    assert [step.position["x"] for step in backwards] == pytest.approx([0.12, 0.11, 0.11, 0.11, 0.10, 0.10, 0.10])
+    assert backwards[1].direction["x"] == -1
+    assert not any(step.points for step in steps)
+
+
+def test_rotary_axis_measures_each_target_at_every_angle_from_one_zero():
+    steps = made("rotary_axis")
+    assert len(steps) == 4 * 3 * 18
+    assert [step.number for step in steps if step.datum] == list(range(0, 216, 18))
+    assert {step.direction["c"] for step in steps} == {1}
+    assert steps[18].target == 1 and steps[18].via == ({"c": -0.02},)
+    # the beam goes where the target is commanded: turned with the table
+    step, angle = steps[1], 5.934119456780721 / 17
+    x, y = -0.1058046, 0.1353414
+    turned = (x * math.cos(angle) - y * math.sin(angle), x * math.sin(angle) + y * math.cos(angle), 0.0)
+    assert step.aim == pytest.approx(turned)
+
+
+def test_turning_points_are_approached_from_both_sides():
+    steps = made("rotary_axis_both_ways")[:24]
+    assert [step.direction["c"] for step in steps] == [1] * 12 + [-1] * 12
+    assert steps[12].via == ({"c": pytest.approx(5.759586531581287 + 0.02)},)
+
+
+def test_iso_230_2_goes_forth_and_back_with_an_overrun():
+    steps = made("direct_iso230_2")
+    assert len(steps) == 5 * 22
+    assert [step.direction["x"] for step in steps[:22]] == [1] * 11 + [-1] * 11
+    assert steps[0].via == ({"x": pytest.approx(0.00037 - 0.005)},)
+    assert steps[11].via == ({"x": pytest.approx(0.40094 + 0.005)},)
+    assert steps[22].direction["x"] == 1
+    assert [step.number for step in steps if step.datum] == [0]
+
+
+def test_a_direct_session_must_say_along_which_axis_it_is_read():
+    with pytest.raises(SessionError, match="terms must begin with a translation such as EXX"):
+        made("direct_iso230_2", terms=["C0Y"])
+
+
+def test_only_a_step_diagonal_needs_no_path():
+    with pytest.raises(SessionError, match=r"small.yaml: the key 'path' is missing"):
+        small(TEXT.split("path:")[0])

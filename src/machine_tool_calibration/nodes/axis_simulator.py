@@ -11,7 +11,7 @@ import uuid
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, Quaternion
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMessage
@@ -20,6 +20,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.parameters import declare
+from machine_tool_calibration.nodes.poses import pose_message, quaternion_of
 from machine_tool_calibration.nodes.process import STOP_GRACE, run
 from machine_tool_calibration.nodes.qos import COMMAND, STATE
 from machine_tool_calibration.nodes.site import Moment, Site, read_site
@@ -55,6 +56,8 @@ class AxisSimulator(Node):
         self._report: tuple[Level, str, dict[str, object]] = (Level.OK, "waiting for a command", {"state": "idle"})
         self._pending_arrival = False
         self._offset = self._point = np.zeros(3)
+        self._rotation = Quaternion()
+        self._turned: tuple[np.ndarray, Quaternion] | None = None
         self._known: object = None
         self._random = np.random.default_rng([self.site.spec.seed, 23])
         self._epoch = uuid.uuid4().hex[:12]
@@ -62,6 +65,7 @@ class AxisSimulator(Node):
         self._states = self.create_publisher(JointState, "joint_states", STATE)
         self._status = self.create_publisher(DiagnosticArray, "axes/status", STATE)
         self._truth = self.create_publisher(PoseStamped, "truth/functional_point", STATE)
+        self._table = self.create_publisher(PoseStamped, "truth/table", STATE)
         self._ticks = self.create_publisher(ClockMessage, "/clock", 10) if self._jumping else None
         self.create_subscription(JointTrajectory, "axes/joint_trajectory", self._commanded, COMMAND)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -177,12 +181,13 @@ class AxisSimulator(Node):
         if known != self._known:
             moment = Moment(time=seconds(stamp - self._origin), position=position, direction=directions)
             self._known, self._point = known, self.site.functional_point(moment)
-        point = self._point + self._offset
-        message = PoseStamped()
-        message.header.stamp = to_message(stamp)
-        message.header.frame_id = "machine"
-        message.pose.position.x, message.pose.position.y, message.pose.position.z = map(float, point)
-        self._truth.publish(message)
+            self._rotation = quaternion_of(self.site.tool_rotation(moment))
+            if self.site.table_axis:
+                place, rotation = self.site.table(moment)
+                self._turned = place, quaternion_of(rotation)
+        self._truth.publish(pose_message(stamp, "machine", self._point + self._offset, self._rotation))
+        if self._turned is not None:
+            self._table.publish(pose_message(stamp, "machine", *self._turned))
 
     def _publish_state(self, stamp: int) -> None:
         since = seconds(stamp - self._start)

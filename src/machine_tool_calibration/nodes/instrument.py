@@ -13,11 +13,12 @@ import time
 import uuid
 from array import array
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PointStamped, PoseStamped
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -31,9 +32,11 @@ from machine_tool_calibration.nodes.averaging import Batch, NotYet, Recent, Sour
 from machine_tool_calibration.nodes.deferred import Answer, DeferredService
 from machine_tool_calibration.nodes.driver_source import DriverSource, clock_offset
 from machine_tool_calibration.nodes.environment import TOPICS
+from machine_tool_calibration.nodes.optics import make_optics
 from machine_tool_calibration.nodes.parameters import declare
+from machine_tool_calibration.nodes.poses import rotation_of
 from machine_tool_calibration.nodes.process import STOP_GRACE, run
-from machine_tool_calibration.nodes.qos import LATCHED, SLOW, STATE
+from machine_tool_calibration.nodes.qos import COMMAND, LATCHED, SLOW, STATE
 from machine_tool_calibration.nodes.simulated_source import SimulatedSource
 from machine_tool_calibration.nodes.site import Beam, Site, read_site
 from machine_tool_calibration.nodes.stamps import from_message, nanoseconds, now, seconds, to_message
@@ -89,7 +92,9 @@ class Instrument(Node):
                 keep=2 if self._simulated_time else 4000,
             )
             self._simulated.blocked = self._blocked
-            self.create_subscription(PoseStamped, "truth/functional_point", self._point, STATE)
+            for body in ("functional_point", "table"):
+                self.create_subscription(PoseStamped, f"truth/{body}", partial(self._body, body=body), STATE)
+            self.create_subscription(PointStamped, "pointer/command", self._commanded, COMMAND)
             self.create_subscription(PoseStamped, "truth/beam", self._pointed, STATE)
             self.create_subscription(String, "session", self._described, LATCHED)
         elif self._simulated_time:
@@ -205,13 +210,17 @@ class Instrument(Node):
         except CalibrationError:
             return
         self._setups = [setup.id for setup in session.setups]
-        assert self._simulated is not None
-        self._simulated.tracking = getattr(session, "pointing", "open_loop") == "tracking"
+        try:
+            self._simulated.optics = make_optics(self._site, session)
+        except CalibrationError as error:
+            self.get_logger().error(str(error))
 
-    def _point(self, message: PoseStamped) -> None:
-        assert self._simulated is not None
+    def _body(self, message: PoseStamped, body: str) -> None:
+        if self._simulated.optics.body != body:
+            return
         place, stamp = message.pose.position, from_message(message.header.stamp)
-        self._simulated.add_point(stamp, np.array([place.x, place.y, place.z]))
+        rotation = rotation_of(message.pose.orientation)
+        self._simulated.add_pose(stamp, np.array([place.x, place.y, place.z]), rotation)
         if self._simulated_time:
             if abs(stamp - self._environment_stamp) >= nanoseconds(self._environment_period):
                 self._publish_environment(stamp)
@@ -219,13 +228,26 @@ class Instrument(Node):
                 self._answer_requests()
 
     def _pointed(self, message: PoseStamped) -> None:
-        assert self._simulated is not None
-        place, q = message.pose.position, message.pose.orientation
-        direction = (1 - 2 * (q.y**2 + q.z**2), 2 * (q.x * q.y + q.w * q.z), 2 * (q.x * q.z - q.w * q.y))
+        if not self._simulated.optics.aims:
+            return
+        place, setup = message.pose.position, message.header.frame_id
+        direction = rotation_of(message.pose.orientation)[:, 0]
+        beam = Beam(np.array([place.x, place.y, place.z]), direction)
+        self._simulated.set_beam(from_message(message.header.stamp), setup, self._index(setup), beam)
+        self._moved()
+
+    def _commanded(self, message: PointStamped) -> None:
+        """An instrument whose beam is fixed learns from the pointer's command at which setup it stands."""
+        if self._simulated.optics.aims:
+            return
         setup = message.header.frame_id
-        index = self._setups.index(setup) if setup in self._setups else 0
-        beam = Beam(np.array([place.x, place.y, place.z]), np.array(direction))
-        self._simulated.set_beam(from_message(message.header.stamp), setup, index, beam)
+        self._simulated.set_setup(from_message(message.header.stamp), setup, self._index(setup))
+        self._moved()
+
+    def _index(self, setup: str) -> int:
+        return self._setups.index(setup) if setup in self._setups else 0
+
+    def _moved(self) -> None:
         self._note_loss()
         if self._simulated_time and self._requests:
             self._answer_requests()

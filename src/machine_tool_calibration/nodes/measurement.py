@@ -33,6 +33,13 @@ _START = 60.0  # s until all nodes have found each other, on a slow machine
 _IDENTIFY = 600.0
 _COLLECT = 10.0
 
+# nodes that a method does not need: a probe is instrument and pointer in one, a fixed beam needs no pointer
+_WITHOUT = {
+    "probing": ("rotary_pointer", "instrument"),
+    "step_diagonal": ("rotary_pointer", "probe"),
+    "direct": ("rotary_pointer", "probe"),
+}
+
 Progress = Callable[[str, int, int], None]
 """Called with what is going on, and how many of how many readings there are."""
 
@@ -138,7 +145,7 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
     site.write_text(yaml.safe_dump(_site_document(procedure, setting.site), sort_keys=False), encoding="utf-8")
     begin = time.monotonic()
     with claimed_domain(setting.domain) as domain:
-        programs = _programs(setting, copy, site, probes=procedure.session.method == "probing")
+        programs = _programs(setting, copy, site, procedure.session.method)
         graph = Graph(programs, output / "log", domain, setting.namespace, setting.parameters)
         progress("starting the nodes", 0, total)
         with graph, Operator(domain, graph.namespace, graph.check) as operator:
@@ -180,12 +187,17 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
 def _site_document(procedure: Procedure, site: SiteSpec) -> dict[str, Any]:
     document = site.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
     machine = procedure.session.machine
-    own = {"chain": machine.chain, "travel": {name: list(ends) for name, ends in machine.travel.items()}}
+    travel = {name: list(ends) for name, ends in machine.travel.items()}
+    own: dict[str, Any] = {"chain": machine.chain, "travel": travel}
+    sign = getattr(procedure.session, "rotation_sign", None) or machine.rotation_sign
+    if sign is not None:
+        own["rotation_sign"] = sign
     document["machine"] = {**own, **document.get("machine", {})}
-    return {"seed": site.seed, "noise": site.noise, **document}
+    noise = procedure.session.standard_uncertainty.displacement
+    return {"seed": site.seed, "noise": noise, **document}
 
 
-def _programs(setting: Setting, procedure: Path, site: Path, *, probes: bool = False) -> list[Program]:
+def _programs(setting: Setting, procedure: Path, site: Path, method: str) -> list[Program]:
     common: dict[str, Any] = {"use_sim_time": setting.simulated_time}
     # one origin for all simulating nodes, whole seconds so that it is exact
     world = {**common, "site": str(site.resolve()), "time_origin": float(int(time.time()))}
@@ -198,8 +210,8 @@ def _programs(setting: Setting, procedure: Path, site: Path, *, probes: bool = F
         "estimator": {**common, "model": setting.model, "effects": list(setting.effects) or [""]},
         "recorder": {"folder": str((setting.output / "bag").resolve())},
     }
-    # a probe is instrument and pointer in one
-    nodes = tuple(name for name in NODES if name not in (("rotary_pointer", "instrument") if probes else ("probe",)))
+    without = _WITHOUT.get(method, ("probe",))
+    nodes = tuple(name for name in NODES if name not in without)
     for name in setting.external:
         if name not in nodes:
             raise CalibrationError(f"{name!r} is not a node of the graph; these are {', '.join(nodes)}")

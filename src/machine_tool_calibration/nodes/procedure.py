@@ -314,7 +314,7 @@ class ProcedureNode(Node):
         self._session.publish(String(data=description_yaml(self.sequencer.plan.procedure.session)))
 
     def _partners(self) -> str:
-        aims = any(step.aim is not None for step in self.sequencer.plan.steps[:1])
+        aims = any(step.aim is not None and step.points for step in self.sequencer.plan.steps[:1])
         needed = ("axes", "pointer", "instrument") if aims else ("axes", "instrument")
         missing = [name for name in needed if name not in self._seen]
         if "instrument" not in missing and not (self._capture.service_is_ready() and self._datum.service_is_ready()):

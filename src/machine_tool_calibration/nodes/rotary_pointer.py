@@ -20,12 +20,13 @@ from std_msgs.msg import String
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.instruments.tracking import pointing
 from machine_tool_calibration.nodes.parameters import declare
+from machine_tool_calibration.nodes.poses import pose_message, quaternion_along
 from machine_tool_calibration.nodes.process import STOP_GRACE, run
 from machine_tool_calibration.nodes.qos import COMMAND, LATCHED, STATE
 from machine_tool_calibration.nodes.site import Beam, Moment, Site, read_site
 from machine_tool_calibration.nodes.stamps import from_message, nanoseconds, now, seconds, to_message
 from machine_tool_calibration.procedure.motion import AxisLimits, Move, move
-from machine_tool_calibration.session.description import Description
+from machine_tool_calibration.session.description import Description, StationSetup
 from machine_tool_calibration.session.parse import parse_description
 
 __all__ = ["RotaryPointer", "main"]
@@ -90,6 +91,8 @@ class RotaryPointer(Node):
 
     def _commanded(self, message: PointStamped) -> None:
         setup = message.header.frame_id
+        if self._session is not None and not isinstance(self._session.setups[0], StationSetup):
+            return  # the instrument of this method is fixed
         ids = [entry.id for entry in self._session.setups] if self._session is not None else []
         if setup not in ids:  # the session that describes it may be under way
             self._waiting = message
@@ -132,13 +135,7 @@ class RotaryPointer(Node):
 
     def _publish_truth(self, stamp: int, azimuth: float, elevation: float) -> None:
         beam = self._beam(stamp, azimuth, elevation)
-        message = PoseStamped()
-        message.header.stamp = to_message(stamp)
-        message.header.frame_id = self._setup
-        message.pose.position.x, message.pose.position.y, message.pose.position.z = map(float, beam.origin)
-        turned = message.pose.orientation
-        turned.x, turned.y, turned.z, turned.w = quaternion(beam)
-        self._truth.publish(message)
+        self._truth.publish(pose_message(stamp, self._setup, beam.origin, quaternion_along(beam.direction)))
 
     def _beam(self, stamp: int, azimuth: float, elevation: float) -> Beam:
         """The true beam; from the machine's zero as long as no setup has been commanded."""
@@ -153,15 +150,6 @@ class RotaryPointer(Node):
             setup_start=seconds(self._setup_starts[self._setup] - self._origin),
         )
         return self.site.beam(self.site.station(self._session, index), azimuth, elevation, moment)
-
-
-def quaternion(beam: Beam) -> tuple[float, float, float, float]:
-    """x, y, z, w of the rotation that turns +X onto the beam: first about Z, then down or up."""
-    x, y, z = map(float, beam.direction)
-    azimuth, elevation = math.atan2(y, x), math.atan2(z, math.hypot(x, y))
-    cz, sz = math.cos(0.5 * azimuth), math.sin(0.5 * azimuth)
-    cy, sy = math.cos(-0.5 * elevation), math.sin(-0.5 * elevation)
-    return -sz * sy, cz * sy, sz * cy, cz * cy
 
 
 def main(args: list[str] | None = None) -> int:

@@ -8,11 +8,13 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.nodes.averaging import Batch, NotYet, Window
+from machine_tool_calibration.nodes.optics import OnTool, Optics, Pose
 from machine_tool_calibration.nodes.site import Beam, Moment, Site
 from machine_tool_calibration.nodes.stamps import nanoseconds, seconds
 
 __all__ = ["SimulatedSource"]
 
+_IDENTITY = np.eye(3)
 _TURBULENCE = 0.5  # s: within this the air's noise hardly changes, beyond it is independent
 _STILL = 1e-5  # m between two true positions: the axes stand
 _GRACE = 0.3  # s: so long the beam may be beside the retroreflector before it counts as lost
@@ -32,7 +34,7 @@ class SimulatedSource:
         keep: how many true positions are kept; two are enough where there is no stream between the readings.
 
     Attributes:
-        tracking: whether the beam follows the retroreflector.
+        optics: what the instrument looks at.
         blocked: whether something stands in the beam.
         setup: id of the present setup, and `setup_index` its place in the description.
         first: geometric path of the setup's first reading, m.
@@ -48,13 +50,14 @@ class SimulatedSource:
         seed: int = 0,
         keep: int = 4000,
     ) -> None:
-        self.site, self.tracking = site, False
+        self.site = site
+        self.optics: Optics = OnTool(site, tracking=False)
         self.blocked = False
         self.setup, self.setup_index = "", 0
         self.first: float | None = None
         self._origin, self._step = origin, nanoseconds(1.0 / rate)
         self._sample_noise, self._radius = sample_noise, beam_radius
-        self._points: deque[tuple[int, Array]] = deque(maxlen=keep)
+        self._poses: deque[Pose] = deque(maxlen=keep)
         self._beam: Beam | None = None
         self._beam_stamp = self._setup_start = 0
         self._beside_since: int | None = None
@@ -65,60 +68,72 @@ class SimulatedSource:
 
     # --- what the simulated axes and pointer say
 
-    def add_point(self, stamp: int, point: Array) -> None:
-        """The functional point's true position (3,), m, at a time, ns."""
-        if self._points and stamp < self._points[-1][0]:
-            self._points.clear()  # the axes started anew, or simulated time did
+    def add_pose(self, stamp: int, place: Array, rotation: Array | None = None) -> None:
+        """The true pose of what carries the target (tool or table) at a time, ns."""
+        if self._poses and stamp < self._poses[-1].stamp:
+            self._poses.clear()  # the axes started anew, or simulated time did
             self._next = 0
-        if self._points and stamp == self._points[-1][0]:
-            self._points.pop()
-        self._points.append((stamp, point))
+        if self._poses and stamp == self._poses[-1].stamp:
+            self._poses.pop()
+        self._poses.append(Pose(stamp, place, _IDENTITY if rotation is None else rotation))
 
-    def set_beam(self, stamp: int, setup: str, index: int, beam: Beam) -> None:
-        """The true beam from a time on, and the setup that it belongs to."""
+    def set_setup(self, stamp: int, setup: str, index: int) -> None:
+        """The setup at which the instrument stands from a time on."""
         if setup != self.setup:
             if self.setup:
                 self._lost = f"the instrument was moved from setup {self.setup} to {setup}"
             self.setup, self._setup_start, self.first = setup, stamp, None
-        self.setup_index, self._beam, self._beam_stamp = index, beam, stamp
+        self.setup_index, self._beam_stamp = index, stamp
+
+    def set_beam(self, stamp: int, setup: str, index: int, beam: Beam) -> None:
+        """The true beam from a time on, and the setup that it belongs to."""
+        self.set_setup(stamp, setup, index)
+        self._beam = beam
 
     # --- geometry
 
     def _moment(self, time: int) -> Moment:
-        return Moment(seconds(time - self._origin), {}, {}, self.setup_index, seconds(self._setup_start - self._origin))
+        return Moment(
+            seconds(time - self._origin), {}, {}, self.setup_index, seconds(self._setup_start - self._origin)
+        )
 
-    def _positions(self, times: IntArray) -> Array:
-        stamps = np.array([stamp for stamp, _ in self._points])
-        places = np.array([place for _, place in self._points])
-        since = (times - stamps[0]).astype(float)
-        return np.column_stack([np.interp(since, (stamps - stamps[0]).astype(float), places[:, i]) for i in range(3)])
+    def _target(self, pose: Pose) -> Array:
+        return self.optics.target(pose, self._beam, self._moment(pose.stamp))
+
+    def _targets(self, times: IntArray) -> Array:
+        """(n, 3) true targets at times, between the poses that are known."""
+        poses: list[Pose] = []
+        for pose in reversed(self._poses):
+            poses.insert(0, pose)
+            if pose.stamp <= times[0]:
+                break
+        since = np.array([pose.stamp - poses[0].stamp for pose in poses], dtype=float)
+        places = np.array([self._target(pose) for pose in poses])
+        at = (times - poses[0].stamp).astype(float)
+        return np.column_stack([np.interp(at, since, places[:, i]) for i in range(3)])
 
     def _paths(self, times: IntArray) -> Array:
         """Exact paths; what depends on time beside the geometry is taken at the middle of the samples."""
-        beam = self._need_beam()
-        points = self._positions(times)
-        if self.tracking:
-            geometric = np.linalg.norm(points - beam.origin, axis=1)
-        else:
-            geometric = (points - beam.origin) @ beam.direction
         middle = len(times) // 2
-        if not self.site.chosen:
-            return np.asarray(geometric)
-        exact = self.site.path(
-            points[middle], beam, self._moment(int(times[middle])), tracking=self.tracking, first=self.first
-        )
+        moment, pose = self._moment(int(times[middle])), self._poses[-1]
+        targets = self._targets(times)
+        paths = self.optics.paths(targets, pose, self._beam, moment)
         if self.first is None:
-            self.first = float(geometric[middle])
-        return np.asarray(geometric + (exact - geometric[middle]))
+            self.first = float(paths[middle])
+        if not self.site.chosen:
+            return paths
+        look = self.optics.look(targets[middle], pose, self._beam, moment)
+        path = float(paths[middle])
+        return paths + self.site.added(moment, path, look.direction, look.azimuth, self.first, look.incidence)
 
-    def _need_beam(self) -> Beam:
-        if self._beam is None:
+    def _need_aim(self) -> None:
+        if self.optics.aims and self._beam is None:
             raise NotYet("other", "no beam: the rotary pointer has not pointed anywhere yet")
-        return self._beam
+        if not self.setup:
+            raise NotYet("other", "it is not known at which setup the instrument stands")
 
-    def _beside(self, point: Array) -> float:
-        beam = self._need_beam()
-        return 0.0 if self.tracking else float(np.linalg.norm(np.cross(point - beam.origin, beam.direction)))
+    def _beside(self, pose: Pose) -> float:
+        return self.optics.beside(self._target(pose), self._beam)
 
     # --- simulated time: a reading without a stream
 
@@ -129,21 +144,21 @@ class SimulatedSource:
             NotYet: the axes or the beam are not where a reading is possible.
         """
         self._check_blocked()
-        self._need_beam()
-        if not self._points:
+        self._need_aim()
+        if not self._poses:
             raise NotYet("other", "the axes have not said where they are")
-        end, last = self._points[-1]
-        before, place = self._points[-2] if len(self._points) > 1 else (end - nanoseconds(length), last)
+        last = self._poses[-1]
+        end, start = last.stamp, last.stamp - nanoseconds(length)
+        before = self._poses[-2] if len(self._poses) > 1 else Pose(start, last.place, last.rotation)
         if self._beside(last) > self._radius:
             raise NotYet("beam", "the beam is beside the retroreflector")
-        start = end - nanoseconds(length)
-        if start < before or np.linalg.norm(last - place) > _STILL:
+        if start < before.stamp or np.linalg.norm(self._target(last) - self._target(before)) > _STILL:
             raise NotYet("unstable", f"the axes have not stood still for {length:g} s")
         count = max((end - start) // self._step, 1)
         self.samples = start + self._step * np.arange(1, count + 1)
         middle = count // 2
         paths = self._paths(np.insert(self.samples, middle, (start + end) // 2))
-        air = self.site.spec.noise * self._random.normal()
+        air = self.site.noise * self._random.normal()
         noise = self._sample_noise * self._random.normal(size=count)
         centre = float(paths[middle])
         self.values = np.delete(paths, middle) + air + noise
@@ -153,7 +168,7 @@ class SimulatedSource:
             path=centre + air + float(noise.mean()),
             spread=float(noise.std()),
             samples=int(count),
-            inputs={"functional_point": end, "beam": self._beam_stamp},
+            inputs={self.optics.body: end, "beam": self._beam_stamp},
         )
 
     def stream(self) -> Batch:
@@ -174,10 +189,10 @@ class SimulatedSource:
     def take(self, now: int) -> Batch:
         """See `Source`; as far as true positions are known."""
         empty = Batch(np.zeros(0, np.int64), np.zeros(0))
-        if self._beam is None or not self._points:
+        if not self._poses or (self.optics.aims and self._beam is None):
             return empty
-        until = self._points[-1][0]
-        oldest = self._points[0][0]
+        until = self._poses[-1].stamp
+        oldest = self._poses[0].stamp
         if not self._next or self._next < oldest or until - self._next > _STARVED:
             if self._next:
                 self._lost = "the true position was not known for a while"
@@ -197,7 +212,7 @@ class SimulatedSource:
     def _noise(self, count: int) -> Array:
         """White noise of the samples, and the air's, which is correlated in time."""
         step = self._step * 1e-9 / _TURBULENCE
-        kicks = self.site.spec.noise * np.sqrt(-np.expm1(-2.0 * step)) * self._random.normal(size=count)
+        kicks = self.site.noise * np.sqrt(-np.expm1(-2.0 * step)) * self._random.normal(size=count)
         # air[k] = decay air[k-1] + kick[k], summed up; a batch is shorter than the gap that restarts the stream
         growth = np.exp(step * np.arange(1, count + 1))
         air = (self._air + np.cumsum(kicks * growth)) / growth
@@ -206,8 +221,9 @@ class SimulatedSource:
 
     def _watch_beam(self, now: int) -> None:
         """The pointer follows the axes while they move; a beam beside the target counts once both stand."""
-        (_, before), (_, last) = (self._points[-2], self._points[-1]) if len(self._points) > 1 else [(0, None)] * 2
-        if last is None or np.linalg.norm(last - before) > _STILL or self._beside(last) <= self._radius:
+        before, last = self._poses[-2 if len(self._poses) > 1 else -1], self._poses[-1]
+        moved = float(np.linalg.norm(self._target(last) - self._target(before)))
+        if moved > _STILL or self._beside(last) <= self._radius:
             self._beside_since = None
         elif self._beside_since is None:
             self._beside_since = now
@@ -225,9 +241,9 @@ class SimulatedSource:
 
     def problem(self) -> str:
         """See `Source`."""
-        if not self._points:
+        if not self._poses:
             return "waiting for the axes' true position"
-        if self._beam is None:
+        if self.optics.aims and self._beam is None:
             return "waiting for the rotary pointer's beam"
         return "the beam is blocked" if self.blocked else ""
 

@@ -19,17 +19,17 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.machine.chain import Chain
-from machine_tool_calibration.session.description import Description, StationSetup
+from machine_tool_calibration.session.description import Description, StationSetup, Target
 from machine_tool_calibration.session.yaml_text import load_yaml
-from machine_tool_calibration.simulation.disturbance import Disturbance, Sight, combine
 from machine_tool_calibration.simulation.environment import Environment, random_environment
 from machine_tool_calibration.simulation.flaw import Chosen
 from machine_tool_calibration.simulation.flaws import choose_flaw
+from machine_tool_calibration.simulation.live import LiveMachine
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.machine_file import MachineSpec, build_machine, one_line
 from machine_tool_calibration.simulation.scene import Scene
 from machine_tool_calibration.simulation.spec import FlawSpec
-from machine_tool_calibration.simulation.tracking import Pointer, distance, sensed_path
+from machine_tool_calibration.simulation.tracking import Pointer
 
 __all__ = ["Beam", "Moment", "PointerSpec", "Site", "SiteSpec", "read_site"]
 
@@ -38,6 +38,7 @@ Size = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 _STREAMS = ("machine", "environment", "effects", "stations")
 _DEFAULT_TRAVEL = {"x": (0.0, 0.4), "y": (0.0, 0.4), "z": (0.0, 0.4)}
 _DEFAULT_CHAIN = "w-C-b-Y-X-Z-t"
+_NOISE = 3e-7
 _TURNS = (-20.0 * np.pi, 20.0 * np.pi)
 
 
@@ -64,7 +65,9 @@ class SiteSpec(_Record):
         pointer: true errors of the rotary pointer.
         station_uncertainty: standard deviation of a true station from its estimate per coordinate, m; each setup's
             own `position_uncertainty` if absent.
-        noise: standard deviation of a captured reading, m.
+        target_uncertainty: likewise of a target on the table.
+        mirror_tilt: angle between a flat mirror's normal and its beam, in a random direction, rad.
+        noise: standard deviation of a captured reading, m; the session's declared uncertainty if absent.
         repeatability: standard deviation of the machine's position at each visit, per coordinate, m.
         environment_swing: factor on all changes of temperature, pressure and humidity.
     """
@@ -74,7 +77,9 @@ class SiteSpec(_Record):
     effects: tuple[FlawSpec, ...] = ()
     pointer: PointerSpec = PointerSpec()
     station_uncertainty: Size | None = None
-    noise: Size = 3e-7
+    target_uncertainty: Size | None = None
+    mirror_tilt: Size = 1e-3
+    noise: Size | None = None
     repeatability: Size = 0.0
     environment_swing: Size = 1.0
 
@@ -112,6 +117,13 @@ class Site:
     Args:
         spec: what is true.
 
+    Attributes:
+        spec: what is true.
+        chosen: the effects at work.
+        environment: temperatures, pressure and humidity over time.
+        machine: with all its errors, those of the effects included.
+        pointer: true errors of the rotary pointer.
+
     Raises:
         CalibrationError: the machine cannot be built or an effect is unknown.
     """
@@ -119,19 +131,16 @@ class Site:
     def __init__(self, spec: SiteSpec) -> None:
         self.spec = spec
         children = np.random.SeedSequence(spec.seed).spawn(len(_STREAMS))
-        self._seeds = dict(zip(_STREAMS, children, strict=True))
+        seeds = dict(zip(_STREAMS, children, strict=True))
         self.chosen: tuple[Chosen, ...] = tuple(self._choose(effect, i) for i, effect in enumerate(spec.effects))
-        machine = build_machine(
-            spec.machine,
-            chain=_DEFAULT_CHAIN,
-            travel=_DEFAULT_TRAVEL,
-            seed=np.random.default_rng(self._seeds["machine"]),
-        )
-        fixed = self._disturbance(Moment(0.0, {}, {}))
-        self.machine: VirtualMachine = machine.with_tables(fixed.tables).with_squareness(fixed.squareness)
         self.environment: Environment = random_environment(
-            np.random.default_rng(self._seeds["environment"]), swing=spec.environment_swing
+            np.random.default_rng(seeds["environment"]), swing=spec.environment_swing
         )
+        machine = build_machine(
+            spec.machine, chain=_DEFAULT_CHAIN, travel=_DEFAULT_TRAVEL, seed=np.random.default_rng(seeds["machine"])
+        )
+        self.live = LiveMachine.prepare(machine, self.chosen, self.environment)
+        self.machine: VirtualMachine = self.live.machine
         self.pointer = Pointer(**spec.pointer.model_dump())
 
     def _choose(self, effect: FlawSpec, index: int) -> Chosen:
@@ -140,93 +149,105 @@ class Site:
         rng = np.random.default_rng([self.spec.seed, 7, index])
         return choose_flaw(effect.id, effect.size, effect.parameters, rng)
 
-    @cached_property
-    def travel(self) -> dict[str, tuple[float, float]]:
-        """Lower and upper end of each axis, by its small letter, m or rad."""
-        ends = {axis.lower(): limits for axis, limits in self.machine.travel.items()}
-        return {axis.lower(): ends.get(axis.lower(), _TURNS) for axis in self.chain.axes}
+    @property
+    def noise(self) -> float:
+        """Standard deviation of a captured reading, m."""
+        return _NOISE if self.spec.noise is None else self.spec.noise
 
     @property
     def chain(self) -> Chain:
         """The machine's chain."""
         return self.machine.chain
 
+    @cached_property
+    def travel(self) -> dict[str, tuple[float, float]]:
+        """Lower and upper end of each axis, by its small letter, m or rad."""
+        ends = {axis.lower(): limits for axis, limits in self.machine.travel.items()}
+        return {axis.lower(): ends.get(axis.lower(), _TURNS) for axis in self.chain.axes}
+
+    @cached_property
+    def table_axis(self) -> str:
+        """Letter of the rotary axis that carries the workpiece; empty if there is none."""
+        return next((axis for axis in self.chain.workpiece_side if axis in "ABC"), "")
+
     def sensed(self, time: float) -> dict[str, float]:
         """What the sensors of the environment show, by column name."""
         return {name: float(values[0]) for name, values in self.environment(np.array([time])).items()}
 
-    def _disturbance(self, moment: Moment) -> Disturbance:
-        if not self.chosen:
-            return Disturbance()
-        scene = Scene(
-            time=np.array([moment.time]),
-            setup=np.array([moment.setup]),
-            repeat=np.zeros(1, int),
-            position=np.array([[moment.position.get(axis, 0.0) for axis in "xyz"]]),
-            angle=np.array([moment.position.get("c", 0.0)]),
-            direction={axis.upper(): np.array([float(sign)]) for axis, sign in moment.direction.items()},
-            environment=self.environment(np.array([moment.time])) if hasattr(self, "environment") else {},
-            ends=getattr(getattr(self, "machine", None), "travel", {}),
-            start=np.array([moment.setup_start]),
+    def scene(self, moment: Moment) -> Scene:
+        """The simulator's view of a moment."""
+        axis = self.table_axis or "C"
+        return self.live.scene(
+            moment.time,
+            [moment.position.get(name, 0.0) for name in "xyz"],
+            {name.upper(): float(sign) for name, sign in moment.direction.items()},
+            angle=moment.position.get(axis.lower(), 0.0),
+            axis=axis,
+            setup=moment.setup,
+            start=moment.setup_start,
         )
-        return combine(tuple(flaw.disturb(scene) for flaw in self.chosen))
 
     def functional_point(self, moment: Moment) -> Array:
         """(3,) where the functional point really is, m, workpiece frame."""
-        disturbance = self._disturbance(moment)
-        command = np.array([[moment.position.get(axis, 0.0) for axis in "xyz"]])
-        point = self.machine.position(command, disturbance.axis)[0]
-        return point if disturbance.point is None else point + disturbance.point[0]
+        return np.asarray(self.live.functional_point(self.scene(moment))[0])
+
+    def tool_rotation(self, moment: Moment) -> Array:
+        """(3, 3) rotation of the tool with respect to the workpiece."""
+        return np.asarray(self.live.tool_rotation(self.scene(moment))[0])
+
+    def table(self, moment: Moment) -> tuple[Array, Array]:
+        """Where the table's frame really is: (3,) its origin, m, and (3, 3) its rotation, in the machine frame."""
+        scene = self.scene(moment)
+        shift = self.live.disturbance(scene).axis.get(scene.axis, np.zeros(1))
+        corners = np.vstack([np.zeros(3), np.eye(3)])
+        angle, shifts = np.repeat(scene.angle, 4), np.repeat(shift, 4)
+        placed = self.machine.on_table(corners, angle, scene.axis, shifts)
+        return placed[0], np.asarray((placed[1:] - placed[0]).T)
 
     def station(self, description: Description, index: int) -> Array:
         """(3,) the true rotation centre of a setup, m: its estimate and a deviation drawn from the seed."""
         setup = description.setups[index]
         if not isinstance(setup, StationSetup):
             raise CalibrationError(f"setup {setup.id} of a {description.method} session is not a station")
-        spread = self.spec.station_uncertainty
-        spread = (setup.position_uncertainty or 0.0) if spread is None else spread
-        drawn = np.random.default_rng([self.spec.seed, 11, index]).normal(size=3) * spread
+        drawn = self._drawn(11, index, self.spec.station_uncertainty, setup.position_uncertainty)
         if getattr(description, "dimension", 3) == 2:
             drawn[2] = 0.0
         return np.asarray(np.array(setup.position) + drawn)
 
+    def target(self, target: Target, index: int) -> Array:
+        """(3,) the true position of a target on the table, m, table frame: its estimate and a deviation."""
+        drawn = self._drawn(13, index, self.spec.target_uncertainty, target.position_uncertainty)
+        return np.asarray(np.array(target.position) + drawn)
+
+    def _drawn(self, stream: int, index: int, spread: float | None, stated: float | None) -> Array:
+        size = (stated or 0.0) if spread is None else spread
+        return np.asarray(np.random.default_rng([self.spec.seed, stream, index]).normal(size=3) * size)
+
+    def mirror_tilt(self, index: int) -> Array:
+        """(2,) tilt of a setup's flat mirror off its beam, rad, in a direction drawn from the seed."""
+        angle = np.random.default_rng([self.spec.seed, 17, index]).uniform(0.0, 2.0 * np.pi)
+        return self.spec.mirror_tilt * np.array([np.cos(angle), np.sin(angle)])
+
     def beam(self, station: Array, azimuth: float, elevation: float, moment: Moment) -> Beam:
         """The true beam for commanded angles, rad, of a pointer whose true rotation centre is `station` (3,)."""
-        disturbance = self._disturbance(moment)
-        centre = station if disturbance.station is None else station + disturbance.station[0]
-        turn = 0.0 if disturbance.turn is None else disturbance.turn
-        origin, direction = self.pointer.beam(np.array([azimuth]), np.array([elevation]), centre[None], turn)
+        origin, direction = self.live.beam(self.scene(moment), self.pointer, azimuth, elevation, station)
         return Beam(origin[0], direction[0])
 
-    def path(self, point: Array, beam: Beam, moment: Moment, *, tracking: bool, first: float | None = None) -> float:
-        """What the interferometer senses, without noise, m.
+    def added(
+        self, moment: Moment, path: float, direction: Array, azimuth: float, first: float, incidence: float
+    ) -> float:
+        """What air and instrument add to a path, m.
 
         Args:
-            point: (3,) true position of the retroreflector, m.
-            beam: the true beam.
             moment: the conditions.
-            tracking: whether the beam follows the retroreflector, instead of being held on its direction.
-            first: geometric path of the setup's first reading, m; this one if absent.
+            path: geometric, m.
+            direction: (3,) along which a displacement is sensed.
+            azimuth: commanded, rad.
+            first: path of the setup's first reading, m.
+            incidence: angle at the retroreflector, rad.
         """
-        if tracking:
-            length = float(distance(point, beam.origin))
-            direction = (point - beam.origin) / length
-        else:
-            direction = beam.direction
-            length = float(sensed_path(point, beam.origin, direction))
-        if not self.chosen:
-            return length
-        azimuth = float(np.arctan2(direction[1], direction[0])) - (0.0 if tracking else self.pointer.zero_offset)
-        middle = [0.5 * sum(self.travel.get(axis, (0.0, 0.0))) for axis in "xyz"]
-        facing = np.arctan2(middle[1] - beam.origin[1], middle[0] - beam.origin[0])
-        sight = Sight(
-            path=np.array([length]),
-            direction=direction[None],
-            azimuth=np.array([azimuth]),
-            incidence=np.array([np.angle(np.exp(1j * (azimuth - facing)))]),
-            change=np.array([0.0 if first is None else length - first]),
-        )
-        return length + float(self._disturbance(moment).added(sight)[0])
+        sight = self.live.sight(np.array([path]), direction[None], azimuth, first, incidence)
+        return float(self.live.added(self.scene(moment), sight)[0])
 
 
 def read_site(path: str) -> SiteSpec:

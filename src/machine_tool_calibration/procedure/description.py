@@ -75,6 +75,10 @@ class Path(Record):
         return self
 
 
+# a step diagonal's targets follow from the session
+_FROM_SESSION = Path.model_construct(grid=None, points=(), order="lines", alternate=False)
+
+
 class Motion(Record):
     """How the axes move and wait.
 
@@ -97,7 +101,7 @@ class _File(Record):
     format: Literal["mtcal-procedure/1"]
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")] = "measurement"
     session: dict[str, Any]
-    path: Path
+    path: Path | None = None
     motion: Motion = Motion()
 
 
@@ -107,7 +111,7 @@ class Procedure(Record):
     Attributes:
         name: for folders and messages.
         session: what `session.yaml` will say.
-        path: the targets of one run.
+        path: the targets of one run; without targets for a step diagonal, where they follow from the session.
         motion: speeds, accelerations and waiting times.
     """
 
@@ -147,10 +151,13 @@ def parse_procedure(text: str, source: str) -> Procedure:
         raise SessionError(_message(error, source, document)) from None
     lines = {path[1:]: line for path, line in document.lines.items() if path[:1] == ("session",)}
     inner = Document({"format": "mtcal-session/1", **content.session}, lines)
+    session = describe(inner.value, source, inner)
+    if content.path is None and session.method != "step_diagonal":
+        raise SessionError(f"{source}: the key 'path' is missing")
     return Procedure(
         name=content.name,
-        session=describe(inner.value, source, inner),
-        path=content.path,
+        session=session,
+        path=content.path if content.path is not None else _FROM_SESSION,
         motion=content.motion,
     )
 

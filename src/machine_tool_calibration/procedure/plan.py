@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.procedure.description import Motion, Path, Procedure, Spread
 from machine_tool_calibration.procedure.motion import AxisLimits, move
-from machine_tool_calibration.session.description import Probing, TrackingInterferometer
 
-__all__ = ["Plan", "Step", "axis_limits", "plan"]
+__all__ = ["Plan", "Step", "axis_limits", "plan", "targets_of"]
 
 Position = Mapping[str, float]
 
@@ -31,7 +30,8 @@ class Step:
         position: commanded position of each axis, m or rad.
         direction: sign of each axis's last move before the reading, +1 or -1.
         via: positions to be passed on the way, which fix the direction of approach.
-        aim: point at which the beam is directed, m, machine frame; None for an instrument without a pointer.
+        aim: commanded target, m, machine frame; None for a probe.
+        points: whether a pointer directs the beam at it; otherwise the beam is fixed for each setup.
         datum: whether the path is zeroed here, before the reading.
         target: index of the target on the table, or of the workpiece's point.
     """
@@ -43,6 +43,7 @@ class Step:
     direction: Mapping[str, int]
     via: tuple[Position, ...] = ()
     aim: tuple[float, float, float] | None = None
+    points: bool = True
     datum: bool = False
     target: int | None = None
 
@@ -68,20 +69,27 @@ def plan(procedure: Procedure) -> Plan:
     """Make the steps of a procedure.
 
     Raises:
-        SessionError: a target is outside the machine's travel or names an axis that the machine does not have,
-            or the method has no procedure yet.
+        SessionError: a target is outside the machine's travel or names an axis that the machine does not have, or the
+            path is not one of the method.
     """
-    if isinstance(procedure.session, Probing):
-        from machine_tool_calibration.procedure.touches import touch_steps
-
-        touches, limits = tuple(touch_steps(procedure)), axis_limits(procedure)
-        return Plan(procedure, touches, limits, _duration(touches, limits, procedure.motion.dwell))
-    if not isinstance(procedure.session, TrackingInterferometer):
-        raise SessionError(f"procedure {procedure.name}: a {procedure.session.method} session cannot be run yet")
+    steps = tuple(_maker(procedure)(procedure))
     limits = axis_limits(procedure)
-    targets = _targets(procedure)
-    steps = tuple(_directed(procedure, _runs(procedure, targets)))
     return Plan(procedure, steps, limits, _duration(steps, limits, procedure.motion.dwell))
+
+
+def _maker(procedure: Procedure) -> Callable[[Procedure], Iterator[Step]]:
+    """What makes the steps of the session's method."""
+    from machine_tool_calibration.procedure import runs
+    from machine_tool_calibration.procedure.touches import touch_steps
+
+    makers: dict[str, Callable[[Procedure], Iterator[Step]]] = {
+        "tracking_interferometer": lambda chosen: _directed(chosen, _runs(chosen, targets_of(chosen))),
+        "probing": touch_steps,
+        "step_diagonal": runs.diagonal_steps,
+        "rotary_axis": runs.rotary_steps,
+        "direct": runs.direct_steps,
+    }
+    return makers[procedure.session.method]
 
 
 def axis_limits(procedure: Procedure) -> dict[str, AxisLimits]:
@@ -107,8 +115,12 @@ def axis_limits(procedure: Procedure) -> dict[str, AxisLimits]:
     }
 
 
-def _targets(procedure: Procedure) -> list[dict[str, float]]:
-    """The targets of one run in their order, checked against the machine."""
+def targets_of(procedure: Procedure) -> list[dict[str, float]]:
+    """The targets of one run in their order, checked against the machine.
+
+    Raises:
+        SessionError: a target is outside the travel, or names an axis that the machine does not have.
+    """
     machine, path = procedure.session.machine, procedure.path
     axes = {axis.lower() for axis in Chain.parse(machine.chain).axes}
     targets = list(_ordered(path))

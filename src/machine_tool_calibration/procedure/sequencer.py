@@ -34,7 +34,8 @@ from machine_tool_calibration.procedure.events import (
 )
 from machine_tool_calibration.procedure.motion import move
 from machine_tool_calibration.procedure.plan import Plan, Step
-from machine_tool_calibration.session.description import Probing, StationSetup
+from machine_tool_calibration.procedure.runs import sensing_direction
+from machine_tool_calibration.session.description import Direct, Probing, StationSetup, TrackingInterferometer
 
 __all__ = ["Counters", "Sequencer", "State", "Timing"]
 
@@ -321,9 +322,10 @@ class Sequencer:
         pending.expected = clock + dwell if self.timing.paced else 0.0
         actions: list[Action] = [pending.motion] if pending.motion else []
         if step.aim is not None:
-            pending.aim = Aim(stamp, step.setup, step.aim)
-            pending.angles = self._angles(step)
-            actions.append(pending.aim)
+            aim = Aim(stamp, step.setup, step.aim)
+            actions.append(aim)  # a fixed instrument learns from it at which setup it stands
+            if step.points:
+                pending.aim, pending.angles = aim, self._angles(step)
         self._pending = pending
         self.waiting_for = ""
         return actions
@@ -508,12 +510,19 @@ class Sequencer:
         return float(azimuth[0]), 0.0 if is_flat else float(elevation[0])
 
     def _columns(self, step: Step, event: Captured, value: float) -> dict[str, float]:
+        session = self.plan.procedure.session
         columns = {"time": (event.stamp - self.origin) / _NANO, "repeat": float(step.repeat)}
         columns |= {name: float(place) for name, place in step.position.items()}
         columns |= {f"dir_{name}": float(sign) for name, sign in step.direction.items()}
-        if step.aim is not None:
+        if isinstance(session, TrackingInterferometer):
             columns["azimuth"], columns["elevation"] = self._pending.angles
-        columns["displacement"] = value
+        if isinstance(session, Direct):
+            # what the instrument reads is the whole travel: the deviation is what is left without the commanded one
+            sense = sensing_direction(session)
+            columns |= dict(zip(("gx", "gy", "gz"), map(float, sense), strict=True))
+            first = self._group.taken[0][0].position
+            value -= sum(s * (step.position.get(a, 0.0) - first.get(a, 0.0)) for a, s in zip("xyz", sense, strict=True))
+        columns["displacement"] = float(value)
         columns |= {name: float(number) for name, number in event.columns.items()}
         columns["datum"] = float(self._datums - 1)
         if step.target is not None:

@@ -1,0 +1,116 @@
+"""The other interferometer methods through the graph: readings are those of the simulator."""
+
+import copy
+
+import numpy as np
+import pytest
+import yaml
+
+from machine_tool_calibration.nodes.shared import procedure_file
+from machine_tool_calibration.simulation.simulate import simulate
+from machine_tool_calibration.simulation.spec import SimulationSpec
+
+# not the usual sizes, which the simulator would change to suit the method
+MACHINE = {"seed": 9, "random": {"positioning": 4e-6}}
+FREE = {"seed": 5, "noise": 0.0, "station_uncertainty": 0.0, "target_uncertainty": 0.0, "mirror_tilt": 0.0}
+
+
+def load(name):
+    return yaml.safe_load(procedure_file(name).read_text())
+
+
+def diagonal():
+    procedure = load("step_diagonal")
+    session = procedure["session"]
+    session["blocks"], session["repeats"] = 3, 2
+    session["setups"][1]["start"] = [0.03, 0.0, 0.0]
+    session["setups"][2]["start"] = [0.0, 0.03, 0.0]
+    session["machine"]["travel"] = {axis: [0.0, 0.03] for axis in "xyz"}
+    session["setups"][2]["id"] = "pnp_zxy"
+    effects = [{"id": "scale", "size": 2e-5}]
+    plan = {"method": "step_diagonal", "blocks": 3, "mirror_tilt": 0.0, "repeats": 2, "chain": "w-X-Y-b-Z-t"}
+    plans = [plan, {**plan, "diagonals": ["pnp"], "orders": ["zxy"], "linear": []}]
+    return procedure, effects, plans
+
+
+def rotary():
+    procedure = load("rotary_axis")
+    session = procedure["session"]
+    session["repeats"] = 2
+    procedure["path"]["alternate"] = False
+    procedure["path"]["grid"]["c"] = {"first": 0.0, "last": 6.0, "count": 5}
+    plan = {
+        "method": "rotary_axis",
+        "repeats": 2,
+        "targets": {target["id"]: target["position"] for target in session["targets"]},
+        "stations": [setup["position"] for setup in session["setups"]],
+        "angles": np.linspace(0.0, 6.0, 5).tolist(),
+        "station_uncertainty": 0.0,
+        "target_uncertainty": 0.0,
+    }
+    return procedure, [{"id": "backlash_c", "size": 1e-5}], [plan]
+
+
+def direct():
+    procedure = load("direct_iso230_2")
+    procedure["session"]["machine"]["travel"] = {"x": [-0.01, 0.41], "y": [0.0, 0.05], "z": [0.0, 0.05]}
+    procedure["session"]["repeats"] = 2
+    procedure["path"] = {"grid": {"x": {"first": 0.0, "last": 0.4, "count": 5}}}
+    plan = {"method": "direct", "count": 5, "repeats": 2, "chain": "w-X-Y-b-Z-t"}
+    return procedure, [{"id": "pitch_periodic_x", "size": 1e-6, "parameters": {"phase": 1.0}}], [plan]
+
+
+def simulated(procedure, effects, plan):
+    machine = {**MACHINE, "travel": procedure["session"]["machine"]["travel"]}
+    spec = SimulationSpec.model_validate({"plan": plan, "machine": machine, "effects": effects, "noise_factor": 0.0})
+    return simulate(spec).session
+
+
+def keyed(session, displacement):
+    """Readings by setup, repeat, target and order."""
+    found = {}
+    target = session.readings.labels.get("target", np.full(len(displacement), ""))
+    for setup, repeat, name, value in zip(
+        session.readings.setup, session.readings.repeat, target, displacement, strict=True
+    ):
+        found.setdefault((session.setup_ids[setup], int(repeat), str(name)), []).append(value)
+    return {key: np.array(values) for key, values in found.items()}
+
+
+@pytest.mark.timeout(120)
+@pytest.mark.parametrize("case", [diagonal, rotary, direct], ids=["step_diagonal", "rotary_axis", "direct"])
+def test_readings_are_those_of_the_simulator(bench, finish, case):
+    procedure, effects, plans = case()
+    machine = {**MACHINE, **copy.deepcopy(procedure["session"]["machine"])}
+    machine.pop("axis", None)
+    site = {**FREE, "machine": machine, "effects": effects}
+    names = ("axis_simulator", "instrument", "procedure")
+    graph = bench.graph((*names, "rotary_pointer") if case is rotary else names, procedure=procedure, site=site)
+    operator = bench.operator(graph)
+    finish(operator)
+    measured = _session(operator)
+    live = keyed(measured, measured.readings.displacement)
+    expected = {}
+    for plan in plans:
+        session = simulated(procedure, effects, plan)
+        expected |= keyed(session, session.readings.displacement)
+    compared = 0
+    for key, values in live.items():
+        if key not in expected:
+            continue
+        reference = expected[key]
+        assert np.abs((values - values[0]) - (reference - reference[0])).max() < 2e-12, key
+        compared += len(values)
+    assert compared == len(measured.readings)
+    assert measured.readings.columns["datum"].max() > 0 or case is direct
+
+
+def _session(operator):
+    from machine_tool_calibration.session.collect import Collector
+    from machine_tool_calibration.session.parse import parse_description
+    from machine_tool_calibration.session.place import Place
+
+    collector = Collector(parse_description(operator.session, "session"), Place("session", "reading"))
+    for message in operator.readings:
+        collector.add(message.header.frame_id, list(message.name), list(message.position))
+    return collector.session("live", check=True)
