@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
@@ -48,7 +50,7 @@ def sensed(observations: Observations, axis: str) -> Array:
     return np.asarray(np.einsum("nj,nj->n", turned, observations.table_direction))
 
 
-def telling(values: dict[str, Array], residual: Array) -> list[tuple[str, float]]:
+def telling(values: Mapping[str, Array], residual: Array, most: int = _BINS) -> list[tuple[str, float]]:
     """Covariates in the order in which a running mean over them follows the residuals.
 
     For the choice of pictures only: it tests nothing, and covariates that go together all come first.
@@ -56,6 +58,7 @@ def telling(values: dict[str, Array], residual: Array) -> list[tuple[str, float]
     Args:
         values: covariates, each (n,).
         residual: (n,) residuals, or residuals over their uncertainty.
+        most: bins of the running mean.
 
     Returns:
         Names with the share of the residuals' variance that the mean in bins takes, adjusted for the number of bins.
@@ -63,7 +66,7 @@ def telling(values: dict[str, Array], residual: Array) -> list[tuple[str, float]
     shares = []
     for name, column in values.items():
         good = np.isfinite(column)
-        part, number = residual[good], bins(column[good])
+        part, number = residual[good], bins(column[good], most)
         count = np.bincount(number)
         mean = np.bincount(number, part) / np.maximum(count, 1)
         total = float(np.sum((part - part.mean()) ** 2))

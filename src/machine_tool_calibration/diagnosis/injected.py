@@ -128,7 +128,7 @@ def _made(effect: Effect, plan: str) -> tuple[Session, Fit, Array] | None:
     """A session with the effect, its fit without it, and the effect's change of each reading; None if there is none."""
     model = _perfect_model(plan)
     observations = model.observations
-    if effect.why_not(observations) is not None:
+    if effect.why_not(observations) is not None or not _acts(effect, model):
         return None
     clean = observations.session
     if effect.id in FLAWS:
@@ -150,6 +150,12 @@ def _made(effect: Effect, plan: str) -> tuple[Session, Fit, Array] | None:
     if np.abs(change).max() < 1e-3 * AMPLITUDE:
         return None
     return session, fit_models([build_model(session)[0]]).fits[0], change
+
+
+def _acts(effect: Effect, model: MethodModel) -> bool:
+    """Whether a reading depends on it in first order: an absurdly large size would show in second order."""
+    observations = model.observations
+    return any(np.abs(effect.columns(observations, shape)).any() for shape in effect.shape_grid(observations)[:3])
 
 
 def _own_change(effect: Effect, model: MethodModel) -> Array | None:

@@ -3,28 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from machine_tool_calibration.diagnosis.covariates import telling
+from machine_tool_calibration.arrays import Array, BoolArray
+from machine_tool_calibration.diagnosis.covariates import sensed, telling
 from machine_tool_calibration.diagnosis.effect_page import gallery_page
 from machine_tool_calibration.diagnosis.injected import Injected, inject
 from machine_tool_calibration.diagnosis.noise import same_place
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.plots.residuals import axis_label, draw_arrows, draw_residuals, grids, planes
 from machine_tool_calibration.plots.style import new_figure
+from machine_tool_calibration.simulation.environment import COLUMNS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = ["draw_gallery", "draw_injected"]
 
-# Advantage, in share of the residuals' variance, of covariates on which the effect depends by its formula.
-_OWN = 0.15
+# Advantage, in share of the residuals' variance, of each column on which the effect depends by its formula.
+_OWN = 0.2
 _SAME = 0.97
 _PANELS = 2
+# Bins of the running mean: enough for the period of a screw. A displacement is read where it counts so much.
+_BINS, _SENSED = 24, 0.5
+# Size of a picture: dots per inch, and colours.
+_DPI, _HUES = 85, 96
 
 
 def draw_gallery(
@@ -48,7 +56,7 @@ def draw_gallery(
         found[effect.id] = injected = inject(effect)
         if injected is not None:
             files.append(folder / f"{effect.id}.png")
-            draw_injected(injected).savefig(files[-1], dpi=80, pil_kwargs={"optimize": True})
+            _save(draw_injected(injected), files[-1])
     page = folder / "README.md"
     page.write_text(gallery_page(effects, found), encoding="utf-8")
     return [*files, page]
@@ -59,16 +67,16 @@ def draw_injected(injected: Injected) -> Figure:
     comparison = injected.comparison
     observations = comparison.fit.model.observations
     effect = injected.effect
-    what = "nothing to see" if injected.taken_up else f"the model leaves {injected.left:.0%} of it"
-    title = f"{effect.id}: {effect.formula}\n{injected.plan}, no noise, no other error; {what}"
+    what = "the model takes it up" if injected.taken_up else f"the model leaves {injected.left:.0%} of it"
+    title = f"{effect.id}: {effect.formula}\n{injected.plan}, no noise, no other error; gray: the effect itself; {what}"
     figure = new_figure(11.0, 3.7, title)
     panels = figure.subplots(1, _PANELS + 1, width_ratios=(1,) * _PANELS + (1.05,))
     setup = observations.readings.setup
-    for panel, name in zip(panels, _names(injected), strict=False):
-        values, factor = comparison.covariates[name], axis_label(name)[1]
-        panel.plot(factor * values, 1e6 * injected.change, ls="", marker=".", ms=3, color="0.8", zorder=1)
-        draw_residuals(panel, name, values, comparison.residual, setup)
-        panel.set_ylabel("µm (gray: the effect itself)" if panel is panels[0] else "")
+    for panel, view in zip(panels, _views(injected), strict=False):
+        values, factor = comparison.covariates[view.name][view.shown], axis_label(view.name)[1]
+        panel.plot(factor * values, 1e6 * view.change, ls="", marker=".", ms=3, color="0.8", zorder=1)
+        draw_residuals(panel, view.name, values, view.residual, setup[view.shown], _BINS)
+        panel.set_ylabel(f"{view.what}, µm")
     if injected.taken_up:
         where = {"ha": "center", "va": "center", "fontsize": 11, "color": "0.3"}
         panels[-1].text(0.5, 0.5, "taken up by the model:\nnothing to see", transform=panels[-1].transAxes, **where)
@@ -83,17 +91,51 @@ def draw_injected(injected: Injected) -> Figure:
     return figure
 
 
-def _names(injected: Injected) -> list[str]:
+def _save(figure: Figure, file: Path) -> None:
+    """Write a picture with few colours, so that many of them stay small."""
+    from PIL import Image
+
+    drawn = BytesIO()
+    figure.savefig(drawn, dpi=_DPI)
+    Image.open(drawn).convert("RGB").quantize(_HUES).save(file, optimize=True)
+
+
+@dataclass(frozen=True)
+class _View:
+    """Residuals against a covariate: those of all readings, or as displacements of an axis that these sense."""
+
+    name: str
+    what: str
+    shown: BoolArray
+    residual: Array
+    change: Array
+
+
+def _views(injected: Injected) -> list[_View]:
     """Two covariates that show most and differ from each other."""
     comparison, effect = injected.comparison, injected.effect
-    values = dict(comparison.covariates)
-    values.pop("repeat", None)
-    seen = injected.change if injected.taken_up else comparison.residual
-    own = {*effect.covariates, *effect.needs} - {"order"}
-    shares = telling(values, seen)
-    ranked = sorted(shares, key=lambda entry: -(entry[1] + (_OWN if set(entry[0].split(" along ")) & own else 0.0)))
-    out: list[str] = []
-    for name, _ in ranked:
-        if all(abs(np.corrcoef(values[name], values[other])[0, 1]) < _SAME for other in out):
-            out.append(name)
+    observations = comparison.fit.model.observations
+    own = {*effect.covariates, *effect.needs}
+    # What the effect does not depend on, but happens to go with what it does, would only mislead.
+    left_out = {"repeat", "order", *(name for name in COLUMNS if name not in own)}
+    values = {name: v for name, v in comparison.covariates.items() if name not in left_out and np.isfinite(v).all()}
+    everything = np.ones(len(observations), dtype=bool)
+    ranked: list[tuple[float, _View]] = []
+    for what, axis in (("reading", ""), *((f"displacement of {a}", a) for a in "xyz")):
+        along = sensed(observations, axis) if axis else np.ones(len(observations))
+        shown = np.abs(along) > _SENSED if axis else everything
+        # A displacement only where the effect is one of this axis, and enough readings sense it.
+        if axis and (axis not in own or shown.sum() < len(observations) // 8):
+            continue
+        parts = [np.asarray(v[shown] / along[shown]) for v in (comparison.residual, injected.change)]
+        picked = {name: v[shown] for name, v in values.items() if not (axis and " along " in name)}
+        picked = {name: v for name, v in picked.items() if np.ptp(v) > 0}
+        for name, share in telling(picked, parts[1] if injected.taken_up else parts[0], _BINS):
+            bonus = _OWN * len(set(name.split(" along ")) & own)
+            ranked.append((share + bonus, _View(name, what, shown, *parts)))
+    ranked.sort(key=lambda entry: -entry[0])
+    out: list[_View] = []
+    for _, view in ranked:
+        if all(abs(np.corrcoef(values[view.name], values[other.name])[0, 1]) < _SAME for other in out):
+            out.append(view)
     return out[:_PANELS]

@@ -23,7 +23,9 @@ _ARROWS, _LENGTH = 700, 0.10
 _WIDE = 0.3
 
 
-def draw_residuals(panel: Axes, name: str, values: Array, residual: Array, setup: IntArray) -> None:
+def draw_residuals(
+    panel: Axes, name: str, values: Array, residual: Array, setup: IntArray, most: int = _BINS
+) -> None:
     """Residuals against a covariate with their running mean and twice its standard uncertainty.
 
     Args:
@@ -32,6 +34,7 @@ def draw_residuals(panel: Axes, name: str, values: Array, residual: Array, setup
         values: (n,) SI.
         residual: (n,) m.
         setup: (n,) number of each reading's setup, for its colour.
+        most: bins of the running mean.
     """
     label, factor = axis_label(name)
     good = np.isfinite(values)
@@ -39,7 +42,7 @@ def draw_residuals(panel: Axes, name: str, values: Array, residual: Array, setup
     for k in np.unique(setup):
         mine = setup[good] == k
         panel.plot(x[mine], y[mine], ls="", marker=".", ms=3, color=color(int(k)), alpha=0.55, rasterized=True)
-    number = bins(x, _BINS)
+    number = bins(x, most)
     used = [k for k in np.unique(number) if (number == k).sum() > 1]
     if used:
         at = [float(x[number == k].mean()) for k in used]
@@ -47,7 +50,7 @@ def draw_residuals(panel: Axes, name: str, values: Array, residual: Array, setup
         bar = [2 * float(y[number == k].std(ddof=1)) / np.sqrt((number == k).sum()) for k in used]
         panel.errorbar(at, mean, bar, color="black", marker="o", ms=3.5, lw=1.0, capsize=2, zorder=5)
     panel.set(xlabel=label, ylabel="measured − predicted, µm")
-    panel.locator_params(axis="x", nbins=6)
+    panel.locator_params(axis="x", nbins=5)
     panel.ticklabel_format(axis="x", useOffset=False)
 
 

@@ -1,0 +1,15 @@
+"""Make the pictures and the page of this folder again: python docs/effects/make.py."""
+
+from pathlib import Path
+
+from machine_tool_calibration.effects.catalogue import find_effects
+from machine_tool_calibration.plots.gallery import draw_gallery
+
+SHOWN = (
+    "backlash_y backlash_c thermal_expansion_x warmup_y pitch_periodic_x refractive_index dead_path linear_drift "
+    "station_drift mirror_misalignment pointer_radial_error pointer_zero_offset retroreflector_form "
+    "table_thermal_growth workpiece_thermal probe_pretravel scale ECX EBZ EXX C0Y"
+)
+
+if __name__ == "__main__":
+    draw_gallery(find_effects(SHOWN.split()), Path(__file__).parent)

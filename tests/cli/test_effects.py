@@ -1,0 +1,108 @@
+"""`mtcal effects`: the catalogue, one effect in full, and what its residuals look like."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.cli.main import run
+from machine_tool_calibration.diagnosis.injected import inject, where_it_shows
+from machine_tool_calibration.effects.catalogue import catalogue
+from machine_tool_calibration.effects.formula import formula_effect
+
+DOCS = Path(__file__).parents[2] / "docs" / "effects"
+OWN = """
+effects:
+  - id: sag
+    title: sag of the ram
+    enters: x
+    formula: k * x^2
+    coefficients: {k: {unit: 1/m, low: 0, high: 1.0e-3}}
+"""
+
+
+def test_the_catalogue_is_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["effects"]) == 0
+    out = capsys.readouterr().out
+    for name in catalogue():
+        assert f"\n{name} " in f"\n{out}"
+    assert f"{len(catalogue())} effects" in out
+
+
+def test_json_holds_every_effect(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["effects", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["format"] == "mtcal-effects/1"
+    by_id = {entry["id"]: entry for entry in document["effects"]}
+    assert list(by_id) == list(catalogue())
+    for entry in by_id.values():
+        assert entry["formula"] and entry["source"] and entry["title"]
+        assert all(c["low"] < c["high"] for c in entry["coefficients"])
+    assert by_id["backlash_x"]["columns"] == ["x", "dir_x"]
+    assert by_id["warmup_y"]["nonlinear"][0]["name"] == "tau"
+
+
+def test_one_effect_in_full_says_what_each_method_leaves(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["effects", "mirror_misalignment", "backlash_y"]) == 0
+    out = capsys.readouterr().out
+    first, second = out.split("backlash_y: backlash of Y")
+    assert "step_diagonal          0%" in first
+    assert "does not occur with tracking_interferometer" in first
+    assert "b: 0 µm to 50.0 µm" in second
+    assert "ISO 230-2" in second
+
+
+def test_an_unknown_effect_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["effects", "backlash_q"]) == 1
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "unknown effect 'backlash_q'" in captured.err and captured.err.count("\n") == 1
+
+
+def test_effects_of_the_users_own_are_listed_and_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "own.yaml"
+    file.write_text(OWN)
+    assert run(["effects", "--effects-file", str(file), "sag", "--gallery", str(tmp_path / "g"), "--json"]) == 0
+    assert [entry["id"] for entry in json.loads(capsys.readouterr().out)["effects"]] == ["sag"]
+    assert (tmp_path / "g" / "sag.png").read_bytes().startswith(b"\x89PNG")
+    assert "![residuals of sag](sag.png)" in (tmp_path / "g" / "README.md").read_text()
+
+
+def test_an_effect_that_shows_and_one_that_the_model_takes_up() -> None:
+    shows = inject(catalogue()["backlash_y"], ["tracking_2d"])
+    assert shows is not None and shows.from_geometry
+    assert 0.5 < shows.left <= 1.0 and not shows.taken_up
+    # Perfect data: without the effect nothing would be left at all.
+    assert float(np.abs(shows.comparison.residual).max()) > 1e-6
+    hidden = inject(catalogue()["mirror_misalignment"], ["step_diagonal"])
+    assert hidden is not None and hidden.taken_up
+    assert float(np.abs(hidden.change).max()) > 1e-6
+
+
+def test_an_effect_on_which_no_reading_depends_is_not_shown() -> None:
+    assert inject(catalogue()["EZX"], ["tracking_2d", "probing_cross"]) is None
+    fates = {shown.plan: shown for shown in where_it_shows(catalogue()["backlash_c"], ["tracking_2d", "rotary_axis"])}
+    assert fates["tracking_2d"].left is None and fates["tracking_2d"].why_not
+
+
+def test_a_formula_shows_as_the_built_in_effect_that_it_spells_out() -> None:
+    b = {"unit": "m", "low": 0, "high": 1e-4}
+    spelled = formula_effect(
+        {"id": "m", "enters": "y", "formula": "-b * dir_y", "coefficients": {"b": b}}
+    )
+    mine, built_in = inject(spelled, ["tracking_2d"]), inject(catalogue()["backlash_y"], ["tracking_2d"])
+    assert mine is not None and built_in is not None and not mine.from_geometry
+    assert mine.left == pytest.approx(built_in.left, rel=1e-3)
+
+
+def test_the_gallery_of_the_documentation_is_whole_and_small() -> None:
+    page = (DOCS / "README.md").read_text(encoding="utf-8")
+    pictures = sorted(DOCS.glob("*.png"))
+    assert len(pictures) >= 18
+    for picture in pictures:
+        assert f"({picture.name})" in page
+        assert picture.stem in catalogue()
+        assert picture.stat().st_size < 60_000
