@@ -176,37 +176,71 @@ def _diagnose(
     sets: int,
     progress: Callable[[str, float], None],
 ) -> Diagnosis:
-    rng = np.random.default_rng(seed)
     present = find_effects(effects, own)
+    known = [effect for effect in catalogue(own).values() if effect.id not in effects]
     progress("looking for outliers", 0.0)
 
-    def build(part: Session) -> MethodModel:
-        return add_effects(build_model(part, model)[0], [*present, *accepted])
+    def model_of(part: Session, added: Sequence[Effect]) -> MethodModel:
+        return add_effects(build_model(part, model)[0], [*present, *added])
 
-    whole = session
-    accepted: list[Effect] = []
-    outliers, session, fit = find_outliers(whole, build)
-    base = build_model(session, model)[0]
-    candidates, excluded = effect_candidates(
-        base.observations, [e for e in catalogue(own).values() if e.id not in effects]
+    outliers, kept, _ = find_outliers(session, lambda part: model_of(part, ()))
+    found = _rounds(kept, known, model_of, np.random.default_rng(seed), sets, progress)
+    if found.accepted and outliers:
+        # With the effects in the model some of them belong to the rest again: then the rounds begin anew.
+        again, kept, _ = find_outliers(session, lambda part: model_of(part, found.accepted))
+        if {o.row for o in again} != {o.row for o in outliers}:
+            found = _rounds(kept, known, model_of, np.random.default_rng(seed), sets, progress)
+        outliers = again
+    progress("done", 1.0)
+    verdict = _verdict(found.looks, bool(found.accepted), bool(outliers))
+    return Diagnosis(
+        session=kept,
+        verdict=verdict,
+        accepted=tuple(effect.id for effect in found.accepted) if verdict == "missing_effect" else (),
+        looks=found.looks,
+        noise=found.looks[0].noise,
+        excluded=found.excluded,
+        outliers=tuple(outliers),
     )
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What the rounds came to."""
+
+    looks: tuple[Look, ...]
+    accepted: tuple[Effect, ...]
+    excluded: dict[str, str]
+
+
+def _rounds(
+    session: Session,
+    known: Sequence[Effect],
+    model_of: Callable[[Session, Sequence[Effect]], MethodModel],
+    rng: np.random.Generator,
+    sets: int,
+    progress: Callable[[str, float], None],
+) -> _Found:
+    """Look, accept the best effect, and look again, until nothing is found or three are."""
+    base = model_of(session, ())
+    fit = fit_models([base]).fits[0]
+    candidates, excluded = effect_candidates(base.observations, known)
     structures = structure_candidates(base.observations)
     looks: list[Look] = []
+    accepted: list[Effect] = []
     alike: set[str] = set()
     while True:
-        progress(
-            f"round {len(looks) + 1}: {len(candidates)} effects, {sets} simulated sets",
-            (len(looks) + 0.2) / (_ROUNDS + 1),
-        )
+        what = f"round {len(looks) + 1}: {len(candidates)} effects, {sets} simulated sets"
+        progress(what, (len(looks) + 0.2) / (_ROUNDS + 1))
         left = [c for c in candidates if c.effect not in accepted and c.name not in alike]
         looks.append(_look(fit, left, structures, rng, sets))
         winner = looks[-1].winner()
         if winner is None or len(accepted) == _ROUNDS:
-            break
+            return _Found(tuple(looks), tuple(accepted), excluded)
         effect = winner.candidate.effect
         assert effect is not None
         try:
-            fit = _settled(fit_models([add_effects(base, [*present, *accepted, effect])]).fits[0])
+            fit = _settled(fit_models([model_of(session, [*accepted, effect])]).fits[0])
         except ModelError as error:
             # Together with it the data no longer determines the rest: nothing can be said of it.
             excluded[effect.id] = str(error)
@@ -216,20 +250,6 @@ def _diagnose(
         accepted.append(effect)
         # What cannot be told from it would only take up what its linearisation leaves.
         alike |= {name for group in looks[-1].groups if effect.id in group for name in group}
-    if accepted and outliers:
-        # With the effects in the model some of them belong to the rest again.
-        outliers, session, _ = find_outliers(whole, build)
-    progress("done", 1.0)
-    verdict = _verdict(looks, bool(accepted), bool(outliers))
-    return Diagnosis(
-        session=session,
-        verdict=verdict,
-        accepted=tuple(effect.id for effect in accepted) if verdict == "missing_effect" else (),
-        looks=tuple(looks),
-        noise=looks[0].noise,
-        excluded=excluded,
-        outliers=tuple(outliers),
-    )
 
 
 def _settled(fit: Fit) -> Fit:
