@@ -58,6 +58,7 @@ class AxisSimulator(Node):
         self._offset = self._point = np.zeros(3)
         self._rotation = Quaternion()
         self._turned: tuple[np.ndarray, Quaternion] | None = None
+        self._turning = True
         self._known: object = None
         self._random = np.random.default_rng([self.site.spec.seed, 23])
         self._epoch = uuid.uuid4().hex[:12]
@@ -132,6 +133,8 @@ class AxisSimulator(Node):
         is_moving = any(self._motion.velocity(since).values())
         braking = self._motion.braked(since, self.limits) if is_moving else None
         self._motion = Trajectory.through(self._motion.position(since), points, self.limits, braking)
+        # who measures the table commands it; all others need not hear of it at every target
+        self._turning = self.site.table_axis.lower() in message.joint_names
         self._directions, self._start = directions, begin
         if self.site.spec.repeatability:
             self._offset = self._random.normal(size=3) * self.site.spec.repeatability
@@ -182,11 +185,11 @@ class AxisSimulator(Node):
             moment = Moment(time=seconds(stamp - self._origin), position=position, direction=directions)
             self._known, self._point = known, self.site.functional_point(moment)
             self._rotation = quaternion_of(self.site.tool_rotation(moment))
-            if self.site.table_axis:
+            if self._turning and self.site.table_axis:
                 place, rotation = self.site.table(moment)
                 self._turned = place, quaternion_of(rotation)
         self._truth.publish(pose_message(stamp, "machine", self._point + self._offset, self._rotation))
-        if self._turned is not None:
+        if self._turned is not None and self._turning:
             self._table.publish(pose_message(stamp, "machine", *self._turned))
 
     def _publish_state(self, stamp: int) -> None:
