@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from machine_tool_calibration.diagnosis.compare import Comparison, compare
+from machine_tool_calibration.diagnosis.compare import compare
 from machine_tool_calibration.diagnosis.compare_document import comparison_columns, comparison_document
 from machine_tool_calibration.diagnosis.compare_words import in_words
+from machine_tool_calibration.diagnosis.comparison import Comparison
 from machine_tool_calibration.diagnosis.covariates import bins, covariates
 from machine_tool_calibration.diagnosis.sums import residual_sums
 from machine_tool_calibration.errors import ModelError

@@ -11,7 +11,7 @@ from machine_tool_calibration.cli.diagnosing import model_options, own_effects, 
 from machine_tool_calibration.cli.output import console, json_option, write_json
 
 if TYPE_CHECKING:
-    from machine_tool_calibration.diagnosis.compare import Comparison
+    from machine_tool_calibration.diagnosis.comparison import Comparison
 
 __all__ = ["command"]
 

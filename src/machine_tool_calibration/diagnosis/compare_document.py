@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.diagnosis.compare import Comparison
 from machine_tool_calibration.diagnosis.compare_words import in_words
+from machine_tool_calibration.diagnosis.comparison import Comparison
 
 __all__ = ["comparison_columns", "comparison_document"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from machine_tool_calibration.diagnosis.compare import Comparison, Share
+from machine_tool_calibration.diagnosis.comparison import Comparison, Share
 from machine_tool_calibration.diagnosis.report import TextTable
 
 __all__ = ["comparison_tables"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import stats
 
-from machine_tool_calibration.diagnosis.compare import Comparison, Overall
+from machine_tool_calibration.diagnosis.comparison import Comparison, Overall
 
 __all__ = ["in_words"]
 
@@ -24,11 +24,11 @@ def in_words(comparison: Comparison) -> str:
     overall = comparison.overall
     ratio, p = overall.ratio, overall.p_value
     if p > _TOO_GOOD:
-        first = f"the readings scatter only {ratio:.2g} times the declared uncertainty, which is too large"
+        first = f"the readings scatter only {_ratio(ratio)} times the declared uncertainty, which is too large"
     elif p >= _LEVEL:
         first = f"the model fits within the declared uncertainty ({_um(overall.noise.declared)}; p = {p:.2g})"
     else:
-        first = f"the readings scatter {ratio:.2g} times the declared uncertainty; {_where(comparison)}"
+        first = f"the readings scatter {_ratio(ratio)} times the declared uncertainty; {_where(comparison)}"
     apart = _stand_out(comparison)
     return f"{first}.{apart} {_repeats(overall, bool(apart))}"
 
@@ -42,7 +42,7 @@ def _where(comparison: Comparison) -> str:
     if worst.reduced_chi_square < _WORSE**2 * comparison.overall.reduced_chi_square:
         return "all setups alike"
     times = worst.reduced_chi_square**0.5
-    return f"worst is setup {worst.name} ({times:.2g} times, {worst.share:.0%} of the sum of squares)"
+    return f"worst is setup {worst.name} ({_ratio(times)} times, {worst.share:.0%} of the sum of squares)"
 
 
 def _repeats(overall: Overall, apart: bool) -> str:
@@ -76,6 +76,10 @@ def _stand_out(comparison: Comparison) -> str:
         f" {far} reading{'s stand' if far > 1 else ' stands'} far out of the others, "
         f"which scatter {bulk:.2g} times the declared uncertainty."
     )
+
+
+def _ratio(value: float) -> str:
+    return f"{value:.2f}" if value < 1.5 else f"{value:.1f}"
 
 
 def _um(value: float) -> str:

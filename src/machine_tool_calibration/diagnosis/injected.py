@@ -9,7 +9,8 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.absorbed import absorbed_by
-from machine_tool_calibration.diagnosis.compare import Comparison, compare
+from machine_tool_calibration.diagnosis.compare import compare
+from machine_tool_calibration.diagnosis.comparison import Comparison
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.methods.identify import build_model

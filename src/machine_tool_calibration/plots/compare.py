@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.diagnosis.compare import Comparison
+from machine_tool_calibration.diagnosis.comparison import Comparison
 from machine_tool_calibration.diagnosis.noise import same_place
 from machine_tool_calibration.plots.residuals import color, draw_arrows, draw_residuals, grids, planes
 from machine_tool_calibration.plots.style import COLORS

@@ -1,0 +1,186 @@
+"""Records of a comparison: how well a model fits its readings, and where it fails."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.diagnosis.noise import Noise
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.model.fit import Fit
+
+__all__ = ["Approach", "Comparison", "Overall", "Region", "Share", "Trend"]
+
+
+@dataclass(frozen=True)
+class Overall:
+    """The whole fit.
+
+    Attributes:
+        readings: number of readings.
+        rms: root mean square of measured minus predicted, m.
+        reduced_chi_square: weighted sum of squares over the degrees of freedom.
+        degrees_of_freedom: readings minus unknowns.
+        p_value: chance of so large a sum of squares if the model is right and the declared uncertainty too.
+        noise: declared, and from repeats.
+    """
+
+    readings: int
+    rms: float
+    reduced_chi_square: float
+    degrees_of_freedom: int
+    p_value: float
+    noise: Noise
+
+    @property
+    def ratio(self) -> float:
+        """How many times the declared uncertainty the readings scatter about the model."""
+        return float(np.sqrt(self.reduced_chi_square))
+
+
+@dataclass(frozen=True)
+class Share:
+    """A part of the readings: a setup, one repeat of it, a target.
+
+    Attributes:
+        name: of the part.
+        readings: how many.
+        rms: of their residuals, m.
+        reduced_chi_square: sum of squares over what is left of these readings by the model; None where nothing is.
+        share: of the whole sum of squares.
+        mean: of the residuals, m, with its standard uncertainty; None where the model takes it up.
+        slope: of the residuals over time, m/s, likewise.
+        worst_row: the reading with the largest studentized residual.
+    """
+
+    name: str
+    readings: int
+    rms: float
+    reduced_chi_square: float | None
+    share: float
+    mean: float | None = None
+    mean_u: float | None = None
+    slope: float | None = None
+    slope_u: float | None = None
+    worst_row: int | None = None
+
+
+@dataclass(frozen=True)
+class Region:
+    """Readings whose axis stands between two values, m or rad."""
+
+    axis: str
+    low: float
+    high: float
+    fit: Share
+
+
+@dataclass(frozen=True)
+class Approach:
+    """Difference between the two directions of approach of an axis.
+
+    Attributes:
+        axis: x, y, z or c.
+        forward: readings after a move in positive direction.
+        backward: the others.
+        difference: mean residual after positive moves minus that after negative ones, m; None if the model takes it up.
+        displacement: that difference as a displacement of the axis, if it were added to the model, m (C: rad): minus
+            twice the half width b of a backlash; None where the model takes it up.
+        p_value: chance of so large a displacement (or difference, without it) by chance.
+    """
+
+    axis: str
+    forward: int
+    backward: int
+    difference: float | None
+    difference_u: float | None
+    displacement: float | None
+    displacement_u: float | None
+    p_value: float | None
+
+
+@dataclass(frozen=True)
+class Trend:
+    """How the residuals change with a covariate.
+
+    Attributes:
+        covariate: its name.
+        span: range that it covers, in its unit.
+        slope: of the residuals, m per unit, with its standard uncertainty; None if the model takes it up.
+        added: slope that the model would find if it were added, m per unit; the residuals' own is smaller, as the
+            model's other unknowns took their part.
+        p_value: chance of so large a slope by chance.
+    """
+
+    covariate: str
+    span: float
+    slope: float | None
+    slope_u: float | None
+    added: float | None
+    added_u: float | None
+    p_value: float | None
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A model against its readings.
+
+    Uncertainties are those of the declared noise, or of the scatter about the model where that is larger; they allow
+    for what the model took up.
+
+    Attributes:
+        fit: the fitted model.
+        effects: ids of effects that are in it.
+        overall: the whole fit.
+        setups: worst first.
+        runs: each repeat of each setup, worst first.
+        labels: by text column (target, point), its values, worst first.
+        regions: bins of each axis position.
+        approaches: for each axis that was approached from both sides.
+        trends: over time, temperatures and every other covariate, most significant first.
+        telling: covariates, in the order in which their running mean follows the residuals, with the share it takes.
+        worst: indices of the readings with the largest studentized residuals.
+        residual: (n,) measured minus predicted, m.
+        studentized: (n,) residuals over their own standard uncertainty, as declared; NaN where the model has a
+            reading for itself.
+        covariates: (n,) each, SI.
+    """
+
+    fit: Fit
+    effects: tuple[str, ...]
+    overall: Overall
+    setups: tuple[Share, ...]
+    runs: tuple[Share, ...]
+    labels: Mapping[str, tuple[Share, ...]]
+    regions: tuple[Region, ...]
+    approaches: tuple[Approach, ...]
+    trends: tuple[Trend, ...]
+    telling: tuple[tuple[str, float], ...]
+    worst: tuple[int, ...]
+    residual: Array
+    studentized: Array
+    covariates: Mapping[str, Array]
+
+    @property
+    def measured(self) -> Array:
+        """(n,) the readings, m."""
+        return self.fit.model.observations.readings.displacement
+
+    @property
+    def predicted(self) -> Array:
+        """(n,) what the model expects, m."""
+        return self.measured - self.residual
+
+    def covariate(self, name: str) -> Array:
+        """(n,) the covariate of that name.
+
+        Raises:
+            ModelError: there is none, or it does not vary.
+        """
+        if name not in self.covariates:
+            known = ", ".join(self.covariates)
+            raise ModelError(f"there is no covariate {name!r} that varies; there are {known}")
+        return self.covariates[name]
