@@ -52,6 +52,9 @@ def run(create: Callable[[], Node], args: list[str] | None = None, *, grace: flo
     stop = threading.Event()
     # A thread waits for the signals: it can end the process even where the middleware holds the main thread.
     # Threads started from here on, the middleware's own, inherit the mask.
+    # A signal that a thread from before takes (BLAS, a timer) comes to these handlers instead.
+    for number in _STOPS:
+        signal.signal(number, lambda *_: stop.set())
     signal.pthread_sigmask(signal.SIG_BLOCK, _STOPS)
     threading.Thread(target=_await_stop, args=(stop, grace), name="signals", daemon=True).start()
     # rclpy's own handlers end the context while callbacks run; without them the loop below finishes first
