@@ -198,3 +198,13 @@ def test_the_document_and_the_columns_hold_every_reading(plan: str) -> None:
     columns = comparison_columns(found)
     assert {len(values) for values in columns.values()} == {found.overall.readings}
     np.testing.assert_allclose(columns["measured"] - columns["predicted"], columns["residual"], atol=1e-15)
+
+
+def test_readings_of_two_directions_at_one_place_are_no_repeats() -> None:
+    """A deviation in x and one in y of the same hole are two arrows of the map, not their mean."""
+    from machine_tool_calibration.plots.residuals import alike
+
+    observations = build_model(simulated("grid_plate"))[0].observations
+    same = alike(observations)
+    for k in np.unique(same):
+        np.testing.assert_allclose(np.ptp(observations.direction[same == k], axis=0), 0.0, atol=1e-9)

@@ -10,8 +10,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.diagnosis.comparison import Comparison
-from machine_tool_calibration.diagnosis.noise import same_place
-from machine_tool_calibration.plots.residuals import color, draw_arrows, draw_residuals, grids, planes
+from machine_tool_calibration.plots.residuals import alike, color, draw_arrows, draw_residuals, grids, planes
 from machine_tool_calibration.plots.style import COLORS
 
 if TYPE_CHECKING:
@@ -132,7 +131,7 @@ def draw_map(comparison: Comparison) -> Figure:
 
     observations = comparison.fit.model.observations
     position, arrow = observations.position, comparison.residual[:, None] * observations.direction
-    same = same_place(observations)
+    same = alike(observations)
     views = planes(position, observations.direction)
     figure = Figure(figsize=(6.4 * len(views), 6.0), layout="constrained")
     for panel, (a, b) in zip(figure.subplots(1, len(views), squeeze=False).ravel(), views, strict=True):

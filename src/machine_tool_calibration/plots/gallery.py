@@ -14,9 +14,8 @@ from machine_tool_calibration.arrays import Array, BoolArray
 from machine_tool_calibration.diagnosis.covariates import sensed, telling
 from machine_tool_calibration.diagnosis.effect_page import gallery_page
 from machine_tool_calibration.diagnosis.injected import Injected, inject
-from machine_tool_calibration.diagnosis.noise import same_place
 from machine_tool_calibration.effects.effect import Effect
-from machine_tool_calibration.plots.residuals import axis_label, draw_arrows, draw_residuals, grids, planes
+from machine_tool_calibration.plots.residuals import alike, axis_label, draw_arrows, draw_residuals, grids, planes
 from machine_tool_calibration.plots.style import new_figure
 from machine_tool_calibration.simulation.environment import COLUMNS
 
@@ -84,7 +83,7 @@ def draw_injected(injected: Injected) -> Figure:
     else:
         a, b = planes(observations.position, observations.direction)[0]
         arrow = comparison.residual[:, None] * observations.direction
-        same = same_place(observations)
+        same = alike(observations)
         draw_arrows(panels[-1], observations.position[:, [a, b]], arrow[:, [a, b]], comparison.residual, same)
         panels[-1].set(xlabel=f"{'xyz'[a]}, mm", ylabel=f"{'xyz'[b]}, mm")
     grids(figure)

@@ -8,13 +8,15 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.diagnosis.covariates import bins
+from machine_tool_calibration.diagnosis.noise import same_place
+from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.plots.style import COLORS, round_down
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["axis_label", "color", "draw_arrows", "draw_residuals", "grids", "planes"]
+__all__ = ["alike", "axis_label", "color", "draw_arrows", "draw_residuals", "grids", "planes"]
 
 _BINS = 12
 # Arrows of one panel beyond which they hide each other, and the share of the panel that the longest takes.
@@ -120,6 +122,13 @@ def planes(position: Array, direction: Array) -> list[tuple[int, int]]:
     # A line, or readings at one place: the pair that shows its axis and what is sensed.
     seen = span / max(float(span.max()), 1e-12) + 0.5 * np.abs(direction).max(axis=0)
     return [max(pairs, key=lambda pair: float(seen[list(pair)].sum()))]
+
+
+def alike(observations: Observations) -> IntArray:
+    """(n,) index shared by readings that repeat each other and sense the same direction."""
+    sensed = np.round(observations.direction * 1e6)
+    key = np.column_stack([same_place(observations), sensed])
+    return np.asarray(np.unique(key, axis=0, return_inverse=True)[1].reshape(-1))
 
 
 def color(index: int) -> str:
