@@ -1,5 +1,6 @@
 """The whole graph in simulated time."""
 
+import copy
 import json
 import subprocess
 import sys
@@ -104,3 +105,20 @@ def test_two_graphs_in_one_domain(bench, finish):
         table = readings(operator)
         assert len(operator.readings) == 128
         assert np.abs(since_first(operator, table["displacement"]) - reference(PROCEDURE, site)).max() < 1e-12
+
+
+@pytest.mark.timeout(120)
+def test_real_time_gives_the_same_readings(bench, finish):
+    procedure = copy.deepcopy(PROCEDURE)
+    procedure["session"]["repeats"] = 1
+    procedure["session"]["setups"] = procedure["session"]["setups"][:2]
+    procedure["path"]["grid"]["x"]["count"] = procedure["path"]["grid"]["y"]["count"] = 2
+    procedure["motion"]["dwell"] = 0.3
+    graph = bench.graph(procedure=procedure, simulated_time=False)
+    operator = bench.operator(graph)
+    finish(operator)
+    displacement = since_first(operator, readings(operator)["displacement"])
+    assert np.abs(displacement - reference(procedure, SITE)).max() < 1e-10
+    assert operator.procedure.number("recoveries") == 0
+    # each reading was taken while the axes stood: later than the move and the averaging take
+    assert np.diff(readings(operator)["time"]).min() > 0.2
