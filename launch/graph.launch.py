@@ -1,4 +1,4 @@
-"""The whole graph with a simulated machine and instrument, recorded.
+"""The whole graph of a procedure, of any method, with a simulated machine and instrument, recorded.
 
 ros2 launch machine_tool_calibration graph.launch.py procedure:=tracking_3d
 ros2 service call /procedure/start std_srvs/srv/Trigger
@@ -7,14 +7,20 @@ ros2 service call /estimator/identify std_srvs/srv/Trigger
 `procedure` is the name of one that the package brings, or a YAML file. In a namespace the graph has its own clock.
 """
 
+import tempfile
 import time
 from pathlib import Path
 
+import yaml
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
+
+from machine_tool_calibration.nodes.measurement import UNNEEDED, site_document
+from machine_tool_calibration.nodes.site import read_site
+from machine_tool_calibration.procedure import read_procedure
 
 PACKAGE = "machine_tool_calibration"
 ARGUMENTS = {
@@ -36,12 +42,17 @@ def nodes(context):
     procedure = Path(given["procedure"])
     if not procedure.suffix:
         procedure = Path(get_package_share_directory(PACKAGE), "config", "procedures", f"{procedure}.yaml")
+    measured = read_procedure(procedure)
+    # the machine's chain and travel are the procedure's
+    with tempfile.NamedTemporaryFile("w", prefix="site-", suffix=".yaml", delete=False) as site:
+        yaml.safe_dump(site_document(measured, read_site(given["site"])), site, sort_keys=False)
     common = {"use_sim_time": is_true["use_sim_time"]}
-    world = {**common, "site": given["site"], "time_origin": float(int(time.time()))}
+    world = {**common, "site": site.name, "time_origin": float(int(time.time()))}
     parameters = {
         "axis_simulator": world,
         "rotary_pointer": world,
         "instrument": {**world, "driver": given["driver"]},
+        "probe": world,
         "estimator": common,
         "procedure": {**common, "procedure": str(procedure)},
         "recorder": {"folder": given["bag"]},
@@ -50,7 +61,7 @@ def nodes(context):
         name
         for name, key in (("axis_simulator", "axes"), ("rotary_pointer", "pointer"), ("recorder", "record"))
         if not is_true[key]
-    }
+    } | set(UNNEEDED.get(measured.session.method, ("probe",)))
     if not is_true["axes"]:  # a controller such as ros2_control's has joint_states, but no axes/status
         parameters["procedure"]["arrival"] = "joint_states"
     # /clock is absolute: without this two graphs in one domain would share it

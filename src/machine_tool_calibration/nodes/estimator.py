@@ -73,7 +73,9 @@ class Estimator(Node):
             read_only=False,
         )
         declare(self, "effects", [""], "ids of physical effects to add to the model", read_only=False)
-        declare(self, "magnification", 0.0, "of errors as arrows; 0: a round number", unit="1", low=0.0, read_only=False)
+        declare(
+            self, "magnification", 0.0, "of errors as arrows; 0: a round number", unit="1", low=0.0, read_only=False
+        )
         self._text = ""
         self._messages: dict[int, _Reading] = {}
         self._origin: int | None = None

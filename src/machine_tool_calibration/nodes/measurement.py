@@ -26,19 +26,19 @@ from machine_tool_calibration.session.place import Place
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.session.writer import write_session
 
-__all__ = ["NODES", "Measured", "Progress", "Setting", "free_folder", "measure"]
+__all__ = ["NODES", "UNNEEDED", "Measured", "Progress", "Setting", "free_folder", "measure", "site_document"]
 
 NODES = ("axis_simulator", "rotary_pointer", "instrument", "probe", "estimator", "procedure", "recorder")
 _START = 60.0  # s until all nodes have found each other, on a slow machine
 _IDENTIFY = 600.0
 _COLLECT = 10.0
 
-# nodes that a method does not need: a probe is instrument and pointer in one, a fixed beam needs no pointer
-_WITHOUT = {
+UNNEEDED = {
     "probing": ("rotary_pointer", "instrument"),
     "step_diagonal": ("rotary_pointer", "probe"),
     "direct": ("rotary_pointer", "probe"),
 }
+"""Nodes that a method does not need: a probe is instrument and pointer in one, a fixed beam needs no pointer."""
 
 Progress = Callable[[str, int, int], None]
 """Called with what is going on, and how many of how many readings there are."""
@@ -142,7 +142,7 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
     copy = output / "procedure.yaml"
     shutil.copyfile(file, copy)
     site = output / "site.yaml"
-    site.write_text(yaml.safe_dump(_site_document(procedure, setting.site), sort_keys=False), encoding="utf-8")
+    site.write_text(yaml.safe_dump(site_document(procedure, setting.site), sort_keys=False), encoding="utf-8")
     begin = time.monotonic()
     with claimed_domain(setting.domain) as domain:
         programs = _programs(setting, copy, site, procedure.session.method)
@@ -184,7 +184,8 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
     )
 
 
-def _site_document(procedure: Procedure, site: SiteSpec) -> dict[str, Any]:
+def site_document(procedure: Procedure, site: SiteSpec) -> dict[str, Any]:
+    """The content of a site's file that suits a procedure: its machine's chain and travel, its declared noise."""
     document = site.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
     machine = procedure.session.machine
     travel = {name: list(ends) for name, ends in machine.travel.items()}
@@ -210,7 +211,7 @@ def _programs(setting: Setting, procedure: Path, site: Path, method: str) -> lis
         "estimator": {**common, "model": setting.model, "effects": list(setting.effects) or [""]},
         "recorder": {"folder": str((setting.output / "bag").resolve())},
     }
-    without = _WITHOUT.get(method, ("probe",))
+    without = UNNEEDED.get(method, ("probe",))
     nodes = tuple(name for name in NODES if name not in without)
     for name in setting.external:
         if name not in nodes:
