@@ -20,14 +20,25 @@ from machine_tool_calibration.simulation import FlawSpec
 
 if TYPE_CHECKING:
     from machine_tool_calibration.methods.improve import Improvement
+    from machine_tool_calibration.model.result import Result
 
 __all__ = ["command"]
 
-# What may be hidden, with the smallest and the largest size.
+# What may be hidden with each method, with the smallest and the largest size; and what is measured.
 _HIDDEN = {
-    "backlash_x": (0.8e-6, 2.5e-6),
-    "backlash_y": (0.8e-6, 2.5e-6),
-    "pointer_radial_error": (2e-6, 5e-6),
+    "tracking": {
+        "backlash_x": (0.8e-6, 2.5e-6),
+        "backlash_y": (0.8e-6, 2.5e-6),
+        "pointer_radial_error": (2e-6, 5e-6),
+    },
+    "step_diagonal": {"linear_drift": (6e-9, 1.2e-8)},
+    "rotary_axis": {"backlash_c": (5e-6, 2e-5)},
+    "probing": {"backlash_y": (4e-6, 8e-6)},
+}
+_PROCEDURES = {
+    "step_diagonal": "step_diagonal",
+    "rotary_axis": "rotary_axis_both_ways",
+    "probing": "probing_cross",
 }
 
 
@@ -40,7 +51,7 @@ class _Story:
         hidden: effect and its size; None if nothing was hidden.
         measured: the measurement, with the first model's result.
         improvement: the loop.
-        before: the first model's map against the truth.
+        before: the first model's map against the truth, for a method that maps the tool's position.
         after: the last model's.
         pictures: files.
     """
@@ -49,20 +60,32 @@ class _Story:
     hidden: FlawSpec | None
     measured: Measured
     improvement: Improvement
-    before: MapError
-    after: MapError
+    before: MapError | None
+    after: MapError | None
     pictures: list[Path]
 
 
 @click.command("demo")
 @click.option(
-    "--dimension", type=click.Choice(["2", "3"]), default="2", show_default=True, help="A plane, or the whole volume."
+    "--method",
+    type=click.Choice(list(_HIDDEN)),
+    default="tracking",
+    show_default=True,
+    help="What the machine is measured with.",
+)
+@click.option(
+    "--dimension",
+    type=click.Choice(["2", "3"]),
+    default="2",
+    show_default=True,
+    help="Tracking interferometer: a plane, or the whole volume.",
 )
 @click.option("--seed", type=click.IntRange(min=0), help="Repeats a demonstration; drawn at random if absent.")
 @click.option("--hide", metavar="ID", help="Effect to hide, or none; drawn at random if absent.")
 @graph_options
 @json_option
 def command(
+    method: str,
     dimension: str,
     seed: int | None,
     hide: str | None,
@@ -73,13 +96,14 @@ def command(
 ) -> None:
     """Measure a simulated machine that hides a physical effect, find it out, add it, and watch the error fall.
 
-    The whole way that a real measurement goes: the nodes of the graph are started, the machine is moved and measured
-    with a tracking interferometer at four stations, everything is recorded, and the errors are identified with their
-    uncertainty. The model is found to disagree with the readings, the missing effect is looked for and added. Only
-    then is told what was hidden, and the map is compared with the true errors, which nothing before has seen.
+    The whole way that a real measurement goes: the nodes of the graph are started, the machine is moved and measured,
+    everything is recorded, and the errors are identified with their uncertainty. The model is found to disagree with
+    the readings, the missing effect is looked for and added. Only then is told what was hidden, and the map is compared
+    with the true errors, which nothing before has seen.
     """
     number = int(np.random.default_rng().integers(1_000_000)) if seed is None else seed
-    hidden = _hidden(number, hide)
+    hidden = _hidden(method, number, hide)
+    procedure = _PROCEDURES.get(method, f"tracking_{dimension}d")
     setting = Setting(
         output=free_folder("demo", output),
         site=SiteSpec(seed=number, effects=(hidden,) if hidden else ()),
@@ -87,28 +111,29 @@ def command(
         namespace=namespace,
     )
     with bar() as progress:
-        measured = measure(procedure_file(f"tracking_{dimension}d"), setting, progress)
-        story = _story(number, hidden, measured, int(dimension), progress)
+        measured = measure(procedure_file(procedure), setting, progress)
+        story = _story(number, hidden, measured, progress)
     if as_json:
         write_json(_document(story))
         return
-    _tell(story, dimension)
+    _tell(story)
 
 
-def _hidden(seed: int, wanted: str | None) -> FlawSpec | None:
+def _hidden(method: str, seed: int, wanted: str | None) -> FlawSpec | None:
     """What the machine hides; the same seed hides the same."""
     rng = np.random.default_rng([seed, 1])
-    name = str(rng.choice(sorted(_HIDDEN)))
+    sizes = _HIDDEN[method]
+    name = str(rng.choice(sorted(sizes)))
     share = float(rng.uniform())
     if wanted == "none":
         return None
-    if wanted is not None and wanted not in _HIDDEN:
-        raise click.BadParameter(f"{wanted!r} is none of {', '.join([*_HIDDEN, 'none'])}", param_hint="--hide")
-    low, high = _HIDDEN[wanted or name]
+    if wanted is not None and wanted not in sizes:
+        raise click.BadParameter(f"{wanted!r} is none of {', '.join([*sizes, 'none'])}", param_hint="--hide")
+    low, high = sizes[wanted or name]
     return FlawSpec(id=wanted or name, size=low + share * (high - low))
 
 
-def _story(seed: int, hidden: FlawSpec | None, measured: Measured, dimension: int, progress: Any) -> _Story:
+def _story(seed: int, hidden: FlawSpec | None, measured: Measured, progress: Any) -> _Story:
     from machine_tool_calibration.methods.improve import improve
     from machine_tool_calibration.plots.improve import save_improvement
 
@@ -121,12 +146,18 @@ def _story(seed: int, hidden: FlawSpec | None, measured: Measured, dimension: in
     folder.mkdir()
     last = plain(improvement.steps[-1].result.document())
     pictures = [*draw(measured.session, last, folder), *save_improvement(improvement, folder)]
-    true = _truth(measured)
-    maps = [step.result.error_map.error[:, :dimension] for step in (improvement.steps[0], improvement.steps[-1])]
-    points = improvement.steps[0].result.error_map.points
-    actual = true(points)[:, :dimension]
-    before, after = (map_error(points[:, :dimension], one, actual) for one in maps)
+    before, after = (_judged(measured, step.result) for step in (improvement.steps[0], improvement.steps[-1]))
     return _Story(seed, hidden, measured, improvement, before, after, pictures)
+
+
+def _judged(measured: Measured, result: Result) -> MapError | None:
+    """A map of the tool's position error against the truth; None for a method that maps something else."""
+    if measured.session.method != "tracking_interferometer":
+        return None
+    dimension = int(getattr(measured.session.description, "dimension", 3))
+    points = result.error_map.points
+    actual = _truth(measured)(points)[:, :dimension]
+    return map_error(points[:, :dimension], result.error_map.error[:, :dimension], actual)
 
 
 def _truth(measured: Measured) -> Any:
@@ -142,26 +173,31 @@ def _truth(measured: Measured) -> Any:
     return at
 
 
-def _tell(story: _Story, dimension: str) -> None:
+def _tell(story: _Story) -> None:
     from machine_tool_calibration.cli.improve import show_improvement
 
     screen = console()
     measured = story.measured
     screen.print(
-        f"[bold]1. Measured[/]: a simulated machine (seed {story.seed}) in {dimension} dimensions from "
-        f"{len(measured.session.setup_ids)} stations, in {measured.seconds[0]:.1f} s altogether; the first model:"
+        f"[bold]1. Measured[/]: a simulated machine (seed {story.seed}), {measured.session.method.replace('_', ' ')}, "
+        f"{len(measured.session.setup_ids)} setups, in {measured.seconds[0]:.1f} s altogether; the first model:"
     )
     show_result(screen, measured)
     screen.print("\n[bold]2. Diagnosed and improved[/]")
     show_improvement(story.improvement)
     screen.print("\n[bold]3. The truth[/], which nothing before has seen")
     screen.print(_reveal(story), markup=False)
-    screen.print(
-        f"The map is off by {story.before.rms * 1e6:.2f} µm RMS with the first model and by "
-        f"{story.after.rms * 1e6:.2f} µm with the last (shift and turn taken out); the machine's own errors are "
-        f"{story.before.before * 1e6:.2f} µm RMS.\n"
-    )
+    if story.before is not None and story.after is not None:
+        _tell_map(story.before, story.after)
     show_files(screen, measured, [("picture" if p.suffix == ".png" else "table", p) for p in story.pictures])
+
+
+def _tell_map(before: MapError, after: MapError) -> None:
+    console().print(
+        f"The map is off by {before.rms * 1e6:.2f} µm RMS with the first model and by "
+        f"{after.rms * 1e6:.2f} µm with the last (shift and turn taken out); the machine's own errors are "
+        f"{before.before * 1e6:.2f} µm RMS.\n"
+    )
 
 
 def _reveal(story: _Story) -> str:
@@ -194,10 +230,10 @@ def _document(story: _Story) -> dict[str, Any]:
         "found": story.improvement.diagnosis.accepted,
         "hidden": story.hidden.id if story.hidden else None,
         "hidden_size": story.hidden.size if story.hidden else None,
-        "map_error_rms_before": story.before.rms,
-        "map_error_rms": story.after.rms,
-        "map_error_largest": story.after.largest,
-        "machine_error_rms": story.before.before,
+        "map_error_rms_before": story.before.rms if story.before else None,
+        "map_error_rms": story.after.rms if story.after else None,
+        "map_error_largest": story.after.largest if story.after else None,
+        "machine_error_rms": story.before.before if story.before else None,
         "result": measured.result,
         "improved": story.improvement.steps[-1].result.document(),
     }

@@ -35,7 +35,7 @@ __all__ = ["Absorbed", "Diagnosis", "Look", "Structure", "diagnose"]
 _LEVEL, _STRUCTURE_LEVEL = 0.03, 0.02
 _ROUNDS = 3
 # Chance at which places that differ more than their repeats, without any pattern, speak for something missing.
-_LACK_LEVEL = 0.003
+_LACK_LEVEL = 0.001
 # Structure that is left after the accepted effects speaks against them if it is this share of all that was found.
 _LEFT_OVER = 0.1
 # How much better a structure without a cause must do than the best effect to speak against it.

@@ -45,6 +45,9 @@ def same_place(observations: Observations) -> IntArray:
     keys = [readings.setup.astype(float)]
     keys += [np.round(readings.columns[a] * 1e9) for a in "xyzc" if a in readings.columns]
     keys += [readings.columns[f"dir_{a}"] for a in "xyzc" if f"dir_{a}" in readings.columns]
+    if observations.session.method == "direct":
+        # Deviations of one hole along x and along y do not repeat each other.
+        keys += list(np.round(observations.direction.T * 1e6))
     for values in readings.labels.values():
         keys.append(np.unique(values, return_inverse=True)[1].astype(float))
     return np.asarray(np.unique(np.stack(keys), axis=1, return_inverse=True)[1].reshape(-1))

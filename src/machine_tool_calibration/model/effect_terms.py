@@ -101,7 +101,8 @@ def best_shape(
     gains, sizes = explained(grid)
     if all(coefficient.discrete for coefficient in effect.shapes):
         # More unknowns always explain more: each must be worth its place.
-        price = fit.joint.reduced_chi_square * np.log(len(observations))
+        left = fit.solution.chi_square - max(gains)
+        price = max(left / fit.solution.degrees_of_freedom, 1e-12) * np.log(len(observations))
         gains = [gain - price * len(size) for gain, size in zip(gains, sizes, strict=True)]
     best = int(np.argmax(gains))
     shape, size = grid[best], sizes[best]
