@@ -107,7 +107,7 @@ def command(
     procedure = _PROCEDURES.get(method, f"tracking_{dimension}d")
     setting = Setting(
         output=free_folder("demo", output),
-        site=SiteSpec(seed=number, effects=(hidden,) if hidden else (), environment_swing=_SWING.get(method, 1.0)),
+        site=SiteSpec(seed=number, effects=(hidden,) if hidden else ()),
         domain=domain_id,
         namespace=namespace,
     )
