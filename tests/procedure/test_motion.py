@@ -60,7 +60,8 @@ def test_braking_ends_on_the_path_in_the_time_the_limits_need(start, end, share)
     here, speed = part.position(time), part.velocity(time)
     stop = brake(part, time, LIMITS)
     assert stop.position(0.0) == pytest.approx(here)
-    assert stop.velocity(0.0) == pytest.approx(speed, abs=1e-9)
+    # A position near 1 is rounded by 1e-16; just after the start that is a speed of sqrt(2 acceleration 1e-16) = 5e-8.
+    assert stop.velocity(0.0) == pytest.approx(speed, abs=1e-7)
     assert stop.duration == pytest.approx(max(abs(v) / LIMITS[n].acceleration for n, v in speed.items()), abs=1e-12)
     for name, value in stop.end.items():
         low, high = sorted((start[name], end[name]))
