@@ -22,6 +22,8 @@ from machine_tool_calibration.nodes.status import values
 __all__ = ["Operator", "Status"]
 
 _SPIN = 0.05  # s
+# A server may hear of a client later than the client of the server, and drops its answer then.
+_SETTLE = 0.5  # s
 
 
 @dataclass(frozen=True)
@@ -116,8 +118,11 @@ class Operator:
         Raises:
             CalibrationError: the service is missing, refuses, or does not answer in time.
         """
-        client = self._clients.get(service) or self._node.create_client(Trigger, service)
-        self._clients[service] = client
+        client = self._clients.get(service)
+        if client is None:
+            client = self._clients[service] = self._node.create_client(Trigger, service)
+            if self.wait(client.service_is_ready, timeout):
+                self.wait(lambda: False, _SETTLE)
         if not self.wait(client.service_is_ready, timeout):
             raise CalibrationError(f"the service {service} is not there after {timeout:g} s")
         future = client.call_async(Trigger.Request())
