@@ -14,6 +14,7 @@ import pandas as pd
 from machine_tool_calibration.recording.cdr import JOINT_STATE, NUMBERS
 from machine_tool_calibration.recording.errors import RecordingError
 from machine_tool_calibration.recording.reader import BagReader, Message, Topic
+from machine_tool_calibration.session.csv_text import write_csv
 
 __all__ = ["file_name", "save_table", "save_tables", "tables"]
 
@@ -164,7 +165,7 @@ def save_table(pieces: Iterator[pd.DataFrame], path: Path) -> None:
 def _csv(pieces: Iterator[pd.DataFrame], path: Path) -> None:
     with path.open("w", encoding="utf-8", newline="") as stream:
         for number, piece in enumerate(pieces):
-            piece.to_csv(stream, index=False, header=number == 0, lineterminator="\n")
+            write_csv(piece, stream, header=number == 0)
 
 
 def _parquet(pieces: Iterator[pd.DataFrame], path: Path) -> None:

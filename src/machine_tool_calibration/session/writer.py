@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.session.csv_text import write_csv
 from machine_tool_calibration.session.parse import description_yaml
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.session.table import NUMERIC_COLUMNS
@@ -52,7 +53,8 @@ def write_session(session: Session, folder: Path, *, overwrite: bool = False) ->
         # first beside the target, then renamed: a write that is cut short leaves what was there
         parts = [file.with_name(file.name + ".part") for file in (described, observed)]
         parts[0].write_text(description_yaml(session.description), encoding="utf-8")
-        readings_frame(session).to_csv(parts[1], index=False, lineterminator="\n")
+        with parts[1].open("w", encoding="utf-8", newline="") as stream:
+            write_csv(readings_frame(session), stream)
         for part, file in zip(parts, (described, observed), strict=True):
             os.replace(part, file)
     except OSError as error:

@@ -1,0 +1,79 @@
+"""Tables written fast have the bytes that pandas writes, and come back to the last bit."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pandas as pd
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from machine_tool_calibration.session.csv_text import write_csv
+
+
+def written(frame: pd.DataFrame, *, header: bool = True) -> str:
+    stream = io.StringIO()
+    write_csv(frame, stream, header=header)
+    return stream.getvalue()
+
+
+def by_pandas(frame: pd.DataFrame, *, header: bool = True) -> str:
+    return frame.to_csv(index=False, header=header, lineterminator="\n")
+
+
+def numbers(count: int, seed: int) -> dict[str, np.ndarray]:
+    """Numbers of every size and form."""
+    rng = np.random.default_rng(seed)
+    anything = rng.integers(0, 2**64, count, dtype=np.uint64).view(np.float64)
+    return {
+        "any": np.where(np.isnan(anything), 0.0, anything),
+        "size": 10 ** rng.uniform(-12, 20, count) * rng.choice([-1, 1], count),
+        "short": np.round(rng.normal(size=count), 3),
+        "half": rng.integers(-5, 5, count) * 0.5,
+        "zero": np.where(rng.random(count) < 0.5, -0.0, 0.0),
+        "binary": np.ldexp(rng.integers(1, 2**53, count).astype(float), rng.integers(-70, 5, count)),
+        "missing": np.where(rng.random(count) < 0.5, np.nan, rng.normal(size=count)),
+        "infinite": rng.choice([np.inf, -np.inf, 0.1], count),
+        "none": np.full(count, np.nan),
+        "whole": rng.integers(-9, 9, count),
+    }
+
+
+def test_the_bytes_of_pandas() -> None:
+    rng = np.random.default_rng(1)
+    count = 70_000  # more than a block
+    columns = numbers(count, 0) | {
+        "text": rng.choice(["a", "b,c", 'd"e', "", "line\nfeed", "é x", " lead", "1.5"], count),
+        "object": np.array(rng.choice(["x", None, "y z"], count), dtype=object),
+        "truth": rng.random(count) < 0.5,
+    }
+    frame = pd.DataFrame(columns)
+    assert written(frame) == by_pandas(frame)
+
+
+def test_numbers_come_back_to_the_last_bit() -> None:
+    frame = pd.DataFrame(numbers(30_000, 2)).drop(columns="whole")
+    rows = [line.split(",") for line in written(frame, header=False).splitlines()]
+    for name, fields in zip(frame, zip(*rows, strict=True), strict=True):
+        back = np.array([float(field or "nan") for field in fields])
+        assert back.tobytes() == frame[name].to_numpy().tobytes(), name
+
+
+def test_small_tables() -> None:
+    for frame in (
+        pd.DataFrame({"a": [], "b": []}),
+        pd.DataFrame({"a": [1.5, np.nan]}),
+        pd.DataFrame({"a": ["", "x"]}),
+        pd.DataFrame({"a,b": [1e-7], 'c"d': [""]}),
+        pd.DataFrame({"a": [None, None], "b": [1, 2]}),
+    ):
+        assert written(frame) == by_pandas(frame)
+        assert written(frame, header=False) == by_pandas(frame, header=False)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.tuples(st.floats(allow_nan=False), st.text(max_size=5)), min_size=1, max_size=8))
+def test_any_row(rows: list[tuple[float, str]]) -> None:
+    frame = pd.DataFrame(rows, columns=["number", "text"])
+    assert written(frame) == by_pandas(frame)
