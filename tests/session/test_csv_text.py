@@ -6,9 +6,11 @@ import io
 
 import numpy as np
 import pandas as pd
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from machine_tool_calibration.session import csv_text
 from machine_tool_calibration.session.csv_text import write_csv
 
 
@@ -70,6 +72,13 @@ def test_small_tables() -> None:
     ):
         assert written(frame) == by_pandas(frame)
         assert written(frame, header=False) == by_pandas(frame, header=False)
+
+
+def test_without_arrow(monkeypatch: pytest.MonkeyPatch) -> None:
+    frame = pd.DataFrame({"a": [1e-7, np.nan], "b": ["x", "y,z"]})
+    text = written(frame)
+    monkeypatch.setattr(csv_text, "arrow", None)
+    assert written(frame) == text
 
 
 @settings(max_examples=50, deadline=None)

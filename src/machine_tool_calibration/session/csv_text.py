@@ -2,6 +2,7 @@
 
 Formatting a number in Python costs half a microsecond, which is most of the time that pandas takes. Where Arrow writes
 the same shortest digits, Arrow writes them, a column at a time; other numbers are formatted once for each value.
+Without Arrow, pandas writes.
 """
 
 from __future__ import annotations
@@ -12,15 +13,18 @@ from typing import Any, TextIO
 
 import numpy as np
 import pandas as pd
-import pyarrow as arrow  # type: ignore[import-untyped]
-import pyarrow.compute as compute  # type: ignore[import-untyped]
 
 from machine_tool_calibration.arrays import Array
+
+try:
+    import pyarrow as arrow  # type: ignore[import-untyped]
+    import pyarrow.compute as compute  # type: ignore[import-untyped]
+except ImportError:  # where ROS 2 brings the packages, nothing brings this one
+    arrow = None
 
 __all__ = ["write_csv"]
 
 _BLOCK = 1 << 16  # rows
-_COMMA = arrow.scalar(",", arrow.large_string())
 # Where the shortest digits of Arrow have the form of Python's: no exponent, and a fraction.
 _PLAIN = (1e-4, 1e9)
 
@@ -33,15 +37,16 @@ def write_csv(frame: pd.DataFrame, stream: TextIO, *, header: bool = True) -> No
         stream: opened with `newline=""`.
         header: whether the names of the columns come first.
     """
-    if len(frame.columns) < 2:  # an empty field alone on a line needs quotes
+    if arrow is None or len(frame.columns) < 2:  # an empty field alone on a line needs quotes
         frame.to_csv(stream, index=False, header=header, lineterminator="\n")
         return
     if header:
         csv.writer(stream, lineterminator="\n").writerow(frame.columns)
+    comma = arrow.scalar(",", arrow.large_string())
     for start in range(0, len(frame), _BLOCK):
         block = frame.iloc[start : start + _BLOCK]
         fields = [_fields(block.iloc[:, j]) for j in range(len(block.columns))]
-        lines = compute.binary_join_element_wise(*fields, _COMMA)
+        lines = compute.binary_join_element_wise(*fields, comma)
         stream.write("\n".join(lines.to_pylist()))
         stream.write("\n")
 
