@@ -1,15 +1,26 @@
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
 
 pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
 from machine_tool_calibration.nodes.graph import Graph, Program
 from machine_tool_calibration.nodes.operator import Operator
+from machine_tool_calibration.nodes.qos import LATCHED, READINGS
+from machine_tool_calibration.nodes.stamps import to_message
+from machine_tool_calibration.recording.session_to_bag import reading_columns
+from machine_tool_calibration.session.parse import description_yaml
+from machine_tool_calibration.session.session import Session
 
+# s: as long as a slow and busy machine may take for anything that needs no time of its own; reached only in a failure
+PATIENCE = 60.0
 ORIGIN = 1_700_000_000.0
 
 PROCEDURE = {
@@ -118,3 +129,41 @@ def begin(operator: Operator) -> None:
     ), operator.procedure
     operator.call("procedure/start", 10.0)
     assert operator.wait(lambda: operator.procedure.entries["state"] != "idle", 10.0)
+
+
+def ask(operator: Operator, kind: Any, service: str, request: Any) -> Any:
+    """A service's response, asked for again until it comes; only for requests that may be repeated.
+
+    An answer is lost where the server does not know its client yet.
+    """
+    client = operator._node.create_client(kind, service)
+    assert operator.wait(client.service_is_ready, PATIENCE), service
+    answered: list[Any] = []
+
+    def answer() -> bool:
+        asked = client.call_async(request)
+        if operator.wait(asked.done, 3.0):
+            answered.append(asked.result())
+        return bool(answered)
+
+    assert operator.wait(answer, PATIENCE), f"{service} does not answer"
+    return answered[0]
+
+
+def feed(operator: Operator, session: Session, start: int = round(ORIGIN * 1e9)) -> None:
+    """Publish a session as the procedure does, latched, and wait until the estimator has it."""
+    description = operator._node.create_publisher(String, "session", LATCHED)
+    publisher = operator._node.create_publisher(JointState, "reading", READINGS)
+    description.publish(String(data=description_yaml(session.description)))
+    names, table = reading_columns(session)
+    for setup, row in zip(session.readings.setup, table, strict=True):
+        message = JointState(name=names, position=row.tolist())
+        message.header.stamp = to_message(start + round(row[names.index("time")] * 1e9))
+        message.header.frame_id = session.setup_ids[setup]
+        publisher.publish(message)
+    assert operator.wait(
+        lambda: (
+            operator.estimator.number("readings") == len(table) and operator.estimator.entries["session"] == "described"
+        ),
+        PATIENCE,
+    ), operator.estimator

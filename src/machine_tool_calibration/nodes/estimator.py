@@ -1,63 +1,52 @@
-"""Collects the readings of a session and identifies the machine's errors on request.
+"""Collects the readings of a session; on request identifies the machine's errors, and says what the model lacks.
 
-The map, the residuals and the result are latched, so a program that starts later gets them too. The calculation runs
-in a thread of its own; readings go on being collected meanwhile.
+The map, the residuals, the verdict and all documents are latched, so a program that starts later gets them too. The
+calculations run in a thread of their own; readings go on being collected meanwhile.
 """
 
 from __future__ import annotations
 
 import json
-import threading
-from dataclasses import dataclass
+import os
+import sys
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
 
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from sensor_msgs.msg import JointState, PointCloud2
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
-from visualization_msgs.msg import MarkerArray
 
-from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.model.result import Result
-from machine_tool_calibration.nodes.clouds import cloud
+from machine_tool_calibration.nodes.background import Background, Progress
+from machine_tool_calibration.nodes.calculation import (
+    Diagnosed,
+    Identified,
+    Improved,
+    Reading,
+    Request,
+    compared,
+    diagnosed,
+    identified,
+    improved,
+)
 from machine_tool_calibration.nodes.deferred import Answer, DeferredService
-from machine_tool_calibration.nodes.map_views import arrows, axis_cloud
 from machine_tool_calibration.nodes.parameters import declare
-from machine_tool_calibration.nodes.process import STOP_GRACE, post, run
+from machine_tool_calibration.nodes.process import STOP_GRACE, run
+from machine_tool_calibration.nodes.publications import Publications
 from machine_tool_calibration.nodes.qos import LATCHED, READINGS
 from machine_tool_calibration.nodes.stamps import from_message, now
 from machine_tool_calibration.nodes.status import Level, status_message
-from machine_tool_calibration.session.collect import Collector
-from machine_tool_calibration.session.parse import parse_description
-from machine_tool_calibration.session.place import Place
-from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.nodes.verdict import in_words
 
 __all__ = ["Estimator", "main"]
 
+Outcome = TypeVar("Outcome")
+
 _SAME_SESSION = 1_000_000  # ns: rounding of a reading's time
 _PERIOD = 0.2  # s between publications of the count of readings
-
-
-@dataclass(frozen=True)
-class _Reading:
-    """One `reading` message."""
-
-    setup: str
-    names: list[str]
-    values: list[float]
-
-
-@dataclass(frozen=True)
-class _Outcome:
-    """What the thread has made."""
-
-    session: Session
-    result: Result
-    document: str
 
 
 class Estimator(Node):
@@ -65,6 +54,29 @@ class Estimator(Node):
 
     def __init__(self) -> None:
         super().__init__("estimator")
+        self._declare()
+        self._text = ""
+        self._messages: dict[int, Reading] = {}
+        self._origin: int | None = None
+        self.background = Background(self)
+        self._last, self._level = "no identification yet", Level.OK
+        self._shown: object = None
+        self._results = Publications(self)
+        self._status = self.create_publisher(DiagnosticArray, "estimator/status", LATCHED)
+        self.create_subscription(String, "session", self._described, LATCHED)
+        self.create_subscription(JointState, "reading", self._read, READINGS)
+        for name, doing, work, done in (
+            ("identify", "identifying", identified, self._identified),
+            ("compare", "comparing", compared, self._compared),
+            ("diagnose", "diagnosing", diagnosed, self._diagnosed),
+            ("improve", "improving the model", improved, self._improved),
+        ):
+            self._offer(name, doing, work, done)
+        self.create_service(Trigger, "estimator/reset", self._reset)
+        self.create_timer(_PERIOD, self._show, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._show()
+
+    def _declare(self) -> None:
         declare(
             self,
             "model",
@@ -72,29 +84,37 @@ class Estimator(Node):
             "variant of the method's model, such as free or rigid_body; empty: the method's default",
             read_only=False,
         )
-        declare(self, "effects", [""], "ids of physical effects to add to the model", read_only=False)
+        declare(
+            self,
+            "effects",
+            [""],
+            "ids of physical effects in the model; estimator/improve adds those that it finds",
+            read_only=False,
+        )
+        declare(
+            self,
+            "effects_files",
+            [""],
+            "YAML files with effects of the user's own, by formula; they are looked for beside the catalogue",
+            read_only=False,
+        )
+        declare(self, "seed", 1, "of a diagnosis's simulated data sets", low=0, high=2**31 - 1, read_only=False)
+        declare(
+            self,
+            "sets",
+            399,
+            "simulated data sets in which nothing is missing; they decide what chance can do",
+            low=199,
+            high=99_999,
+            read_only=False,
+        )
         declare(
             self, "magnification", 0.0, "of errors as arrows; 0: a round number", unit="1", low=0.0, read_only=False
         )
-        self._text = ""
-        self._messages: dict[int, _Reading] = {}
-        self._origin: int | None = None
-        self._thread: threading.Thread | None = None
-        self._last = "no identification yet"
-        self._level = Level.OK
-        self._shown: object = None
-        self._map = self.create_publisher(PointCloud2, "error_map", LATCHED)
-        self._document = self.create_publisher(String, "error_map/result", LATCHED)
-        self._axes = self.create_publisher(PointCloud2, "error_map/axes", LATCHED)
-        self._arrows = self.create_publisher(MarkerArray, "error_map/arrows", LATCHED)
-        self._residuals = self.create_publisher(PointCloud2, "residuals", LATCHED)
-        self._status = self.create_publisher(DiagnosticArray, "estimator/status", LATCHED)
-        self.create_subscription(String, "session", self._described, LATCHED)
-        self.create_subscription(JointState, "reading", self._read, READINGS)
-        DeferredService(self, Trigger, "estimator/identify", self._identify)
-        self.create_service(Trigger, "estimator/reset", self._reset)
-        self.create_timer(_PERIOD, self._show, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self._show()
+
+    def close(self) -> None:
+        """The node ends."""
+        self.background.stop()
 
     def _described(self, message: String) -> None:
         self._text = message.data
@@ -106,7 +126,7 @@ class Estimator(Node):
         if self._origin is None or abs(origin - self._origin) > _SAME_SESSION:
             self._messages.clear()  # another session has begun
             self._origin = origin
-        self._messages[stamp] = _Reading(message.header.frame_id, names, values)
+        self._messages[stamp] = Reading(message.header.frame_id, names, values)
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.success, response.message = True, f"{len(self._messages)} readings forgotten"
@@ -115,106 +135,146 @@ class Estimator(Node):
         self._show()
         return response
 
-    def _identify(self, answer: Answer) -> None:
-        if self._thread is not None:
-            answer.send(False, "an identification is under way")
-            return
-        if not self._text:
-            answer.send(False, "no session has been described yet (topic session)")
-            return
-        text, messages = self._text, [self._messages[stamp] for stamp in sorted(self._messages)]
-        model = str(self.get_parameter("model").value) or None
-        effects = [effect for effect in self.get_parameter("effects").value or [] if effect]
+    def _offer(
+        self,
+        name: str,
+        doing: str,
+        work: Callable[[Request, Progress], Outcome],
+        done: Callable[[Outcome], tuple[str, Mapping[str, Any]]],
+    ) -> None:
+        """Offer a calculation as a service.
 
-        def work() -> None:
-            try:
-                outcome: _Outcome | str = _calculate(text, messages, model, effects)
-            except CalibrationError as error:
-                outcome = str(error)
-            except Exception as error:  # a fault of ours must not end the node
-                outcome = f"unexpected {type(error).__name__}: {error}"
-            post(self, lambda: self._finish(answer, outcome))
+        Args:
+            name: of the service, below `estimator/`.
+            doing: what it does, for people.
+            work: calculates.
+            done: publishes the outcome; gives a sentence for the status, and the answer.
+        """
 
-        self._thread = threading.Thread(target=work, name="identification", daemon=True)
-        self._last, self._level = f"identifying from {len(messages)} readings", Level.OK
-        self._show()
-        self._thread.start()
+        def called(answer: Answer) -> None:
+            if self.background.busy:
+                seconds = f"{self.background.seconds:.0f} s so far"
+                answer.send(False, f"busy: {self.background.doing} ({seconds}); ask again when that is done")
+                return
+            if not self._text:
+                answer.send(False, "no session has been described yet (topic session)")
+                return
+            request = self._request()
 
-    def _finish(self, answer: Answer, outcome: _Outcome | str) -> None:
-        self._thread = None
-        if isinstance(outcome, str):
-            self._last, self._level = outcome, Level.ERROR
-            answer.send(False, outcome)
+            def finish(outcome: Outcome | str) -> None:
+                if isinstance(outcome, str):
+                    self._last, self._level = outcome, Level.ERROR
+                    answer.send(False, outcome)
+                else:
+                    words, content = done(outcome)
+                    self._last, self._level = words, Level.OK
+                    answer.send(True, json.dumps(content, allow_nan=False))
+                self._show()
+
+            self.background.start(
+                f"{doing} from {len(request.readings)} readings", lambda progress: work(request, progress), finish
+            )
             self._show()
-            return
+
+        DeferredService(self, Trigger, f"estimator/{name}", called)
+
+    def _request(self) -> Request:
+        values = {
+            name: self.get_parameter(name).value for name in ("model", "effects", "effects_files", "seed", "sets")
+        }
+        return Request(
+            text=self._text,
+            readings=[self._messages[stamp] for stamp in sorted(self._messages)],
+            model=values["model"] or None,
+            effects=tuple(name for name in values["effects"] or () if name),
+            files=tuple(name for name in values["effects_files"] or () if name),
+            seed=values["seed"],
+            sets=values["sets"],
+        )
+
+    def _identified(self, outcome: Identified) -> tuple[str, Mapping[str, Any]]:
         result = outcome.result
-        stamp = now(self)
-        self._map.publish(cloud(stamp, _map_fields(result)))
-        self._axes.publish(axis_cloud(stamp, result))
-        self._arrows.publish(arrows(stamp, result.error_map, self.get_parameter("magnification").value))
-        self._residuals.publish(cloud(stamp, _residual_fields(outcome.session, result)))
-        self._document.publish(String(data=outcome.document))
-        summary = {
+        self._results.show_map(outcome, self.get_parameter("magnification").value)
+        content = {
             "observations": result.observations,
             "used": len(result.fit.residuals),
             "rms_residual": result.rms_residual,
             "reduced_chi_square": result.fit.joint.reduced_chi_square,
         }
-        self._last = f"identified from {result.observations} readings: {result.rms_residual * 1e6:.3f} um RMS residual"
-        self._level = Level.OK
-        self._show()
-        answer.send(True, json.dumps(summary))
+        residual = f"{result.rms_residual * 1e6:.3f} um RMS residual"
+        return f"identified from {result.observations} readings: {residual}", content
+
+    def _compared(self, outcome: tuple[Mapping[str, Any], str]) -> tuple[str, Mapping[str, Any]]:
+        content, document = outcome
+        self._results.show_comparison(document)
+        told = ("summary", "readings", "rms_residual", "reduced_chi_square", "p_value")
+        return f"compared: {content['summary']}", {name: content[name] for name in told}
+
+    def _diagnosed(self, outcome: Diagnosed) -> tuple[str, Mapping[str, Any]]:
+        self._results.show_diagnosis(outcome)
+        content = outcome.content
+        words = in_words(outcome)
+        return f"diagnosed: {words}", {
+            "verdict": content["verdict"],
+            "accepted": content["accepted"],
+            "summary": words,
+            "rms_before": content["fit"]["before"]["rms_residual"],
+            "rms_after": content["fit"]["after"]["rms_residual"],
+        }
+
+    def _improved(self, outcome: Improved) -> tuple[str, Mapping[str, Any]]:
+        self._results.show_diagnosis(outcome.diagnosed)
+        self._results.show_map(outcome.identified, self.get_parameter("magnification").value)
+        first, last = outcome.steps.steps[0], outcome.steps.steps[-1]
+        effects = list(last.result.effects)
+        self.set_parameters([Parameter("effects", Parameter.Type.STRING_ARRAY, effects or [""])])
+        added = list(outcome.diagnosed.content["accepted"])
+        before, after = first.result.rms_residual, last.result.rms_residual
+        words = f"improved by {', '.join(added) or 'nothing'}: {before * 1e6:.3f} -> {after * 1e6:.3f} um RMS residual"
+        return words, {
+            "verdict": outcome.diagnosed.content["verdict"],
+            "accepted": added,
+            "effects": effects,
+            "set_aside": [int(row) for row in last.set_aside],
+            "rms_before": before,
+            "rms_after": after,
+            "reduced_chi_square_before": first.reduced_chi_square,
+            "reduced_chi_square_after": last.reduced_chi_square,
+        }
 
     def _show(self) -> None:
         """Publish the status where it has changed."""
+        background = self.background
         entries = {
             "readings": len(self._messages),
             "session": "described" if self._text else "unknown",
-            "busy": self._thread is not None,
+            "busy": background.busy,
+            "step": background.step,
+            "progress": f"{background.share:.2f}",
         }
-        if (entries, self._last) == self._shown:
+        words = background.doing or self._last
+        if (entries, words) == self._shown:
             return
-        self._shown = (entries, self._last)
-        self._status.publish(status_message(now(self), "estimator", self._level, self._last, entries))
-
-
-def _calculate(text: str, messages: list[_Reading], model: str | None, effects: list[str]) -> _Outcome:
-    collector = Collector(parse_description(text, "session"), Place("session", "reading"))
-    for message in messages:
-        collector.add(message.setup, message.names, message.values)
-    session = collector.session("live readings")
-    result = identify(session, model=model, effects=effects)
-    return _Outcome(session, result, json.dumps(result.document(), allow_nan=False))
-
-
-def _map_fields(result: Result) -> dict[str, Array]:
-    fields = {}
-    for names, values in (
-        (("x", "y", "z"), result.error_map.points),
-        (("ex", "ey", "ez"), result.error_map.error),
-        (("ux", "uy", "uz"), result.error_map.uncertainty),
-    ):
-        fields |= {name: np.asarray(values[:, index]) for index, name in enumerate(names)}
-    return fields
-
-
-def _residual_fields(session: Session, result: Result) -> dict[str, Array]:
-    readings = result.fit.model.observations.readings
-    position = readings.position()
-    return {
-        **{axis: position[:, index] for index, axis in enumerate("xyz")},
-        "measured": readings.displacement,
-        "predicted": result.fit.predicted,
-        "residual": result.fit.residuals,
-        "row": readings.row.astype(float),
-        "setup": readings.setup.astype(float),
-        "repeat": readings.repeat.astype(float),
-    }
+        self._shown = (entries, words)
+        level = Level.OK if background.busy else self._level
+        self._status.publish(status_message(now(self), "estimator", level, words, entries))
 
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    return run(Estimator, args, grace=STOP_GRACE)
+    made: list[Estimator] = []
+
+    def create() -> Estimator:
+        made.append(Estimator())
+        return made[-1]
+
+    status = run(create, args, grace=STOP_GRACE)
+    if made and made[0].background.busy:
+        # All is closed. The interpreter would wait for, or trip over, a calculation that nobody wants any more.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)
+    return status
 
 
 if __name__ == "__main__":

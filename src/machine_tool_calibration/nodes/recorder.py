@@ -7,7 +7,7 @@ from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
@@ -16,7 +16,7 @@ from machine_tool_calibration.nodes.parameters import declare
 from machine_tool_calibration.nodes.process import run, use_sim_time
 from machine_tool_calibration.nodes.qos import LATCHED
 from machine_tool_calibration.nodes.stamps import now, to_message
-from machine_tool_calibration.nodes.status import Level
+from machine_tool_calibration.nodes.status import Level, status
 from machine_tool_calibration.nodes.taps import Taken, Tap, Taps
 from machine_tool_calibration.recording.errors import RecordingError
 from machine_tool_calibration.recording.graph import GRAPH_TOPICS, belongs_to_graph
@@ -172,7 +172,7 @@ class Recorder(Node):
             "size": self.bag.size,
             **{f"not recorded {name}": reason for name, reason in self._refused.items()},
         }
-        message = DiagnosticArray(status=[_entry("recorder", level, text, overall)])
+        message = DiagnosticArray(status=[status("recorder", level, text, overall)])
         message.header.stamp = to_message(now(self))
         for name, tap in sorted(taps.items()):
             values = {
@@ -182,18 +182,8 @@ class Recorder(Node):
                 "lost": tap.lost,
                 "sent before the first": tap.unseen,
             }
-            message.status.append(_entry(name, Level.WARN if tap.lost else Level.OK, "subscribed", values))
+            message.status.append(status(name, Level.WARN if tap.lost else Level.OK, "subscribed", values))
         self._status.publish(message)
-
-
-def _entry(name: str, level: Level, text: str, values: dict[str, object]) -> DiagnosticStatus:
-    return DiagnosticStatus(
-        level=bytes([level]),
-        name=name,
-        message=text,
-        hardware_id="machine_tool_calibration",
-        values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
-    )
 
 
 def main(args: list[str] | None = None) -> int:

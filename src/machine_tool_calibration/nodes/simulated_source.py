@@ -93,9 +93,7 @@ class SimulatedSource:
     # --- geometry
 
     def _moment(self, time: int) -> Moment:
-        return Moment(
-            seconds(time - self._origin), {}, {}, self.setup_index, seconds(self._setup_start - self._origin)
-        )
+        return Moment(seconds(time - self._origin), {}, {}, self.setup_index, seconds(self._setup_start - self._origin))
 
     def _target(self, pose: Pose) -> Array:
         return self.optics.target(pose, self._beam, self._moment(pose.stamp))

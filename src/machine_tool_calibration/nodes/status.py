@@ -9,7 +9,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from machine_tool_calibration.nodes.stamps import to_message
 
-__all__ = ["Level", "status_message", "values"]
+__all__ = ["Level", "status", "status_message", "values"]
 
 
 class Level(IntEnum):
@@ -20,8 +20,26 @@ class Level(IntEnum):
     ERROR = 2
 
 
+def status(name: str, level: Level, message: str, entries: Mapping[str, object]) -> DiagnosticStatus:
+    """One entry.
+
+    Args:
+        name: what it is about.
+        level: how it is.
+        message: one sentence for people.
+        entries: values for programs.
+    """
+    return DiagnosticStatus(
+        level=bytes([level]),
+        name=name,
+        message=message,
+        hardware_id="machine_tool_calibration",
+        values=[KeyValue(key=key, value=str(value)) for key, value in entries.items()],
+    )
+
+
 def status_message(stamp: int, name: str, level: Level, message: str, entries: Mapping[str, object]) -> DiagnosticArray:
-    """One status.
+    """A message of one entry.
 
     Args:
         stamp: ROS time, ns.
@@ -30,14 +48,7 @@ def status_message(stamp: int, name: str, level: Level, message: str, entries: M
         message: one sentence for people.
         entries: values for programs.
     """
-    status = DiagnosticStatus(
-        level=bytes([level]),
-        name=name,
-        message=message,
-        hardware_id="machine_tool_calibration",
-        values=[KeyValue(key=key, value=str(value)) for key, value in entries.items()],
-    )
-    array = DiagnosticArray(status=[status])
+    array = DiagnosticArray(status=[status(name, level, message, entries)])
     array.header.stamp = to_message(stamp)
     return array
 

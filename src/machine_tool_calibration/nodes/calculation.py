@@ -1,0 +1,200 @@
+"""What the estimator calculates: from collected messages to the documents that the command line prints as well."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from machine_tool_calibration.diagnosis.compare import compare
+from machine_tool_calibration.diagnosis.compare_document import comparison_document
+from machine_tool_calibration.diagnosis.consequence import Consequence, consequences
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
+from machine_tool_calibration.diagnosis.document import diagnosis_document
+from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.effects.formula import read_effects
+from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.methods.improve import Improvement, improve
+from machine_tool_calibration.model.result import Result, plain
+from machine_tool_calibration.nodes.background import Progress
+from machine_tool_calibration.planning.advice import Advice
+from machine_tool_calibration.planning.what_to_measure import what_to_measure
+from machine_tool_calibration.session.collect import Collector
+from machine_tool_calibration.session.parse import parse_description
+from machine_tool_calibration.session.place import Place
+from machine_tool_calibration.session.session import Session
+
+__all__ = [
+    "Diagnosed",
+    "Identified",
+    "Improved",
+    "Reading",
+    "Request",
+    "compared",
+    "diagnosed",
+    "identified",
+    "improved",
+]
+
+# Shares of the time of a diagnosis: the search, and what the candidates would change; the rest goes to the advice.
+_SEARCH, _CHANGES = 0.7, 0.1
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One `reading` message."""
+
+    setup: str
+    names: list[str]
+    values: list[float]
+
+
+@dataclass(frozen=True)
+class Request:
+    """What to calculate from.
+
+    Attributes:
+        text: the session's description.
+        readings: in the order of time.
+        model: variant of the method's model; None for its default.
+        effects: ids of the effects in the model.
+        files: of the user's own effects.
+        seed: of the simulated data sets of a diagnosis.
+        sets: how many of them.
+    """
+
+    text: str
+    readings: list[Reading]
+    model: str | None
+    effects: tuple[str, ...]
+    files: tuple[str, ...]
+    seed: int
+    sets: int
+
+    def session(self) -> Session:
+        """The readings as a session.
+
+        Raises:
+            SessionError: they do not make one yet.
+        """
+        collector = Collector(parse_description(self.text, "session"), Place("session", "reading"))
+        for reading in self.readings:
+            collector.add(reading.setup, reading.names, reading.values)
+        return collector.session("live readings")
+
+    def own(self) -> list[Effect]:
+        """The user's own effects.
+
+        Raises:
+            CalibrationError: a file cannot be read, or an effect is wrong.
+        """
+        return [effect for file in self.files for effect in read_effects(Path(file))]
+
+
+@dataclass(frozen=True)
+class Identified:
+    """An error map, with the document `mtcal-result/1` as JSON."""
+
+    result: Result
+    document: str
+
+
+@dataclass(frozen=True)
+class Diagnosed:
+    """A diagnosis, what its candidates change, and what to measure next; with the document `mtcal-diagnosis/1`."""
+
+    found: Diagnosis
+    changes: Mapping[str, Consequence]
+    advice: Advice
+    content: Mapping[str, Any]
+    document: str
+
+
+@dataclass(frozen=True)
+class Improved:
+    """The models from the first to the last, the diagnosis behind them, and the map of the last."""
+
+    steps: Improvement
+    diagnosed: Diagnosed
+    identified: Identified
+
+
+def identified(request: Request, progress: Progress) -> Identified:
+    """Fit the model.
+
+    Raises:
+        CalibrationError: the readings do not allow it.
+    """
+    progress("fitting the model", 0.0)
+    return _identified(identify(request.session(), model=request.model, effects=request.effects, own=request.own()))
+
+
+def compared(request: Request, progress: Progress) -> tuple[Mapping[str, Any], str]:
+    """Hold the readings against the fitted model: the document `mtcal-comparison/1`, and as JSON.
+
+    Raises:
+        CalibrationError: the readings do not allow it.
+    """
+    progress("comparing", 0.0)
+    comparison = compare(request.session(), model=request.model, effects=request.effects, own=request.own())
+    content = comparison_document(comparison)
+    return content, _json(content)
+
+
+def diagnosed(request: Request, progress: Progress) -> Diagnosed:
+    """Look for the effects that the model lacks.
+
+    Raises:
+        CalibrationError: the readings do not allow it.
+    """
+    own = request.own()
+    found = diagnose(
+        request.session(),
+        model=request.model,
+        effects=request.effects,
+        own=own,
+        seed=request.seed,
+        sets=request.sets,
+        progress=lambda step, share: progress(step, _SEARCH * share),
+    )
+    return _diagnosed(request, own, found, progress)
+
+
+def improved(request: Request, progress: Progress) -> Improved:
+    """Diagnose, accept what is found, and identify again.
+
+    Raises:
+        CalibrationError: the readings do not allow it.
+    """
+    own = request.own()
+    steps = improve(
+        request.session(),
+        model=request.model,
+        effects=request.effects,
+        own=own,
+        seed=request.seed,
+        sets=request.sets,
+        progress=lambda step, share: progress(step, _SEARCH * share),
+    )
+    return Improved(steps, _diagnosed(request, own, steps.diagnosis, progress), _identified(steps.steps[-1].result))
+
+
+def _identified(result: Result) -> Identified:
+    return Identified(result, _json(result.document()))
+
+
+def _diagnosed(request: Request, own: list[Effect], found: Diagnosis, progress: Progress) -> Diagnosed:
+    progress("what the candidates would change", _SEARCH)
+    changes = consequences(found)
+    done = _SEARCH + _CHANGES
+    advice = what_to_measure(
+        found, model=request.model, own=own, progress=lambda step, share: progress(step, done + (1.0 - done) * share)
+    )
+    content = diagnosis_document(found, advice, changes)
+    return Diagnosed(found, changes, advice, content, _json(content))
+
+
+def _json(content: Mapping[str, Any]) -> str:
+    return json.dumps(plain(content), allow_nan=False)

@@ -1,0 +1,163 @@
+"""The estimator says what the model lacks, adds it, and goes on hearing readings meanwhile."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.srv import GetParameters, SetParameters
+from rclpy.parameter import Parameter, parameter_value_to_python
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.nodes.qos import LATCHED
+from machine_tool_calibration.session.open import open_measurement
+from machine_tool_calibration.session.writer import write_session
+from machine_tool_calibration.simulation.simulate import simulate
+from machine_tool_calibration.simulation.spec import FlawSpec, SimulationSpec
+from machine_tool_calibration.simulation.tracking_run import TrackingPlan
+
+from .conftest import PATIENCE, ask, feed
+
+GRID = (0.0, 0.1, 0.2, 0.3, 0.4)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A session of a machine whose Y axis has backlash."""
+    plan = TrackingPlan(dimension=2, x=GRID, y=GRID)
+    spec = SimulationSpec(plan=plan, effects=(FlawSpec(id="backlash_y", size=2e-6),), seed=4)
+    made = tmp_path_factory.mktemp("backlash") / "session"
+    write_session(simulate(spec).session, made)
+    return made
+
+
+def printed(*words):
+    """What the command line prints, as a document."""
+    command = [sys.executable, "-m", "machine_tool_calibration", *map(str, words), "--json"]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    return json.loads(ended.stdout)
+
+
+class Heard:
+    """The newest message of each latched topic."""
+
+    def __init__(self, operator, **topics):
+        self.operator, self.messages = operator, {}
+        for name, kind in topics.items():
+            operator._node.create_subscription(kind, name.replace("__", "/"), self._keep(name), LATCHED)
+
+    def _keep(self, name):
+        return lambda message: self.messages.__setitem__(name, message)
+
+    def __getitem__(self, name):
+        assert self.operator.wait(lambda: name in self.messages, PATIENCE), name
+        return self.messages[name]
+
+
+def entries(status):
+    return {entry.key: entry.value for entry in status.values}
+
+
+@pytest.mark.timeout(300)
+def test_the_loop_live_gives_the_documents_of_the_command_line_to_the_last_bit(bench, folder):
+    operator = bench.operator(bench.graph(("estimator",), simulated_time=False))
+    feed(operator, open_measurement(folder))
+    names = {"diagnosis": DiagnosticArray, "diagnosis__result": String, "comparison__result": String}
+
+    compared = json.loads(operator.call("estimator/compare", PATIENCE))
+    assert compared["reduced_chi_square"] > 2.0 and compared["summary"].startswith("the readings scatter")
+    diagnosed = json.loads(operator.call("estimator/diagnose", PATIENCE))
+    assert diagnosed["verdict"] == "missing_effect" and diagnosed["accepted"] == ["backlash_y"]
+    assert diagnosed["rms_after"] < 0.5 * diagnosed["rms_before"]
+    heard = Heard(operator, **names)  # latched: they come after the fact
+    assert json.loads(heard["comparison__result"].data) == printed("compare", folder)
+    document = json.loads(heard["diagnosis__result"].data)
+    assert document == printed("diagnose", folder)
+
+    verdict, first, *others = heard["diagnosis"].status
+    assert (verdict.name, verdict.level) == ("verdict", b"\x01")
+    assert verdict.message.startswith("The model lacks backlash of Y (backlash_y).")
+    assert entries(verdict)["accepted"] == "backlash_y"
+    assert (first.name, first.level) == ("backlash_y", b"\x01") and first.message.startswith("backlash of Y: b = ")
+    (parameter,) = document["candidates"][0]["parameters"]
+    told = entries(first)
+    assert float(told["backlash_y.b"]) == parameter["value"] == pytest.approx(2e-6, abs=2e-7)
+    assert float(told["backlash_y.b standard_uncertainty"]) == parameter["standard_uncertainty"]
+    assert told["backlash_y.b unit"] == "m" and told["accepted"] == "True" and told["rank"] == "1"
+    assert [status.name for status in others] == [entry["effect"] for entry in document["candidates"][1:]]
+    assert {status.level for status in others} == {b"\x00"}
+
+    improved = json.loads(operator.call("estimator/improve", PATIENCE))
+    assert improved["effects"] == ["backlash_y"] and improved["rms_after"] < 0.5 * improved["rms_before"]
+    assert operator.wait(lambda: bool(operator.document), PATIENCE)
+    with_effect = printed("identify", folder, "--effect", "backlash_y")
+    assert json.loads(operator.document) == with_effect
+    # the effect stays in the model
+    found = ask(operator, GetParameters, "estimator/get_parameters", GetParameters.Request(names=["effects"]))
+    assert list(parameter_value_to_python(found.values[0])) == ["backlash_y"]
+    again = json.loads(operator.call("estimator/diagnose", PATIENCE))
+    assert again["verdict"] == "adequate" and again["accepted"] == []
+
+
+@pytest.mark.timeout(300)
+def test_a_second_request_is_refused_readings_go_on_and_a_signal_ends_it(bench, folder):
+    # a hundred thousand simulated sets: longer than any test waits
+    graph = bench.graph(("estimator",), simulated_time=False, more={"estimator": {"sets": 99_999}})
+    operator = bench.operator(graph)
+    session = open_measurement(folder)
+    feed(operator, session)
+    client = operator._node.create_client(Trigger, "estimator/diagnose")
+    assert operator.wait(client.service_is_ready, PATIENCE)
+    client.call_async(Trigger.Request())
+    assert operator.wait(lambda: operator.estimator.entries["busy"] == "True", PATIENCE)
+    with pytest.raises(CalibrationError, match=r"busy: diagnosing from 200 readings \(\d+ s so far\); ask again"):
+        operator.call("estimator/identify", PATIENCE)
+    assert operator.wait(lambda: "simulated sets" in operator.estimator.entries["step"], PATIENCE)
+    feed(operator, session, start=3 * 10**18)  # another session, while it calculates
+    assert operator.estimator.entries["busy"] == "True"
+    began = time.monotonic()
+    assert graph.kill("estimator", signal.SIGTERM) == 0
+    assert time.monotonic() - began < 2.0
+
+
+@pytest.mark.timeout(300)
+def test_effects_of_the_users_own_and_what_is_wrong(bench, folder):
+    operator = bench.operator(bench.graph(("estimator",), simulated_time=False))
+    with pytest.raises(CalibrationError, match="no session has been described yet"):
+        operator.call("estimator/diagnose", PATIENCE)
+    feed(operator, open_measurement(folder))
+    own = bench.write(
+        "own.yaml",
+        {
+            "effects": [
+                {
+                    "id": "my_reversal",
+                    "title": "reversal of Y",
+                    "enters": "y",
+                    "formula": "-b * dir_y",
+                    "coefficients": {"b": {"unit": "m", "low": -1e-4, "high": 1e-4}},
+                }
+            ]
+        },
+    )
+
+    def put(name, kind, value):
+        request = SetParameters.Request(parameters=[Parameter(name, kind, value).to_parameter_msg()])
+        return ask(operator, SetParameters, "estimator/set_parameters", request).results[0].successful
+
+    assert put("effects_files", Parameter.Type.STRING_ARRAY, [own])
+    assert put("effects", Parameter.Type.STRING_ARRAY, ["my_reversal"])
+    assert json.loads(operator.call("estimator/identify", PATIENCE))["reduced_chi_square"] < 1.5
+    assert not put("sets", Parameter.Type.INTEGER, 20)
+    assert not put("seed", Parameter.Type.INTEGER, -1)
+    assert put("effects", Parameter.Type.STRING_ARRAY, ["no_such"])
+    with pytest.raises(CalibrationError, match="no_such"):
+        operator.call("estimator/compare", PATIENCE)
+    assert put("effects_files", Parameter.Type.STRING_ARRAY, ["/nowhere.yaml"])
+    with pytest.raises(CalibrationError, match=r"/nowhere\.yaml"):
+        operator.call("estimator/diagnose", PATIENCE)
