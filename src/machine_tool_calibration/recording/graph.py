@@ -28,11 +28,13 @@ GRAPH_TOPICS = (
     GraphTopic("joint_states", "sensor_msgs/msg/JointState"),
     GraphTopic("axes/status", _STATUS),
     GraphTopic("truth/functional_point", "geometry_msgs/msg/PoseStamped"),
+    GraphTopic("truth/table", "geometry_msgs/msg/PoseStamped"),
     GraphTopic("pointer/command", "geometry_msgs/msg/PointStamped"),
     GraphTopic("pointer/state", "sensor_msgs/msg/JointState"),
     GraphTopic("truth/beam", "geometry_msgs/msg/PoseStamped"),
     GraphTopic("instrument/displacement", "std_msgs/msg/Float64MultiArray"),
     GraphTopic("instrument/status", _STATUS, latched=True),
+    GraphTopic("probe/trigger", "sensor_msgs/msg/JointState"),
     *(
         GraphTopic(f"environment/temperature_{place}", "sensor_msgs/msg/Temperature")
         for place in ("air", "x", "y", "z", "table", "work")
@@ -41,13 +43,30 @@ GRAPH_TOPICS = (
     GraphTopic("environment/relative_humidity", "sensor_msgs/msg/RelativeHumidity"),
     GraphTopic("procedure/status", _STATUS, latched=True),
     GraphTopic("error_map", "sensor_msgs/msg/PointCloud2", latched=True),
+    GraphTopic("error_map/axes", "sensor_msgs/msg/PointCloud2", latched=True),
+    GraphTopic("error_map/arrows", "visualization_msgs/msg/MarkerArray", latched=True),
     GraphTopic("error_map/result", "std_msgs/msg/String", latched=True),
     GraphTopic("residuals", "sensor_msgs/msg/PointCloud2", latched=True),
+    GraphTopic("comparison/result", "std_msgs/msg/String", latched=True),
+    GraphTopic("diagnosis", _STATUS, latched=True),
+    GraphTopic("diagnosis/result", "std_msgs/msg/String", latched=True),
     GraphTopic("estimator/status", _STATUS, latched=True),
 )
 """Subscribed from the start, so that a node that comes later loses nothing."""
 
-_GROUPS = ("axes", "pointer", "truth", "instrument", "environment", "procedure", "estimator", "error_map", "probe")
+_GROUPS = (
+    "axes",
+    "pointer",
+    "truth",
+    "instrument",
+    "environment",
+    "probe",
+    "procedure",
+    "estimator",
+    "error_map",
+    "comparison",
+    "diagnosis",
+)
 
 
 def belongs_to_graph(name: str, namespace: str) -> bool:
