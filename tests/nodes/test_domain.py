@@ -1,0 +1,147 @@
+"""Two graphs on one machine never get the same domain id by chance."""
+
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.nodes import domain
+from machine_tool_calibration.nodes.domain import claimed_domain, domains_with_nodes, free_domain
+
+HOLDER = """
+import os, sys
+user = int(sys.argv[1])
+from machine_tool_calibration.nodes.domain import free_domain
+if user:
+    os.setgid(user)
+    os.setuid(user)
+with free_domain(map(int, sys.argv[2:])) as domain:
+    print(domain, flush=True)
+    sys.stdin.read()
+"""
+
+
+@contextmanager
+def held_elsewhere(ids: list[int], user: int = 0) -> Iterator[tuple[int, subprocess.Popen[str]]]:
+    """Another process, perhaps another user's, that has claimed one of these ids."""
+    command = [sys.executable, "-c", HOLDER, str(user), *map(str, ids)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdin is not None and process.stdout is not None
+        yield int(process.stdout.readline()), process
+        process.stdin.close()
+
+
+@pytest.fixture
+def ids() -> list[int]:
+    """Three ids that nobody else looks for: a claim does not ask whether there are such domains."""
+    first = 1000 + 3 * os.getpid()
+    return [first, first + 1, first + 2]
+
+
+def test_two_processes_never_have_the_same(ids: list[int]) -> None:
+    with held_elsewhere(ids) as (first, _), held_elsewhere(ids) as (second, _), free_domain(ids) as third:
+        assert [first, second, third] == ids
+        with pytest.raises(CalibrationError, match="no ROS domain id is free"), free_domain(ids):
+            pass
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root can become another user")
+@pytest.mark.parametrize("user", [1, 65534])
+def test_nor_have_two_users(ids: list[int], user: int) -> None:
+    with held_elsewhere(ids, user) as (theirs, _), free_domain(ids) as ours:
+        assert [theirs, ours] == ids[:2]
+
+
+def test_files_that_others_left_behind_do_not_matter(
+    ids: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for number in ids:
+        (tmp_path / f"machine_tool_calibration-{os.getuid()}-domain-{number}.lock").mkdir(mode=0o000)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with free_domain(ids) as found:
+        assert found == ids[0]
+    monkeypatch.setattr(tempfile, "tempdir", "/nonexistent")
+    with free_domain(ids) as found:
+        assert found == ids[0]
+
+
+def test_a_claim_ends_with_its_process_however_that_ends(ids: list[int]) -> None:
+    with held_elsewhere(ids) as (first, process):
+        assert first == ids[0]
+        process.kill()
+        process.wait(timeout=30.0)
+        with free_domain(ids) as found:
+            assert found == ids[0]
+
+
+def test_a_claim_ends_with_its_context(ids: list[int]) -> None:
+    with pytest.raises(KeyError), free_domain(ids):
+        raise KeyError
+    with free_domain(ids) as found:
+        assert found == ids[0]
+
+
+def test_a_measurement_takes_the_id_that_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "17")
+    with claimed_domain() as first, claimed_domain() as second, claimed_domain(230) as third:
+        assert [first, second, third] == [17, 17, 230]
+    monkeypatch.setenv("ROS_DOMAIN_ID", "")
+    with claimed_domain() as first, claimed_domain() as second:
+        assert first != second
+    for wrong in ("233", "-1", "nine"):
+        monkeypatch.setenv("ROS_DOMAIN_ID", wrong)
+        with pytest.raises(CalibrationError, match="not a whole number from 0 to 232"), claimed_domain():
+            pass
+
+
+def test_domains_with_nodes_are_left_out_where_asked(ids: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(domain, "domains_with_nodes", lambda: frozenset(ids[:1]))
+    with free_domain(ids, without_nodes=True) as found:
+        assert found == ids[1]
+        with free_domain(ids) as by_claim:
+            assert by_claim == ids[0]
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0", "::1"])
+def test_a_port_of_a_domain_is_seen(ros_domain: int, host: str) -> None:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.socket(family, socket.SOCK_DGRAM) as node:
+        try:
+            node.bind((host, 7400 + 250 * ros_domain + 249))
+        except OSError as error:
+            pytest.skip(f"no {host} here: {error}")
+        assert ros_domain in domains_with_nodes()
+
+
+def test_ports_are_read_as_the_system_writes_them(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    table = tmp_path / "udp"
+    head = "   sl  local_address rem_address   st tx_queue rx_queue tr tm->when retrnsmt   uid  timeout inode\n"
+    rows = [f"{i:5}: 0100007F:{port:04X} 00000000:0000 07 00000000:00000000 00:00000000 00000000     0        0 {i} 2\n"
+            for i, port in enumerate((53, 7399, 7649, 7650, 32899))]  # fmt: skip
+    table.write_text(head + "".join(rows))
+    monkeypatch.setattr(domain, "_SOCKET_TABLES", (table, tmp_path / "none"))
+    assert domains_with_nodes() == {0, 1, 101}
+
+
+def test_a_system_that_does_not_tell_its_ports_has_none(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(domain, "_SOCKET_TABLES", (tmp_path / "none",))
+    assert domains_with_nodes() == frozenset()
+
+
+def test_a_running_node_is_seen(ros_domain: int) -> None:
+    rclpy = pytest.importorskip("rclpy")
+    context = rclpy.Context()
+    context.init(domain_id=ros_domain)
+    node = rclpy.create_node("seen", context=context)
+    try:
+        assert ros_domain in domains_with_nodes()
+    finally:
+        node.destroy_node()
+        context.shutdown()
