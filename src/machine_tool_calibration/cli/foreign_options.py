@@ -1,0 +1,214 @@
+"""The options of `mtcal convert` for tables of other programs, and the mapping that they make."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import zip_longest
+from pathlib import Path
+from typing import Any
+
+import click
+
+from machine_tool_calibration.errors import CalibrationError
+
+__all__ = ["SectionedCommand", "foreign_options", "is_asked", "mapping_from"]
+
+_SECTION = "Tables of other programs"
+
+
+class _Option(click.Option):
+    """An option that is listed in a section of its own."""
+
+
+class SectionedCommand(click.Command):
+    """A command whose options for foreign tables are listed apart."""
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the options in two sections."""
+        for title, wanted in (("Options", False), (_SECTION, True)):
+            options = [p for p in self.get_params(ctx) if isinstance(p, click.Option)]
+            rows = [p.get_help_record(ctx) for p in options if isinstance(p, _Option) is wanted]
+            with formatter.section(title):
+                formatter.write_dl([row for row in rows if row is not None])
+
+
+def _option(*names: str, **settings: Any) -> Callable[[Any], Any]:
+    return click.option(*names, cls=_Option, **settings)
+
+
+_OPTIONS: Sequence[Callable[[Any], Any]] = (
+    _option(
+        "--table",
+        type=click.Choice(["points", "ranges", "iso230-2"]),
+        help="SOURCE is a text table: nominal and measured coordinates, distances from a tracker's stations, or "
+        "readings by ISO 230-2.",
+    ),
+    _option(
+        "--mapping",
+        type=click.Path(path_type=Path, dir_okay=False),
+        help="YAML file (format: mtcal-mapping/1) that says all that the following options say; options come first.",
+    ),
+    _option("--dry-run", is_flag=True, help="Show what would be read, in SI units, and write nothing."),
+    _option(
+        "--column",
+        "columns",
+        multiple=True,
+        metavar="QUANTITY=NAME",
+        help="Column of a quantity: x, y, z (nominal), actual_x … or deviation_x …, setup, point, time, repeat, dir_x, "
+        "temperature_air …; ranges: range, azimuth or bearing, elevation or zenith, target, c; iso230-2: position, "
+        "deviation or actual, run, direction.",
+    ),
+    _option("--extra", "extras", multiple=True, metavar="NAME=COLUMN", help="Column that is kept as a covariate."),
+    _option(
+        "--unit",
+        "units",
+        multiple=True,
+        metavar="[QUANTITY=]UNIT",
+        help="Unit of all lengths, angles … (--unit mm), or of one quantity (--unit deviation=um). A unit in brackets "
+        "in the column's name, as in `X [mm]`, counts too.",
+    ),
+    _option(
+        "--value",
+        "values",
+        multiple=True,
+        metavar="QUANTITY=VALUE",
+        help="A quantity that is the same in every row, as in z=120mm or dir_x=1.",
+    ),
+    _option("--separator", help="A character, or comma (default), semicolon, tab, bar, space."),
+    _option("--decimal", type=click.Choice(["point", "comma"]), help="Decimal mark; point by default."),
+    _option("--encoding", help="Of the text: utf-8 (default), latin-1, cp1252, utf-16 …"),
+    _option("--skip", type=click.IntRange(min=0), help="Lines before the header."),
+    _option("--skip-after-header", type=click.IntRange(min=0), help="Lines after the header, such as one of units."),
+    _option("--no-header", is_flag=True, help="No line names the columns; they are called 1, 2, 3 …"),
+    _option("--comment", metavar="TEXT", help="Lines that begin with this are left out."),
+    _option("--missing", multiple=True, metavar="TEXT", help="Text that stands for no value, beside the empty cell."),
+    _option(
+        "--sign",
+        type=click.Choice(["actual-minus-nominal", "nominal-minus-actual"]),
+        help="Sign of deviations in the table; actual minus nominal by default.",
+    ),
+    _option(
+        "--origin", "origins", multiple=True, metavar="AXIS=LENGTH", help="Of nominal coordinates in the machine's."
+    ),
+    _option(
+        "--align",
+        is_flag=True,
+        help="points: shift and turn the measured points of each setup onto the nominal ones, as a tracker's need.",
+    ),
+    _option("--axis", type=click.Choice(["x", "y", "z"]), help="iso230-2: the axis that was moved."),
+    _option(
+        "--senses", type=click.Choice(["x", "y", "z"]), help="iso230-2: the direction read, if not along the axis."
+    ),
+    _option("--long", is_flag=True, help="iso230-2: a row for each reading; otherwise a column for each run."),
+    _option("--transposed", is_flag=True, help="iso230-2: a row for each run, the positions in the header."),
+    _option(
+        "--up",
+        multiple=True,
+        metavar="NAME",
+        help="iso230-2: column (or row) of a run up, in order; otherwise by names such as `1 up`.",
+    ),
+    _option("--down", multiple=True, metavar="NAME", help="iso230-2: column (or row) of a run down, in order."),
+    _option("--station", "stations", multiple=True, metavar="ID=X,Y,Z UNIT", help="ranges: where a station stands."),
+    _option("--target", "targets", multiple=True, metavar="ID=X,Y,Z UNIT", help="ranges: a target on a rotary table."),
+    _option("--setup", "setup_name", metavar="ID", help="Name of the setup; the file's name by default."),
+    _option("--chain", metavar="CHAIN", help="The machine, such as w-Y-X-b-Z-t."),
+    _option("--uncertainty", metavar="LENGTH", help="Standard uncertainty (k = 1) of one reading, such as 1.5um."),
+    _option("--datum", type=click.Choice(["none", "offset", "rigid"]), help="What is unknown of each setup."),
+    _option("--term", "terms", multiple=True, metavar="NAME", help="Machine error to identify, such as EXX or C0Y."),
+)
+
+
+def foreign_options(function: Any) -> Any:
+    """Add the options to a verb, as the keyword arguments that `mapping_from` takes."""
+    for option in reversed(_OPTIONS):
+        function = option(function)
+    return function
+
+
+def is_asked(given: dict[str, Any]) -> bool:
+    """Whether the command line is about a foreign table."""
+    return given["table"] is not None or given["mapping"] is not None
+
+
+def mapping_from(given: dict[str, Any]) -> tuple[dict[str, Any], str]:
+    """The content of a mapping: that of the file, with what the options say over it.
+
+    Returns:
+        The content, and its name for messages.
+
+    Raises:
+        click.UsageError: an option that is not of its form.
+        CalibrationError: a mapping file that cannot be read.
+    """
+    from machine_tool_calibration.session.foreign.mapping import FORMAT, read_mapping
+
+    path = given["mapping"]
+    content: dict[str, Any] = {} if path is None else dict(read_mapping(path))
+    content.setdefault("format", FORMAT)
+    if given["table"]:
+        content["table"] = given["table"]
+    for option, key in (
+        ("columns", "columns"),
+        ("extras", "extras"),
+        ("values", "values"),
+        ("origins", "origin"),
+        ("stations", "stations"),
+        ("targets", "targets"),
+    ):
+        _update(content, key, _pairs(option, given[option]), path)
+    _update(content, "units", _units(given["units"]), path)
+    form = {key: given[key] for key in ("separator", "encoding", "skip", "skip_after_header", "comment")}
+    form["decimal"] = {"comma": ",", "point": "."}.get(given["decimal"] or "")
+    form["header"] = False if given["no_header"] else None
+    form["missing"] = given["missing"] or None
+    _update(content, "file", {key: value for key, value in form.items() if value is not None}, path)
+    for key in ("sign", "axis", "senses"):
+        if given[key]:
+            content[key] = given[key]
+    content |= {key: True for key in ("align", "transposed") if given[key]}
+    if given["long"]:
+        content["layout"] = "long"
+    if given["up"] or given["down"]:
+        pairs = zip_longest(given["up"], given["down"])
+        content["runs"] = [
+            {"column": name, "direction": direction}
+            for pair in pairs
+            for name, direction in zip(pair, ("up", "down"), strict=True)
+            if name is not None
+        ]
+    session: dict[str, Any] = {"standard_uncertainty": given["uncertainty"], "datum": given["datum"]}
+    session["machine"] = {"chain": given["chain"]} if given["chain"] else None
+    session["terms"] = list(given["terms"]) or None
+    _update(content, "session", {key: value for key, value in session.items() if value is not None}, path)
+    return content, "command line" if path is None else str(path)
+
+
+def _update(content: dict[str, Any], key: str, more: dict[str, Any], path: Path | None) -> None:
+    before = content.get(key, {})
+    if not isinstance(before, dict):
+        raise CalibrationError(f"{path}: {key} must be a mapping of keys")
+    if key == "session" and isinstance(before.get("machine"), dict) and "machine" in more:
+        more = {**more, "machine": {**before["machine"], **more["machine"]}}
+    if before or more:
+        content[key] = {**before, **more}
+
+
+def _pairs(option: str, texts: Sequence[str]) -> dict[str, str]:
+    out = {}
+    for text in texts:
+        name, mark, value = text.partition("=")
+        if not mark or not name.strip() or not value.strip():
+            raise click.UsageError(f"--{option.rstrip('s')} {text!r} is not of the form NAME=…")
+        out[name.strip()] = value.strip()
+    return out
+
+
+def _units(texts: Sequence[str]) -> dict[str, str]:
+    from machine_tool_calibration.session.foreign.units import dimension
+
+    return {(name.strip() if mark else dimension(unit)): unit for name, mark, unit in map(_unit, texts)}
+
+
+def _unit(text: str) -> tuple[str, str, str]:
+    name, mark, unit = text.rpartition("=")
+    return name, mark, unit.strip()

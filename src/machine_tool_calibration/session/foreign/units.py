@@ -1,0 +1,132 @@
+"""Units of foreign tables, to SI; nothing is taken for granted, a unit must be named."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.errors import SessionError
+
+__all__ = ["UNITS", "dimension", "quantity", "si_values", "spelled", "unit_in_name"]
+
+# Unit to its dimension, power of ten and factor. The power goes into the text: 123.4 mm is 0.1234 m to the last bit,
+# which neither 123.4 * 0.001 nor 123.4 / 1000 is.
+UNITS: dict[str, tuple[str, int, float]] = {
+    "m": ("length", 0, 1.0),
+    "mm": ("length", -3, 1.0),
+    "um": ("length", -6, 1.0),
+    "nm": ("length", -9, 1.0),
+    "in": ("length", 0, 0.0254),
+    "rad": ("angle", 0, 1.0),
+    "mrad": ("angle", -3, 1.0),
+    "urad": ("angle", -6, 1.0),
+    "deg": ("angle", 0, math.pi / 180),
+    "arcsec": ("angle", 0, math.pi / 648e3),
+    "gon": ("angle", 0, math.pi / 200),
+    "s": ("time", 0, 1.0),
+    "ms": ("time", -3, 1.0),
+    "min": ("time", 0, 60.0),
+    "h": ("time", 0, 3600.0),
+    "degC": ("temperature", 0, 1.0),
+    "Pa": ("pressure", 0, 1.0),
+    "hPa": ("pressure", 2, 1.0),
+    "mbar": ("pressure", 2, 1.0),
+    "kPa": ("pressure", 3, 1.0),
+    "%": ("number", -2, 1.0),
+    "1": ("number", 0, 1.0),
+}
+_SPELLINGS = {
+    "µm": "um",
+    "μm": "um",
+    "micron": "um",
+    "µrad": "urad",
+    "μrad": "urad",
+    "inch": "in",
+    "°": "deg",
+    "grad": "gon",
+    "°C": "degC",
+    "sec": "s",
+}
+_QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\d\s].*?)?\s*")
+_IN_NAME = re.compile(r".*[\[(]\s*([^\])]+?)\s*[\])]\s*")
+
+
+def spelled(unit: str) -> str:
+    """The unit as it is named here.
+
+    Raises:
+        SessionError: unknown.
+    """
+    name = _SPELLINGS.get(unit.strip(), unit.strip())
+    if name not in UNITS:
+        raise SessionError(f"unknown unit {unit!r}; known are {', '.join(UNITS)}")
+    return name
+
+
+def dimension(unit: str) -> str:
+    """Length, angle, time, temperature, pressure or number."""
+    return UNITS[spelled(unit)][0]
+
+
+def si_values(texts: Sequence[str], unit: str) -> Array:
+    """Numbers written with a point in m, rad, s, degrees Celsius, Pa or as numbers; `nan` is NaN.
+
+    Args:
+        texts: such as `12.5` or `1e-3`.
+        unit: that they are in.
+
+    Raises:
+        SessionError: unknown unit.
+    """
+    _, power, factor = UNITS[spelled(unit)]
+    values = np.array([_shifted(text, power) for text in texts], dtype=np.float64)
+    return values if factor == 1.0 else values * factor
+
+
+def _shifted(text: str, power: int) -> float:
+    """A number times a power of ten, rounded once."""
+    if not power or text == "nan":
+        return float(text)
+    digits, _, own = text.lower().partition("e")
+    return float(f"{digits}e{int(own or 0) + power}")
+
+
+def quantity(text: str, wanted: str, what: str) -> float:
+    """A number with its unit, such as `1.5 um`, in SI.
+
+    Args:
+        text: what was written.
+        wanted: dimension.
+        what: name of the setting, for messages.
+
+    Raises:
+        SessionError: no number, no unit, or one of another dimension.
+    """
+    match = _QUANTITY.fullmatch(text)
+    if match is None:
+        raise SessionError(f"{what}: {text!r} is not a number with a unit, as in {_example(wanted)}")
+    unit = match[2]
+    if unit is None:
+        if wanted not in ("number", "temperature"):
+            raise SessionError(f"{what}: {text!r} has no unit, as in {_example(wanted)}")
+        return float(match[1])
+    if dimension(unit) != wanted:
+        raise SessionError(f"{what}: {text!r} is not a {wanted}, as in {_example(wanted)}")
+    return float(si_values([match[1]], unit)[0])
+
+
+def unit_in_name(column: str) -> str | None:
+    """The unit that a column's name ends with, as in `X [mm]`; None if it has none that is known."""
+    match = _IN_NAME.fullmatch(column)
+    if match is None:
+        return None
+    name = _SPELLINGS.get(match[1], match[1])
+    return name if name in UNITS and name != "1" else None
+
+
+def _example(wanted: str) -> str:
+    return {"length": "1.5um", "angle": "30deg", "time": "2.5s", "pressure": "1013.2hPa"}.get(wanted, "20.5")
