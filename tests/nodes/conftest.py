@@ -161,9 +161,14 @@ def feed(operator: Operator, session: Session, start: int = round(ORIGIN * 1e9))
         message.header.stamp = to_message(start + round(row[names.index("time")] * 1e9))
         message.header.frame_id = session.setup_ids[setup]
         publisher.publish(message)
-    assert operator.wait(
-        lambda: (
-            operator.estimator.number("readings") == len(table) and operator.estimator.entries["session"] == "described"
-        ),
-        PATIENCE,
-    ), operator.estimator
+    collected(operator, len(table))
+
+
+def collected(operator: Operator, count: int) -> None:
+    """Wait until the estimator has so many readings, and the description, which may come later than they."""
+
+    def there() -> bool:
+        status = operator.estimator
+        return status.number("readings") == count and status.entries["session"] == "described"
+
+    assert operator.wait(there, PATIENCE), operator.estimator
