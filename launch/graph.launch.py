@@ -55,7 +55,7 @@ def nodes(context):
         "probe": world,
         "estimator": common,
         "procedure": {**common, "procedure": str(procedure)},
-        "recorder": {"folder": given["bag"]},
+        "recorder": {**common, "folder": given["bag"]},
     }
     left_out = {
         name

@@ -209,7 +209,7 @@ def _programs(setting: Setting, procedure: Path, site: Path, method: str) -> lis
         "probe": world,
         "procedure": {**common, "procedure": str(procedure.resolve())},
         "estimator": {**common, "model": setting.model, "effects": list(setting.effects) or [""]},
-        "recorder": {"folder": str((setting.output / "bag").resolve())},
+        "recorder": {**common, "folder": str((setting.output / "bag").resolve())},
     }
     without = UNNEEDED.get(method, ("probe",))
     nodes = tuple(name for name in NODES if name not in without)
@@ -263,7 +263,12 @@ def _run(operator: Operator, total: int, progress: Progress) -> None:
 
 def _identify(operator: Operator, setting: Setting, total: int, progress: Progress) -> dict[str, Any]:
     progress("identifying", total, total)
-    if not operator.wait(lambda: operator.estimator.number("readings") >= total, _COLLECT):
+
+    def collected() -> bool:  # the description may come later than the readings
+        status = operator.estimator
+        return status.number("readings") >= total and status.entries.get("session") == "described"
+
+    if not operator.wait(collected, _COLLECT):
         raise CalibrationError(f"the estimator has {operator.estimator.number('readings')} of {total} readings")
     operator.call("estimator/identify", _IDENTIFY)
     if not operator.wait(lambda: bool(operator.document), _COLLECT):
