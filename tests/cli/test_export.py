@@ -41,3 +41,42 @@ def test_what_has_no_tables_is_refused(tmp_path: Path, capsys: pytest.CaptureFix
     assert run(["export", str(SESSION), "--format", "csv", "--model", "free", "-o", str(folder)]) == 1
     assert capsys.readouterr().err.count("\n") == 1
     assert not folder.exists()
+
+
+def iso_run(folder: Path, name: str, offset: str) -> Path:
+    """A positioning run of X, and beside it another one that a plate would show."""
+    folder = folder / name
+    folder.mkdir()
+    (folder / "session.yaml").write_text(
+        "format: mtcal-session/1\nmethod: direct\ndatum: offset\nterms: [EXX]\n"
+        "machine: {chain: w-Y-X-b-Z-t}\nstandard_uncertainty: {displacement: 2e-7}\nsetups: [{id: run}]\n"
+    )
+    rows = [f"run,{r},{i / 20},1,0,0,{1e-6 * i + (i % 3) * 2e-7 + float(offset)}" for r in range(2) for i in range(11)]
+    (folder / "observations.csv").write_text("setup,repeat,x,gx,gy,gz,displacement\n" + "\n".join(rows) + "\n")
+    return folder
+
+
+def test_several_sessions_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    one, other = iso_run(tmp_path, "a", "0"), iso_run(tmp_path, "b", "3e-6")
+    out = tmp_path / "tables"
+    assert run(["export", str(one), str(other), "--format", "json", "-o", str(out), "--json"]) == 0
+    captured = capsys.readouterr()
+    document = json.loads(captured.out)
+    assert document["model"] == ["rigid_body", "rigid_body"] and document["tables"] == ["EXX"]
+    assert document["worse"] is False
+    assert "agree" in captured.err
+    table = json.loads((out / "compensation.json").read_text())
+    assert f"measurement: {one} + {other}" in table["remarks"]
+    assert table["tables"]["EXX"]["deviation"][10] == pytest.approx(1e-5 + 2e-7 * (10 % 3), abs=1e-9)
+    for form in ("linuxcnc", "linuxcnc-trims", "isg", "etalon", "csv"):
+        folder = tmp_path / form
+        assert run(["export", str(one), str(other), "--format", form, "-o", str(folder)]) == 0
+        assert "RMS compensated" in capsys.readouterr().out
+
+
+def test_sessions_without_tables_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rotary = str(SESSION.parent / "rotary_axis")
+    assert run(["export", rotary, rotary, "--format", "csv", "-o", str(tmp_path / "t")]) == 1
+    captured = capsys.readouterr().err
+    assert "no tables of error motions" in captured
+    assert not (tmp_path / "t").exists()

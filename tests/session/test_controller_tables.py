@@ -108,6 +108,24 @@ def test_linuxcnc_corrects_a_machine(tables: AxisTables) -> None:
         assert np.abs(np.interp(commands, nodes, value) - half * direction).max() > 5e-6
 
 
+def test_linuxcnc_trims_are_what_is_added(tables: AxisTables) -> None:
+    made = one_axis(tables, np.array([-0.1, 0.0, 0.2]), np.array([4e-6, 0.0, -7e-6]), half=1e-6)
+    files = linuxcnc.write_trims(made, "cell 1")
+    assert files["x.comp"].splitlines() == [
+        "-100.000000 -0.0030000 -0.0050000",
+        "0.000000 0.0010000 -0.0010000",
+        "200.000000 0.0080000 0.0060000",
+    ]
+    assert "COMP_FILE_TYPE = 1" in files["compensation.ini"]
+    # the program's rule: of type 0 the trim is nominal minus actual, of type 1 it is what stands there
+    of_positions = np.loadtxt(linuxcnc.write(made, "cell 1")["x.comp"].splitlines())
+    of_trims = np.loadtxt(files["x.comp"].splitlines())
+    assert np.abs(of_positions[:, :1] - of_positions[:, 1:] - of_trims[:, 1:]).max() < 1e-9
+    one, other = linuxcnc.read(linuxcnc.write(made, "cell 1"), made), linuxcnc.read_trims(files, made)
+    assert one.tables[0].value == pytest.approx(other.tables[0].value, abs=1e-12)
+    assert one.backlash["X"][0] == pytest.approx(other.backlash["X"][0], abs=1e-12)
+
+
 def test_linuxcnc_reads_256_lines_at_most(tables: AxisTables) -> None:
     nodes = np.linspace(0.0, 1.0, 1001)
     made = one_axis(tables, nodes, 1e-5 * nodes)

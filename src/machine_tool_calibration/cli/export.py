@@ -16,15 +16,17 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
+    from machine_tool_calibration.methods.axis_tables import AxisTables
+    from machine_tool_calibration.model.result import ErrorMap
     from machine_tool_calibration.session.controller_tables.preview import Left
 
 __all__ = ["command"]
 
-_FORMATS = ("linuxcnc", "isg", "etalon", "csv", "json")
+_FORMATS = ("linuxcnc", "linuxcnc-trims", "isg", "etalon", "csv", "json")
 
 
 @click.command("export")
-@click.argument("measurement", type=click.Path(path_type=Path))
+@click.argument("measurements", metavar="MEASUREMENT…", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--format", "form", type=click.Choice(_FORMATS), required=True, help="Whose tables.")
 @click.option(
     "--output",
@@ -37,7 +39,7 @@ _FORMATS = ("linuxcnc", "isg", "etalon", "csv", "json")
 @topic_option
 @json_option
 def command(
-    measurement: Path,
+    measurements: tuple[Path, ...],
     form: str,
     output: Path | None,
     model: str | None,
@@ -47,28 +49,23 @@ def command(
 ) -> None:
     """Write compensation tables for a controller, and show what would be left of the errors.
 
-    MEASUREMENT is a session folder or a recording. The files say sign, units, reference point and squareness
-    convention. The preview reads the written files as the controller does and compares the errors before and after: a
-    wrong sign would double them.
+    MEASUREMENT is a session folder or a recording; several of one machine are fitted together. The files say sign,
+    units, reference point and squareness convention. The preview reads the written files as the controller does and
+    compares the errors before and after: a wrong sign would double them.
 
     \b
-    mtcal export session --format linuxcnc     x.comp, y.comp, …, compensation.ini; positioning errors only
-    mtcal export session --format isg          TwinCAT CNC volumetric compensation, ISG CSV
-    mtcal export bag --format etalon           the same, Etalon Exchange
+    mtcal export session --format linuxcnc        x.comp, y.comp, …, compensation.ini; positioning errors only
+    mtcal export session --format linuxcnc-trims  the same with COMP_FILE_TYPE 1: what is added, not where it went
+    mtcal export session --format isg             TwinCAT CNC volumetric compensation, ISG CSV
+    mtcal export bag --format etalon              the same, Etalon Exchange
+    mtcal export x_axis plate --format json       two sessions together
     """
-    from machine_tool_calibration.methods.axis_tables import axis_tables
-    from machine_tool_calibration.methods.identify import identify
     from machine_tool_calibration.session.controller_tables import read_tables, write_tables
     from machine_tool_calibration.session.controller_tables.preview import preview
-    from machine_tool_calibration.session.open import open_measurement
 
-    session = open_measurement(measurement, topic_names(topics))
-    if model is None and session.method == "tracking_interferometer":
-        model = "rigid_body"  # its default has no tables
-    result = identify(session, model=model, effects=effects)
-    tables = axis_tables(result)
-    files = write_tables(form, tables, session.source)
-    left = preview(result.error_map, read_tables(form, files, tables))
+    tables, error_map, models, source = _identified(measurements, model, effects, topic_names(topics))
+    files = write_tables(form, tables, source)
+    left = preview(error_map, read_tables(form, files, tables))
     folder = output or Path(f"compensation_{form}")
     _save(folder, files)
     if as_json:
@@ -78,7 +75,7 @@ def command(
                 "to": form,
                 "folder": folder,
                 "files": list(files),
-                "model": result.model_name,
+                "model": models[0] if len(models) == 1 else list(models),
                 "tables": [table.name for table in tables.tables],
                 "squareness": list(tables.squareness),
                 "not_determined": tables.left_out,
@@ -92,6 +89,29 @@ def command(
             note(f"not determined: {entry.name}: {entry.why}")
     if left[-1].worse:
         note("warning: the errors would grow; do not load these files")
+
+
+def _identified(
+    paths: tuple[Path, ...], model: str | None, effects: tuple[str, ...], topics: dict[str, str]
+) -> tuple[AxisTables, ErrorMap, tuple[str, ...], str]:
+    """Tables, error map and names of the models of one measurement or of several together, and what they are called."""
+    from machine_tool_calibration.methods.axis_tables import axis_tables, joint_axis_tables
+    from machine_tool_calibration.methods.identify import identify
+    from machine_tool_calibration.methods.joint import identify_sessions
+    from machine_tool_calibration.session.open import open_measurement
+
+    sessions = [open_measurement(path, topics) for path in paths]
+    source = " + ".join(session.source for session in sessions)
+    if len(sessions) > 1:
+        names = [path.resolve().stem for path in paths]
+        labels = [f"{name}#{k + 1}" if names.count(name) > 1 else name for k, name in enumerate(names)]
+        joint = identify_sessions(sessions, labels, model=model, effects=effects)
+        note(joint.agreement.statement)
+        return joint_axis_tables(joint), joint.error_map, joint.model_names, source
+    if model is None and sessions[0].method == "tracking_interferometer":
+        model = "rigid_body"  # its default has no tables
+    result = identify(sessions[0], model=model, effects=effects)
+    return axis_tables(result), result.error_map, (result.model_name,), source
 
 
 def _save(folder: Path, files: dict[str, str]) -> None:

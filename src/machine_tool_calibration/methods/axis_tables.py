@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,9 +15,12 @@ from machine_tool_calibration.machine.error_motions import SQUARENESS, motion_fi
 from machine_tool_calibration.machine.table import interpolation
 from machine_tool_calibration.machine.tables import MachineTable
 from machine_tool_calibration.model.model import NotDetermined
-from machine_tool_calibration.model.result import Result
+from machine_tool_calibration.model.result import Estimate, Result
 
-__all__ = ["AxisTable", "AxisTables", "axis_tables"]
+if TYPE_CHECKING:
+    from machine_tool_calibration.methods.joint import JointResult
+
+__all__ = ["AxisTable", "AxisTables", "axis_tables", "joint_axis_tables"]
 
 _OWN_SLOPE = (
     "A0Z, B0Z, C0Y turn the later axis about the named direction (C0Y > 0: e_x = -y C0Y; B0Z > 0: e_x = z B0Z; "
@@ -148,7 +152,7 @@ def axis_tables(result: Result) -> AxisTables:
     if session.method == "step_diagonal":
         found, words = _profiles(result, left_out), _IN_PROFILES
     else:
-        found, squareness = _terms(result, tables, left_out)
+        found, squareness = _terms(result.parameters, tables, left_out)
         words = _OWN_SLOPE
     if not found and not squareness:
         hint = "the result has none of a linear axis"
@@ -163,18 +167,47 @@ def axis_tables(result: Result) -> AxisTables:
         Chain.parse(session.description.machine.chain),
         tuple(found),
         squareness,
-        _backlash(result),
+        _backlash(result.parameters),
         tuple(left_out),
         model.datum,
         words,
     )
 
 
+def joint_axis_tables(joint: JointResult) -> AxisTables:
+    """The tables of the linear axes that several sessions determine together.
+
+    Raises:
+        ModelError: none is determined.
+    """
+    common = joint.common
+    own = {label for table in common.tables for label in table.labels}
+    left_out = [
+        NotDetermined(entry["name"], entry["why"])
+        for entry in joint.not_determined
+        if entry["name"] in own or entry["name"].startswith("backlash_")
+    ]
+    found, squareness = _terms(joint.parameters, common.tables, left_out)
+    if not found and not squareness:
+        hint = f"{left_out[0].name}: {left_out[0].why}" if left_out else "the sessions have none of a linear axis"
+        raise ModelError(f"{' + '.join(joint.labels)}: no tables of error motions: {hint}")
+    chains = [Chain.parse(model.observations.session.description.machine.chain) for model in common.models]
+    return AxisTables(
+        next(chain for chain in chains if chain.linear),
+        tuple(found),
+        squareness,
+        _backlash(joint.parameters),
+        tuple(left_out),
+        common.datum,
+        _OWN_SLOPE,
+    )
+
+
 def _terms(
-    result: Result, tables: Sequence[MachineTable], left_out: list[NotDetermined]
+    estimated: Sequence[Estimate], tables: Sequence[MachineTable], left_out: list[NotDetermined]
 ) -> tuple[list[AxisTable], dict[str, tuple[float, float]]]:
     """Tables and squareness of the model's own machine terms."""
-    known = {estimate.name: estimate for estimate in result.parameters}
+    known = {estimate.name: estimate for estimate in estimated}
     found: list[AxisTable] = []
     squareness = {}
     for table in tables:
@@ -220,9 +253,9 @@ def _take(table: AxisTable, found: list[AxisTable], left_out: list[NotDetermined
         )
 
 
-def _backlash(result: Result) -> dict[str, tuple[float, float]]:
+def _backlash(estimated: Sequence[Estimate]) -> dict[str, tuple[float, float]]:
     found = {}
-    for estimate in result.parameters:
+    for estimate in estimated:
         effect, _, coefficient = estimate.name.partition(".")
         if effect in ("backlash_x", "backlash_y", "backlash_z") and coefficient == "b":
             found[effect[-1].upper()] = (estimate.value, estimate.standard_uncertainty)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from types import ModuleType
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.methods.axis_tables import AxisTables
@@ -11,14 +10,18 @@ from machine_tool_calibration.session.controller_tables import etalon, isg, linu
 
 __all__ = ["FORMATS", "read_tables", "write_tables"]
 
-_MODULES: Mapping[str, ModuleType] = {
-    "linuxcnc": linuxcnc,
-    "isg": isg,
-    "etalon": etalon,
-    "csv": table_csv,
-    "json": table_json,
+_Writer = Callable[[AxisTables, str], dict[str, str]]
+_Reader = Callable[[Mapping[str, str], AxisTables], AxisTables]
+
+_FORMATS: Mapping[str, tuple[_Writer, _Reader]] = {
+    "linuxcnc": (linuxcnc.write, linuxcnc.read),
+    "linuxcnc-trims": (linuxcnc.write_trims, linuxcnc.read_trims),
+    "isg": (isg.write, isg.read),
+    "etalon": (etalon.write, etalon.read),
+    "csv": (table_csv.write, table_csv.read),
+    "json": (table_json.write, table_json.read),
 }
-FORMATS = tuple(_MODULES)
+FORMATS = tuple(_FORMATS)
 
 
 def write_tables(form: str, tables: AxisTables, source: str) -> dict[str, str]:
@@ -32,8 +35,7 @@ def write_tables(form: str, tables: AxisTables, source: str) -> dict[str, str]:
     Raises:
         CalibrationError: no such format, or one that cannot hold these tables.
     """
-    write: Callable[[AxisTables, str], dict[str, str]] = _module(form).write
-    return write(tables, source)
+    return _format(form)[0](tables, source)
 
 
 def read_tables(form: str, files: Mapping[str, str], tables: AxisTables) -> AxisTables:
@@ -47,11 +49,10 @@ def read_tables(form: str, files: Mapping[str, str], tables: AxisTables) -> Axis
     Raises:
         CalibrationError: no such format, or text that is not of it.
     """
-    read: Callable[[Mapping[str, str], AxisTables], AxisTables] = _module(form).read
-    return read(files, tables)
+    return _format(form)[1](files, tables)
 
 
-def _module(form: str) -> ModuleType:
-    if form not in _MODULES:
+def _format(form: str) -> tuple[_Writer, _Reader]:
+    if form not in _FORMATS:
         raise CalibrationError(f"there is no format {form!r}; known are {', '.join(FORMATS)}")
-    return _MODULES[form]
+    return _FORMATS[form]
