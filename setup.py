@@ -13,7 +13,7 @@ PACKAGE = "machine_tool_calibration"
 HERE = Path(__file__).parent
 NODES = sorted(path.name for path in (HERE / "scripts" / "nodes").iterdir())
 README = HERE / "README.md"
-SHARED_FOLDERS = ("launch", "config", "msg_docs")
+SHARED_FOLDERS = ("launch", "config", "examples", "msg_docs")
 
 
 def tree(folder: str) -> list[tuple[str, list[str]]]:

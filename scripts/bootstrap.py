@@ -29,7 +29,7 @@ CANDIDATES = ("python3.12", "python3.11", "python3.13", "python3.14")
 ROOT = Path(__file__).resolve().parent.parent
 SOURCES = (
     "CHANGELOG.rst", "CONTRIBUTING.md", "LICENSE", "MANIFEST.in", "README.md", "package.xml", "pyproject.toml",
-    "setup.cfg", "setup.py", "config", "launch", "msg_docs", "resource", "scripts", "src",
+    "setup.cfg", "setup.py", "config", "examples", "launch", "msg_docs", "resource", "scripts", "src",
 )  # fmt: skip
 NOT_SOURCES = ("__pycache__", "*.egg-info", "*.pyc")
 NOT_COPIED = (".git", ".venv", "build", "install", "log", ".*_cache", *NOT_SOURCES)
@@ -110,14 +110,19 @@ def work_in_a_writable_checkout() -> None:
             shutil.rmtree(entry) if entry.is_dir() and not entry.is_symlink() else entry.unlink()
     shutil.copytree(ROOT, copy, symlinks=True, dirs_exist_ok=True, ignore=shutil.ignore_patterns(*NOT_COPIED))
     os.chdir(copy)
-    os.execve(sys.executable, [sys.executable, str(copy / "scripts" / "bootstrap.py"), *sys.argv[1:]], os.environ)
+    os.execve(this_python(), [this_python(), str(copy / "scripts" / "bootstrap.py"), *sys.argv[1:]], os.environ)
+
+
+def this_python() -> str:
+    """The Python that runs this; it does not know it itself where PATH is not set."""
+    return sys.executable or str(Path("/proc/self/exe").resolve())
 
 
 def prepare(environment: Path, extras: set[str]) -> None:
     """Make the environment, or bring it up to date; nothing is done if it is."""
     python = environment / "bin" / "python"
     stamp = environment / "mtcal.json"
-    base = Path(getattr(sys, "_base_executable", None) or sys.executable).resolve()
+    base = Path(getattr(sys, "_base_executable", None) or this_python()).resolve()
     wanted = {"python": sys.version, "base": str(base), "checkout": str(ROOT)}
     found = read_stamp(stamp)
     if not python.exists() or any(found.get(key) != value for key, value in wanted.items()):

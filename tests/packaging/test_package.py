@@ -97,10 +97,18 @@ def test_wheel_has_what_ros_looks_for(wheel: zipfile.ZipFile) -> None:
     names = set(wheel.namelist())
     assert f"{DATA}/share/ament_index/resource_index/packages/{PACKAGE}" in names
     assert f"{DATA}/share/{PACKAGE}/package.xml" in names
-    for folder in ("launch", "config", "msg_docs"):
+    for folder in ("launch", "config", "examples", "msg_docs"):
         for path in (ROOT / folder).rglob("*"):
             if path.is_file() and "__pycache__" not in path.parts:
                 assert f"{DATA}/share/{PACKAGE}/{path.relative_to(ROOT)}" in names
+
+
+def test_source_archive_has_every_folder() -> None:
+    grafted = set(re.findall(r"^graft (\S+)", (ROOT / "MANIFEST.in").read_text(encoding="utf-8"), re.MULTILINE))
+    made = {"src", "build", "dist", "install", "log", "mtcal_output"}  # src comes by itself, the others from building
+    folders = {path.name for path in ROOT.iterdir() if path.is_dir() and not path.name.startswith(".")}
+    assert folders - made <= grafted
+    assert {folder for folder in grafted if not (ROOT / folder).is_dir()} <= {".ci"}
 
 
 def test_wheel_has_the_whole_package(wheel: zipfile.ZipFile) -> None:
