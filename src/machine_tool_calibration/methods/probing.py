@@ -81,6 +81,15 @@ class ProbingModel(MethodModel):
             n_points=len(self.description.workpiece),
         )
 
+    def why_not_determined(self, name: str) -> str | None:
+        """An angle of C at which every touch was lost."""
+        motion, _, rest = name.partition("(")
+        ids = self.observations.session.setup_ids
+        if motion not in ("EXC", "EYC", "ECC") or rest[:-1] not in ids:
+            return None
+        there = np.any(self.observations.readings.setup == ids.index(rest[:-1]))
+        return None if there else "no touch was read at this angle of C"
+
     def error_map(self, fit: Fit) -> ErrorMap:
         """Errors of the workpiece, of the linear axes on their grid, and of C at each index."""
         return probing_map(self, fit)

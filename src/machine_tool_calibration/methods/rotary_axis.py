@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.layout import group_rows
 from machine_tool_calibration.estimation.problem import FunctionPart, Part
 from machine_tool_calibration.methods.rotary_datum import (
@@ -29,6 +30,7 @@ from machine_tool_calibration.methods.rotary_geometry import TableReadings, tabl
 from machine_tool_calibration.methods.rotary_map import rotary_map
 from machine_tool_calibration.methods.rotary_mistakes import refuse_mistakes
 from machine_tool_calibration.methods.rotary_start import Start, find_start
+from machine_tool_calibration.methods.rotary_unseen import unseen_motions, unseen_names
 from machine_tool_calibration.methods.rotary_weak import HELD_WITHIN, covered_angle, weak_places
 from machine_tool_calibration.model.fit import Fit, fit_models
 from machine_tool_calibration.model.model import MethodModel
@@ -41,6 +43,11 @@ from machine_tool_calibration.session.session import Session
 __all__ = ["MODELS", "RotaryAxisModel", "build"]
 
 MODELS = ("free",)
+
+# Misfit of a table turning without error above which it is tried whether one with errors fits, m; and median residual
+# of that, over the declared uncertainty, that says that stations and targets were not found.
+_DOUBTFUL = 3e-5
+_LOST = 30.0
 
 # Turn above which the readings fix the stations well, rad.
 _LARGE_TURN = 1.9
@@ -140,28 +147,42 @@ class RotaryAxisModel(MethodModel):
 
         return linearise
 
+    @property
+    def declared(self) -> frozenset[str]:
+        """Error motions at angles whose readings do not sense them."""
+        return unseen_names(self.loose, self._labels(), self.observations.session.sigma)
+
+    def _labels(self) -> list[list[str]]:
+        """(6, K) names of the tables' values."""
+        return [[parameter.name for parameter in term.parameters] for term in self.terms[:6]]
+
     def why_not_determined(self, name: str) -> str | None:
-        """Which targets were read at the angle of an error motion."""
+        """Which stations and targets took part at the angle of an error motion."""
         table = self.table
-        for term in self.terms[:6]:
-            for k, parameter in enumerate(term.parameters):
-                if parameter.name == name and np.trace(self.loose[k]) > 0.5:
-                    seen = [self.description.targets[t].id for t in np.unique(table.target[table.node == k])]
-                    return _why_loose(seen)
-        return None
+        if name not in self.declared:
+            return None
+        k = next(row.index(name) for row in self._labels() if name in row)
+        here = table.node == k
+        seen = [self.description.targets[t].id for t in np.unique(table.target[here])]
+        stations = [self.description.setups[s].id for s in np.unique(table.readings.setup[here])]
+        return _why_loose(seen, stations)
 
     def error_map(self, fit: Fit) -> ErrorMap:
         """Six error motions at every angle, the targets' position errors, and where the axis average line stands."""
         return rotary_map(self.table, self.description, self.stations, self.targets, self.loose, self.size, fit)
 
 
-def _why_loose(seen: list[str]) -> str:
+def _why_loose(seen: list[str], stations: list[str]) -> str:
     if not seen:
         return "no target was read at this angle"
     if len(seen) == 1:
         return f"only target {seen[0]} was read: any turn about it moves nothing that is seen"
     if len(seen) == 2:
         return f"only targets {seen[0]} and {seen[1]} were read: a turn about the line through them is not seen"
+    if len(stations) == 1:
+        return f"only station {stations[0]} read: any turn about it changes no distance"
+    if len(stations) == 2:
+        return f"only stations {stations[0]} and {stations[1]} read: a turn about the line through them is not seen"
     return f"the readings of targets {', '.join(seen)} at this angle do not sense all six motions"
 
 
@@ -202,6 +223,8 @@ def build(session: Session, model: str = "free") -> RotaryAxisModel:
     )
     refuse_mistakes(session, start)
     first = _model(session, table, start)
+    if start.misfit > _DOUBTFUL:
+        _check_places(first)
     if len(np.unique(table.target)) > 2 and covered_angle(table) > _LARGE_TURN:
         return first
     held = _held(first)
@@ -209,6 +232,26 @@ def build(session: Session, model: str = "free") -> RotaryAxisModel:
         # What is undetermined then depends on where stations and targets are: say so at their fitted places.
         held = _held(_model(session, table, _moved(start, held)))
     return held
+
+
+def _check_places(model: RotaryAxisModel) -> None:
+    """Refuse where even a table that moves as it likes at every angle is missed.
+
+    Raises:
+        ModelError: stations and targets are not where they are said to be, nor near.
+    """
+    try:
+        missed = float(np.median(np.abs(fit_models([model]).fits[0].residuals)))
+    except ModelError as error:
+        if "too few" in str(error):
+            raise
+        missed = np.inf
+    if missed > _LOST * model.observations.session.sigma:
+        by = f" by {missed * 1e6:.3g} um in the middle" if np.isfinite(missed) else ""
+        raise ModelError(
+            f"{model.observations.session.source}: no places of stations and targets near the stated ones explain the "
+            f"readings (they are missed{by}); state the stations to a decimetre and the targets to some centimetres"
+        )
 
 
 def _held(model: RotaryAxisModel) -> RotaryAxisModel:
@@ -223,7 +266,7 @@ def _held(model: RotaryAxisModel) -> RotaryAxisModel:
     if not priors:
         return model
     held = f"{len(priors)} directions of stations and targets that the readings leave open stay where they are stated"
-    return replace(model, priors=priors, datum=f"{model.datum}; {held}")
+    return replace(model, priors=model.priors + priors, datum=f"{model.datum}; {held}")
 
 
 def _moved(start: Start, model: RotaryAxisModel) -> Start:
@@ -269,7 +312,7 @@ def _model(session: Session, table: TableReadings, start: Start) -> RotaryAxisMo
         observations=observations,
         terms=tuple(terms),
         constraints=tuple(constraints),
-        priors=(),
+        priors=unseen_motions(loose, labels, size),
         left_out=(),
         datum=ROTARY_DATUM,
         table=table,

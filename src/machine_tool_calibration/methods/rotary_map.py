@@ -16,6 +16,9 @@ from machine_tool_calibration.session.description import RotaryAxis
 
 __all__ = ["rotary_map"]
 
+# Movement of a target per unit of an unseen motion from which its place is not determined.
+_MOVED = 1e-3
+
 
 def rotary_map(
     table: TableReadings, description: RotaryAxis, stations: Array, targets: Array, loose: Array, size: float, fit: Fit
@@ -39,7 +42,7 @@ def rotary_map(
     for j, name in enumerate(table.motions):
         mine = slice(own + j * k, own + (j + 1) * k)
         content[name], content[f"{name}_u"] = theta[mine], sigma[mine]
-    points, error, cov = _position_errors(table, targets, fit, own)
+    points, error, cov = _position_errors(table, targets, loose, size, fit, own)
     uncertainty = np.sqrt(np.einsum("nii->ni", cov).clip(0.0))
     place = slice(own + 6 * k, own + 6 * k + targets.size)
     s = stations.size
@@ -59,7 +62,9 @@ def rotary_map(
     return ErrorMap(content, points, error, uncertainty, cov)
 
 
-def _position_errors(table: TableReadings, targets: Array, fit: Fit, own: int) -> tuple[Array, Array, Array]:
+def _position_errors(
+    table: TableReadings, targets: Array, loose: Array, size: float, fit: Fit, own: int
+) -> tuple[Array, Array, Array]:
     """(n, 3) nominal places of every target at every angle, their errors and (n, 3, 3) covariances."""
     k, t = len(table.nodes), len(targets)
     arm = np.einsum("kij,tj->kti", table.node_rotation, targets).reshape(-1, 3)
@@ -71,9 +76,12 @@ def _position_errors(table: TableReadings, targets: Array, fit: Fit, own: int) -
     error = np.einsum("nij,nj->ni", field, fit.theta[index])
     inner = fit.covariance[index[:, :, None], index[:, None, :]]
     covariance = np.einsum("nij,njk,nlk->nil", field, inner, field)
+    # What is unseen at an angle does not move the targets on which it turns; others it does.
+    unseen = np.repeat(loose, t, axis=0) / np.repeat([1.0, size], 3)[:, None]
+    open_ = np.linalg.norm(np.einsum("nij,njk->nik", field, unseen), axis=(1, 2)) > _MOVED
     if fit.undetermined.size:
-        open_ = np.linalg.norm(np.einsum("nij,njk->nik", field, fit.undetermined[index]), axis=(1, 2)) > 1e-6
-        error[open_], covariance[open_] = np.nan, np.nan
+        open_ |= np.linalg.norm(np.einsum("nij,njk->nik", field, fit.undetermined[index]), axis=(1, 2)) > 1e-6
+    error[open_], covariance[open_] = np.nan, np.nan
     return arm, error, covariance
 
 

@@ -20,6 +20,12 @@ _NOMINAL = 0.05
 # Misfit at which other places to set out from are tried, m, and how many.
 _ABSURD = 3e-5
 _TRIES = 8
+# The same for places beside the stated ones; how far beside, at most, m; and how far the fit may then go.
+_DOUBTFUL = 1e-5
+_BESIDE = 20
+_STATIONS_BESIDE = 0.15
+_TARGETS_BESIDE = 0.03
+_WIDE = 0.2
 
 
 @dataclass(frozen=True)
@@ -47,11 +53,26 @@ def find_start(table: TableReadings, stations: Array, targets: Array, *, tilted:
         stations: (S, 3) nominal, m.
         targets: (T, 3) nominal at c = 0, m.
         tilted: where the nominal places lead nowhere, try whether the axis stands tilted in the machine, by up to a
-            right angle: then all stations are first turned together.
+            right angle: then all stations are first turned together; and whether they are wrong by decimetres: then
+            the fit sets out from places beside them.
     """
     start = _fitted(table, stations, targets)
-    if not tilted or start.misfit < _ABSURD:
+    if not tilted or start.misfit < _DOUBTFUL:
         return start
+    if start.misfit > _ABSURD:
+        start = _from_tilted(table, stations, targets, start)
+    rng = np.random.default_rng(0)
+    for _ in range(_BESIDE):
+        if start.misfit < _DOUBTFUL:
+            break
+        away = stations + _STATIONS_BESIDE * rng.normal(size=stations.shape)
+        found = _fitted(table, away, targets + _TARGETS_BESIDE * rng.normal(size=targets.shape), _WIDE)
+        start = min(start, found, key=lambda one: one.misfit)
+    return start
+
+
+def _from_tilted(table: TableReadings, stations: Array, targets: Array, start: Start) -> Start:
+    """The best of a start and those from a tilted axis."""
     turned = [_turned(stations, table.axis, tilt) for tilt in _tilts()]
     rough = [_misfit(table, places, targets) for places in turned]
     posed = [_posed(table, turned[k], targets) for k in np.argsort(rough)[:_TRIES]]
@@ -112,7 +133,7 @@ def aligned(points: Array, onto: Array, used: IntArray) -> Array:
     return np.asarray((points - middle) @ u @ flip @ vt + goal)
 
 
-def _fitted(table: TableReadings, stations: Array, targets: Array) -> Start:
+def _fitted(table: TableReadings, stations: Array, targets: Array, within: float = _NOMINAL) -> Start:
     setup, reading = table.readings.setup, table.readings.displacement
     size = len(stations) * 3
     nominal = np.concatenate([stations.ravel(), targets.ravel()])
@@ -131,7 +152,7 @@ def _fitted(table: TableReadings, stations: Array, targets: Array) -> Start:
         return length, away / np.maximum(length, 1e-12)[:, None]
 
     def residual(x: Array) -> Array:
-        return np.concatenate([centred(line(x)[0] - reading) / _ERRORS, (x - nominal) / _NOMINAL])
+        return np.concatenate([centred(line(x)[0] - reading) / _ERRORS, (x - nominal) / within])
 
     def jacobian(x: Array) -> Array:
         _, g = line(x)
@@ -144,7 +165,7 @@ def _fitted(table: TableReadings, stations: Array, targets: Array) -> Start:
         mean = np.zeros((len(count), len(x)))
         np.add.at(mean, table.run, out)
         out -= (mean / count[:, None])[table.run]
-        return np.concatenate([out / _ERRORS, np.eye(len(x)) / _NOMINAL])
+        return np.concatenate([out / _ERRORS, np.eye(len(x)) / within])
 
     found = least_squares(residual, nominal, jacobian, method="trf", xtol=1e-9, ftol=1e-9, gtol=1e-9, max_nfev=60)
     at_stations, at_targets = split(np.asarray(found.x))

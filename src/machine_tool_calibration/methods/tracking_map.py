@@ -73,6 +73,12 @@ def free_map(model: TrackingModel, fit: Fit) -> ErrorMap:
 def _why_lost(model: TrackingModel, fit: Fit, target: int) -> str:
     """What keeps a target from being determined."""
     if fit.solution.local_determined[fit.index][:, target].all():
+        count = len(np.unique(model.observations.readings.setup))
+        if count <= model.dimension:
+            return (
+                f"each target by itself needs {model.dimension + 1} stations, not {count}; the model rigid_body "
+                "(--model) may do with these"
+            )
         return "a station that it needs is not determined"
     stations = np.unique(model.observations.readings.setup[model.point == target])
     if len(stations) >= model.dimension:

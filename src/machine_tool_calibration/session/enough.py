@@ -25,10 +25,11 @@ _LINE = 1e-3  # second extent over the first
 
 
 def check_enough(session: Session, place: Place) -> None:
-    """Refuse what cannot determine the method's unknowns at all.
+    """Refuse what no model of the method can make anything of.
 
-    Counts follow the papers: 3 stations in the plane and 4 in space (Ibaraki et al. 2014, Section 2; Zhang et al.
-    2015, Section 2). What a sufficient session leaves undetermined in detail is the estimator's to find and name.
+    The papers ask for 3 stations in the plane and 4 in space (Ibaraki et al. 2014, Section 2; Zhang et al. 2015,
+    Section 2). With fewer, a machine of rigid bodies can still be identified, and three stations see all of a rotary
+    axis with three targets. What a session leaves undetermined is the estimator's to find and name.
 
     Raises:
         SessionError: two stations at one place, too few stations, targets or readings, all targets on a line.
@@ -36,17 +37,17 @@ def check_enough(session: Session, place: Place) -> None:
     description = session.description
     measured = np.isfinite(session.readings.displacement)
     if isinstance(description, TrackingInterferometer):
-        _stations(session, description.setups, 3 if description.dimension == 2 else 4, measured, place)
+        _stations(session, description.setups, 2, measured, place)
         _tracking(session, description.dimension, measured, place)
     elif isinstance(description, RotaryAxis):
-        _stations(session, description.setups, 4, measured, place)
+        _stations(session, description.setups, 3, measured, place)
         _rotary(session, description, measured, place)
     elif isinstance(description, StepDiagonal):
-        _each_setup(session, measured, 2, place)
+        _some_setup(session, measured, 2, place)
     elif isinstance(description, Probing):
         _probing(session, measured, place)
     elif isinstance(description, Direct):
-        _each_setup(session, measured, 1, place)
+        _some_setup(session, measured, 1, place)
 
 
 def on_a_line(points: Array) -> bool:
@@ -84,29 +85,34 @@ def _stations(
 def _tracking(session: Session, dimension: int, measured: BoolArray, place: Place) -> None:
     positions = session.readings.position()[measured][:, :dimension]
     points, index = _distinct(positions)
-    if on_a_line(points):
+    if len(points) < 3 or (dimension == 3 and on_a_line(points)):
         what = "there are fewer than three targets" if len(points) < 3 else "all targets lie on a line"
         raise SessionError(f"{place.readings}: {what}; {_method(session)} needs targets spread over a plane")
     stations = session.readings.setup[measured]
-    seen = np.unique(index * len(session.setup_ids) + stations) // len(session.setup_ids)
-    redundant = np.clip(np.bincount(seen) - dimension, 0, None).sum()
+    pairs = np.unique(index * len(session.setup_ids) + stations)
+    redundant = np.clip(np.bincount(pairs // len(session.setup_ids)) - dimension, 0, None).sum()
     count = len(np.unique(stations))
     unknown = (dimension + 1) * count - (3 if dimension == 2 else 6)
-    if redundant < unknown:
+    # Rigid bodies have three or six error motions at every position of every axis, however many targets there are.
+    rigid = (dimension + 1) * count + _unknown_of_axes(points)
+    if redundant < unknown and len(pairs) < rigid:
         raise SessionError(
             f"{place.readings}: too few readings: {len(points)} targets and {count} stations leave {redundant} "
             f"conditions for the {unknown} unknowns of the stations; measure more targets from all stations"
         )
 
 
+def _unknown_of_axes(points: Array) -> int:
+    """Values of the linear axes' error motions at the positions of targets (n, d)."""
+    positions = sum(len(_distinct(points[:, j : j + 1])[0]) for j in range(points.shape[1]))
+    return (3 if points.shape[1] == 2 else 6) * positions
+
+
 def _rotary(session: Session, description: RotaryAxis, measured: BoolArray, place: Place) -> None:
     readings = session.readings
     ids = [target.id for target in description.targets]
     used = [i for i, name in enumerate(ids) if np.any(readings.labels["target"][measured] == name)]
-    if len(used) > 2 and on_a_line(np.array([description.targets[i].position for i in used])):
-        raise SessionError(
-            f"{place.description}: targets: all targets lie on a line, so the rotation about it cannot be determined"
-        )
+    straight = on_a_line(np.array([description.targets[i].position for i in used]))
     angle = readings.columns[rotary_column(description)][measured]
     angles = len(_distinct(angle[:, None])[0])
     count = len(np.unique(readings.setup[measured]))
@@ -123,8 +129,14 @@ def _rotary(session: Session, description: RotaryAxis, measured: BoolArray, plac
     # the table moves as a rigid body; one or two targets show three or five of its six motions. At each angle but the
     # first that many unknowns, three per target and station, a path for each pair of them; minus the frame
     # (with one target: 3 n + 13, Zhang et al. 2015)
-    per_angle = {1: 3, 2: 5}.get(len(used), 6)
+    per_angle = 3 if len(used) == 1 else 5 if straight else 6
     unknown = per_angle * (angles - 1) + 3 * len(used) + (3 + len(used)) * count - 6
+    if count < 4 and straight:
+        seen = "one target" if len(used) == 1 else "two targets" if len(used) == 2 else "targets on a line"
+        raise SessionError(
+            f"{place.readings}: {seen} from {count} stations leave the places of the stations open; "
+            "measure a third target off the line, or from a fourth station"
+        )
     if len(pairs) < unknown:
         raise SessionError(
             f"{place.readings}: too few readings: {len(pairs)} different ones at {angles} angles "
@@ -139,21 +151,18 @@ def _probing(session: Session, measured: BoolArray, place: Place) -> None:
             f"{place.readings}: touches at {_count(len(used), 'C angle')}; probing needs at least 2 "
             "to tell the workpiece from the machine"
         )
-    _each_setup(session, measured, 1, place)
+    _some_setup(session, measured, 1, place)
 
 
-def _each_setup(session: Session, measured: BoolArray, needed: int, place: Place) -> None:
-    """Every setup that has rows must have readings."""
-    total = np.bincount(session.readings.setup, minlength=len(session.setup_ids))
+def _some_setup(session: Session, measured: BoolArray, needed: int, place: Place) -> None:
+    """Some setup must have readings enough; what was lost in others is named by the estimator."""
     good = np.bincount(session.readings.setup[measured], minlength=len(session.setup_ids))
-    for name, rows, count in zip(session.setup_ids, total, good, strict=True):
-        if rows and count < needed:
-            raise SessionError(
-                f"{place.readings}: too few readings: setup {name!r} has {count} of {_count(rows, 'row')}, "
-                f"and needs at least {needed}"
-            )
     if good.sum() < 2:
         raise SessionError(f"{place.readings}: too few readings: {good.sum()}, and at least 2 are needed")
+    if good.max() < needed:
+        raise SessionError(
+            f"{place.readings}: too few readings: no setup has more than {good.max()}; at least {needed} are needed"
+        )
 
 
 def _distinct(points: Array) -> tuple[Array, IntArray]:

@@ -1,0 +1,126 @@
+"""Fewer and more stations and targets than the paper's, other axes, and places that are hardly known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.session.checks import check_session
+from machine_tool_calibration.session.session import Session
+
+STATIONS = (
+    *((-0.7, -0.5, 0.2), (0.8, -0.6, 0.35), (0.65, 0.75, 0.15), (-0.3, 0.35, 1.1)),
+    *((0.2, -0.9, 0.6), (-0.8, 0.5, 0.5)),
+)
+TARGETS = {
+    "P": (-0.1058046, 0.1353414, 0.0),
+    "Q": (0.1288513, 0.0878158, 0.0399797),
+    "K": (0.0249026, -0.1108575, 0.0152662),
+    "R": (-0.12, -0.09, 0.06),
+    "S": (0.05, 0.15, 0.05),
+}
+LEVEL = {"P": (-0.1, 0.13, 0.03), "Q": (0.12, 0.09, 0.03)}
+
+
+def _ratio(rotary: SimpleNamespace, runs: int, axis: str = "C", **plan: object) -> tuple[float, float]:
+    """Mean squared normalised error, and RMS error over the stated uncertainty, motion by motion the worst."""
+    errors, stated = [], []
+    for seed in range(runs):
+        simulated = rotary.measured(seed, axis=axis, **plan)
+        check_session(simulated.session)
+        content = identify(simulated.session).error_map.content
+        angles = np.asarray(content[axis.lower()])
+        value, uncertainty = rotary.found(content, axis)
+        truth = rotary.true_motions(simulated, angles, axis)
+        errors.append(rotary.without_datum(value, angles, axis=axis) - rotary.without_datum(truth, angles, axis=axis))
+        stated.append(uncertainty)
+    error, u = np.array(errors), np.array(stated)
+    worst = np.sqrt(np.mean(error**2, axis=(0, 2)) / np.mean(u**2, axis=(0, 2))).max()
+    return float(np.mean((error / u) ** 2)), float(worst)
+
+
+@pytest.mark.parametrize(
+    ("axis", "plan"),
+    [
+        ("C", {"stations": STATIONS[:3]}),
+        ("C", {"stations": (*STATIONS[:2], STATIONS[3])}),
+        ("C", {"stations": STATIONS, "targets": TARGETS}),
+        ("C", {"targets": {name: TARGETS[name] for name in "PQKR"}, "hidden": {"P": (1.0, 1.8)}}),
+        ("A", {}),
+        ("B", {"repeats": 2}),
+    ],
+)
+def test_normalised_errors_over_60_runs(rotary: SimpleNamespace, axis: str, plan: dict[str, object]) -> None:
+    squared, worst = _ratio(rotary, 60, axis, **plan)
+    assert 0.9 < squared < 1.1
+    assert worst < 1.1
+
+
+def test_two_targets_at_one_height_show_how_the_table_turns(rotary: SimpleNamespace) -> None:
+    errors, stated = [], []
+    for seed in range(60):
+        simulated = rotary.measured(seed, targets=LEVEL)
+        result = identify(simulated.session)
+        assert {entry.name for entry in result.not_determined} == {"EXC", "EYC", "EZC", "EAC", "EBC"}
+        content = result.error_map.content
+        truth = simulated.truth.machine.motion("ECC", np.asarray(content["c"]))
+        errors.append(content["ECC"] - content["ECC"].mean() - truth + truth.mean())
+        stated.append(content["ECC_u"])
+        assert np.isfinite(content["position_error"]).all()
+    assert 0.9 < np.mean((np.array(errors) / np.array(stated)) ** 2) < 1.1
+
+
+def test_targets_on_a_line_say_how_little_they_know(rotary: SimpleNamespace) -> None:
+    line = {"P": (0.1, 0.0, 0.0), "Q": (0.2, 0.0, 0.0), "K": (-0.1, 0.0, 0.0)}
+    simulated = rotary.measured(3, targets=line)
+    check_session(simulated.session)
+    content = identify(simulated.session).error_map.content
+    assert np.max(content["ECC_u"]) < 5e-6 and np.min(content["EAC_u"][3:6]) > 1e-4
+
+
+def test_one_station_after_another_sees_a_machine_that_does_not_repeat(rotary: SimpleNamespace) -> None:
+    one, four = [], []
+    for repeats, into in ((1, one), (4, four)):
+        for seed in range(25):
+            simulated = rotary.measured(seed, repeats=repeats, repeatability=1e-6)
+            content = identify(simulated.session).error_map.content
+            angles = np.asarray(content["c"])
+            value, _ = rotary.found(content)
+            truth = rotary.without_datum(rotary.true_motions(simulated, angles), angles)
+            into.append(rotary.without_datum(value, angles)[:3] - truth[:3])
+    assert np.sqrt(np.mean(np.square(one)) / np.mean(np.square(four))) == pytest.approx(2.0, rel=0.1)
+
+
+@pytest.mark.parametrize(("stations", "targets"), [(0.01, 0.01), (0.1, 0.02), (0.2, 0.05)])
+def test_places_known_roughly(rotary: SimpleNamespace, stations: float, targets: float) -> None:
+    for seed in range(8):
+        session = rotary.measured(seed, station_uncertainty=stations, target_uncertainty=targets).session
+        assert identify(session).fit.joint.reduced_chi_square < 1.6
+
+
+def test_readings_of_other_places(rotary: SimpleNamespace) -> None:
+    session: Session = rotary.measured(1).session
+    shuffled = np.random.default_rng(5).permutation(session.readings.displacement)
+    lost = session.with_readings(replace(session.readings, displacement=shuffled))
+    with pytest.raises(ModelError, match="state the stations to a decimetre") as caught:
+        identify(lost)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("axis", ["A", "B", "C"])
+def test_axis_average_line_in_the_machine(rotary: SimpleNamespace, axis: str) -> None:
+    along = "ABC".index(axis)
+    across, other = "XYZ"[(along + 1) % 3], "ABC"[(along + 2) % 3]
+    line = {f"{across}0{axis}": 2e-4, f"{other}0{axis}": 3e-4}
+    normalised = []
+    for seed in range(40):
+        simulated = rotary.measured(seed, {"average_line": line}, axis=axis)
+        found = identify(simulated.session).error_map.content["axis_average_line"]
+        names = [name for name in found if not name.endswith("_u")]
+        normalised.append([(found[n] - line.get(n, 0.0)) / found[f"{n}_u"] for n in names])
+    assert 0.8 < np.mean(np.square(normalised)) < 1.25
