@@ -18,7 +18,7 @@ from machine_tool_calibration.effects.pitch_periodic import PitchPeriodic
 from machine_tool_calibration.effects.pointer import PointerRadialError, PointerZeroOffset
 from machine_tool_calibration.effects.pretravel import ProbePretravel
 from machine_tool_calibration.effects.retroreflector import RetroreflectorForm
-from machine_tool_calibration.effects.scale import Scale
+from machine_tool_calibration.effects.scale import AxisScale, Scale
 from machine_tool_calibration.effects.thermal_expansion import ThermalExpansion
 from machine_tool_calibration.effects.warmup import Warmup
 from machine_tool_calibration.errors import ModelError
@@ -49,6 +49,7 @@ def _built_in() -> list[Effect]:
         WorkpieceThermal(),
         ProbePretravel(),
         Scale(),
+        *(AxisScale(axis) for axis in axes),
         *(ErrorMotionEffect(f"E{c}{axis}") for axis in "XYZ" for c in "XYZABC"),
         *(ErrorMotionEffect(name) for name in SQUARENESS),
     ]

@@ -69,6 +69,7 @@ class Effect(ABC):
         methods: methods in which it can act; all if empty.
         covariates: what the readings depend on through the effect; its columns if empty.
         setup_level: whether its coefficients belong to single setups, which then are the sample.
+        contains: ids of simpler effects that are a special case of it: where they are found too, they come first.
     """
 
     id: str
@@ -82,6 +83,7 @@ class Effect(ABC):
     methods: tuple[str, ...] = ()
     covariates: tuple[str, ...] = ()
     setup_level: bool = False
+    contains: tuple[str, ...] = ()
 
     def why_not(self, observations: Observations) -> str | None:
         """Why the effect cannot be looked for in these readings; None if it can."""

@@ -8,11 +8,16 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient, Effect
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.machine.error_motions import SQUARENESS, motion_field, parse_motion, squareness_field
+from machine_tool_calibration.machine.table import interpolation
 from machine_tool_calibration.model.observations import Observations
 
 __all__ = ["ErrorMotionEffect"]
 
 _DEGREES = 4
+# A single axis read again and again at so few positions tells its error at each of them.
+_FEWEST, _MOST = 4, 60
+_STILL = 1e-6  # m
+_SQUARE = {"XY": "C0Y", "XZ": "B0Z", "YZ": "A0Z"}
 
 
 class ErrorMotionEffect(Effect):
@@ -20,6 +25,9 @@ class ErrorMotionEffect(Effect):
 
     The lever arm of a rotation is that of the chain. Where the chain gives none in the measured plane, the carriage is
     taken to turn about the machine's zero: a carriage that yields instead of moving as a rigid body.
+
+    Direct deviations of a single axis, read repeatedly at a few positions (ISO 230-2, a straightedge), tell a
+    translation at every position, whatever its shape: there it has one coefficient for each of them.
     """
 
     kind = "position"
@@ -42,6 +50,10 @@ class ErrorMotionEffect(Effect):
         self.formula = f"{name}({self.axis}) as a polynomial of degree {_DEGREES}"
         self.coefficients = tuple(Coefficient(f"p{k}", unit, -limit, limit) for k in range(1, _DEGREES + 1))
         self.needs = (self.axis,)
+        if motion.component == motion.axis:
+            self.contains = (f"scale_{self.axis}", "scale")
+        elif not motion.is_rotation:
+            self.contains = (_SQUARE["".join(sorted(motion))],)
 
     def why_not(self, observations: Observations) -> str | None:
         """Needs the axis in the chain, and a rotary axis is not meant."""
@@ -54,12 +66,44 @@ class ErrorMotionEffect(Effect):
             return f"{axis} did not move"
         return why
 
+    def coefficients_for(self, observations: Observations, shape: tuple[float, ...] = ()) -> tuple[Coefficient, ...]:
+        """Of the polynomial, or one for each position of a single axis."""
+        nodes = self._nodes(observations)
+        if nodes is None:
+            return self.coefficients
+        low, high = self.coefficients[0].low, self.coefficients[0].high
+        return tuple(Coefficient(f"at {nodes[k]:.6g}", "m", low, high) for k in self._free(observations, len(nodes)))
+
+    def _nodes(self, observations: Observations) -> Array | None:
+        """Positions of a single axis, if each was read at least twice; None where a polynomial is meant."""
+        if self.is_squareness or self.id[1] in "ABC" or observations.session.method != "direct":
+            return None
+        moved = np.ptp(observations.position, axis=0) > _STILL
+        if moved.sum() != 1 or not moved["xyz".index(self.axis)]:
+            return None
+        nodes, count = np.unique(np.round(observations.readings.column(self.axis), 6), return_counts=True)
+        return nodes + 0.0 if _FEWEST <= len(nodes) <= _MOST and count.min() > 1 else None
+
+    def _free(self, observations: Observations, nodes: int) -> range:
+        """Which nodes are unknowns: not those that the instrument's datum holds at zero."""
+        datum = getattr(observations.session.description, "datum", "none")
+        across = self.id[1] != self.id[2]
+        return range(0 if datum == "none" else 1, nodes - 1 if datum == "rigid" and across else nodes)
+
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
-        """Legendre polynomials of the axis's position over its range times the displacement of a unit."""
+        """Legendre polynomials of the axis's position over its range times the displacement of a unit.
+
+        For a single axis read repeatedly: straight lines between its positions.
+        """
         position = observations.position
         if self.is_squareness:
             return observations.sense(squareness_field(self.id, position)[None])
         motion = parse_motion(self.id)
+        nodes = self._nodes(observations)
+        if nodes is not None:
+            along = observations.direction[:, "XYZ".index(motion.component)]
+            table = interpolation(nodes, observations.readings.column(self.axis)) * along
+            return np.asarray(table[list(self._free(observations, len(nodes)))])
         chain = Chain.parse(observations.session.description.machine.chain)
         field = motion_field(chain, motion, position)
         turns = observations.rotation_direction is not None

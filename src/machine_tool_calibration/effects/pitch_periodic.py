@@ -12,6 +12,11 @@ __all__ = ["PitchPeriodic"]
 
 _SHORTEST = 2e-3
 _MOST = 80
+# Leads of ball screws, mm, and half of them: tried one by one where so many short waves fit into the range that they
+# cannot all be.
+_LEADS = (4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0, 25.0, 30.0, 32.0, 40.0)
+# Waves in the range, at least: fewer are a curve, whose cause need not be a screw.
+_WAVES = {"any": 1.0, "direct": 1.5}
 
 
 class PitchPeriodic(Effect):
@@ -42,8 +47,15 @@ class PitchPeriodic(Effect):
         steps = np.diff(position)
         even = float(np.ptp(steps)) < 1e-3 * float(steps.mean())
         shortest = 2.0 * float(steps.mean()) if even else max(_SHORTEST, float(steps.mean()))
-        frequency = np.arange(1.0 / span, 1.0 / shortest * (1.0 + 1e-9), 0.4 / span)
-        if len(frequency) > _MOST:
+        fewest = _WAVES.get(observations.session.method, _WAVES["any"])
+        frequency = np.arange(fewest / span, 1.0 / shortest * (1.0 + 1e-9), 0.4 / span)
+        if len(frequency) > _MOST and observations.session.method == "direct":
+            # Long waves without a gap, and the usual leads beyond.
+            known = np.unique([1e3 / (lead * share) for lead in _LEADS for share in (1.0, 0.5)])
+            frequency = frequency[: _MOST - len(known)]
+            beyond = known[(known > frequency[-1] + 0.2 / span) & (known <= 1.0 / shortest)]
+            frequency = np.concatenate([frequency, beyond])
+        elif len(frequency) > _MOST:
             frequency = np.linspace(frequency[0], frequency[-1], _MOST)
         return [(float(1.0 / f),) for f in frequency]
 

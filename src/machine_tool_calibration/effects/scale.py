@@ -1,14 +1,14 @@
-"""One relative scale for all axes."""
+"""Relative scales: one for all axes, or each axis its own."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.effects.effect import Coefficient, Effect
+from machine_tool_calibration.effects.effect import Coefficient, Effect, axis_unit
 from machine_tool_calibration.model.observations import Observations
 
-__all__ = ["Scale"]
+__all__ = ["AxisScale", "Scale"]
 
 
 class Scale(Effect):
@@ -26,3 +26,29 @@ class Scale(Effect):
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """The position, as far as it is sensed."""
         return np.asarray(np.einsum("nj,nj->n", observations.position, observations.direction))[None]
+
+
+class AxisScale(Effect):
+    """The scale of one axis: lead, encoder, or the axis was not at 20 degrees Celsius.
+
+    Only for direct deviations: elsewhere the machine's positioning is an error motion as a whole.
+    """
+
+    kind = "position"
+    source = "ISO 230-1:2012, 3.4.3, linear part of the positioning error"
+    methods = ("direct",)
+
+    def __init__(self, axis: str) -> None:
+        """Scale of x, y or z."""
+        self.axis = axis
+        self.id = f"scale_{axis}"
+        self.title = f"scale of {axis.upper()}"
+        self.formula = f"e_{axis} = s {axis}"
+        self.coefficients = (Coefficient("s", "1", -2e-3, 2e-3),)
+        self.needs = (axis,)
+        self.covariates = (axis, "path", "displacement")
+
+    def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
+        """The position of the axis, as far as it is sensed."""
+        along = observations.direction @ axis_unit(self.axis)
+        return np.asarray(observations.readings.column(self.axis) * along)[None]

@@ -22,6 +22,8 @@ __all__ = ["add_effects", "best_shape", "effect_term"]
 _STEP = 1e-4
 # Share of a column's squared norm outside the model below which the model takes it up.
 _ABSORBED = 1e-10
+# Share of a column's squared norm outside model and other effects below which it repeats them.
+_REPEATED = 1e-7
 
 
 def effect_term(
@@ -141,6 +143,47 @@ def _without_absorbed(model: MethodModel, effects: Sequence[Effect]) -> tuple[Me
     return replace(model, left_out=tuple(absorbed)), kept
 
 
+def _told_apart(model: MethodModel, terms: Sequence[Term]) -> tuple[list[Term], tuple[NotDetermined, ...]]:
+    """The terms without columns that only repeat others: the straight part of EXX beside a scale of X.
+
+    Simple effects come first: of a polynomial, what a scale or a squareness says already is left out.
+    """
+    if len(terms) < 2:
+        return list(terms), ()
+    screened = screen(fit_models([model]).fits[0], np.concatenate([term.columns for term in terms]))
+    scale = np.sqrt(np.maximum(np.diag(screened.gram)[:-1], np.finfo(float).tiny))
+    inner = screened.gram[:-1, :-1] / np.outer(scale, scale)
+    seen = scale**2 > _ABSORBED * screened.squares[:-1]
+    starts = np.cumsum([0, *(len(term.columns) for term in terms)])
+    taken: list[int] = []
+    kept, left = list(terms), []
+    for k in sorted(range(len(terms)), key=lambda k: len(terms[k].columns)):
+        own = np.arange(starts[k], starts[k + 1])
+        # Among a term's own columns the model decides: they are compared with those of other terms only.
+        again = np.array([bool(seen[j]) and _repeats(inner, j, taken) for j in own])
+        if again.all() and len(own) == 1 or not again.any():
+            taken += [int(j) for j in own if seen[j]]
+            continue
+        good = ~again
+        term = terms[k]
+        parameters = tuple(p for p, g in zip(term.parameters, good, strict=True) if g)
+        field = None if term.field is None else term.field[good]
+        kept[k] = Term(term.name, parameters, term.columns[good], field)
+        why = "the other effects in the model say the same"
+        left += [NotDetermined(p.name, why) for p, g in zip(term.parameters, good, strict=True) if not g]
+        taken += [int(j) for j in own[good] if seen[j]]
+    return [term for term in kept if term.parameters], tuple(left)
+
+
+def _repeats(inner: Array, column: int, taken: Sequence[int]) -> bool:
+    """Whether a column is a combination of others, from their inner products outside the model."""
+    if not taken:
+        return False
+    pick = list(taken)
+    weights = np.linalg.lstsq(inner[np.ix_(pick, pick)], inner[pick, column], rcond=1e-9)[0]
+    return bool(inner[column, column] - inner[pick, column] @ weights < _REPEATED)
+
+
 def add_effects(model: MethodModel, effects: Sequence[Effect]) -> MethodModel:
     """The model with these effects; nonlinear coefficients are fitted and published with their uncertainty.
 
@@ -157,7 +200,8 @@ def add_effects(model: MethodModel, effects: Sequence[Effect]) -> MethodModel:
     model, effects = _without_absorbed(model, effects)
     linear = [effect for effect in effects if not effect.shapes]
     curved = [effect for effect in effects if effect.shapes]
-    base = model.with_terms([effect_term(effect, observations) for effect in linear])
+    terms, repeated = _told_apart(model, [effect_term(effect, observations) for effect in linear])
+    base = replace(model, left_out=model.left_out + repeated).with_terms(terms)
     shapes: dict[str, tuple[tuple[float, ...], Array]] = {}
     # One after the other, and once more each with the others at their best.
     for _ in range(2 if len(curved) > 1 else 1):
