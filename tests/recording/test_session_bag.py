@@ -6,17 +6,21 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.recording.cdr import JOINT_STATE, TEXT, encode, encode_joint_state
+from machine_tool_calibration.recording.cdr import JOINT_STATE, TEXT, encode, encode_joint_state, part
+from machine_tool_calibration.recording.reader import BagReader
 from machine_tool_calibration.recording.session_from_bag import session_from_bag
 from machine_tool_calibration.recording.session_to_bag import reading_columns, session_to_bag
+from machine_tool_calibration.recording.tables import save_table, tables
 from machine_tool_calibration.recording.writer import BagWriter
 from machine_tool_calibration.session.open import open_measurement
-from machine_tool_calibration.session.parse import description_yaml
+from machine_tool_calibration.session.parse import description_yaml, parse_description
 from machine_tool_calibration.session.reader import read_session
-from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.session.session import Readings, Session
+from machine_tool_calibration.session.writer import readings_frame
 
 DATA = Path(__file__).parents[1] / "data"
 NAMES = ("tracking_2d", "rotary_axis", "step_diagonal", "probing_cross")
@@ -204,3 +208,91 @@ def test_neither_session_nor_recording(tmp_path: Path) -> None:
 
 def test_a_file_of_the_session_names_it() -> None:
     assert_equal(read_session(DATA / "tracking_2d"), open_measurement(DATA / "tracking_2d" / "session.yaml"))
+
+
+def direct_session() -> Session:
+    """Readings with names of points, which the description does not list, and values of every kind."""
+    description = parse_description(
+        "format: mtcal-session/1\nmethod: direct\ndatum: rigid\nmachine: {chain: w-Y-X-b-Z-t}\n"
+        "standard_uncertainty: {displacement: 1e-6}\nsetups: [{id: 'Plätte, 1'}, {id: '2'}]\n",
+        "session.yaml",
+    )
+    n = 12
+    rng = np.random.default_rng(2)
+    values = rng.normal(size=n) * 1e-6
+    values[[2, 5]] = np.nan
+    columns = {axis: rng.normal(size=n) for axis in "xy"} | {
+        "gx": np.ones(n),
+        "gy": np.full(n, -0.0),
+        "gz": np.zeros(n),
+    }
+    columns["time"] = np.array([0, 1, np.nan, 3, 3, 4, np.nan, np.nan, 5, 6, 7, 8.0])
+    columns["load"] = np.where(np.arange(n) % 3 == 0, np.nan, 5e-324 * np.arange(n))
+    labels = {
+        "point": np.array([f"B{k:02d}" for k in range(n)]),
+        "target": np.array(["", "T,1"] * 6),
+        "operator": np.array(['Änne "A"', "", "line\nfeed"] * 4),
+    }
+    readings = Readings(
+        setup=np.arange(n) % 2,
+        repeat=np.arange(n) // 4,
+        displacement=values,
+        columns=columns,
+        labels=labels,
+        row=np.arange(n),
+    )
+    return Session(description, readings)
+
+
+def test_a_direct_session_with_names_of_points(tmp_path: Path) -> None:
+    session = direct_session()
+    session_to_bag(session, tmp_path / "bag")
+    assert_equal(session, session_from_bag(tmp_path / "bag", check=False))
+
+
+@pytest.mark.parametrize("name", [*NAMES, "direct"])
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+def test_the_readings_as_a_table_are_complete(name: str, form: str, tmp_path: Path) -> None:
+    session = direct_session() if name == "direct" else read_session(DATA / name)
+    session_to_bag(session, tmp_path / "bag")
+    bag = session_from_bag(tmp_path / "bag", check=False)
+    frame = readings_frame(bag)
+    save_table(iter([frame]), tmp_path / f"t.{form}")
+    back = (
+        pd.read_parquet(tmp_path / "t.parquet")
+        if form == "parquet"
+        else pd.read_csv(tmp_path / "t.csv", keep_default_na=False, dtype=str)
+    )
+    assert list(back.columns) == list(readings_frame(session).columns)
+    ids = np.asarray(session.setup_ids)[session.readings.setup]
+    assert back["setup"].tolist() == ids.tolist()
+    numbers = {"displacement": session.readings.displacement, **session.readings.columns}
+    for column, values in numbers.items():
+        found = back[column] if form == "parquet" else back[column].replace("", "nan").astype(float)
+        assert found.to_numpy().tobytes() == values.tobytes(), column
+    for column, texts in session.readings.labels.items():
+        assert back[column].tolist() == texts.tolist()
+
+
+def test_topics_as_tables_have_every_value(tmp_path: Path) -> None:
+    """Names that come late, come twice, or are taken; values without names."""
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add_topic("/states", JOINT_STATE)
+        for k in range(150):
+            bag.write("/states", encode_joint_state(k, "f", ["x", "log_time"], [k / 7, 0.5]), k)
+        bag.write("/states", encode_joint_state(150, "f", ["x", "x", "late"], [1.0, 2.0, np.nan]), 150)
+        header = part("std_msgs/msg/Header", part("builtin_interfaces/msg/Time", 0, 151), "f")
+        values = (np.array(entries) for entries in ([3.0, 4.0], [5.0], [6.0, 7.0]))
+        bag.write("/states", encode(JOINT_STATE, header, ["x"], *values), 151)
+    reader = BagReader(tmp_path / "bag")
+    pieces = list(tables(reader, reader.topics["/states"]))
+    frame = pd.concat(pieces)
+    assert list(frame.columns) == [
+        *("log_time", "publish_time", "stamp", "frame_id", "x", "log_time_2", "x_2", "late"),
+        *("position.1", "velocity.x", "effort.x", "effort.1"),
+    ]
+    assert frame["log_time"].tolist() == list(range(152))
+    assert frame["x"].tolist() == [*(k / 7 for k in range(150)), 1.0, 3.0]
+    assert frame["x_2"].tolist()[150] == 2.0
+    last = frame.iloc[151]
+    assert (last["position.1"], last["velocity.x"], last["effort.x"], last["effort.1"]) == (4.0, 5.0, 6.0, 7.0)

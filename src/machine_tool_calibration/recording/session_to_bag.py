@@ -37,12 +37,9 @@ def session_to_bag(session: Session, folder: Path, *, start: int = 0, namespace:
     prefix = f"/{namespace.strip('/')}" if namespace.strip("/") else ""
     names, table = reading_columns(session)
     time = session.readings.columns.get("time")
-    seconds = np.arange(len(session.readings), dtype=np.float64) if time is None else np.nan_to_num(time)
-    labels = {
-        name: values.tolist()
-        for name, values in session.readings.labels.items()
-        if name not in {label for label, _ in INDEX_COLUMNS.values()}
-    }
+    seconds = np.arange(len(session.readings), dtype=np.float64) if time is None else _ascending(time)
+    numbered = {label for label, key in INDEX_COLUMNS.values() if getattr(session.description, key, None) is not None}
+    labels = {name: values.tolist() for name, values in session.readings.labels.items() if name not in numbered}
     with BagWriter(folder) as bag:
         bag.add_topic(f"{prefix}/{SESSION}", TEXT, qos=[LATCHED])
         bag.add_topic(f"{prefix}/{READING}", JOINT_STATE, qos=[_READINGS])
@@ -54,6 +51,11 @@ def session_to_bag(session: Session, folder: Path, *, start: int = 0, namespace:
         for setup, stamp, row in zip(session.readings.setup, stamps.tolist(), table, strict=True):
             data = encode_joint_state(max(0, stamp), session.setup_ids[setup], names, row)
             bag.write(f"{prefix}/{READING}", data, stamp)
+
+
+def _ascending(time: np.ndarray) -> np.ndarray:
+    """Times at which readings are logged: none before the start or an earlier reading, which keeps their order."""
+    return np.maximum.accumulate(np.fmax(time, 0.0))
 
 
 def reading_columns(session: Session) -> tuple[list[str], np.ndarray]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,22 +19,23 @@ from machine_tool_calibration.session.csv_text import write_csv
 __all__ = ["file_name", "save_table", "save_tables", "tables"]
 
 _ROWS = 50_000  # rows that are kept in memory
+_FEW = 100  # messages that are in one piece anyway
 _DEPTH = 8
 
 
 def tables(bag: BagReader, topic: Topic) -> Iterator[pd.DataFrame]:
-    """A topic's messages in pieces; the columns of the first piece are those of all.
+    """A topic's messages in pieces, all with the same columns.
 
-    Every row begins with `log_time` and `publish_time` (ns since 1970). A JointState has a column for each name, a
-    Float64MultiArray a row for each sample, with the columns that its layout names; other fields are named by their
-    path; lists become JSON text.
+    Every row begins with `log_time` and `publish_time` (ns since 1970). A JointState has a column for each name that
+    any message has, a Float64MultiArray a row for each sample, with the columns that its layout names; other fields are
+    named by their path; lists become JSON text. A name that is taken already gets a number.
 
     Raises:
         RecordingError: the type cannot be read, or a message is damaged.
     """
     flatten = {JOINT_STATE: _joint_state, NUMBERS: _numbers}.get(topic.type, _any)
     rows: list[dict[str, Any]] = []
-    columns: list[str] = []
+    columns = _all_columns(bag, topic) if topic.messages > _FEW else []
     for message in bag.messages([topic.name]):
         rows += flatten(bag, message)
         if len(rows) >= _ROWS:
@@ -42,6 +43,17 @@ def tables(bag: BagReader, topic: Topic) -> Iterator[pd.DataFrame]:
             rows = []
     if rows or not columns:
         yield _frame(rows, columns)
+
+
+def _all_columns(bag: BagReader, topic: Topic) -> list[str]:
+    """The columns of all messages, none if all have the same: a name may come that the first messages do not have."""
+    names: dict[str, None] = {}
+    for message in bag.messages([topic.name]) if topic.type in (JOINT_STATE, NUMBERS) else ():
+        if topic.type == JOINT_STATE:
+            names.update(dict.fromkeys(_joint_state(bag, message)[0]))
+        else:
+            names.update(dict.fromkeys((*_times(message), *_sample_names(bag.decode(message)))))
+    return list(names)
 
 
 def _frame(rows: list[dict[str, Any]], columns: list[str]) -> pd.DataFrame:
@@ -60,24 +72,46 @@ def _joint_state(bag: BagReader, message: Message) -> list[dict[str, Any]]:
     stamp = state.header.stamp
     row = {**_times(message), "stamp": stamp.sec * 10**9 + stamp.nanosec, "frame_id": state.header.frame_id}
     for kind, values in (("", state.position), ("velocity.", state.velocity), ("effort.", state.effort)):
-        row.update({f"{kind}{name}": float(value) for name, value in zip(state.name, values, strict=False)})
+        for k, value in enumerate(values):
+            name = f"{kind}{state.name[k]}" if k < len(state.name) else f"{kind or 'position.'}{k}"
+            row[_free(name, row)] = float(value)
     return [row]
 
 
 def _numbers(bag: BagReader, message: Message) -> list[dict[str, Any]]:
     content = bag.decode(message)
-    names = content.layout.dim[-1].label.split(",") if content.layout.dim else ["data"]
-    width = content.layout.dim[-1].size if content.layout.dim else 1
-    if len(names) != width or len(content.data) % max(1, width):
-        names, width = ["data"], 1
-    table = np.asarray(content.data, dtype=np.float64).reshape(-1, width)
+    names = _sample_names(content)
+    table = np.asarray(content.data, dtype=np.float64).reshape(-1, len(names))
     times = _times(message)
     return [{**times, **dict(zip(names, row, strict=True))} for row in table.tolist()]
 
 
+def _sample_names(content: Any) -> list[str]:
+    """Columns of a Float64MultiArray's samples."""
+    names = content.layout.dim[-1].label.split(",") if content.layout.dim else ["data"]
+    width = content.layout.dim[-1].size if content.layout.dim else 1
+    if len(names) != width or len(content.data) % max(1, width):
+        names = ["data"]
+    taken = ["log_time", "publish_time"]
+    for name in names:
+        taken.append(_free(name, taken))
+    return taken[2:]
+
+
+def _free(name: str, taken: Collection[str]) -> str:
+    """The name, or the first one with a number that is not taken."""
+    number, free = 1, name
+    while free in taken:
+        number += 1
+        free = f"{name}_{number}"
+    return free
+
+
 def _any(bag: BagReader, message: Message) -> list[dict[str, Any]]:
     row = _times(message)
-    _fields(bag.decode(message), "", row, 0)
+    fields: dict[str, Any] = {}
+    _fields(bag.decode(message), "", fields, 0)
+    row.update({_free(name, row): value for name, value in fields.items()})
     return [row]
 
 
