@@ -157,12 +157,16 @@ class AxisSimulator(Node):
             self._publish_state(stamp)
 
     def _tick(self) -> None:
-        stamp = now(self)
+        stamp, arrival = now(self), self._start + nanoseconds(self._motion.arrival)
+        arrives = self._pending_arrival and stamp >= arrival
+        if arrives:
+            # Between two poses the way is taken for straight: the end of the motion must be one of them, however
+            # long a busy machine makes a tick, or the axes would seem to creep after they have arrived.
+            self._publish_truth(arrival)
         self._publish_truth(stamp)
         self._publish_state(stamp)
-        if self._pending_arrival and stamp >= self._start + nanoseconds(self._motion.arrival):
+        if arrives:
             self._pending_arrival = False
-            arrival = self._start + nanoseconds(self._motion.arrival)
             self._set_report(Level.OK, "arrived", state="arrived", arrived=arrival, held=arrival)
 
     def _heartbeat(self) -> None:
