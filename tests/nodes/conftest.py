@@ -91,7 +91,7 @@ class Bench:
             "instrument": {**world, "sample_noise": 0.0},
             "procedure": {"use_sim_time": simulated_time, "procedure": file},
             "estimator": {"use_sim_time": simulated_time},
-            "recorder": {"folder": str(self.folder / f"bag{self.count}")},
+            "recorder": {"use_sim_time": simulated_time, "folder": str(self.folder / f"bag{self.count}")},
         }
         programs = [Program(name, {**parameters[name], **(more or {}).get(name, {})}) for name in names]
         return self.stack.enter_context(Graph(programs, self.folder / f"log{self.count}", self.domain, namespace))

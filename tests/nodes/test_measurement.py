@@ -8,7 +8,13 @@ import sys
 import numpy as np
 import pytest
 
-from .conftest import PROCEDURE, SITE
+from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.recording.cdr import joint_state
+from machine_tool_calibration.recording.graph import GRAPH_TOPICS
+from machine_tool_calibration.recording.reader import BagReader
+from machine_tool_calibration.recording.session_from_bag import session_from_bag
+
+from .conftest import ORIGIN, PATIENCE, PROCEDURE, SITE, collected
 from .reference import reference
 
 EFFECTS = {
@@ -68,7 +74,7 @@ def test_readings_are_those_of_the_simulator_and_the_map_reaches_a_second_progra
     assert np.allclose(np.diff(stamps), np.diff(table["time"]), atol=1e-6)
     assert {"temperature_air", "temperature_work", "air_pressure", "relative_humidity"} <= set(table)
 
-    assert operator.wait(lambda: operator.estimator.number("readings") == 128, 10.0)
+    collected(operator, 128)
     summary = json.loads(operator.call("estimator/identify", 60.0))
     assert summary["observations"] == summary["used"] == 128
     assert operator.wait(lambda: bool(operator.document) and operator.error_map is not None, 10.0)
@@ -89,8 +95,36 @@ def test_an_estimator_that_comes_late_gets_every_reading(bench, finish):
     operator = bench.operator(graph)
     finish(operator)
     graph.start("estimator")
-    assert operator.wait(lambda: operator.estimator.number("readings") == 128, 30.0)
+    collected(operator, 128)
     assert json.loads(operator.call("estimator/identify", 60.0))["observations"] == 128
+
+
+@pytest.mark.timeout(200)
+def test_a_recording_in_simulated_time_holds_everything_at_its_time(bench, finish):
+    names = ("recorder", "axis_simulator", "rotary_pointer", "instrument", "procedure", "estimator")
+    graph = bench.graph(names, site={**EFFECTS, "noise": 3e-7})
+    operator = bench.operator(graph)
+    finish(operator)
+    collected(operator, 128)
+    for service in ("identify", "compare", "diagnose"):
+        operator.call(f"estimator/{service}", PATIENCE)
+    assert operator.wait(lambda: bool(operator.document), PATIENCE)
+    graph.stop(["recorder"])  # which takes what has come
+    bag = BagReader(bench.folder / "bag1")
+    # whatever was published is there, the probe's trigger and the clock excepted
+    assert {topic.name for topic in GRAPH_TOPICS} - {name[1:] for name in bag.topics} <= {
+        "probe/trigger",
+        "truth/table",
+    }
+    begin, end = (round((ORIGIN + seconds) * 1e9) for seconds in (0.0, 600.0))
+    times = [message.log_time for message in bag.messages()]
+    assert begin <= min(times) and max(times) < end
+    # a reading is captured at the end of the dwell, and logged before the next move ends
+    stamped = [(message.log_time, joint_state(message.data).stamp) for message in bag.messages(["/reading"])]
+    late = np.array([(logged - stamp) * 1e-9 for logged, stamp in stamped])
+    assert len(late) == 128 and np.median(late) == pytest.approx(0.05, abs=1e-6)
+    session = session_from_bag(bench.folder / "bag1")
+    assert identify(session).document() == json.loads(operator.document)
 
 
 @pytest.mark.timeout(120)

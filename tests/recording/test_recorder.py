@@ -140,6 +140,9 @@ def test_simulated_time(tmp_path: Path, ros_domain: int) -> None:
     assert max(times) < 200 * 10**9
     assert times == sorted(times)
     assert bag.topics["/session"].messages == 1
+    # dated by the tick before them, though they are taken from the middleware later
+    states = [message.log_time for message in bag.messages(["/joint_states"])]
+    assert sum(time == (100 + k) * 10**9 for k, time in enumerate(states)) > 90
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

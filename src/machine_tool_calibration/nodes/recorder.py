@@ -60,7 +60,7 @@ class Recorder(Node):
             split_bytes=split_bytes,
             split_seconds=split_time,
         )
-        self.taps = Taps(self)
+        self.taps = Taps(self, self.resolve_topic_name("/clock") if self._waiting else "")
         self._subscribe_known()
         self._discover()
         self._show()
@@ -79,6 +79,8 @@ class Recorder(Node):
             self.trouble = str(error)
             self.get_logger().error(str(error))
         self._show()
+        if self._waiting:
+            self.get_logger().warning("there was no /clock: nothing could be dated, so nothing was written")
         lost = self.lost
         text = f"{self.bag.folder}: {self.bag.messages} messages of {len(self.bag.topics)} topics, {lost} lost"
         (self.get_logger().warning if lost else self.get_logger().info)(text)
@@ -132,10 +134,11 @@ class Recorder(Node):
             self._waiting = now(self) == 0
             if self._waiting:
                 return
-        simulated = now(self) if use_sim_time(self) else None
+        simulated = use_sim_time(self)
         for message in self.taps.take():
             self._taken += 1
-            self._guarded(self._write, message, message.received if simulated is None else simulated)
+            time = (message.simulated or now(self)) if simulated else message.received
+            self._guarded(self._write, message, time)
         self._guarded(self.bag.tick)
 
     def _write(self, message: Taken, time: int) -> None:

@@ -8,14 +8,18 @@ arrives, so the times do not depend on when it is taken.
 from __future__ import annotations
 
 import importlib
-from dataclasses import dataclass, field
+from collections import deque
+from dataclasses import dataclass, field, replace
 
 import rclpy
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
+from rosgraph_msgs.msg import Clock
 
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.nodes.stamps import from_message
 from machine_tool_calibration.recording.graph import compatible, request_for
 from machine_tool_calibration.recording.qos import Qos
 
@@ -23,17 +27,29 @@ __all__ = ["Taken", "Tap", "Taps", "message_class", "offered_qos"]
 
 _MOST_AT_ONCE = 2000  # messages of one topic, so that no topic keeps the others waiting
 _NO_NUMBER = 2**64 - 1
+# What any publisher of a clock can give; a lost tick costs no more than its step.
+_CLOCK = Qos(depth=1000, reliability="best_effort")
 
 
 @dataclass(frozen=True)
 class Taken:
-    """A serialized message; times in ns of the system's clock."""
+    """A serialized message; times in ns.
+
+    Attributes:
+        topic: absolute name.
+        data: as it came.
+        received: by the system's clock.
+        sent: by the system's clock.
+        number: that the publisher gave it.
+        simulated: what the simulated clock showed when it was received; 0 if that is not known.
+    """
 
     topic: str
     data: bytes
     received: int
     sent: int
     number: int
+    simulated: int = 0
 
 
 @dataclass
@@ -83,8 +99,13 @@ class Tap:
 class Taps:
     """All topics that are recorded."""
 
-    def __init__(self, node: Node) -> None:
-        """A hidden node beside the given one, which nobody spins."""
+    def __init__(self, node: Node, clock: str = "") -> None:
+        """A hidden node beside the given one, which nobody spins.
+
+        Args:
+            node: whose namespace and graph it shares.
+            clock: absolute name of the simulated clock that the messages are dated by, if there is one.
+        """
         self._node = node
         # remappings are applied by the owner; here they would rename this node too
         self._hidden = rclpy.create_node(
@@ -95,6 +116,10 @@ class Taps:
             enable_rosout=False,
         )
         self.taps: dict[str, Tap] = {}
+        kind = "rosgraph_msgs/msg/Clock"
+        self._clock = Tap(clock, kind, _CLOCK, self._subscribe(clock, kind, _CLOCK)) if clock else None
+        self._ticks: deque[Taken] = deque()
+        self._simulated = 0
 
     def add(self, topic: str, message_type: str, request: Qos | None = None) -> Tap:
         """Subscribe to a topic by its absolute name.
@@ -141,7 +166,23 @@ class Taps:
         for tap in self.taps.values():
             self._take(tap, taken)
         taken.sort(key=lambda message: message.received)
-        return taken
+        return taken if self._clock is None else self._dated(taken)
+
+    def _dated(self, taken: list[Taken]) -> list[Taken]:
+        """The messages with the simulated time at which each was received, however late they are taken."""
+        assert self._clock is not None
+        ticks: list[Taken] = []
+        self._take(self._clock, ticks)  # after the messages, so that no tick before one of them is missing
+        self._ticks.extend(sorted(ticks, key=lambda tick: tick.received))
+        dated = []
+        for message in taken:
+            while self._ticks and (self._ticks[0].received <= message.received or not self._simulated):
+                self._simulated = from_message(deserialize_message(self._ticks.popleft().data, Clock).clock)
+            dated.append(replace(message, simulated=self._simulated))
+        if not taken:
+            while len(self._ticks) > 1:
+                self._ticks.popleft()
+        return dated
 
     def close(self) -> None:
         """Unsubscribe."""
