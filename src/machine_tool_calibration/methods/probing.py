@@ -27,6 +27,7 @@ from machine_tool_calibration.methods.probing_conditions import LENGTH, conditio
 from machine_tool_calibration.methods.probing_datum import Place, choose_places
 from machine_tool_calibration.methods.probing_geometry import Touches, touches
 from machine_tool_calibration.methods.probing_map import probing_map
+from machine_tool_calibration.methods.probing_mistakes import refuse_mistakes
 from machine_tool_calibration.methods.probing_null import NullSpace, null_space
 from machine_tool_calibration.methods.probing_tables import plane_tables, table_nodes
 from machine_tool_calibration.model.fit import Fit
@@ -103,9 +104,15 @@ def build(session: Session, model: str = MODELS[0]) -> ProbingModel:
         model: `rigid_body`, the only one.
 
     Raises:
-        ModelError: the machine has no X or Y axis, or a measured length is not one of X or Y.
+        ModelError: the machine has no X or Y axis, a measured length is not one of X or Y, or the displacements are in
+            another unit.
         SessionError: a touched point is not in the workpiece's list.
     """
+    refuse_mistakes(session, _build)
+    return _build(session)
+
+
+def _build(session: Session) -> ProbingModel:
     description = session.description
     assert isinstance(description, Probing)
     readings = session.readings.select(np.isfinite(session.readings.displacement))

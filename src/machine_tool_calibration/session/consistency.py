@@ -12,8 +12,18 @@ import numpy as np
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.description import Probing, RotaryAxis, StepDiagonal, TrackingInterferometer
 from machine_tool_calibration.session.mistakes import Comparison
-from machine_tool_calibration.session.mistakes_interferometer import compare_beam, compare_diagonal, compare_tracking
-from machine_tool_calibration.session.mistakes_table import check_index_angles, compare_probing, compare_rotary
+from machine_tool_calibration.session.mistakes_interferometer import (
+    compare_beam,
+    compare_diagonal,
+    compare_order,
+    compare_tracking,
+)
+from machine_tool_calibration.session.mistakes_table import (
+    check_index_angles,
+    compare_points,
+    compare_probing,
+    compare_rotary,
+)
 from machine_tool_calibration.session.place import Place
 from machine_tool_calibration.session.session import Readings, Session
 
@@ -43,9 +53,11 @@ def check_consistency(session: Session, place: Place) -> None:
             _decide(place.readings, compare_rotary(session, description, readings))
         elif isinstance(description, StepDiagonal):
             _decide(place.readings, compare_diagonal(description, readings))
+            _decide(place.readings, compare_order(description, readings))
         elif isinstance(description, Probing):
             check_index_angles(description, readings, place)
             _decide(place.readings, compare_probing(session, description, readings))
+            _decide(place.readings, compare_points(session, description, readings))
 
 
 def _decide(source: str, comparison: Comparison) -> None:

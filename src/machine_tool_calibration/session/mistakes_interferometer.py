@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 
 import numpy as np
@@ -22,7 +23,9 @@ from machine_tool_calibration.session.mistakes import (
 )
 from machine_tool_calibration.session.session import Readings
 
-__all__ = ["compare_beam", "compare_diagonal", "compare_tracking"]
+__all__ = ["compare_beam", "compare_diagonal", "compare_order", "compare_tracking"]
+
+_ORDER = re.compile(r"[_.-]([xyz]{3})$", re.IGNORECASE)
 
 
 def compare_beam(description: TrackingInterferometer, readings: Readings) -> Comparison:
@@ -33,9 +36,9 @@ def compare_beam(description: TrackingInterferometer, readings: Readings) -> Com
     azimuth = readings.columns["azimuth"]
     elevation = upright * readings.columns.get("elevation", np.zeros(len(readings)))
 
-    def judge(order: IntArray, unit: float = 1.0, sense: float = 1.0) -> Array:
+    def judge(order: IntArray, unit: float = 1.0, sense: float = 1.0, about: tuple[float, float] = (1.0, 0.0)) -> Array:
         line = (readings.position() - stations[order][readings.setup]) * (1.0, 1.0, upright)
-        beam = nominal.direction(azimuth * unit, elevation * unit)
+        beam = nominal.direction(about[0] * azimuth * unit + about[1], elevation * unit)
         cosine = np.sum(beam * line, axis=1) / np.linalg.norm(line, axis=1)
         return per_setup(readings.setup, np.arccos(np.clip(sense * cosine, -1, 1)), len(ids))
 
@@ -45,6 +48,9 @@ def compare_beam(description: TrackingInterferometer, readings: Readings) -> Com
     def mistakes() -> Iterator[Mistake]:
         yield Mistake("azimuth and elevation look like degrees; angles are in radians", judge(itself, np.pi / 180), 1.0)
         yield Mistake("azimuth and elevation point from the target to the station", judge(itself, 1.0, -1.0), 1.0)
+        what = "azimuth looks as if it was counted clockwise; it is counter-clockwise from +X, seen from +Z"
+        yield Mistake(what, judge(itself, about=(-1.0, 0.0)), 1.0)
+        yield Mistake("azimuth looks as if it was off by half a turn", judge(itself, about=(1.0, np.pi)), 1.0)
         yield from exchanged("setup", ids, now, 1.0, judge)
 
     return Comparison(now, 1.0, mistakes())
@@ -108,3 +114,36 @@ def compare_diagonal(description: StepDiagonal, readings: Readings) -> Compariso
         yield from exchanged("setup", ids, now, scale, lambda order: judge(measured - path(order), order))
 
     return Comparison(now, scale, mistakes())
+
+
+def compare_order(description: StepDiagonal, readings: Readings) -> Comparison:
+    """Positions against those at which a diagonal halts if its moves are in the order that its id states, m."""
+    ids = [setup.id for setup in description.setups]
+    points, setup = readings.position(), readings.setup
+    halts = [_halts(description, index) for index in range(len(ids))]
+
+    def judge(order: IntArray) -> Array:
+        off = np.zeros(len(points))
+        for index, other in enumerate(order):
+            mine = setup == index
+            if halts[other] is not None and mine.any():
+                off[mine] = np.linalg.norm(points[mine][:, None] - halts[other], axis=2).min(axis=1)
+        # The two thirds of the halts at which one order differs from another decide, not the middle one.
+        return np.array([off[setup == k].mean() if np.any(setup == k) else np.nan for k in range(len(ids))])
+
+    itself = same(len(ids))
+    now, scale = judge(itself), min(description.step)
+    return Comparison(now, scale, exchanged("setup", ids, now, scale, judge))
+
+
+def _halts(description: StepDiagonal, index: int) -> Array | None:
+    """(3 blocks + 1, 3) positions of a diagonal whose id states the order of its moves; None for others."""
+    run = description.setups[index]
+    found = _ORDER.search(run.id)
+    if run.kind != "diagonal" or found is None or sorted(found[1].lower()) != ["x", "y", "z"]:
+        return None
+    moves = np.zeros((3 * description.blocks + 1, 3))
+    for place, letter in enumerate(found[1].lower()):
+        axis = "xyz".index(letter)
+        moves[1 + place :: 3, axis] = run.direction[axis] * description.step[axis]
+    return np.asarray(np.asarray(run.start) + np.cumsum(moves, axis=0))

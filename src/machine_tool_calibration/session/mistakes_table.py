@@ -24,7 +24,7 @@ from machine_tool_calibration.session.mistakes import (
 from machine_tool_calibration.session.place import Place
 from machine_tool_calibration.session.session import Readings, Session
 
-__all__ = ["check_index_angles", "compare_probing", "compare_rotary"]
+__all__ = ["check_index_angles", "compare_points", "compare_probing", "compare_rotary"]
 
 _SAME_ANGLE = 0.01  # rad
 
@@ -106,13 +106,36 @@ def compare_probing(session: Session, description: Probing, readings: Readings) 
     commanded = readings.position()[:, :2]
     scale = float(np.max(np.linalg.norm(points, axis=1), initial=0.0))
 
-    def judge(sense: float) -> Array:
-        expected = nominal.turned(points[index], sense * session.rotation_sign * readings.columns["c"])
+    def judge(turn: Array, sense: float = 1.0) -> Array:
+        expected = nominal.turned(points[index], sense * session.rotation_sign * turn)
         off = np.linalg.norm(commanded - expected, axis=1)
         return per_setup(readings.setup, np.asarray(off), len(session.setup_ids))
 
+    c = readings.columns["c"]
+    now = judge(c)
+    declared = np.array([setup.c for setup in description.setups])
+
     def mistakes() -> Iterator[Mistake]:
         what = "the workpiece looks as if it turned the other way: check machine.rotation_sign"
-        yield Mistake(what, judge(-1.0), scale)
+        yield Mistake(what, judge(c, -1.0), scale)
+        yield from exchanged(
+            "setup", session.setup_ids, now, scale, lambda order: judge(declared[order][readings.setup])
+        )
 
-    return Comparison(judge(1.0), scale, mistakes())
+    return Comparison(now, scale, mistakes())
+
+
+def compare_points(session: Session, description: Probing, readings: Readings) -> Comparison:
+    """Commanded positions against the nominal ones, point by point, m."""
+    ids = [point.id for point in description.workpiece]
+    index = nominal.places(readings.labels["point"], ids)
+    points = np.array([point.position for point in description.workpiece])
+    back = nominal.turned(readings.position()[:, :2], -session.rotation_sign * readings.columns["c"])
+    scale = float(np.max(np.linalg.norm(points, axis=1), initial=0.0))
+
+    def judge(order: IntArray) -> Array:
+        off = np.linalg.norm(back - points[order][index], axis=1)
+        return per_setup(index, np.asarray(off), len(ids))
+
+    now = judge(same(len(ids)))
+    return Comparison(now, scale, exchanged("point", ids, now, scale, judge))

@@ -16,6 +16,7 @@ _LARGEST_MACHINE = 50.0  # m
 _LARGEST_TRAVEL = 100.0  # m
 _FARTHEST_STATION = 200.0  # m
 _THOUSAND = 100.0  # a ratio beyond this is taken for 1000
+_MICROMETRES_FROM = 3e4  # m: a machine's travel in millimetres is not as large
 _MILLIMETRES = "these look like millimetres; lengths are in metres"
 _DEGREES = "these look like degrees; angles are in radians"
 
@@ -79,6 +80,11 @@ def _instrument(session: Session, place: Place) -> None:
         if description.probe is not None and description.probe.stylus_diameter > 0.1:
             diameter = description.probe.stylus_diameter
             raise SessionError(f"{place.description}: probe.stylus_diameter is {diameter:g} m; {_MILLIMETRES}")
+    if isinstance(description, StepDiagonal):
+        for index, run in enumerate(description.setups):
+            reach = max(map(abs, run.start))
+            if reach > _LARGEST_MACHINE:
+                raise SessionError(f"{place.description}: setups[{index}].start is {reach:g} m; {_MILLIMETRES}")
     if isinstance(description, StepDiagonal) and max(description.step) * description.blocks > _LARGEST_TRAVEL:
         raise SessionError(
             f"{place.description}: step: {description.blocks} blocks of {max(description.step):g} m; {_MILLIMETRES}"
@@ -132,7 +138,8 @@ def _displacement(session: Session, place: Place) -> None:
     row, reach = _largest(values)
     if reach > _FARTHEST_STATION:
         where = place.row(session.readings.row[row])
-        raise SessionError(f"{where}: displacement is {values[row]:g} m; {_MILLIMETRES}")
+        unit = _MILLIMETRES if reach < _MICROMETRES_FROM else _MILLIMETRES.replace("milli", "micro")
+        raise SessionError(f"{where}: displacement is {values[row]:g} m; {unit}")
 
 
 def _environment(session: Session, place: Place) -> None:

@@ -1,0 +1,230 @@
+"""Sessions of every method, damaged in every usual way, are refused in one line that names it; sound ones are not."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.methods.identify import build_model, identify
+from machine_tool_calibration.session.checks import check_session
+from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.simulation import FLAWS, PRESETS, FlawSpec, SimulationSpec, simulate
+
+Damage = Callable[[Session], Session]
+
+
+@cache
+def measured(preset: str) -> Session:
+    return simulate(SimulationSpec(plan=PRESETS[preset], seed=1)).session
+
+
+def columns(**change: Callable[[np.ndarray], np.ndarray]) -> Damage:
+    def damage(session: Session) -> Session:
+        old = session.readings.columns
+        return session.with_readings(
+            replace(session.readings, columns=old | {name: f(old[name]) for name, f in change.items() if name in old})
+        )
+
+    return damage
+
+
+def displacement(factor: float) -> Damage:
+    return lambda s: s.with_readings(replace(s.readings, displacement=factor * s.readings.displacement))
+
+
+def described(session: Session, **change: Any) -> Session:
+    return replace(session, description=session.description.model_copy(update=change))
+
+
+def swapped_rows(one: int, other: int) -> Damage:
+    def damage(session: Session) -> Session:
+        setup = session.readings.setup
+        new = np.where(setup == one, other, np.where(setup == other, one, setup))
+        return session.with_readings(replace(session.readings, setup=new))
+
+    return damage
+
+
+def swapped_entries(one: int, other: int, *keys: str) -> Damage:
+    def damage(session: Session) -> Session:
+        setups = list(session.description.setups)
+        first, second = setups[one], setups[other]
+        setups[one] = first.model_copy(update={key: getattr(second, key) for key in keys})
+        setups[other] = second.model_copy(update={key: getattr(first, key) for key in keys})
+        return described(session, setups=tuple(setups))
+
+    return damage
+
+
+def swapped_labels(column: str, one: str, other: str) -> Damage:
+    def damage(session: Session) -> Session:
+        old = session.readings.labels[column].astype(object)
+        new = np.where(old == one, other, np.where(old == other, one, old))
+        return session.with_readings(replace(session.readings, labels={**session.readings.labels, column: new}))
+
+    return damage
+
+
+def scaled_entries(name: str, key: str, factor: float) -> Damage:
+    def larger(value: Any) -> Any:
+        return tuple(factor * v for v in value) if isinstance(value, tuple) else factor * value
+
+    def damage(session: Session) -> Session:
+        entries = getattr(session.description, name)
+        return described(session, **{name: tuple(e.model_copy(update={key: larger(getattr(e, key))}) for e in entries)})
+
+    return damage
+
+
+def turned_round(session: Session) -> Session:
+    machine = session.description.machine.model_copy(update={"rotation_sign": -session.rotation_sign})
+    own = {"rotation_sign": -session.rotation_sign} if hasattr(session.description, "rotation_sign") else {}
+    return described(session, machine=machine, **own)
+
+
+def all_of(*damages: Damage) -> Damage:
+    def damage(session: Session) -> Session:
+        for one in damages:
+            session = one(session)
+        return session
+
+    return damage
+
+
+def recorded_at_declared_angle(session: Session) -> Session:
+    declared = np.array([setup.c for setup in session.description.setups])
+    return columns(c=lambda _: declared[session.readings.setup])(session)
+
+
+MILLI, DEGREES = (lambda v: 1e3 * v), np.degrees
+POSITIONS = columns(x=MILLI, y=MILLI, z=MILLI)
+UNITS: dict[str, tuple[Damage, str]] = {
+    "readings in millimetres": (displacement(1e3), "millimetres"),
+    "readings in micrometres": (displacement(1e6), "micrometres"),
+    "positions in millimetres": (POSITIONS, "millimetres"),
+}
+SIGNS: dict[str, tuple[Damage, str]] = {
+    "readings of the other sign": (displacement(-1.0), "opposite sign"),
+    "path there and back": (displacement(2.0), "twice the change of path"),
+}
+
+
+def pairs(count: int) -> list[tuple[int, int]]:
+    return list(itertools.combinations(range(count), 2))
+
+
+def swaps(count: int, *keys: str) -> dict[str, tuple[Damage, str]]:
+    rows = {f"rows of setups {i} and {j}": (swapped_rows(i, j), "exchanged") for i, j in pairs(count)}
+    entries = {f"entries of setups {i} and {j}": (swapped_entries(i, j, *keys), "exchanged") for i, j in pairs(count)}
+    return rows | entries
+
+
+BEAM = {
+    "azimuth in degrees": (columns(azimuth=DEGREES), "degrees"),
+    "azimuth clockwise": (columns(azimuth=lambda v: -v), "clockwise"),
+}
+STATIONS = {"stations in millimetres": (scaled_entries("setups", "position", 1e3), "millimetres")}
+TRACKING = UNITS | SIGNS | BEAM | STATIONS | swaps(4, "position")
+ROTARY = (
+    {k: v for k, v in UNITS.items() if "positions" not in k}
+    | SIGNS
+    | STATIONS
+    | {
+        "angles in degrees": (columns(c=DEGREES), "degrees"),
+        "angles of the other sign": (columns(c=lambda v: -v), "other way"),
+        "rotation_sign": (turned_round, "other way"),
+        "targets in millimetres": (scaled_entries("targets", "position", 1e3), "millimetres"),
+        **{f"targets {a} and {b}": (swapped_labels("target", a, b), "exchanged") for a, b in ("PQ", "PK", "QK")},
+    }
+    | swaps(4, "position")
+)
+DAMAGED: dict[str, dict[str, tuple[Damage, str]]] = {
+    "tracking_2d": TRACKING | {"azimuth reversed": (columns(azimuth=lambda v: v - np.pi), "from the target")},
+    "tracking_3d": TRACKING
+    | {
+        "elevation in degrees": (columns(elevation=DEGREES), "degrees"),
+        "azimuth off by half a turn": (columns(azimuth=lambda v: v - np.pi), "half a turn"),
+    },
+    "rotary_axis": ROTARY,
+    "rotary_axis_both_ways": ROTARY,
+    "step_diagonal": UNITS
+    | SIGNS
+    | {"starts in millimetres": (scaled_entries("setups", "start", 1e3), "millimetres")}
+    | {f"rows of setups {i} and {j}": (swapped_rows(i, j), "exchanged") for i, j in pairs(6)}
+    | {f"diagonals {i} and {j}": (swapped_entries(i, j, "direction", "start"), "exchanged") for i, j in pairs(3)},
+    "step_diagonal_three_orders": UNITS
+    | SIGNS
+    | {f"rows of setups {i} and {j}": (swapped_rows(i, j), "exchanged") for i, j in pairs(9)},
+    # The sign and the double of a deviation would be as plausible a machine: nothing shows them.
+    "probing_cross": UNITS
+    | {
+        "c in degrees": (columns(c=DEGREES), "degrees"),
+        "angles of the setups in degrees": (scaled_entries("setups", "c", 180 / np.pi), "degrees"),
+        "c of the other sign": (columns(c=lambda v: -v), "rotation_sign"),
+        "all angles of the other sign": (
+            all_of(columns(c=lambda v: -v), scaled_entries("setups", "c", -1.0)),
+            "other way",
+        ),
+        "rotation_sign": (turned_round, "other way"),
+        "workpiece in millimetres": (scaled_entries("workpiece", "position", 1e3), "millimetres"),
+        "two points": (swapped_labels("point", "3", "40"), "points '3' and '40' look exchanged"),
+        **{
+            f"setups {i} and {j} with their angles": (
+                all_of(swapped_rows(i, j), recorded_at_declared_angle),
+                "exchanged",
+            )
+            for i, j in pairs(3)
+        },
+    }
+    | swaps(3, "c"),
+    "iso230_2": UNITS,
+    "grid_plate": UNITS,
+    "straightness": UNITS,
+    "drilled_plate": UNITS,
+}
+
+
+@pytest.mark.parametrize(("preset", "name"), [(preset, name) for preset, cases in DAMAGED.items() for name in cases])
+def test_damage_is_named(preset: str, name: str) -> None:
+    damage, expected = DAMAGED[preset][name]
+    session = damage(measured(preset))
+    with pytest.raises(CalibrationError) as caught:
+        check_session(session)
+        identify(session)
+    text = str(caught.value)
+    assert expected in text
+    assert "\n" not in text
+
+
+def _sound(preset: str, count: int) -> Iterator[Session]:
+    """Sessions in which nothing is wrong; every second one hides an effect of up to 20 micrometres."""
+    method = PRESETS[preset].method
+    effects = [flaw.id for flaw in FLAWS.values() if method in flaw.methods]
+    for seed in range(count):
+        rng = np.random.default_rng(seed)
+        hidden = FlawSpec(id=str(rng.choice(effects)), amplitude=float(rng.uniform(2e-6, 2e-5)))
+        spec = SimulationSpec(plan=PRESETS[preset], seed=seed, effects=(hidden,) if seed % 2 else ())
+        try:
+            yield simulate(spec).session
+        except CalibrationError:  # an effect that changes nothing in this plan
+            yield simulate(spec.model_copy(update={"effects": ()})).session
+
+
+@pytest.mark.parametrize(
+    ("preset", "count"),
+    [
+        *((name, 200) for name in ("tracking_2d", "rotary_axis", "step_diagonal", "probing_cross", "grid_plate")),
+        *((name, 20) for name in ("tracking_3d", "rotary_axis_both_ways", "step_diagonal_three_orders", "iso230_2")),
+    ],
+)
+def test_nothing_is_suspected_of_sound_sessions(preset: str, count: int) -> None:
+    for session in _sound(preset, count):
+        check_session(session)
+        build_model(session)
