@@ -173,7 +173,7 @@ GOOD = ["time", "repeat", "target_index", "c", "displacement"]
         ("A", GOOD, [9, 0, 0, 0], "/reading row 3: 5 names and 4 values"),
         ("A", ["c", "c"], [0, 0], "/reading row 3: a name stands twice in c, c"),
         ("A", GOOD, [1, 0, 0, 0, 0], "/reading row 3: time runs backwards, from 6 s to 1 s"),
-        ("A", GOOD, [9, 0, 0, 0, 0], "/reading: 1 station; rotary_axis needs at least 4 (no reading from B, C, D)"),
+        ("A", GOOD, [9, 0, 0, 0, 0], "/reading: 1 station; rotary_axis needs at least 3 (no reading from B, C, D)"),
     ],
 )
 def test_defects(tmp_path: Path, setup: str, names: list[str], values: list[float], expected: str) -> None:
