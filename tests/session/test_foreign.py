@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
-from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.session.foreign import Imported, import_table, parse_mapping, read_mapping
 from machine_tool_calibration.session.foreign.align import best_motion
@@ -412,3 +414,76 @@ def test_thousands_of_rows(tmp_path: Path) -> None:
     imported = points(tmp_path, f"X;M\n{rows}\n", file=form)
     assert len(imported.session.readings) == 50_000
     assert imported.session.readings.displacement == pytest.approx(np.full(50_000, 1e-6), abs=1e-15)
+
+
+CONFIG = Path(__file__).parents[2] / "config" / "mappings"
+
+
+@pytest.mark.parametrize("path", sorted(CONFIG.glob("*.yaml")), ids=lambda path: path.stem)
+def test_the_mappings_to_start_from(path: Path) -> None:
+    assert parse_mapping(read_mapping(path), str(path)).table in path.read_text()
+
+
+def test_the_mapping_of_a_plate_to_start_from(tmp_path: Path) -> None:
+    rows = [
+        "report;;;;;;",
+        "3 holes",
+        "",
+        "Hole;NominalX;NominalY;X meas;Y meas;D",
+        ";mm;mm;mm;mm;mm",
+        "# probe changed",
+        "1;0,0;0,0;0,0021;0,001;8,01",
+        "2;100,0;0,0;100,0013;---;8,02",
+        "3;0,0;100,0;0,0002;100,0009;",
+    ]
+    (tmp_path / "plate.csv").write_text("\n".join(rows))
+    mapping = parse_mapping(read_mapping(CONFIG / "cmm_plate.yaml"), "m")
+    readings = import_table(tmp_path / "plate.csv", mapping).session.readings
+    assert readings.columns["x"].tolist() == [0.25, 0.25, 0.35, 0.35, 0.25, 0.25]
+    assert readings.columns["z"].tolist() == [0.12] * 6
+    assert np.isnan(readings.displacement).tolist() == [False, False, False, True, False, False]
+
+
+def test_a_misspelt_machine_error_is_refused_at_once(tmp_path: Path) -> None:
+    for term, said in (("EYQ", "EYQ"), ("EZZ", "terms names 'EZZ', but the chain has no linear axis Z")):
+        with pytest.raises(CalibrationError, match=said):
+            points(tmp_path, GOOD, session={**SESSION, "machine": {"chain": "w-Y-X-b-t"}, "terms": [term]})
+
+
+cell = st.one_of(
+    st.sampled_from(
+        ["0", "1.5", "-2e-3", "1,5", "", "nan", "up", "down", "1 up", '"', '"x"', "e", "1e999", "0x1", "∞"]
+    ),
+    st.text(max_size=6),
+)
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    rows=st.lists(st.lists(cell, min_size=1, max_size=4), min_size=1, max_size=6),
+    separator=st.sampled_from([",", ";", "tab", "space"]),
+    header=st.booleans(),
+    table=st.sampled_from(["points", "iso230-2", "ranges"]),
+    more=st.sampled_from([{}, {"align": True}, {"layout": "long"}, {"transposed": True}]),
+)
+def test_any_text_gives_a_session_or_one_line(
+    tmp_path: Path, rows: list[list[str]], separator: str, header: bool, table: str, more: dict[str, Any]
+) -> None:
+    mark = {"tab": "\t", "space": " "}.get(separator, separator)
+    names = ["X,M,S,T".replace(",", mark)] if header else []
+    file = tmp_path / "any.csv"
+    file.write_text("\n".join([*names, *(mark.join(row) for row in rows)]), encoding="utf-8", errors="replace")
+    first, second, third = ("X", "M", "S") if header else ("1", "2", "3")
+    columns = {
+        "points": {"x": first, "actual_x": second},
+        "ranges": {"setup": third, "x": first, "y": first, "range": second},
+        "iso230-2": {"position": first, "deviation": second, "direction": third},
+    }[table]
+    content: dict[str, Any] = {
+        **{"table": table, "columns": columns, "units": {"length": "mm"}, "axis": "x", "session": SESSION},
+        **{"file": {"separator": separator, "header": header}, **more},
+    }
+    try:
+        import_table(file, parse_mapping(content, "m"))
+    except CalibrationError as error:
+        assert "\n" not in str(error)

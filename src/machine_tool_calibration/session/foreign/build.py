@@ -10,8 +10,11 @@ import numpy as np
 
 from machine_tool_calibration.arrays import IntArray
 from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.machine.chain import Chain
+from machine_tool_calibration.methods.direct_tables import asked_tables
 from machine_tool_calibration.session.assemble import assemble
 from machine_tool_calibration.session.checks import check_session
+from machine_tool_calibration.session.description import Direct
 from machine_tool_calibration.session.foreign.columns import Columns, Rows
 from machine_tool_calibration.session.foreign.mapping import Mapping
 from machine_tool_calibration.session.foreign.points import point_rows
@@ -67,6 +70,7 @@ def import_table(path: Path, mapping: Mapping, *, name: str | None = None) -> Im
     Raises:
         SessionError: one line that says what is wrong, with file and line; also what cannot be right or is not enough
             for the method.
+        ModelError: a machine error that is none of the machine's.
     """
     table = read_text_table(path, mapping.file)
     columns = Columns(table, mapping)
@@ -83,11 +87,13 @@ def import_table(path: Path, mapping: Mapping, *, name: str | None = None) -> Im
     readings = assemble(description, rows.numbers, rows.labels, place)
     session = Session(description, readings, source=str(path))
     check_session(session, place)
+    if isinstance(description, Direct):  # a misspelt error would be met at the identification only
+        asked_tables(Chain.parse(description.machine.chain), description.terms, readings.position())
     notes = list(rows.notes)
     missing = int(np.count_nonzero(~np.isfinite(readings.displacement)))
     if missing:
         notes.append(f"{missing} of {len(readings)} readings are empty cells: kept as missing")
-    if description.method == "direct" and not getattr(description, "terms", ()):
+    if isinstance(description, Direct) and not description.terms:
         notes.append(
             "no machine errors are named; without terms, as in --term EXX, nothing of the machine is identified"
         )

@@ -19,8 +19,9 @@ from machine_tool_calibration.session.text import reject_foreign_encoding
 
 __all__ = ["FileForm", "TextTable", "read_text_table"]
 
-_LARGEST = 256 << 20  # bytes
+_LARGEST = 64 << 20  # bytes
 _MOST_COLUMNS = 1000
+_MOST_CELLS = 5_000_000
 _SEPARATORS = {"comma": ",", "semicolon": ";", "tab": "\t", "bar": "|", "space": r"\s+"}
 
 
@@ -227,6 +228,8 @@ def _split(source: str, lines: list[str], form: FileForm) -> tuple[np.ndarray, I
         most = int(width.max())
         if most > _MOST_COLUMNS:
             raise SessionError(f"{source}: {most} columns, more than the {_MOST_COLUMNS} that are accepted")
+        if most * len(lines) > _MOST_CELLS:
+            raise SessionError(f"{source}: {most * len(lines)} cells, more than the {_MOST_CELLS} that are accepted")
         frame = pd.read_csv(
             io.StringIO("\n".join(lines)),
             sep=separator,
