@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 
 pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 
@@ -77,24 +75,3 @@ def test_large_and_empty_maps(plane: Result) -> None:
     ]
     extent = np.ptp(plane.error_map.points, axis=0).max()
     assert 0.04 * extent <= max(longest) <= 0.1 * extent  # the magnification is a round number
-
-
-def test_layouts_show_topics_that_there_are() -> None:
-    documented = (ROOT / "msg_docs" / "README.md").read_text()
-    rviz = yaml.safe_load((ROOT / "config" / "rviz" / "error_map.rviz").read_text())
-    manager = rviz["Visualization Manager"]
-    assert manager["Global Options"]["Fixed Frame"] == "machine"
-    topics = [display["Topic"] for display in manager["Displays"] if "Topic" in display]
-    assert {topic["Durability Policy"] for topic in topics} == {"Transient Local"}  # else the latched map never comes
-    foxglove = json.loads((ROOT / "config" / "foxglove" / "calibration.json").read_text())
-    panels = foxglove["configById"]
-    names = [topic["Value"] for topic in topics] + list(panels["3D!errors"]["topics"])
-    names += [path["value"].split(".")[0] for path in panels["Plot!displacement"]["paths"]]
-    names += [panel["topicPath"] for panel in panels.values() if "topicPath" in panel]
-    for name in names:
-        assert f"`{name.lstrip('/')}`" in documented, name
-
-    def leaves(node: object) -> list[str]:
-        return [node] if isinstance(node, str) else [*leaves(node["first"]), *leaves(node["second"])]  # type: ignore[index]
-
-    assert sorted(leaves(foxglove["layout"])) == sorted(panels)
