@@ -22,7 +22,7 @@ __all__ = ["PLUGIN_GROUP", "OutputClosedError", "Verbs"]
 PLUGIN_GROUP = "machine_tool_calibration.commands"
 ROS_MODULES = ("rclpy", "rosgraph_msgs", "sensor_msgs", "std_msgs", "std_srvs", "trajectory_msgs", "diagnostic_msgs")
 SECTIONS = {
-    "Measure": ("demo", "run", "simulate", "plan"),
+    "Measure": ("demo", "workpiece", "plan", "run", "simulate"),
     "Identify": ("info", "identify", "compare-formulations"),
     "Find what the model lacks": ("compare", "diagnose", "improve", "history", "effects"),
     "Recordings and exchange": ("record", "play", "recover", "convert", "export"),

@@ -1,0 +1,143 @@
+"""`mtcal workpiece`: points to be probed, from a drawing-like description or an outline."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from machine_tool_calibration.cli.output import console, json_option, write_json
+from machine_tool_calibration.errors import CalibrationError
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.session.description import WorkpiecePoint
+
+__all__ = ["command"]
+
+
+@click.command("workpiece")
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option("--unit", type=click.Choice(["mm", "m", "inch"]), help="Of a CSV or DXF outline; a DXF may say its own.")
+@click.option("--spacing", type=float, metavar="LENGTH", help="Of the points along an outline, in its unit.")
+@click.option(
+    "--material", type=click.Choice(["inside", "outside", "left", "right"]), default="inside", show_default=True,
+    help="Where the material of an outline is: inside (a part), outside (a pocket), left or right of its course.",
+)  # fmt: skip
+@click.option("--layer", help="Only this layer of a DXF drawing.")
+@click.option("--open", "is_open", is_flag=True, help="The last corner of a CSV outline is not joined to the first.")
+@click.option("--clearance", type=float, default=0.0, show_default=True, help="What the stylus keeps from other walls.")
+@click.option("--stylus", type=float, metavar="DIAMETER", help="Leave out points at which it would touch elsewhere.")
+@click.option("--into", type=click.Path(path_type=Path), help="Procedure (YAML) into which the points are put.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="New file: .csv (points) or .yaml.")
+@json_option
+def command(
+    file: Path,
+    unit: str | None,
+    spacing: float | None,
+    material: str,
+    layer: str | None,
+    is_open: bool,
+    clearance: float,
+    stylus: float | None,
+    into: Path | None,
+    output: Path | None,
+    as_json: bool,
+) -> None:
+    """Make the points of a workpiece to be probed, with their outward normals.
+
+    FILE is a description (YAML: lines, circles, pins, holes, spheres, outlines, files, points; see config/workpieces),
+    or an outline: corners x, y in a CSV file, or a DXF drawing. With --into, OUTPUT is that procedure with these
+    points; without, a .yaml holds them as `session.yaml` does, and a .csv as a table, in metres.
+
+    \b
+    mtcal workpiece config/workpieces/cross_pocket.yaml -o points.csv
+    mtcal workpiece contour.dxf --spacing 5 --stylus 6 --into probing.yaml -o my_part.yaml
+    """
+    from machine_tool_calibration.workpiece import read_workpiece, workpiece_entries
+
+    if into is not None and output is None:
+        raise click.UsageError("--into needs --output: the procedure itself is not changed.")
+    if file.suffix.lower() in (".yaml", ".yml"):
+        points = read_workpiece(file)
+    else:
+        points = _outline(file, unit, spacing, material, layer, is_open, clearance, stylus)
+    if output is not None:
+        _write(points, into, output)
+    if as_json:
+        write_json({"format": "mtcal-points/1", "workpiece": workpiece_entries(points), "output": output})
+        return
+    _show(points)
+    if output is not None:
+        console().print(f"written: {output}")
+        if into is not None:
+            console().print(f"next: mtcal plan {output}")
+
+
+def _outline(
+    file: Path,
+    unit: str | None,
+    spacing: float | None,
+    material: str,
+    layer: str | None,
+    is_open: bool,
+    clearance: float,
+    stylus: float | None,
+) -> tuple[WorkpiecePoint, ...]:
+    from pydantic import ValidationError
+
+    from machine_tool_calibration.workpiece import Workpiece, workpiece_points
+
+    if spacing is None:
+        raise click.UsageError("An outline needs --spacing: how far its points are apart.")
+    feature: dict[str, Any] = {
+        "kind": "file", "path": file.name, "material": material, "spacing": spacing, "layer": layer, "unit": unit,
+        "closed": not is_open, "clearance": clearance,
+    }  # fmt: skip
+    content = {
+        "format": "mtcal-workpiece/1", "unit": unit or "mm", "stylus_diameter": stylus,
+        "features": [{key: value for key, value in feature.items() if value is not None}],
+    }  # fmt: skip
+    try:
+        workpiece = Workpiece.model_validate(content)
+    except ValidationError as error:
+        defect = error.errors(include_url=False)[0]
+        raise CalibrationError(f"{file}: {defect['loc'][-1]}: {defect['msg'].lower()}") from None
+    return workpiece_points(workpiece, file.parent)
+
+
+def _write(points: tuple[WorkpiecePoint, ...], into: Path | None, output: Path) -> None:
+    from machine_tool_calibration.workpiece.points_file import points_csv, points_yaml, procedure_with
+
+    if output.exists():
+        raise CalibrationError(f"{output}: is there already; choose another file")
+    if into is not None:
+        text = procedure_with(into, points)
+    elif output.suffix.lower() == ".csv":
+        text = points_csv(points)
+    elif output.suffix.lower() in (".yaml", ".yml"):
+        text = points_yaml(points)
+    else:
+        raise CalibrationError(f"{output}: points are written to .csv and .yaml")
+    try:
+        output.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise CalibrationError(f"{output}: cannot be written: {error.strerror}") from None
+
+
+def _show(points: tuple[WorkpiecePoint, ...]) -> None:
+    from rich.table import Table
+
+    screen = console()
+    low = [1e3 * min(p.position[j] for p in points) for j in range(2)]
+    high = [1e3 * max(p.position[j] for p in points) for j in range(2)]
+    screen.print(
+        f"{len(points)} points, x {low[0]:.3f} to {high[0]:.3f} mm, y {low[1]:.3f} to {high[1]:.3f} mm "
+        "(the axis of C is the origin)"
+    )
+    table = Table(box=None, pad_edge=False)
+    for heading in ("feature", "points"):
+        table.add_column(heading, justify="left" if heading == "feature" else "right")
+    for name in dict.fromkeys(p.feature for p in points):
+        table.add_row(name, str(sum(p.feature == name for p in points)))
+    screen.print(table)

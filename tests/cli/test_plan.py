@@ -1,0 +1,115 @@
+"""`mtcal plan` and `mtcal workpiece`: what is promised is what a simulated measurement then gives."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.cli.main import run
+from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.planning.forecast import forecast
+from machine_tool_calibration.planning.planned import planned_session
+from machine_tool_calibration.procedure import plan, read_procedure
+from machine_tool_calibration.session.checks import check_session
+from machine_tool_calibration.simulation import FlawSpec, SimulationSpec, TrackingPlan, simulate
+
+ROOT = Path(__file__).parents[2]
+PROCEDURES = sorted((ROOT / "config" / "procedures").glob("*.yaml"))
+
+
+@pytest.mark.parametrize("file", PROCEDURES, ids=lambda file: file.stem)
+def test_every_procedure_can_be_foretold(file: Path) -> None:
+    procedure = read_procedure(file)
+    planned = planned_session(procedure)
+    check_session(planned.session)
+    assert len(planned.session.readings) == len(plan(procedure).steps)
+    assert planned.seconds == pytest.approx(plan(procedure).duration)
+    found = forecast(procedure)
+    document = found.document()
+    json.dumps(document, allow_nan=False, default=lambda array: [])
+    assert found.visible and all(entry.size and entry.size > 0 for entry in found.visible)
+    assert not {entry.effect for entry in found.visible} & set(found.absorbed)
+
+
+def test_promised_uncertainty_and_detectable_size_of_a_tracking_interferometer() -> None:
+    found = forecast(read_procedure(ROOT / "config" / "procedures" / "tracking_2d.yaml"))
+    promised = {entry.effect: entry for entry in found.visible}["backlash_y"]
+    assert promised.size is not None
+    u = np.sqrt(np.mean(np.square(found.result.error_map.uncertainty[:, :2])))
+    errors, sizes = [], []
+    for seed in range(20):
+        plan_ = TrackingPlan(dimension=2, repeats=2)
+        spec = SimulationSpec(plan=plan_, seed=seed, effects=(FlawSpec(id="backlash_y", size=promised.size),))
+        result = identify(simulate(spec).session, effects=["backlash_y"])
+        entry = next(p for p in result.parameters if p.name == "backlash_y.b")
+        sizes.append(entry.value / entry.standard_uncertainty)
+        errors.append(np.sqrt(np.mean(np.square(result.error_map.uncertainty[:, :2]))))
+    # The arrangement is much the same, not the very same.
+    assert np.mean(errors) == pytest.approx(u, rel=0.25)
+    # Found with a power of 80 % at this threshold: about four standard uncertainties.
+    assert 3.0 < np.mean(sizes) < 5.5
+
+
+def test_a_plan_in_words_and_as_json(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["plan", "probing_cross"]) == 0
+    text = capsys.readouterr().out
+    assert "workpiece form" in text and "absolute length" in text and "probe_pretravel" in text
+    assert run(["plan", "probing_cross", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["format"] == "mtcal-plan/1"
+    assert document["not_determined"][0]["name"] == "absolute length"
+    assert "scale" in document["absorbed"]
+
+
+def test_a_plan_that_cannot_be(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = (ROOT / "config" / "procedures" / "tracking_2d.yaml").read_text()
+    (tmp_path / "wrong.yaml").write_text(text.replace("last: 0.4, count: 6}\n    y", "last: 0.9, count: 6}\n    y"))
+    assert run(["plan", str(tmp_path / "wrong.yaml")]) == 1
+    assert "outside the travel" in capsys.readouterr().err
+
+
+def test_points_of_a_description(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    description = ROOT / "config" / "workpieces" / "cross_pocket.yaml"
+    assert run(["workpiece", str(description), "-o", str(tmp_path / "points.csv")]) == 0
+    assert "92 points" in capsys.readouterr().out
+    rows = (tmp_path / "points.csv").read_text().splitlines()
+    assert rows[:2] == ["id,feature,x,y,nx,ny", "0,work,0.023125,0.018,0.0,-1.0"]
+    assert len(rows) == 93
+    assert run(["workpiece", str(description), "-o", str(tmp_path / "points.csv")]) == 1
+    assert "is there already" in capsys.readouterr().err
+
+
+def test_an_outline_into_a_procedure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "part.csv").write_text("x,y\n-40,-30\n40,-30\n40,30\n-40,30\n")
+    procedure = ROOT / "config" / "procedures" / "probing_cross.yaml"
+    made = tmp_path / "mine.yaml"
+    words = ["workpiece", str(tmp_path / "part.csv"), "--unit", "mm", "--spacing", "10", "--stylus", "6"]
+    assert run([*words, "--into", str(procedure), "-o", str(made), "--json"]) == 0
+    points = json.loads(capsys.readouterr().out)["workpiece"]
+    session = read_procedure(made).session
+    assert [p.id for p in session.workpiece] == [p["id"] for p in points]  # type: ignore[union-attr]
+    for point in points:  # outside of the part
+        assert np.dot(point["position"], point["normal"]) > 0
+    assert run(["plan", str(made)]) == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["nothing.yaml"], "cannot be read"),
+        (["part.csv", "--spacing", "10"], "does not say its unit"),
+        (["part.csv", "--spacing", "-1", "--unit", "mm"], "spacing"),
+        (["part.txt", "--spacing", "1", "--unit", "mm"], "outlines are read from .dxf and .csv files"),
+    ],
+)
+def test_workpieces_that_cannot_be(
+    words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("part.csv", "part.txt"):
+        (tmp_path / name).write_text("x,y\n-40,-30\n40,-30\n40,30\n-40,30\n")
+    assert run(["workpiece", str(tmp_path / words[0]), *words[1:]]) == 1
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") == 1
