@@ -120,6 +120,14 @@ def test_targets_of_a_tracker_in_the_frames_of_its_stations() -> None:
         read("tracker_points.txt", {**read_mapping(DATA / "tracker_points.yaml"), "align": False})
 
 
+def test_one_column_in_another_unit_is_named() -> None:
+    units = {"x": "mm", "y": "mm", "actual_x": "mm", "actual_y": "um", "diameter": "mm"}
+    with pytest.raises(
+        SessionError, match=r"spread 0\.001 times as far as nominal ones along y; is their unit a thousand times larger"
+    ):
+        read("plate_cmm.csv", {**PLATE, "units": units})
+
+
 def test_a_frame_of_the_other_hand_is_named(tmp_path: Path) -> None:
     text = (DATA / "tracker_points.txt").read_text().splitlines()
     rows = [row.split("\t") for row in text[2:]]
@@ -173,6 +181,21 @@ def test_distances_as_a_tracking_interferometer(angles: bool) -> None:
     rotation, shift = best_motion(error.points + off, error.points)
     left = (error.points + off) @ rotation.T + shift - error.points
     assert np.sqrt(np.mean(left**2)) < 1.5e-6
+
+
+def test_distances_from_points_in_the_frames_of_the_stations() -> None:
+    columns = {"setup": "Station", "x": "NomX", "y": "NomY", "z": "NomZ"}
+    columns |= {f"actual_{axis}": f"{axis.upper()} [mm]" for axis in "xyz"}
+    content = {**RANGES, "columns": columns, "file": {"separator": "tab", "comment": "!"}}
+    session = read("tracker_points.txt", content).session
+    assert session.method == "tracking_interferometer" and session.setup_ids == ("S1", "S2")
+    rows = (DATA / "tracker_points.txt").read_text().splitlines()[2:]
+    distance = [np.linalg.norm([float(cell) for cell in row.split("\t")[5:]]) / 1e3 for row in rows]
+    assert session.readings.displacement[7] == pytest.approx(distance[7] - distance[0], abs=1e-12)
+    assert session.readings.displacement[67] == pytest.approx(distance[67] - distance[60], abs=1e-12)
+    assert session.description.setups[1].position == pytest.approx([1.5, -0.9, 0.1], abs=2e-4)
+    with pytest.raises(SessionError, match=r"no column is named for actual_z"):
+        read("tracker_points.txt", {**content, "columns": {k: v for k, v in columns.items() if k != "actual_z"}})
 
 
 def test_what_a_station_needs() -> None:
@@ -310,9 +333,13 @@ GOOD = "X,M\n0,0.001\n100,100.002\n200,200.001\n"
         (
             GOOD,
             {"units": {"x": "mm", "actual_x": "in"}},
-            r"are they in inches|are they in millimetres, not in inches\?$",
+            r"spread 25\.4 times as far as nominal ones along x; are they in mm, not in inches\?$",
         ),
-        (GOOD, {"units": {"x": "m", "actual_x": "mm"}}, r"spread 0\.001 times .* are they in metres"),
+        (
+            GOOD,
+            {"units": {"x": "m", "actual_x": "mm"}},
+            r"spread 0\.001 times .* a thousand times larger, such as mm, not um\?$",
+        ),
         (
             "X [mm],M\n0,0\n",
             {"columns": {"x": {"column": "X [mm]", "unit": "um"}, "actual_x": "M"}},
@@ -374,6 +401,10 @@ def test_without_a_header(tmp_path: Path) -> None:
         ({"columns": {"position": "1 up"}}, r"the name 'Position \[mm\]' does not say which run it is"),
         ({"layout": "long"}, "no column is named for direction"),
         ({"units": {}}, "the unit of deviation"),
+        (
+            {"units": {"deviation": "mm"}},
+            r"deviations spread 3\.\d+ mm over 400\.6 mm of travel; is their unit right\?",
+        ),
     ],
 )
 def test_runs_that_cannot_be_read(more: dict[str, Any], said: str) -> None:

@@ -55,8 +55,8 @@ _OPTIONS: Sequence[Callable[[Any], Any]] = (
         multiple=True,
         metavar="QUANTITY=NAME",
         help="Column of a quantity: x, y, z (nominal), actual_x … or deviation_x …, setup, point, time, repeat, dir_x, "
-        "temperature_air …; ranges: range, azimuth or bearing, elevation or zenith, target, c; iso230-2: position, "
-        "deviation or actual, run, direction.",
+        "temperature_air …; ranges: range (or actual_x … from the station), azimuth or bearing, elevation or zenith, "
+        "target, c; iso230-2: position, deviation or actual, run, direction.",
     ),
     _option("--extra", "extras", multiple=True, metavar="NAME=COLUMN", help="Column that is kept as a covariate."),
     _option(

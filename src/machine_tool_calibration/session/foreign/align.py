@@ -7,13 +7,13 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import SessionError
 
-__all__ = ["best_motion", "check_size"]
+__all__ = ["best_motion", "check_deviations", "check_size"]
 
 _FACTORS = (
-    (1e3, "are they in millimetres or micrometres, not in metres or millimetres"),
-    (1e-3, "are they in metres, not in millimetres"),
-    (25.4, "are they in millimetres, not in inches"),
-    (1 / 25.4, "are they in inches, not in millimetres"),
+    (1e3, "is their unit a thousand times smaller, such as um, not mm"),
+    (1e-3, "is their unit a thousand times larger, such as mm, not um"),
+    (25.4, "are they in mm, not in inches"),
+    (1 / 25.4, "are they in inches, not in mm"),
 )
 _POOR = 2e-3  # of the extent: no machine tool is that far off
 
@@ -54,11 +54,16 @@ def check_size(measured: Array, nominal: Array, where: str, *, aligned: bool) ->
     spread = float(np.sqrt(np.max(np.sum(off**2, axis=0) / count - (np.sum(off, axis=0) / count) ** 2)))
     if extent == 0.0 or spread <= _POOR * extent:
         return
-    size = [float(np.sqrt(np.sum(_centred(part, good) ** 2))) for part in (measured, nominal)]
-    for factor, what in _FACTORS:
-        if abs(size[0] / size[1] / factor - 1.0) < 0.02:
-            ratio = size[0] / size[1]
-            raise SessionError(f"{where}: measured points spread {ratio:.4g} times as far as nominal ones; {what}?")
+    # one by one where axes are what they say, all together where they were turned
+    parts = [(list(range(3)), "")] if aligned else [([j], f" along {'xyz'[j]}") for j in range(3)]
+    for axes, along in parts:
+        size = [float(np.sqrt(np.sum(_centred(part, good)[:, axes] ** 2))) for part in (measured, nominal)]
+        ratio = size[0] / size[1] if size[1] else 0.0
+        for factor, what in _FACTORS:
+            if abs(ratio / factor - 1.0) < 0.02:
+                raise SessionError(
+                    f"{where}: measured points spread {ratio:.4g} times as far as nominal ones{along}; {what}?"
+                )
     whole = good.all(axis=1)
     hint = "are the columns and the order of the points right?"
     if not aligned:
@@ -70,6 +75,27 @@ def check_size(measured: Array, nominal: Array, where: str, *, aligned: bool) ->
         if np.sqrt(np.mean(rest**2)) < _POOR * extent:
             hint = "they fit once mirrored: one of the two frames is left-handed"
     raise SessionError(f"{where}: measured points are {spread * 1e3:.4g} mm (RMS) from nominal ones; {hint}")
+
+
+def check_deviations(deviation: Array, position: Array, where: str) -> None:
+    """Refuse deviations that no machine tool has over its travel.
+
+    Args:
+        deviation: (n,) m, NaN where missing.
+        position: (n,) along the axis that was moved, or (n, 3), m.
+        where: for messages.
+
+    Raises:
+        SessionError: they spread too far; most often their unit is another.
+    """
+    good = np.isfinite(deviation)
+    extent = float(np.max(np.ptp(position, axis=0))) if len(position) else 0.0
+    spread = float(np.std(deviation[good])) if good.any() else 0.0
+    if spread > _POOR * extent > 0.0:
+        raise SessionError(
+            f"{where}: deviations spread {1e3 * spread:.4g} mm over {1e3 * extent:.4g} mm of travel; "
+            "is their unit right?"
+        )
 
 
 def _centred(points: Array, good: np.ndarray) -> Array:

@@ -37,7 +37,13 @@ ROLES: dict[str, dict[str, str]] = {
         "range": "length",
         **_ANGLES,
     },
-    "ranges": {**_COMMON, "target": "text", "range": "length", **_ANGLES},
+    "ranges": {
+        **_COMMON,
+        "target": "text",
+        "range": "length",
+        **_ANGLES,
+        **{f"actual_{axis}": "length" for axis in _XYZ},
+    },
     "iso230-2": {
         **_COMMON,
         **dict.fromkeys(("position", "actual", "deviation"), "length"),

@@ -6,7 +6,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.session.foreign.align import best_motion, check_size
+from machine_tool_calibration.session.foreign.align import best_motion, check_deviations, check_size
 from machine_tool_calibration.session.foreign.columns import Columns, Rows
 from machine_tool_calibration.session.foreign.spherical import has_angles, station_points
 from machine_tool_calibration.session.foreign.units import quantity
@@ -111,6 +111,7 @@ def _deviation(columns: Columns, nominal: Array, setups: np.ndarray) -> tuple[Ar
             out = measured - nominal
             for role in given:  # not through the sum, which would round
                 out[:, _AXES.index(role[-1])] = columns.number(role)
+                check_deviations(out[:, _AXES.index(role[-1])], nominal, f"{table.source}, {role}")
             return out, how
     if align:
         measured = _aligned(columns, measured, nominal, setups)

@@ -8,6 +8,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.session.foreign.align import check_deviations
 from machine_tool_calibration.session.foreign.columns import Columns, Rows
 from machine_tool_calibration.session.foreign.mapping import Run
 from machine_tool_calibration.session.foreign.text_table import TextTable
@@ -41,6 +42,7 @@ def positioning_rows(columns: Columns, name: str) -> Rows:
         position, run, up, deviation, row = _wide(columns)
     else:
         position, run, up, deviation, row = _long(columns)
+    check_deviations(deviation, position, columns.table.source)
     sense = mapping.senses or mapping.axis
     if mapping.sign == "nominal-minus-actual" and not columns.has("actual"):
         deviation = -deviation

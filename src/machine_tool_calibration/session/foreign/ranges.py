@@ -1,6 +1,7 @@
 """Distances from the stations of a laser tracker to known targets as interferometer readings.
 
-From ranges alone, which a tracker reads far better than angles; angles serve to find the stations only.
+From ranges alone, which a tracker reads far better than angles; angles serve to find the stations only. Where a tracker
+writes points in the station's frame, their distances from its origin are the ranges.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ from machine_tool_calibration.session.foreign.units import quantity
 __all__ = ["range_rows"]
 
 _AXES = ("x", "y", "z")
-_NOT_KEPT = ("range", "azimuth", "bearing", "elevation", "zenith", "repeat", "time")
+_ACTUAL = ("actual_x", "actual_y", "actual_z")
+_NOT_KEPT = (*_ACTUAL, "range", "azimuth", "bearing", "elevation", "zenith", "repeat", "time")
 
 
 def range_rows(columns: Columns) -> Rows:
@@ -30,10 +32,10 @@ def range_rows(columns: Columns) -> Rows:
         SessionError: a quantity that nothing is named for, an empty position, or a station whose place is unknown.
     """
     mapping, table = columns.mapping, columns.table
-    columns.need(("setup", "range"), "the station, and the distance that it read")
+    columns.need(("setup",), "the station")
     rotary = columns.has("target")
     stations = columns.setups("")
-    distance = columns.number("range")
+    distance, points = _seen(columns)
     moved = [axis for axis in "abc" if columns.has(axis)] if rotary else [axis for axis in _AXES if columns.has(axis)]
     if rotary and len(moved) != 1:
         columns.need(("c",), "or a, or b: the angle of the rotary table; one of them")
@@ -62,7 +64,7 @@ def range_rows(columns: Columns) -> Rows:
     numbers["displacement"] = distance - _first(block, distance)
     position = np.column_stack([numbers.get(axis, np.zeros(len(table))) for axis in _AXES])
     setups = [
-        {"id": name, "position": _station(columns, name, stations == name, position, distance, rotary, notes)}
+        {"id": name, "position": _station(columns, name, stations == name, position, None if rotary else points, notes)}
         for name in dict.fromkeys(stations.tolist())
     ]
     described: dict[str, object] = {"setups": setups, "repeats": int(np.nanmax(numbers["repeat"], initial=0)) + 1}
@@ -114,24 +116,35 @@ def _first(group: IntArray, values: Array) -> Array:
     return out[group]
 
 
+def _seen(columns: Columns) -> tuple[Array, Array | None]:
+    """(n,) distances, and (n, 3) points in the frame of each row's station where the table has them."""
+    given = [role for role in _ACTUAL if columns.has(role)]
+    if not given:
+        columns.need(("range",), "the distance that the station read; or actual_x, actual_y, actual_z from it")
+        return columns.number("range"), station_points(columns) if has_angles(columns) else None
+    columns.need(_ACTUAL, "the point in the station's frame")
+    if columns.has("range"):
+        raise SessionError(f"{columns.table.source}: either range or actual_x, actual_y, actual_z, not both")
+    points = np.column_stack([columns.number(role) for role in _ACTUAL])
+    return np.linalg.norm(points, axis=1), points
+
+
 def _station(
-    columns: Columns, name: str, mine: np.ndarray, position: Array, distance: Array, rotary: bool, notes: list[str]
+    columns: Columns, name: str, mine: np.ndarray, position: Array, points: Array | None, notes: list[str]
 ) -> list[float]:
-    """Where a station stands in the machine's frame: as given, or from its distances and angles."""
+    """Where a station stands in the machine's frame: as given, or from the points that it saw."""
     where = f"{columns.table.source}, station {name!r}"
     if name in columns.mapping.stations:
         return triple(columns.mapping.stations[name], f"position of station {name!r}")
-    if rotary or not has_angles(columns):
+    if points is None:
         raise SessionError(f"{where}: where it stands is not known; say it, as in --station '{name}=-350, 50, 0 mm'")
-    seen = np.flatnonzero(mine & np.isfinite(distance))
-    points = station_points(columns)[seen]
-    whole = np.isfinite(points).all(axis=1)
+    whole = mine & np.isfinite(points).all(axis=1)
     if whole.sum() < 3:
         raise SessionError(f"{where}: {int(whole.sum())} targets with distance and angles; at least 3 are needed")
-    rotation, shift = best_motion(points[whole], position[seen][whole])
-    check_size(points[whole] @ rotation.T + shift, position[seen][whole], where, aligned=True)
+    rotation, shift = best_motion(points[whole], position[whole])
+    check_size(points[whole] @ rotation.T + shift, position[whole], where, aligned=True)
     notes.append(
-        f"station {name!r} stands at ({', '.join(f'{1e3 * v:.2f}' for v in shift)}) mm: from its distances and angles"
+        f"station {name!r} stands at ({', '.join(f'{1e3 * v:.2f}' for v in shift)}) mm: from the points that it saw"
     )
     return [float(v) for v in shift]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -230,18 +231,20 @@ def _split(source: str, lines: list[str], form: FileForm) -> tuple[np.ndarray, I
             raise SessionError(f"{source}: {most} columns, more than the {_MOST_COLUMNS} that are accepted")
         if most * len(lines) > _MOST_CELLS:
             raise SessionError(f"{source}: {most * len(lines)} cells, more than the {_MOST_CELLS} that are accepted")
-        frame = pd.read_csv(
-            io.StringIO("\n".join(lines)),
-            sep=separator,
-            header=None,
-            names=list(range(most)),
-            index_col=False,
-            dtype=object,
-            keep_default_na=False,
-            na_values=[],
-            skip_blank_lines=False,
-        )
-    except (pd.errors.ParserError, pd.errors.EmptyDataError, csv.Error, OverflowError) as error:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pd.errors.ParserWarning)  # cells that would be dropped
+            frame = pd.read_csv(
+                io.StringIO("\n".join(lines)),
+                sep=separator,
+                header=None,
+                names=list(range(most)),
+                index_col=False,
+                dtype=object,
+                keep_default_na=False,
+                na_values=[],
+                skip_blank_lines=False,
+            )
+    except (pd.errors.ParserError, pd.errors.ParserWarning, pd.errors.EmptyDataError, csv.Error) as error:
         raise SessionError(f"{source}: cannot be read as a table: {str(error).splitlines()[0]}") from None
     if len(frame) != len(lines):
         raise SessionError(f"{source}: {len(frame)} rows can be read of {len(lines)} lines; check the quotes")
