@@ -24,6 +24,10 @@ __all__ = ["Operator", "Status"]
 _SPIN = 0.05  # s
 # A server may hear of a client later than the client of the server, and drops its answer then.
 _SETTLE = 0.5  # s
+_SERVICES = (
+    *(f"procedure/{name}" for name in ("start", "pause", "resume", "abort")),
+    *(f"estimator/{name}" for name in ("identify", "compare", "diagnose", "improve")),
+)
 
 
 @dataclass(frozen=True)
@@ -63,7 +67,8 @@ class Operator:
         self.readings: list[JointState] = []
         self.document = ""
         self.error_map: PointCloud2 | None = None
-        self._clients: dict[str, object] = {}
+        # Before the subscriptions: nodes hear of both in this order, so one whose status came knows the clients.
+        self._clients = {name: self._node.create_client(Trigger, name) for name in _SERVICES}
         for topic, kind, keep, qos in (
             ("procedure/status", DiagnosticArray, self._keep_procedure, LATCHED),
             ("estimator/status", DiagnosticArray, self._keep_estimator, LATCHED),
@@ -112,6 +117,10 @@ class Operator:
         space = self._node.get_namespace()
         return (name, space) in self._node.get_node_names_and_namespaces()
 
+    def _has_heard(self, service: str) -> bool:
+        """Whether a status of the service's node has come."""
+        return bool((self.procedure if service.startswith("procedure/") else self.estimator).entries)
+
     def call(self, service: str, timeout: float) -> str:
         """Call a `std_srvs/Trigger` and give its message.
 
@@ -119,12 +128,15 @@ class Operator:
             CalibrationError: the service is missing, refuses, or does not answer in time.
         """
         client = self._clients.get(service)
+        known = (
+            client is not None and (service not in _SERVICES or self._has_heard(service)) and client.service_is_ready()
+        )
         if client is None:
             client = self._clients[service] = self._node.create_client(Trigger, service)
-            if self.wait(client.service_is_ready, timeout):
-                self.wait(lambda: False, _SETTLE)
         if not self.wait(client.service_is_ready, timeout):
             raise CalibrationError(f"the service {service} is not there after {timeout:g} s")
+        if not known:
+            self.wait(lambda: False, _SETTLE)
         future = client.call_async(Trigger.Request())
         if not self.wait(future.done, timeout):
             raise CalibrationError(f"the service {service} did not answer within {timeout:g} s")

@@ -6,6 +6,7 @@ import faulthandler
 import os
 import signal
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable
@@ -29,9 +30,17 @@ _TICK = 0.1  # s
 
 
 def default_environment() -> None:
-    """Discover on this machine only, unless the user says otherwise: the wheels have no security (SROS2)."""
+    """Discover on this machine only, unless the user says otherwise: the wheels have no security (SROS2).
+
+    Logs go where they can be written: without that no node starts for a user who has no home.
+    """
     if "ROS_LOCALHOST_ONLY" not in os.environ:
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    if not os.environ.get("ROS_LOG_DIR") and not os.environ.get("ROS_HOME"):
+        logs = Path(os.path.expanduser("~"), ".ros", "log")
+        there = next(folder for folder in (logs, *logs.parents) if folder.exists())
+        if not (logs.is_absolute() and there.is_dir() and os.access(there, os.W_OK)):
+            os.environ["ROS_LOG_DIR"] = str(Path(tempfile.gettempdir(), f"ros-log-{os.getuid()}"))
 
 
 def run(create: Callable[[], Node], args: list[str] | None = None, *, grace: float = 10.0) -> int:
