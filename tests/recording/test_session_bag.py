@@ -274,8 +274,10 @@ def test_the_readings_as_a_table_are_complete(name: str, form: str, tmp_path: Pa
         assert back[column].tolist() == texts.tolist()
 
 
-def test_topics_as_tables_have_every_value(tmp_path: Path) -> None:
-    """Names that come late, come twice, or are taken; values without names."""
+@pytest.mark.parametrize("rows", [60, 50_000])
+def test_topics_as_tables_have_every_value(rows: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Names that come late, come twice, or are taken; values without names; in one piece and in several."""
+    monkeypatch.setattr("machine_tool_calibration.recording.tables._ROWS", rows)
     with BagWriter(tmp_path / "bag") as bag:
         bag.add_topic("/states", JOINT_STATE)
         for k in range(150):
@@ -286,6 +288,7 @@ def test_topics_as_tables_have_every_value(tmp_path: Path) -> None:
         bag.write("/states", encode(JOINT_STATE, header, ["x"], *values), 151)
     reader = BagReader(tmp_path / "bag")
     pieces = list(tables(reader, reader.topics["/states"]))
+    assert len(pieces) == (3 if rows == 60 else 1)
     frame = pd.concat(pieces)
     assert list(frame.columns) == [
         *("log_time", "publish_time", "stamp", "frame_id", "x", "log_time_2", "x_2", "late"),

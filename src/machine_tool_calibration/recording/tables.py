@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Collection, Iterator
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from machine_tool_calibration.session.csv_text import write_csv
 __all__ = ["file_name", "save_table", "save_tables", "tables"]
 
 _ROWS = 50_000  # rows that are kept in memory
-_FEW = 100  # messages that are in one piece anyway
+_FEW = 100  # batches of samples that are in one piece anyway
 _DEPTH = 8
 
 
@@ -35,7 +36,8 @@ def tables(bag: BagReader, topic: Topic) -> Iterator[pd.DataFrame]:
     """
     flatten = {JOINT_STATE: _joint_state, NUMBERS: _numbers}.get(topic.type, _any)
     rows: list[dict[str, Any]] = []
-    columns = _all_columns(bag, topic) if topic.messages > _FEW else []
+    few = {JOINT_STATE: _ROWS, NUMBERS: _FEW}.get(topic.type, 0)
+    columns = _all_columns(bag, topic) if topic.messages > few else []
     for message in bag.messages([topic.name]):
         rows += flatten(bag, message)
         if len(rows) >= _ROWS:
@@ -70,12 +72,22 @@ def _times(message: Message) -> dict[str, Any]:
 def _joint_state(bag: BagReader, message: Message) -> list[dict[str, Any]]:
     state = bag.decode(message)
     stamp = state.header.stamp
+    parts = (state.position, state.velocity, state.effort)
+    values = [float(value) for part in parts for value in part]
     row = {**_times(message), "stamp": stamp.sec * 10**9 + stamp.nanosec, "frame_id": state.header.frame_id}
-    for kind, values in (("", state.position), ("velocity.", state.velocity), ("effort.", state.effort)):
-        for k, value in enumerate(values):
-            name = f"{kind}{state.name[k]}" if k < len(state.name) else f"{kind or 'position.'}{k}"
-            row[_free(name, row)] = float(value)
+    row.update(zip(_state_names(tuple(state.name), tuple(map(len, parts))), values, strict=True))
     return [row]
+
+
+@lru_cache(maxsize=1024)
+def _state_names(names: tuple[str, ...], lengths: tuple[int, ...]) -> list[str]:
+    """Columns of a JointState's values: positions by their names, velocities and efforts after them."""
+    taken = ["log_time", "publish_time", "stamp", "frame_id"]
+    for kind, length in zip(("position.", "velocity.", "effort."), lengths, strict=True):
+        for k in range(length):
+            name = f"{kind}{k}" if k >= len(names) else names[k] if kind == "position." else f"{kind}{names[k]}"
+            taken.append(_free(name, taken))
+    return taken[4:]
 
 
 def _numbers(bag: BagReader, message: Message) -> list[dict[str, Any]]:
