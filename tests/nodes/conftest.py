@@ -21,6 +21,8 @@ from machine_tool_calibration.session.session import Session
 
 # s: as long as a slow and busy machine may take for anything that needs no time of its own; reached only in a failure
 PATIENCE = 60.0
+# s: for a whole procedure
+WHOLE = 200.0
 ORIGIN = 1_700_000_000.0
 
 PROCEDURE = {
@@ -109,15 +111,14 @@ def bench(tmp_path: Path, ros_domain: int) -> Iterator[Bench]:
 
 
 @pytest.fixture
-def finish() -> Callable[[Operator, float], None]:
+def finish() -> Callable[[Operator], None]:
     """Start the procedure as soon as it is ready and wait for its end."""
 
-    def run(operator: Operator, timeout: float = 60.0) -> None:
+    def run(operator: Operator) -> None:
         begin(operator)
-        assert operator.wait(lambda: operator.procedure.entries["state"] != "running", timeout), operator.procedure
-        assert operator.procedure.entries["state"] == "finished", operator.procedure
+        ended(operator)
         total = operator.procedure.number("total")
-        assert operator.wait(lambda: len(operator.readings) >= total, 10.0)
+        assert operator.wait(lambda: len(operator.readings) >= total, PATIENCE)
 
     return run
 
@@ -125,10 +126,16 @@ def finish() -> Callable[[Operator, float], None]:
 def begin(operator: Operator) -> None:
     assert operator.wait(
         lambda: operator.procedure.entries.get("state") == "idle" and not operator.procedure.entries["waiting_for"],
-        60.0,
+        PATIENCE,
     ), operator.procedure
-    operator.call("procedure/start", 10.0)
-    assert operator.wait(lambda: operator.procedure.entries["state"] != "idle", 10.0)
+    operator.call("procedure/start", PATIENCE)
+    assert operator.wait(lambda: operator.procedure.entries["state"] != "idle", PATIENCE)
+
+
+def ended(operator: Operator) -> None:
+    """Wait until the procedure ends, which must be as it should."""
+    assert operator.wait(lambda: operator.procedure.entries["state"] != "running", WHOLE), operator.procedure
+    assert operator.procedure.entries["state"] == "finished", operator.procedure
 
 
 def ask(operator: Operator, kind: Any, service: str, request: Any) -> Any:

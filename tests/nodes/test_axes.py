@@ -24,8 +24,8 @@ class Axes:
         node.create_subscription(DiagnosticArray, "axes/status", self.reports.append, STATE)
         node.create_subscription(PoseStamped, "truth/functional_point", self.truth.append, STATE)
         self.publisher = node.create_publisher(JointTrajectory, "axes/joint_trajectory", COMMAND)
-        assert operator.wait(lambda: self.states and self.reports, 30.0)
-        assert operator.wait(lambda: self.publisher.get_subscription_count() > 0, 10.0)
+        assert operator.wait(lambda: self.states and self.reports, PATIENCE)
+        assert operator.wait(lambda: self.publisher.get_subscription_count() > 0, PATIENCE)
 
     def command(self, stamp, names, *points):
         """Send until it is answered, as the procedure does: a first message may be lost."""
@@ -39,14 +39,14 @@ class Axes:
         def answered():
             return any(values(report)["command"] == str(stamp) for report in self.reports)
 
-        for _ in range(20):
+        def sent():
             self.publisher.publish(message)
-            if self.operator.wait(answered, 0.5):
-                break
+            return self.operator.wait(answered, 0.5)
+
+        assert self.operator.wait(sent, PATIENCE)
         return [report for report in self.reports if values(report)["command"] == str(stamp)]
 
 
-@pytest.mark.timeout(60)
 def test_simulated_time_jumps_to_the_end_of_the_dwell(bench):
     axes = Axes(
         bench.operator(bench.graph(("axis_simulator",), more={"axis_simulator": {"speed": 0.2, "acceleration": 1.0}}))
@@ -56,8 +56,14 @@ def test_simulated_time_jumps_to_the_end_of_the_dwell(bench):
     assert report["state"] == "arrived"
     assert int(report["arrived"]) == stamp + 1_200_000_000  # 0.2 m at 0.2 m/s and 1 m/s^2
     assert int(report["held"]) == stamp + 4_200_000_000
-    at = {from_message(state.header.stamp): dict(zip(state.name, state.position, strict=True)) for state in axes.states}
-    assert axes.operator.wait(lambda: from_message(axes.states[-1].header.stamp) == int(report["held"]), 5.0)
+
+    def held():
+        return all(
+            messages and from_message(messages[-1].header.stamp) == int(report["held"])
+            for messages in (axes.states, axes.truth)
+        )
+
+    assert axes.operator.wait(held, PATIENCE)
     at = {from_message(state.header.stamp): dict(zip(state.name, state.position, strict=True)) for state in axes.states}
     assert at[int(report["held"])] == {"x": 0.2, "y": 0.0, "z": 0.0, "c": 0.0}
     # the true point is off the encoders by the machine's errors: micrometres
@@ -65,7 +71,6 @@ def test_simulated_time_jumps_to_the_end_of_the_dwell(bench):
     assert 0.0 < abs(place.x - 0.2) + abs(place.y) + abs(place.z) < 1e-4
 
 
-@pytest.mark.timeout(60)
 @pytest.mark.parametrize("simulated_time", [True, False])
 def test_commands_outside_the_travel_are_refused(bench, simulated_time):
     axes = Axes(bench.operator(bench.graph(("axis_simulator",), simulated_time=simulated_time)))
@@ -79,23 +84,23 @@ def test_commands_outside_the_travel_are_refused(bench, simulated_time):
     assert set(axes.states[-1].velocity) == {0.0}
 
 
-@pytest.mark.timeout(60)
 def test_real_time_motion_keeps_the_limits_and_can_be_stopped(bench):
-    limits = {"axis_simulator": {"speed": 0.1, "acceleration": 0.5, "state_rate": 100.0}}
+    # slow, so that even a busy machine stops it well before the end
+    limits = {"axis_simulator": {"speed": 0.04, "acceleration": 0.5, "state_rate": 100.0}}
     axes = Axes(bench.operator(bench.graph(("axis_simulator",), simulated_time=False, more=limits)))
     names = axes.states[-1].name
     x = names.index("x")
     axes.command(1, "x", ((0.4,), 0.0))
-    assert axes.operator.wait(lambda: axes.states[-1].position[x] > 0.05, 10.0)
+    assert axes.operator.wait(lambda: axes.states[-1].position[x] > 0.05, PATIENCE)
     axes.command(2, "")
-    assert axes.operator.wait(lambda: axes.states[-1].velocity[x] == 0.0, 10.0)
+    assert axes.operator.wait(lambda: axes.states[-1].velocity[x] == 0.0, PATIENCE)
     stopped = axes.states[-1].position[x]
     assert 0.05 < stopped < 0.4
     speeds = [abs(state.velocity[x]) for state in axes.states]
-    assert 0.09 < max(speeds) <= 0.1 + 1e-9
+    assert 0.039 < max(speeds) <= 0.04 + 1e-9
     # a command that goes back while moving brakes first
     axes.command(3, "x", ((0.0,), 0.0))
-    assert axes.operator.wait(lambda: values(axes.reports[-1])["state"] == "arrived", 20.0)
+    assert axes.operator.wait(lambda: values(axes.reports[-1])["state"] == "arrived", PATIENCE)
     assert axes.operator.wait(lambda: axes.states[-1].position[x] == 0.0, PATIENCE)
     # the true pose at the very end of the motion, between two ticks: nothing creeps after it
     arrived = int(values(axes.reports[-1])["arrived"])

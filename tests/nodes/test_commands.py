@@ -16,12 +16,11 @@ from machine_tool_calibration.session.reader import read_session
 from .conftest import PROCEDURE, SITE
 
 
-def mtcal(*arguments, folder, timeout=100):
+def mtcal(*arguments, folder, timeout=280):
     command = [sys.executable, "-m", "machine_tool_calibration", *map(str, arguments)]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=timeout, env=os.environ)
 
 
-@pytest.mark.timeout(120)
 def test_demo_finds_what_is_hidden_and_its_recording_gives_the_same_map(tmp_path):
     ended = mtcal("demo", "--seed", 3, "--json", folder=tmp_path)
     assert ended.returncode == 0, ended.stderr
@@ -56,7 +55,6 @@ def test_demo_finds_what_is_hidden_and_its_recording_gives_the_same_map(tmp_path
     assert again.stderr.strip() == f"mtcal: {document['output']}: is there already; choose another output folder"
 
 
-@pytest.mark.timeout(120)
 def test_run_in_a_namespace_without_recording(tmp_path, bench):
     procedure, site = bench.write("small.yaml", PROCEDURE), bench.write("site.yaml", SITE)
     ended = mtcal(
@@ -79,7 +77,6 @@ def test_run_in_a_namespace_without_recording(tmp_path, bench):
     assert not (output / "bag").exists()
 
 
-@pytest.mark.timeout(60)
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -99,7 +96,6 @@ def test_what_is_wrong_is_said_in_one_line(tmp_path, arguments, message):
     assert list(Path(tmp_path).iterdir()) == []
 
 
-@pytest.mark.timeout(120)
 def test_a_procedure_that_fails_keeps_what_was_measured(tmp_path, bench):
     # the pointer's true direction is wrong by 0.5 degrees: the beam misses the retroreflector
     site = bench.write("site.yaml", {**SITE, "pointer": {"zero_offset": 0.009}})

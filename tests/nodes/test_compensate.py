@@ -21,8 +21,9 @@ from sensor_msgs.msg import PointCloud2
 from machine_tool_calibration.nodes.clouds import cloud
 from machine_tool_calibration.nodes.qos import LATCHED
 
+from .conftest import PATIENCE
+
 EXAMPLE = Path(__file__).parents[2] / "examples" / "compensate.py"
-PATIENCE = 60.0  # s
 
 
 def linear_map() -> PointCloud2:
@@ -32,7 +33,6 @@ def linear_map() -> PointCloud2:
     return cloud(0, {**fields, "ux": small, "uy": small, "uz": small})
 
 
-@pytest.mark.timeout(120)
 def test_corrects_by_a_map_that_was_latched_before(ros_domain: int) -> None:
     context = rclpy.Context()
     rclpy.init(context=context, domain_id=ros_domain)

@@ -63,7 +63,6 @@ def entries(status):
     return {entry.key: entry.value for entry in status.values}
 
 
-@pytest.mark.timeout(300)
 def test_the_loop_live_gives_the_documents_of_the_command_line_to_the_last_bit(bench, folder):
     operator = bench.operator(bench.graph(("estimator",), simulated_time=False))
     feed(operator, open_measurement(folder))
@@ -104,7 +103,6 @@ def test_the_loop_live_gives_the_documents_of_the_command_line_to_the_last_bit(b
     assert again["verdict"] == "adequate" and again["accepted"] == []
 
 
-@pytest.mark.timeout(300)
 def test_a_second_request_is_refused_readings_go_on_and_a_signal_ends_it(bench, folder):
     # a hundred thousand simulated sets: longer than any test waits
     graph = bench.graph(("estimator",), simulated_time=False, more={"estimator": {"sets": 99_999}})
@@ -125,7 +123,6 @@ def test_a_second_request_is_refused_readings_go_on_and_a_signal_ends_it(bench, 
     assert time.monotonic() - began < 2.0
 
 
-@pytest.mark.timeout(300)
 def test_effects_of_the_users_own_and_what_is_wrong(bench, folder):
     operator = bench.operator(bench.graph(("estimator",), simulated_time=False))
     with pytest.raises(CalibrationError, match="no session has been described yet"):

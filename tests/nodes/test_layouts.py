@@ -46,7 +46,6 @@ def published(bench):
     return look
 
 
-@pytest.mark.timeout(200)
 def test_layouts_show_topics_of_the_running_graph(published):
     check_rviz(published)
     check_foxglove(published)

@@ -34,7 +34,7 @@ node = rclpy.create_node("second_program")
 got = []
 qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 node.create_subscription(PointCloud2, "error_map", got.append, qos)
-for _ in range(200):
+for _ in range(600):
     rclpy.spin_once(node, timeout_sec=0.1)
     if got:
         break
@@ -59,7 +59,6 @@ def since_first(operator, displacement):
     return displacement - np.array([first[setup] for setup in setups])
 
 
-@pytest.mark.timeout(120)
 def test_readings_are_those_of_the_simulator_and_the_map_reaches_a_second_program(bench, finish):
     graph = bench.graph(("axis_simulator", "rotary_pointer", "instrument", "procedure", "estimator"), site=EFFECTS)
     operator = bench.operator(graph)
@@ -69,17 +68,20 @@ def test_readings_are_those_of_the_simulator_and_the_map_reaches_a_second_progra
     assert np.abs(since_first(operator, table["displacement"]) - expected).max() < 1e-12
     assert np.ptp(expected) > 0.1
     assert set(table["dir_x"]) == {-1.0, 1.0}
+    assert operator.procedure.number("recoveries") == 0
     assert all(np.diff(table["time"]) > 0)
     stamps = [message.header.stamp.sec + message.header.stamp.nanosec * 1e-9 for message in operator.readings]
     assert np.allclose(np.diff(stamps), np.diff(table["time"]), atol=1e-6)
     assert {"temperature_air", "temperature_work", "air_pressure", "relative_humidity"} <= set(table)
 
     collected(operator, 128)
-    summary = json.loads(operator.call("estimator/identify", 60.0))
+    summary = json.loads(operator.call("estimator/identify", PATIENCE))
     assert summary["observations"] == summary["used"] == 128
-    assert operator.wait(lambda: bool(operator.document) and operator.error_map is not None, 10.0)
+    assert operator.wait(lambda: bool(operator.document) and operator.error_map is not None, PATIENCE)
     document = json.loads(operator.document)
-    printed = subprocess.run([sys.executable, "-c", SUBSCRIBER], capture_output=True, text=True, timeout=60, check=True)
+    printed = subprocess.run(
+        [sys.executable, "-c", SUBSCRIBER], capture_output=True, text=True, timeout=120, check=True
+    )
     latched = json.loads(printed.stdout)
     assert [name for name, _, _ in latched["fields"]] == ["x", "y", "z", "ex", "ey", "ez", "ux", "uy", "uz"]
     assert all(kind == 8 for _, _, kind in latched["fields"])  # FLOAT64
@@ -88,7 +90,6 @@ def test_readings_are_those_of_the_simulator_and_the_map_reaches_a_second_progra
     assert np.isnan(rows[:, 5]).all()  # the plane says nothing of z
 
 
-@pytest.mark.timeout(120)
 def test_an_estimator_that_comes_late_gets_every_reading(bench, finish):
     graph = bench.graph(("axis_simulator", "rotary_pointer", "instrument", "procedure", "estimator"))
     graph.stop(["estimator"])
@@ -96,10 +97,9 @@ def test_an_estimator_that_comes_late_gets_every_reading(bench, finish):
     finish(operator)
     graph.start("estimator")
     collected(operator, 128)
-    assert json.loads(operator.call("estimator/identify", 60.0))["observations"] == 128
+    assert json.loads(operator.call("estimator/identify", PATIENCE))["observations"] == 128
 
 
-@pytest.mark.timeout(200)
 def test_a_recording_in_simulated_time_holds_everything_at_its_time(bench, finish):
     names = ("recorder", "axis_simulator", "rotary_pointer", "instrument", "procedure", "estimator")
     graph = bench.graph(names, site={**EFFECTS, "noise": 3e-7})
@@ -127,7 +127,6 @@ def test_a_recording_in_simulated_time_holds_everything_at_its_time(bench, finis
     assert identify(session).document() == json.loads(operator.document)
 
 
-@pytest.mark.timeout(120)
 def test_two_graphs_in_one_domain(bench, finish):
     other = {**SITE, "machine": {**SITE["machine"], "seed": 78}}
     first = bench.graph(namespace="cell_1")
@@ -141,7 +140,6 @@ def test_two_graphs_in_one_domain(bench, finish):
         assert np.abs(since_first(operator, table["displacement"]) - reference(PROCEDURE, site)).max() < 1e-12
 
 
-@pytest.mark.timeout(120)
 def test_real_time_gives_the_same_readings(bench, finish):
     procedure = copy.deepcopy(PROCEDURE)
     procedure["session"]["repeats"] = 1
@@ -153,6 +151,5 @@ def test_real_time_gives_the_same_readings(bench, finish):
     finish(operator)
     displacement = since_first(operator, readings(operator)["displacement"])
     assert np.abs(displacement - reference(procedure, SITE)).max() < 1e-10
-    assert operator.procedure.number("recoveries") == 0
     # each reading was taken while the axes stood: later than the move and the averaging take
     assert np.diff(readings(operator)["time"]).min() > 0.2

@@ -77,7 +77,6 @@ def keyed(session, displacement):
     return {key: np.array(values) for key, values in found.items()}
 
 
-@pytest.mark.timeout(120)
 @pytest.mark.parametrize("case", [diagonal, rotary, direct], ids=["step_diagonal", "rotary_axis", "direct"])
 def test_readings_are_those_of_the_simulator(bench, finish, case):
     procedure, effects, plans = case()

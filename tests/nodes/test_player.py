@@ -30,9 +30,10 @@ from machine_tool_calibration.recording.session_to_bag import session_to_bag
 from machine_tool_calibration.recording.writer import BagWriter
 from machine_tool_calibration.session.open import open_measurement
 
+from .conftest import PATIENCE
+
 SESSION = Path(__file__).parents[1] / "data" / "tracking_2d"
 START = 1_700_000_000_000_000_000
-PATIENCE = 60.0  # s
 
 
 @pytest.fixture
@@ -81,7 +82,6 @@ def ready(operator: Operator) -> Heard:
     return heard
 
 
-@pytest.mark.timeout(180)
 def test_a_live_estimator_gives_the_same_map_to_the_last_bit(tmp_path: Path, play) -> None:
     bag = tmp_path / "bag"
     session_to_bag(open_measurement(SESSION), bag, start=START)
@@ -105,7 +105,6 @@ def test_a_live_estimator_gives_the_same_map_to_the_last_bit(tmp_path: Path, pla
     assert operator.document == json.dumps(direct.document(), allow_nan=False)
 
 
-@pytest.mark.timeout(120)
 def test_pause_step_and_go_on(tmp_path: Path, play) -> None:
     operator = play(ticks(tmp_path / "bag"), paused=True)
     heard = ready(operator)
@@ -124,7 +123,6 @@ def test_pause_step_and_go_on(tmp_path: Path, play) -> None:
     assert heard.clock == sorted(heard.clock)
 
 
-@pytest.mark.timeout(120)
 def test_the_rate_is_kept(tmp_path: Path, play) -> None:
     """Never faster than asked; how much slower a busy machine is, is not ours to say."""
     operator = play(ticks(tmp_path / "bag", 21, 200_000_000), rate=4.0, paused=True)
@@ -136,7 +134,6 @@ def test_the_rate_is_kept(tmp_path: Path, play) -> None:
     assert heard.values == [float(k) for k in range(21)]
 
 
-@pytest.mark.timeout(120)
 def test_from_an_offset_in_a_loop_with_what_was_latched(tmp_path: Path, play) -> None:
     operator = play(ticks(tmp_path / "bag", 10), rate=0.0, offset=0.375, loop=True, paused=True)
     heard = ready(operator)
@@ -152,7 +149,6 @@ def mtcal(*words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
 
 
-@pytest.mark.timeout(120)
 def test_ends_by_itself_and_counts(tmp_path: Path) -> None:
     bag = ticks(tmp_path / "bag")
     answer = mtcal("play", str(bag), "/joint_states", "--fast", "--json")
@@ -165,7 +161,6 @@ def test_ends_by_itself_and_counts(tmp_path: Path) -> None:
     }
 
 
-@pytest.mark.timeout(120)
 def test_wrong_requests_are_one_line(tmp_path: Path) -> None:
     bag = str(ticks(tmp_path / "bag"))
     for words, expected in (

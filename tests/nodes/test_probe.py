@@ -13,7 +13,7 @@ from machine_tool_calibration.session.parse import parse_description
 from machine_tool_calibration.session.place import Place
 from machine_tool_calibration.simulation.workpieces import cam
 
-from .conftest import ORIGIN, begin
+from .conftest import ORIGIN, PATIENCE, WHOLE, begin, ended
 
 TRAVEL = {"x": [-0.13, 0.13], "y": [-0.13, 0.13], "z": [-0.05, 0.05]}
 NODES = [-0.132, -0.066, 0.0, 0.066, 0.132]
@@ -60,7 +60,7 @@ def start(bench, content, world, names=("axis_simulator", "probe", "procedure"),
     parameters = {
         "axis_simulator": common,
         "probe": {**common, "form": FORM, "repeatability": 0.0, **probe},
-        "procedure": {"use_sim_time": simulated, "procedure": file},
+        "procedure": {"use_sim_time": simulated, "procedure": file, "patience": PATIENCE},
     }
     programs = [Program(name, parameters[name]) for name in names]
     graph = bench.stack.enter_context(Graph(programs, bench.folder / "log", bench.domain))
@@ -74,7 +74,6 @@ def session_of(operator):
     return collector.session("live")
 
 
-@pytest.mark.timeout(120)
 def test_live_readings_give_the_part_and_the_machine_back(bench, finish):
     exx = {"nodes": NODES, "values": [2e-6, -1e-6, 0.0, 3e-6, 4e-6], "interpolation": "linear"}
     ecc = {"nodes": [0.0, 2.0, 6.0], "values": [0.0, 1.2e-5, -4e-6], "interpolation": "linear"}
@@ -113,7 +112,6 @@ def test_live_readings_give_the_part_and_the_machine_back(bench, finish):
     assert np.abs(difference).max() < 1e-8
 
 
-@pytest.mark.timeout(120)
 def test_missed_and_early_touches_are_reported_and_not_used(bench, finish):
     graph, operator = start(bench, procedure(), site(), form=1.5e-3, attempts=2)
     finish(operator)
@@ -131,7 +129,6 @@ def test_missed_and_early_touches_are_reported_and_not_used(bench, finish):
     graph.check()
 
 
-@pytest.mark.timeout(120)
 def test_pretravel_depends_on_the_direction_of_the_contact(bench, finish):
     points = cam(count=12, spheres=False)
     _, operator = start(
@@ -144,13 +141,12 @@ def test_pretravel_depends_on_the_direction_of_the_contact(bench, finish):
     np.testing.assert_allclose(session.readings.displacement.reshape(3, 12), lobes, atol=1e-12)
 
 
-@pytest.mark.timeout(120)
 def test_in_real_time_the_stylus_approaches_triggers_and_backs_off(bench, finish):
     points = cam(count=3, spheres=False)
     content = procedure(points, angles=(0.0, 0.5))
     content["motion"] = {"speed": {"x": 0.5, "y": 0.5, "z": 0.5, "c": 2.0}, "dwell": 0.1, "approach": 0.004}
     _, operator = start(bench, content, site(), simulated=False, speed=0.02)
-    finish(operator, 100.0)
+    finish(operator)
     session = session_of(operator)
     form = FORM * np.random.default_rng([SEED, 41]).normal(size=3)
     np.testing.assert_allclose(session.readings.displacement.reshape(2, 3), np.tile(form, (2, 1)), atol=1e-9)
@@ -158,26 +154,23 @@ def test_in_real_time_the_stylus_approaches_triggers_and_backs_off(bench, finish
     assert np.all(np.diff(session.readings.columns["time"]) > 0.4)
 
 
-@pytest.mark.timeout(60)
 def test_a_probe_that_stands_in_front_of_nothing_says_so(bench):
     _, operator = start(bench, procedure(), site(), names=("axis_simulator", "probe", "procedure"))
-    assert operator.wait(lambda: operator.procedure.entries.get("state") == "idle", 30.0)
-    assert operator.wait(lambda: not operator.procedure.entries["waiting_for"], 30.0)
+    assert operator.wait(lambda: operator.procedure.entries.get("state") == "idle", PATIENCE)
+    assert operator.wait(lambda: not operator.procedure.entries["waiting_for"], PATIENCE)
     with pytest.raises(CalibrationError, match="in front of no point"):
-        operator.call("instrument/capture", 10.0)
+        operator.call("instrument/capture", PATIENCE)
 
 
-@pytest.mark.timeout(120)
 def test_a_probe_that_is_restarted_pairs_nothing_wrongly(bench):
     graph, operator = start(bench, procedure(), site())
     begin(operator)
     for count in (30, 90):
-        assert operator.wait(lambda count=count: len(operator.readings) >= count, 60.0)
+        assert operator.wait(lambda count=count: len(operator.readings) >= count, WHOLE)
         graph.kill("probe")
         graph.start("probe")
-    assert operator.wait(lambda: operator.procedure.entries["state"] != "running", 100.0)
-    assert operator.procedure.entries["state"] == "finished", operator.procedure
-    assert operator.wait(lambda: len(operator.readings) >= 200, 10.0)
+    ended(operator)
+    assert operator.wait(lambda: len(operator.readings) >= 200, PATIENCE)
     session = session_of(operator)
     form = FORM * np.random.default_rng([SEED, 41]).normal(size=40)
     # the machine is perfect: a touch shows the form of the very point that its row names

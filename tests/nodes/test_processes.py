@@ -15,30 +15,27 @@ from rclpy.parameter import parameter_value_to_python
 
 from machine_tool_calibration.nodes.graph import Graph, Program
 
-from .conftest import begin
+from .conftest import PATIENCE, ask, begin
 
 CONFIG = Path(__file__).parents[2] / "config"
 
 NAMES = ("axis_simulator", "rotary_pointer", "instrument", "procedure", "estimator")
 
 
-@pytest.mark.timeout(120)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_stops_within_two_seconds_in_the_middle_of_work(bench, number):
     graph = bench.graph(NAMES, simulated_time=number == signal.SIGINT)
     operator = bench.operator(graph)
     begin(operator)
-    operator.wait(lambda: len(operator.readings) >= 2, 20.0)
-    processes = {name: graph._running[name] for name in NAMES}
-    for process in processes.values():
-        process.send_signal(number)
-    asked = time.monotonic()
-    for name, process in processes.items():
-        assert process.wait(timeout=10.0) == 0, name
+    # all of them at work, the estimator too, which takes longest to start
+    assert operator.wait(lambda: len(operator.readings) >= 2 and operator.estimator.number("readings") > 0, PATIENCE)
+    # one after the other: what is measured is the node, not how two processors share the end of five
+    for name in ("estimator", "instrument", "rotary_pointer", "axis_simulator", "procedure"):
+        asked = time.monotonic()
+        assert graph.kill(name, number) == 0, name
         assert time.monotonic() - asked < 2.0, name
 
 
-@pytest.mark.timeout(60)
 def test_the_graph_ends_with_its_starter(tmp_path, ros_domain):
     code = (
         "import os, sys, time; from pathlib import Path;"
@@ -50,7 +47,7 @@ def test_the_graph_ends_with_its_starter(tmp_path, ros_domain):
     child = int(starter.stdout.readline())
     starter.kill()
     starter.wait()
-    deadline = time.monotonic() + 10.0
+    deadline = time.monotonic() + PATIENCE
     while _is_alive(child):
         assert time.monotonic() < deadline
         time.sleep(0.05)
@@ -74,7 +71,6 @@ WRONG = [
 ]
 
 
-@pytest.mark.timeout(90)
 def test_what_is_wrong_is_said_in_one_line():
     started = []
     for name, parameters, message in WRONG:
@@ -83,22 +79,21 @@ def test_what_is_wrong_is_said_in_one_line():
             command += ["-p", f"{key}:={str(value).lower() if isinstance(value, bool) else value}"]
         started.append((subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=os.environ), name, message))
     for process, name, message in started:
-        _, said = process.communicate(timeout=60)
+        _, said = process.communicate(timeout=PATIENCE)
         assert process.returncode == 1
         assert len(said.splitlines()) == 1, said
         assert said.startswith(f"{name}: ") and message in said
 
 
-@pytest.mark.timeout(120)
 def test_every_parameter_is_described(bench):
     graph = bench.graph(NAMES)
     operator = bench.operator(graph)
     for name in NAMES:
-        listed = _call(operator, ListParameters, f"{name}/list_parameters", ListParameters.Request())
+        listed = ask(operator, ListParameters, f"{name}/list_parameters", ListParameters.Request())
         own = [key for key in listed.result.names if key not in ("use_sim_time", "start_type_description_service")]
         assert own
         request = DescribeParameters.Request(names=own)
-        for descriptor in _call(operator, DescribeParameters, f"{name}/describe_parameters", request).descriptors:
+        for descriptor in ask(operator, DescribeParameters, f"{name}/describe_parameters", request).descriptors:
             assert len(descriptor.description) > 15, (name, descriptor.name)
             if descriptor.type == ParameterType.PARAMETER_DOUBLE:
                 assert descriptor.floating_point_range, (name, descriptor.name)
@@ -107,15 +102,6 @@ def test_every_parameter_is_described(bench):
                 assert descriptor.integer_range, (name, descriptor.name)
 
 
-def _call(operator, kind, service, request):
-    client = operator._node.create_client(kind, service)
-    assert operator.wait(client.service_is_ready, 30.0), service
-    future = client.call_async(request)
-    assert operator.wait(future.done, 10.0)
-    return future.result()
-
-
-@pytest.mark.timeout(60)
 def test_parameter_files_reach_the_nodes_in_a_namespace(bench):
     text = (CONFIG / "nodes.yaml").read_text()
     assert "    speed: 0.5 " in text
@@ -128,11 +114,10 @@ def test_parameter_files_reach_the_nodes_in_a_namespace(bench):
         )
         operator = bench.operator(graph)
         request = GetParameters.Request(names=["speed", "acceleration"])
-        values = _call(operator, GetParameters, "axis_simulator/get_parameters", request).values
+        values = ask(operator, GetParameters, "axis_simulator/get_parameters", request).values
         assert [value.double_value for value in values] == [0.123, 2.0]
 
 
-@pytest.mark.timeout(60)
 def test_example_parameters_are_the_nodes_defaults(bench):
     given = yaml.safe_load((CONFIG / "nodes.yaml").read_text())
     graph = bench.graph(NAMES, simulated_time=False)
@@ -143,5 +128,5 @@ def test_example_parameters_are_the_nodes_defaults(bench):
         if name == "instrument":
             del wanted["sample_noise"]  # the bench sets it
         request = GetParameters.Request(names=list(wanted))
-        found = _call(operator, GetParameters, f"{name}/get_parameters", request).values
+        found = ask(operator, GetParameters, f"{name}/get_parameters", request).values
         assert {key: parameter_value_to_python(value) for key, value in zip(wanted, found, strict=True)} == wanted
