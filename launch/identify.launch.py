@@ -1,31 +1,52 @@
 """Only what listens: an estimator and a recorder beside a graph that runs already, or beside a replay.
 
 ros2 launch machine_tool_calibration identify.launch.py namespace:=cell_1
+ros2 service call /cell_1/estimator/diagnose std_srvs/srv/Trigger
+
+Beside a graph in simulated time, or a replay with a clock: use_sim_time:=true.
 """
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 PACKAGE = "machine_tool_calibration"
+ARGUMENTS = {
+    "namespace": ("", "namespace of the graph"),
+    "use_sim_time": ("false", "whether the graph or the replay has a clock"),
+    "model": ("", "variant of the model, such as rigid_body"),
+    "bag": ("", "folder of the recording; empty: recording_<date>_<time>"),
+}
+
+
+def nodes(context):
+    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    common = {"use_sim_time": given["use_sim_time"].lower() == "true"}
+    parameters = {
+        "estimator": {**common, "model": given["model"]},
+        "recorder": {**common, "folder": given["bag"]},
+    }
+    # a graph in a namespace has its clock there too
+    space = given["namespace"].strip("/")
+    remappings = [("/clock", f"/{space}/clock")] if space else []
+    return [
+        Node(
+            package=PACKAGE,
+            executable=name,
+            name=name,
+            namespace=space,
+            parameters=[values],
+            remappings=remappings,
+            output="screen",
+        )
+        for name, values in parameters.items()
+    ]
 
 
 def generate_launch_description():
-    space = LaunchConfiguration("namespace")
-    model = LaunchConfiguration("model")
-    return LaunchDescription(
-        [
-            DeclareLaunchArgument("namespace", default_value="", description="namespace of the graph"),
-            DeclareLaunchArgument("model", default_value="", description="variant of the model, such as rigid_body"),
-            Node(
-                package=PACKAGE,
-                executable="estimator",
-                name="estimator",
-                namespace=space,
-                parameters=[{"model": model}],
-                output="screen",
-            ),
-            Node(package=PACKAGE, executable="recorder", name="recorder", namespace=space, output="screen"),
-        ]
-    )
+    arguments = [
+        DeclareLaunchArgument(name, default_value=default, description=text)
+        for name, (default, text) in ARGUMENTS.items()
+    ]
+    return LaunchDescription([*arguments, OpaqueFunction(function=nodes)])
