@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from machine_tool_calibration.cli.direct_words import direct_tables, scatter_words
 from machine_tool_calibration.cli.measuring import figures
 from machine_tool_calibration.cli.output import console
 
@@ -35,6 +36,8 @@ def show_result(document: Mapping[str, Any], opened: Iterable[Session]) -> None:
     for name, text in [*figures({**document, "not_determined": []}), *_motions(document["error_map"])]:
         table.add_row(name, text)
     screen.print(table)
+    for shown_of_direct in direct_tables(document["error_map"]):
+        screen.print(shown_of_direct)
     if "agreement" in document:
         screen.print(document["agreement"]["statement"])
     for reason, rows in grouped((str(entry["row"]), entry["reason"]) for entry in document["rejected"]):
@@ -64,6 +67,9 @@ def measured(session: Session) -> str:
 def verdict(document: Mapping[str, Any]) -> str:
     """How well the model fits, in plain words."""
     chi, p = document["reduced_chi_square"], document["p_value"]
+    direct = scatter_words(document.get("error_map") or {}, p)
+    if direct is not None:
+        return direct
     ratio = chi**0.5
     if p < 1e-3:
         return (
@@ -154,6 +160,8 @@ def _show_tables(entries: Iterable[Mapping[str, Any]]) -> None:
 def shown(value: float, uncertainty: float, unit: str) -> tuple[str, str, str, str]:
     """Value, u and U with as many digits as the uncertainty bears, and the unit that people use."""
     factor, name = {"m": (1e6, "µm"), "rad": (1e6, "µrad")}.get(unit, (1.0, unit))
+    if unit == "1" and max(abs(value), uncertainty) < 1e-3:
+        factor, name = 1e6, "µm/m"
     if unit == "m" and abs(value) > 1e-2:
         factor, name = 1e3, "mm"
     u = uncertainty * factor

@@ -108,16 +108,18 @@ def _words(done: Improvement) -> str:
 
 
 def _steps(done: Improvement) -> TextTable:
-    from machine_tool_calibration.diagnosis.quantities import micrometres, sizes_in_words
+    from machine_tool_calibration.diagnosis.quantities import micrometres, probability, sizes_in_words
     from machine_tool_calibration.diagnosis.report import TextTable
 
     rows = []
+    chance = {r.candidate.name: r.family_p_value for r in done.diagnosis.ranked}
     for step in done.steps:
         own = [p for p in step.parameters if p.name.split(".")[0] == step.change]
         rows.append(
             (
                 step.label,
                 sizes_in_words(own) if own else "",
+                probability(chance[step.change]) if step.change in chance else "",
                 micrometres(step.result.rms_residual),
                 _chi(step),
                 micrometres(step.map_change),
@@ -126,10 +128,11 @@ def _steps(done: Improvement) -> TextTable:
                 micrometres(None if step.left_at_tool is None else 2 * step.left_at_tool),
             )
         )
-    heads = ("model", "size ± U", "residual", "chi²/ν", "map moves", "map", "U of the map", "left at the tool point")
+    heads = ("model", "size ± U", "p", "residual", "chi²/ν", "map moves", "map", "U of map", "left at the tool point")
     note = (
-        "µm RMS; U expanded (k = 2), from the declared uncertainty; left at the tool point: U with the real scatter of "
-        "the readings, and what they see there and the model does not explain"
+        "p: that chance would do as well, paid for the search; µm RMS; U (k = 2) as `mtcal identify` publishes "
+        "it; left at the tool point: U with the real scatter of the readings, and what they see there and the model "
+        "does not explain"
     )
     return TextTable("Step by step", heads, tuple(rows), note)
 

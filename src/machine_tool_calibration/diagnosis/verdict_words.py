@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from machine_tool_calibration.diagnosis.consequence import Consequence, rms
-from machine_tool_calibration.diagnosis.diagnose import Diagnosis, Structure
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis, Look, Structure
 from machine_tool_calibration.diagnosis.quantities import probability, quantity, sizes_in_words
 from machine_tool_calibration.planning.advice import Advice, Separation
 from machine_tool_calibration.session.session import Session
@@ -19,6 +19,10 @@ _TOO_LARGE = 0.01
 _MANY = 3
 # Standard uncertainties between look-alikes from which the readings tell them apart all the same.
 _APART = 6.0
+# Chance below which a backlash of the impossible sign is no accident.
+_REVERSED = 1e-6
+# Scatter of repeats over that of all, below which places differ more than their repeats.
+_SHARED = 0.7
 
 
 def verdict_words(diagnosis: Diagnosis, changes: Mapping[str, Consequence], advice: Advice) -> Iterator[str]:
@@ -28,7 +32,19 @@ def verdict_words(diagnosis: Diagnosis, changes: Mapping[str, Consequence], advi
         yield _found(diagnosis, name, changes.get(name), advice)
     if diagnosis.verdict == "unexplained":
         yield from _unexplained(diagnosis)
+    yield from _reversed(diagnosis)
     yield from _noise(diagnosis)
+
+
+def _reversed(diagnosis: Diagnosis) -> Iterator[str]:
+    """Backlash that comes out negative and is certain: the sign of a column is wrong, not the machine."""
+    for r in diagnosis.looks[-1].ranked:
+        if r.rank and not r.possible and r.p_value < _REVERSED and r.candidate.name.startswith("backlash_"):
+            axis = r.candidate.name[-1]
+            yield (
+                f"{r.candidate.name} would come out negative, which no backlash is: the sign of dir_{axis}, or that of "
+                "the deviations, looks reversed."
+            )
 
 
 def _verdict(diagnosis: Diagnosis) -> str:
@@ -40,10 +56,7 @@ def _verdict(diagnosis: Diagnosis) -> str:
         what = names[0] if len(names) == 1 else f"{len(names)} effects: {', '.join(names)}"
         return f"The model lacks {what}."
     if diagnosis.verdict == "unexplained":
-        return (
-            "The model lacks something that no effect of the catalogue explains. "
-            "No effect is named as the cause."
-        )
+        return "The model lacks something that no effect of the catalogue explains. No effect is named as the cause."
     if diagnosis.verdict == "outliers":
         n = len(diagnosis.outliers)
         many = "One reading does" if n == 1 else f"{n} readings do"
@@ -107,11 +120,7 @@ def _unexplained(diagnosis: Diagnosis) -> Iterator[str]:
             f"The residuals depend on {_covariate(best)}: this takes up {100 * best.share:.0f} % of their sum of "
             f"squares (p {probability(best.p_value)})."
         )
-    tried = [
-        r.candidate.name
-        for look in diagnosis.looks[:-1]
-        if (r := look.winner()) is not None
-    ]
+    tried = [r.candidate.name for look in diagnosis.looks[:-1] if (r := look.winner()) is not None]
     if tried:
         yield f"Even with {', '.join(tried)} in the model structure remains, so that none of these can be trusted."
 
@@ -129,6 +138,9 @@ def _noise(diagnosis: Diagnosis) -> Iterator[str]:
     joint = look.fit.joint
     ratio = float(np.sqrt(joint.reduced_chi_square))
     again = mounted_more_than_once(diagnosis.session)
+    if diagnosis.session.method == "direct":
+        yield from _scatter(diagnosis, look)
+        return
     if diagnosis.verdict in ("adequate", "outliers", "missing_effect") and joint.p_value < _TOO_LARGE:
         text = f"The readings scatter {ratio:.2f} times as much as declared, which chance does not explain."
         if noise.from_repeats is not None and noise.from_repeats > 0.9 * ratio * noise.declared:
@@ -146,6 +158,32 @@ def _noise(diagnosis: Diagnosis) -> Iterator[str]:
         yield (
             "No setup was measured again after being mounted again; small slopes and bows from setup to setup are "
             "allowed for, but a larger irreproducibility cannot be told from the model."
+        )
+
+
+def _scatter(diagnosis: Diagnosis, look: Look) -> Iterator[str]:
+    """Scatter of direct deviations: a part's or an axis's own, which no instrument declares."""
+    declared = look.noise.declared
+    found = float(np.sqrt(look.fit.joint.reduced_chi_square)) * declared
+    both = f"scatter {quantity(found, 'm')}, declared {quantity(declared, 'm')}"
+    if look.fit.joint.p_value < _TOO_LARGE:
+        yield f"The deviations scatter more about the model than was declared ({both}): sizes and tests use it."
+    elif look.fit.joint.p_value > 1.0 - _TOO_LARGE:
+        yield f"The deviations scatter less about the model than was declared ({both}): tests use what they scatter."
+    else:
+        yield f"The deviations scatter about the model as was declared ({both})."
+    repeats = look.noise.from_repeats
+    if repeats is not None and repeats < _SHARED * found and diagnosis.verdict != "unexplained":
+        yield (
+            f"Repeats of one place agree within {quantity(repeats, 'm')}, places differ from each other by more, "
+            "without a pattern: that is the scatter of the part, or of the machine from place to place."
+        )
+    if diagnosis.verdict == "missing_effect" and diagnosis.looks[-1].structure:
+        best = diagnosis.looks[-1].structure[0]
+        yield (
+            f"What is left still depends on {_covariate(best)}: {100 * best.share:.0f} % of its sum of squares (p "
+            f"{probability(best.p_value)}), which no single effect of the catalogue explains. The effects that were "
+            "found stay as they are beside it."
         )
 
 

@@ -47,7 +47,9 @@ class ErrorMotionEffect(Effect):
         unit, limit = ("rad", 1e-3) if motion.is_rotation else ("m", 1e-4)
         self.axis = motion.axis.lower()
         self.title = f"error motion {name}"
-        self.formula = f"{name}({self.axis}) as a polynomial of degree {_DEGREES}"
+        self.formula = (
+            f"{name}({self.axis}), a polynomial of degree {_DEGREES}; position by position for one axis alone"
+        )
         self.coefficients = tuple(Coefficient(f"p{k}", unit, -limit, limit) for k in range(1, _DEGREES + 1))
         self.needs = (self.axis,)
         if motion.component == motion.axis:
@@ -67,12 +69,13 @@ class ErrorMotionEffect(Effect):
         return why
 
     def coefficients_for(self, observations: Observations, shape: tuple[float, ...] = ()) -> tuple[Coefficient, ...]:
-        """Of the polynomial, or one for each position of a single axis."""
+        """Of the polynomial, or as many as a single axis has positions."""
         nodes = self._nodes(observations)
         if nodes is None:
             return self.coefficients
         low, high = self.coefficients[0].low, self.coefficients[0].high
-        return tuple(Coefficient(f"at {nodes[k]:.6g}", "m", low, high) for k in self._free(observations, len(nodes)))
+        first = self._first(observations)
+        return tuple(Coefficient(f"p{k}", "m", low, high) for k in range(first, len(nodes)))
 
     def _nodes(self, observations: Observations) -> Array | None:
         """Positions of a single axis, if each was read at least twice; None where a polynomial is meant."""
@@ -84,16 +87,16 @@ class ErrorMotionEffect(Effect):
         nodes, count = np.unique(np.round(observations.readings.column(self.axis), 6), return_counts=True)
         return nodes + 0.0 if _FEWEST <= len(nodes) <= _MOST and count.min() > 1 else None
 
-    def _free(self, observations: Observations, nodes: int) -> range:
-        """Which nodes are unknowns: not those that the instrument's datum holds at zero."""
+    def _first(self, observations: Observations) -> int:
+        """The lowest degree that the instrument's datum does not take up."""
         datum = getattr(observations.session.description, "datum", "none")
-        across = self.id[1] != self.id[2]
-        return range(0 if datum == "none" else 1, nodes - 1 if datum == "rigid" and across else nodes)
+        return {"none": 0, "offset": 1}.get(datum, 2 if self.id[1] != self.id[2] else 1)
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Legendre polynomials of the axis's position over its range times the displacement of a unit.
 
-        For a single axis read repeatedly: straight lines between its positions.
+        For a single axis read repeatedly: functions with straight lines between its positions; after a constant and
+        a straight line any others that are orthogonal to these.
         """
         position = observations.position
         if self.is_squareness:
@@ -103,7 +106,9 @@ class ErrorMotionEffect(Effect):
         if nodes is not None:
             along = observations.direction[:, "XYZ".index(motion.component)]
             table = interpolation(nodes, observations.readings.column(self.axis)) * along
-            return np.asarray(table[list(self._free(observations, len(nodes)))])
+            start = np.column_stack([np.ones(len(nodes)), (nodes - nodes.mean()) / np.ptp(nodes), np.eye(len(nodes))])
+            basis = np.linalg.qr(start)[0][:, : len(nodes)] * np.sqrt(len(nodes))
+            return np.asarray(basis.T[self._first(observations) :] @ table)
         chain = Chain.parse(observations.session.description.machine.chain)
         field = motion_field(chain, motion, position)
         turns = observations.rotation_direction is not None

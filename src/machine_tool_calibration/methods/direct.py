@@ -37,6 +37,9 @@ __all__ = ["MODELS", "DirectModel", "build", "build_direct"]
 
 MODELS = ("rigid_body",)
 
+# Chance below which the readings scatter more than declared.
+_CHANCE = 0.01
+
 
 @dataclass(frozen=True)
 class DirectModel(MethodModel):
@@ -57,6 +60,15 @@ class DirectModel(MethodModel):
         """What each setup leaves open."""
         return self.setups.parameters
 
+    def scatter_factor(self, reduced_chi_square: float, p_value: float) -> float:
+        """A part or an axis scatters more than the instrument that measures it: then the scatter counts.
+
+        What is declared is the instrument's uncertainty; how well a machine error is known from a drilled hole or from
+        a single positioning depends on how well these repeat (the Birge ratio). Less scatter than declared makes
+        nothing better: the instrument may be off by the same amount everywhere.
+        """
+        return float(np.sqrt(reduced_chi_square)) if reduced_chi_square > 1.0 and p_value < _CHANCE else 1.0
+
     def part(self, own_index: IntArray, dense_index: IntArray) -> Part:
         """Every setup is a block."""
         readings = self.observations.readings
@@ -74,9 +86,7 @@ class DirectModel(MethodModel):
 
     def error_map(self, fit: Fit) -> ErrorMap:
         """Position error of the fitted machine errors and effects at every point that was read."""
-        return direct_map(
-            self.observations, self.tables, self.setups, self.terms[len(self.tables) :], self.fixed, fit
-        )
+        return direct_map(self.observations, self.tables, self.setups, self.terms[len(self.tables) :], self.fixed, fit)
 
 
 def build(session: Session, model: str = MODELS[0]) -> DirectModel:
@@ -90,7 +100,7 @@ def build(session: Session, model: str = MODELS[0]) -> DirectModel:
         ModelError: an unknown error, an axis that the machine does not have, a direction that is none, no reading, or
             readings that contradict the model in a way that a common mistake explains.
     """
-    refuse_mistakes(session, build_direct)
+    refuse_mistakes(session, lambda seen: build_direct(seen, terms=()))
     return build_direct(session)
 
 
@@ -118,9 +128,7 @@ def build_direct(
         raise ModelError(f"{session.source} row {row}: the direction (gx, gy, gz) is zero")
     direction = direction / length[:, None]
     path = np.einsum("nj,nj->n", position, direction)
-    observations = Observations(
-        session, readings, position, direction, np.zeros_like(direction), path, readings.setup
-    )
+    observations = Observations(session, readings, position, direction, np.zeros_like(direction), path, readings.setup)
     setups = setup_datum(
         description.datum, session.setup_ids, readings.setup, position, direction, readings.displacement
     )

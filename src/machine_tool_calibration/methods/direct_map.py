@@ -10,6 +10,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.machine.tables import MachineTable
 from machine_tool_calibration.methods.direct_datum import SetupDatum
+from machine_tool_calibration.methods.direct_steps import plate_steps
 from machine_tool_calibration.methods.iso230_2_run import positioning_runs
 from machine_tool_calibration.methods.rigid_body import map_field
 from machine_tool_calibration.model.fit import Fit
@@ -68,14 +69,28 @@ def direct_map(
         "position_error": error,
         "position_error_u": uncertainty,
         "tables": _tables(tables, fit, own),
-        # More than one: the readings scatter more than was declared, and the uncertainties may be too small by this.
         "spread_over_declared": float(np.sqrt(fit.joint.reduced_chi_square)),
+        "scatter": _scatter(observations, fit),
         "datum": _words(setups, bool(common.shape[1])),
     }
     runs = positioning_runs(observations)
     if runs:
         content["iso230_2"] = runs
+    steps = plate_steps(observations, setups)
+    if steps is not None:
+        content["plate"] = steps
     return ErrorMap(content, points, error, uncertainty, covariance)
+
+
+def _scatter(observations: Observations, fit: Fit) -> dict[str, Any]:
+    """What the readings scatter about the model, what was declared, and on which the standard uncertainties rest."""
+    declared, ratio = observations.session.sigma, float(np.sqrt(fit.joint.reduced_chi_square))
+    return {
+        "declared": declared,
+        "found": ratio * declared,
+        "uncertainties_from": "scatter" if fit.scatter_factor > 1.0 else "declared",
+        "factor": fit.scatter_factor,
+    }
 
 
 def _words(setups: SetupDatum, reduced: bool) -> str:

@@ -26,7 +26,7 @@ class Step:
         change: what it has and the one before has not: an effect's id, or words.
         result: of its identification.
         map_rms: RMS length of the position errors at the map's points, m; None where the method maps none.
-        map_uncertainty: RMS length of their standard uncertainty from the declared one, m.
+        map_uncertainty: RMS length of their standard uncertainty, as it is published, m.
         map_change: RMS length by which they moved against the step before, m.
         set_aside: rows of the readings that were left out.
     """
@@ -78,7 +78,8 @@ class Step:
         chi = self.reduced_chi_square
         if self.map_uncertainty is None or chi is None:
             return None
-        return float(np.hypot(self.map_uncertainty * np.sqrt(max(chi, 1.0)), self.unexplained_at_tool))
+        more = np.sqrt(max(chi, 1.0)) / self.result.fit.scatter_factor
+        return float(np.hypot(self.map_uncertainty * more, self.unexplained_at_tool))
 
     @property
     def parameters(self) -> tuple[Estimate, ...]:
@@ -191,9 +192,7 @@ def entries(improvement: Improvement, data: str, made: str, by: str) -> list[Ent
                 map_uncertainty_rms=step.map_uncertainty,
                 map_change_rms=step.map_change,
                 parameters=tuple(
-                    Coefficient(
-                        name=p.name, value=p.value, standard_uncertainty=p.standard_uncertainty, unit=p.unit
-                    )
+                    Coefficient(name=p.name, value=p.value, standard_uncertainty=p.standard_uncertainty, unit=p.unit)
                     for p in step.parameters
                 ),
             )

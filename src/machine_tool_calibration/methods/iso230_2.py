@@ -13,7 +13,9 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.errors import ModelError
 
-__all__ = ["Positioning", "positioning"]
+__all__ = ["Positioning", "positioning", "positioning_uncertainty"]
+
+_DRAWS = 500
 
 
 @dataclass(frozen=True)
@@ -123,3 +125,39 @@ def _statistics(index: IntArray, deviation: Array, mine: BoolArray, m: int) -> t
         square = np.bincount(index[mine], (deviation[mine] - mean[index[mine]]) ** 2, minlength=m)
         s = np.sqrt(square / np.where(count > 1, count - 1, np.nan))
     return mean, s, count
+
+
+def positioning_uncertainty(figures: Positioning, seed: int = 1) -> dict[str, float]:
+    """Expanded uncertainty (k = 2) of the figures from the repeatability that they were found with.
+
+    Every figure is worked out again for runs that are drawn about the means with the standard deviations found; twice
+    the standard deviation of what comes out. The uncertainty of the instrument and of its alignment and temperature
+    (the standard's Annex A, from certificates that a session does not hold) is not in it.
+
+    Args:
+        figures: of one axis, with at least two runs in each direction in which it was measured.
+        seed: of the draws.
+
+    Returns:
+        By figure: B, B_mean, R, E, M, A; those that the readings do not give are left out.
+    """
+    rng = np.random.default_rng(seed)
+    position, direction, centre, spread = [], [], [], []
+    for sign, mean, s, count in (
+        (1, figures.mean_up, figures.s_up, figures.count_up),
+        (-1, figures.mean_down, figures.s_down, figures.count_down),
+    ):
+        runs = int(count.max(initial=0))
+        for k in range(runs):
+            there = np.flatnonzero((count > k) & np.isfinite(s))
+            position.append(figures.position[there])
+            direction.append(np.full(len(there), sign))
+            centre.append(mean[there])
+            spread.append(s[there])
+    if not position or not sum(len(p) for p in position):
+        return {}
+    at, sense, mean, s = (np.concatenate(parts) for parts in (position, direction, centre, spread))
+    drawn = [positioning(at, sense, mean + s * rng.standard_normal(len(s))) for _ in range(_DRAWS)]
+    names = ("B", "B_mean", "R", "E", "M", "A")
+    out = {name: 2.0 * float(np.std([getattr(d, name) for d in drawn])) for name in names}
+    return {name: value for name, value in out.items() if np.isfinite(value) and np.isfinite(getattr(figures, name))}

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.methods.iso230_2 import positioning
+from machine_tool_calibration.methods.iso230_2 import positioning, positioning_uncertainty
 from machine_tool_calibration.model.observations import Observations
 
 __all__ = ["positioning_runs"]
@@ -22,7 +22,8 @@ def positioning_runs(observations: Observations) -> list[dict[str, Any]]:
     """Figures of every setup in which one linear axis was read along itself, in both directions or repeatedly.
 
     Returns:
-        For each such setup its id, the axis, and the fields of `iso230_2.Positioning`.
+        For each such setup its id, the axis, the fields of `iso230_2.Positioning`, and the expanded
+        uncertainties (k = 2) of its figures, `B_U` and so on, as far as the runs tell them.
     """
     out = []
     for index, name in enumerate(observations.session.setup_ids):
@@ -35,7 +36,12 @@ def positioning_runs(observations: Observations) -> list[dict[str, Any]]:
             continue
         sense = observations.direction[mine, axis]
         deviation = observations.readings.displacement[mine] * np.sign(sense)
-        out.append({"setup": name, "axis": "XYZ"[axis], **asdict(positioning(position, direction, deviation))})
+        figures = positioning(position, direction, deviation)
+        expanded = {f"{key}_U": value for key, value in positioning_uncertainty(figures).items()}
+        told = {"setup": name, "axis": "XYZ"[axis], **asdict(figures), **expanded}
+        if expanded:
+            told["note"] = "U is from the repeatability of the runs alone; that of the instrument comes on top."
+        out.append(told)
     return out
 
 

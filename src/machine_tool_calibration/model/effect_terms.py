@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -159,9 +159,14 @@ def _told_apart(model: MethodModel, terms: Sequence[Term]) -> tuple[list[Term], 
     kept, left = list(terms), []
     for k in sorted(range(len(terms)), key=lambda k: len(terms[k].columns)):
         own = np.arange(starts[k], starts[k + 1])
-        # Among a term's own columns the model decides: they are compared with those of other terms only.
-        again = np.array([bool(seen[j]) and _repeats(inner, j, taken) for j in own])
-        if again.all() and len(own) == 1 or not again.any():
+        # Among a term's own columns the model decides: what they repeat of each other is not meant.
+        again = np.array(
+            [
+                bool(seen[j] and _repeats(inner, j, [*taken, *own[:i]]) and not _repeats(inner, j, own[:i].tolist()))
+                for i, j in enumerate(own)
+            ]
+        )
+        if (again.all() and len(own) == 1) or not again.any():
             taken += [int(j) for j in own if seen[j]]
             continue
         good = ~again
@@ -209,4 +214,36 @@ def add_effects(model: MethodModel, effects: Sequence[Effect]) -> MethodModel:
             others = [effect_term(e, observations, *shapes[e.id]) for e in curved if e.id in shapes and e is not effect]
             fit = fit_models([base.with_terms(others)]).fits[0]
             shapes[effect.id] = best_shape(fit, effect)
-    return base.with_terms([effect_term(effect, observations, *shapes[effect.id]) for effect in curved]).settled()
+    full = base.with_terms([effect_term(effect, observations, *shapes[effect.id]) for effect in curved])
+    loose = _unbounded(full, curved, {name: shape for name, (shape, _) in shapes.items()})
+    if loose:
+        # A nonlinear coefficient that nothing bounds is no number: it is held where the readings like it best.
+        why = "the readings do not bound it: the effect is too small in them"
+        held = [
+            effect_term(
+                effect, observations, shapes[effect.id][0], None if effect.id in loose else shapes[effect.id][1]
+            )
+            for effect in curved
+        ]
+        base = replace(base, left_out=base.left_out + tuple(NotDetermined(name, why) for name in loose.values()))
+        full = base.with_terms(held)
+    return full.settled()
+
+
+def _unbounded(
+    model: MethodModel, effects: Sequence[Effect], shapes: Mapping[str, tuple[float, ...]]
+) -> dict[str, str]:
+    """Nonlinear coefficients that come out impossible, or less certain than they are large, by their effects' ids."""
+    names = {f"{effect.id}.{s.name}": effect.id for effect in effects for s in effect.shapes if not s.discrete}
+    if not names:
+        return {}
+    fit = fit_models([model]).fits[0]
+    variance = max(fit.joint.reduced_chi_square, 1.0) * np.diag(fit.covariance)
+    out = {}
+    for parameter, value, square, good in zip(model.parameters, fit.theta, variance, fit.determined, strict=True):
+        if parameter.name not in names or not good:
+            continue
+        found = parameter.reference + value
+        if found <= 0.0 or square > found**2 or abs(value) > abs(parameter.reference):
+            out[names[parameter.name]] = parameter.name
+    return out

@@ -82,8 +82,15 @@ class Fit:
 
     @property
     def covariance(self) -> Array:
-        """Their covariance."""
-        return self.solution.covariance[np.ix_(self.places, self.places)]
+        """Their covariance, from the declared uncertainty, or from the scatter where the method says so."""
+        return np.asarray(self.scatter_factor**2 * self.solution.covariance[np.ix_(self.places, self.places)])
+
+    @cached_property
+    def scatter_factor(self) -> float:
+        """Published uncertainties over those that follow from the declared one; 1 where several sessions are fitted."""
+        if len(self.joint.assembly.models) > 1:
+            return 1.0
+        return self.model.scatter_factor(self.joint.reduced_chi_square, self.joint.p_value)
 
     @property
     def determined(self) -> BoolArray:

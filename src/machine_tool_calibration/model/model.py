@@ -103,6 +103,15 @@ class MethodModel(ABC):
         """Unknowns that what was declared decides rather than the readings: they are not published as results."""
         return frozenset()
 
+    def scatter_factor(self, reduced_chi_square: float, p_value: float) -> float:
+        """By how much published uncertainties exceed those from the declared one: 1, as what was declared is believed.
+
+        Args:
+            reduced_chi_square: of the fit of this model alone.
+            p_value: chance of a larger one if the declared uncertainty is right.
+        """
+        return 1.0
+
     def why_not_determined(self, name: str) -> str | None:
         """Why the readings do not determine an unknown, where the method can say it better than the algebra."""
         return None
