@@ -31,5 +31,6 @@ def without_spread(model: StepDiagonalModel, known: Collection[str]) -> StepDiag
         terms=tuple(term for term in model.terms if term.name not in gone),
         priors=tuple(prior for prior in model.priors if not unknowns & set(prior.weights)),
         constraints=tuple(c for c in model.constraints if not unknowns & set(c.weights)),
-        spread=replace(model.spread, angles=kept) if kept else None,
+        # What the session alone says of the others is no longer all that is known of them.
+        spread=replace(model.spread, angles=kept, observations=None) if kept else None,
     )

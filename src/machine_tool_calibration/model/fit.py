@@ -75,15 +75,22 @@ class Fit:
         """Place of each of the model's parameters in the shared vector."""
         return self.joint.assembly.places[self.index]
 
+    @cached_property
+    def _stated(self) -> tuple[Array, Array]:
+        theta, covariance = self.solution.theta[self.places], self.solution.covariance[np.ix_(self.places, self.places)]
+        if len(self.joint.assembly.models) > 1:
+            return theta, covariance
+        return self.model.stated(theta, covariance)
+
     @property
     def theta(self) -> Array:
-        """Values of the model's shared unknowns, without their references."""
-        return self.solution.theta[self.places]
+        """Values of the model's shared unknowns, without their references, as the model states them."""
+        return self._stated[0]
 
     @property
     def covariance(self) -> Array:
         """Their covariance, from the declared uncertainty, or from the scatter where the method says so."""
-        return np.asarray(self.scatter_factor**2 * self.solution.covariance[np.ix_(self.places, self.places)])
+        return np.asarray(self.scatter_factor**2 * self._stated[1])
 
     @cached_property
     def scatter_factor(self) -> float:

@@ -88,6 +88,17 @@ class MethodModel(ABC):
         """
         return self
 
+    def stated(self, theta: Array, covariance: Array) -> tuple[Array, Array]:
+        """What is published of the unknowns of this model, fitted by itself.
+
+        Those of the fit; a model in which the fit holds for one of several assumptions may take the mean over them.
+
+        Args:
+            theta: (m,) the fit's.
+            covariance: (m, m) theirs.
+        """
+        return theta, covariance
+
     def dense(self) -> Array:
         """(K, n) columns of the terms' unknowns."""
         n = len(self.observations)
@@ -171,15 +182,13 @@ def assemble(models: Sequence[MethodModel], labels: Sequence[str] | None = None)
             index.append(place[name])
         places.append(np.array(index, dtype=np.int64))
     m = len(parameters)
-    constraints = [
-        _row(model, where, c.weights, m) for model, where in zip(models, places, strict=True) for c in model.constraints
-    ]
-    values = [c.value for model in models for c in model.constraints]
-    prior_list = [
-        (_row(model, where, p.weights, m), p.value, p.sigma)
+    named = [
+        (model, dict(zip((p.name for p in model.parameters), where.tolist(), strict=True)))
         for model, where in zip(models, places, strict=True)
-        for p in model.priors
     ]
+    constraints = [_row(names, c.weights, m) for model, names in named for c in model.constraints]
+    values = [c.value for model in models for c in model.constraints]
+    prior_list = [(_row(names, p.weights, m), p.value, p.sigma) for model, names in named for p in model.priors]
     priors = None
     if prior_list:
         rows, value, sigma = zip(*prior_list, strict=True)
@@ -192,8 +201,7 @@ def assemble(models: Sequence[MethodModel], labels: Sequence[str] | None = None)
     return Assembly(tuple(models), problem, tuple(parameters), tuple(places))
 
 
-def _row(model: MethodModel, where: IntArray, weights: Mapping[str, float], size: int) -> Array:
-    names = {parameter.name: k for k, parameter in zip(where, model.parameters, strict=True)}
+def _row(names: Mapping[str, int], weights: Mapping[str, float], size: int) -> Array:
     row = np.zeros(size)
     for name, weight in weights.items():
         if name not in names:

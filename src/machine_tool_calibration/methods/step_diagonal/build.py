@@ -23,7 +23,7 @@ from machine_tool_calibration.methods.step_diagonal.geometry import (
 from machine_tool_calibration.methods.step_diagonal.model import DATUM, Spread, StepDiagonalModel
 from machine_tool_calibration.methods.step_diagonal.orders import free_angles
 from machine_tool_calibration.methods.step_diagonal.second_order import second_order
-from machine_tool_calibration.methods.step_diagonal.spread import SMALLEST, coarse_nodes
+from machine_tool_calibration.methods.step_diagonal.spread import LARGEST, NONE, SMALLEST, coarse_nodes
 from machine_tool_calibration.methods.step_diagonal.terms import angle_term, sensed_tables, tilt_terms
 from machine_tool_calibration.model.model import NotDetermined, assemble
 from machine_tool_calibration.model.observations import Observations
@@ -35,14 +35,18 @@ __all__ = ["MODELS", "build"]
 MODELS = ("small_angles", "translations", "angular", "angular_one_mirror", "aligned_mirror")
 """Models of a step diagonal; the first is the default.
 
-`small_angles`: position errors of the axes; angular errors are small smooth random functions whose size the readings
-tell. `translations`: no angular errors. `angular`: those angular errors that the orders of the moves tell are free;
-`angular_one_mirror`: and the mirror was not touched between the orders of a diagonal. `aligned_mirror`: no angular
-errors and no tilts, as the conventional formulation assumes.
+`small_angles`: position errors of the axes; angular errors are zero or small smooth random functions, of a size that
+the readings tell as far as they can (`spread`). `translations`: no angular errors. `angular`: those angular errors that
+the orders of the moves tell are free; `angular_one_mirror`: and the mirror was not touched between the orders of a
+diagonal. `aligned_mirror`: no angular errors and no tilts, as the conventional formulation assumes.
 """
 
 _SMALL = "only its size is told by the readings (angular_size); it is taken for a small smooth random function"
 _ZERO = "the model takes it to be zero"
+_RANDOM = (
+    f"; the map is the mean over angular errors that are zero (with a probability of {NONE:g} before any reading) or "
+    f"smooth random functions of {1e6 * SMALLEST:g} to {1e6 * LARGEST:g} urad"
+)
 
 
 def build(session: Session, model: str = "small_angles") -> StepDiagonalModel:
@@ -160,9 +164,12 @@ def _with_spread(base: StepDiagonalModel, rotations: list[MachineTable]) -> Step
         angle = angle_term(replace(table, nodes=nodes), base.observations, base.observations.position)
         if _matters(angle.columns):
             angles.append(angle)
-    spread = Spread(tuple(angles), SMALLEST)
     left_out = base.left_out + tuple(NotDetermined(t.name, _SMALL) for t in rotations)
-    return replace(base, terms=base.terms + spread.terms, spread=spread, left_out=left_out).settled()
+    if not angles:
+        return replace(base, left_out=left_out)
+    spread = Spread(tuple(angles))
+    whole = replace(base, terms=base.terms + spread.terms, spread=spread, left_out=left_out, datum=base.datum + _RANDOM)
+    return whole.settled()
 
 
 def _matters(columns: Array) -> bool:

@@ -17,10 +17,11 @@ from machine_tool_calibration.machine.tables import MachineTable
 from machine_tool_calibration.methods.rigid_body import map_field
 from machine_tool_calibration.methods.step_diagonal.geometry import Run
 from machine_tool_calibration.methods.step_diagonal.profiles import Profiles, eq17
-from machine_tool_calibration.methods.step_diagonal.spread import angular_priors, angular_size
+from machine_tool_calibration.methods.step_diagonal.spread import AngularPosterior, angular_posterior, angular_priors
 from machine_tool_calibration.methods.step_diagonal.terms import Angle
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import MethodModel, NotDetermined
+from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.model.terms import Parameter, Term
 
@@ -38,11 +39,20 @@ class Spread:
 
     Attributes:
         angles: the nine angular error motions.
-        size: standard deviation of their change between the ends of the travel, rad.
+        posterior: what the readings say of them; None before the model is settled.
+        unknowns: names of the unknowns of the posterior, in its order.
+        observations: the readings that it is drawn from; None where others tell the angles too.
     """
 
     angles: tuple[Angle, ...]
-    size: float
+    posterior: AngularPosterior | None = None
+    unknowns: tuple[str, ...] = ()
+    observations: Observations | None = None
+
+    @property
+    def size(self) -> float:
+        """Root mean square of the angles over the travel, over all sizes that the readings leave possible, rad."""
+        return 0.0 if self.posterior is None else self.posterior.size
 
     @property
     def names(self) -> list[list[str]]:
@@ -114,25 +124,60 @@ class StepDiagonalModel(MethodModel):
         for k, constraint in enumerate(self.constraints):
             for name, weight in constraint.weights.items():
                 rows[k, place[name]] = weight
-        size = angular_size(
+        posterior = angular_posterior(
             self.spread.angles,
             np.concatenate([offsets, *(term.columns for term in others)]),
             rows,
             self.observations.readings.displacement - self.nominal,
             self.sigma,
         )
-        spread = replace(self.spread, size=size)
-        return replace(self, spread=spread, priors=angular_priors(spread.angles, spread.names, size))
+        unknowns = (*names, *(label for labels in self.spread.names for label in labels))
+        spread = Spread(self.spread.angles, posterior, unknowns, self.observations)
+        return replace(self, spread=spread, priors=angular_priors(spread.names, posterior.priors))
 
-    def _map_rows(self) -> Array:
-        """(M, K) position errors at the block positions, in the published datum, per unit of the tables' unknowns."""
+    def stated(self, theta: Array, covariance: Array) -> tuple[Array, Array]:
+        """With small angles, the mean over all their sizes and shapes that are possible, and the covariance over them.
+
+        A fit has one size; its covariance does not hold that the size is uncertain.
+        """
+        names = [p.name for p in self.parameters]
+        spread = self.spread
+        if spread is None or spread.posterior is None or spread.observations is not self.observations:
+            return theta, covariance
+        if len(names) != len(spread.unknowns) or set(names) != set(spread.unknowns):
+            return theta, covariance
+        place = {name: k for k, name in enumerate(spread.unknowns)}
+        index = np.array([place[name] for name in names], dtype=np.int64)
+        return spread.posterior.theta[index], spread.posterior.covariance[np.ix_(index, index)]
+
+    def _mapped(self) -> tuple[tuple[MachineTable, ...], list[str]]:
+        """Error motions that make up the position errors, and the names of their unknowns."""
+        tables = [*self.tables, *(angle.table for angle in self.angles)]
+        names = [label for table in tables for label in table.labels]
+        if self.spread is not None:
+            tables += [angle.table for angle in self.spread.angles]
+            names += [label for labels in self.spread.names for label in labels]
+        return tuple(tables), names
+
+    def _map_rows(self) -> tuple[Array, IntArray]:
+        """Position errors at the block positions, in the published datum, per unit of the unknowns that they depend on.
+
+        Angular errors count by the lever arms that they have along the edges that meet in the first block positions;
+        these arms vanish where the corner is the machine's zero.
+
+        Returns:
+            (M, K), and the (K,) places of the unknowns among the model's.
+        """
         places = []
         for axis, nodes in enumerate(self.blocks):
             at = np.tile([b[0] for b in self.blocks], (len(nodes), 1))
             at[:, axis] = nodes
             places.append(at)
-        field = map_field(self.tables, np.concatenate(places))
-        return eq17(self.blocks, field.reshape(len(field), -1)).T
+        tables, names = self._mapped()
+        field = map_field(tables, np.concatenate(places))
+        place = {p.name: k for k, p in enumerate(self.parameters)}
+        index = np.array([place[name] for name in names], dtype=np.int64)
+        return eq17(self.blocks, field.reshape(len(field), -1)).T, index
 
     def _there(self) -> Array:
         """(M,) whether the model holds a value for each of the map's entries: 1, or NaN."""
@@ -151,11 +196,9 @@ class StepDiagonalModel(MethodModel):
 
     def profiles(self, fit: Fit, method: str = "least_squares") -> Profiles:
         """Position errors at the block positions in the coordinate system of Eq. (17), with their covariance."""
-        rows = self._map_rows()
-        first = len(self.own)
-        mine = slice(first, first + rows.shape[1])
+        rows, mine = self._map_rows()
         value = rows @ fit.theta[mine] * self._there()
-        covariance = rows @ fit.covariance[mine, mine] @ rows.T
+        covariance = rows @ fit.covariance[np.ix_(mine, mine)] @ rows.T
         # A direction's entries are of mixed units: what matters is what it does to the map.
         loose = rows @ fit.undetermined[mine]
         return Profiles(method, self.blocks, value, covariance, loose)
@@ -214,8 +257,9 @@ class StepDiagonalModel(MethodModel):
         for kind in ("positioning", "straightness", "squareness"):
             content[kind] = _paired({f.name: (f.value, f.uncertainty) for f in figures if f.kind == kind})
         content |= self._angular(fit)
-        if self.spread is not None:
-            content["angular_size"] = self.spread.size
+        if self.spread is not None and self.spread.posterior is not None:
+            content["angular_size"] = self.spread.posterior.size
+            content["angular_probability"] = self.spread.posterior.probability
         content["datum"] = self.datum
         corner = np.array([nodes[0] for nodes in self.blocks])
         points = np.concatenate(

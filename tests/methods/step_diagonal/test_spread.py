@@ -1,0 +1,140 @@
+"""Small angular errors: the mean over all sizes and shapes, against plain linear algebra with every one of them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import block_diag, null_space
+
+from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.methods.step_diagonal import build
+from machine_tool_calibration.methods.step_diagonal import spread as module
+from machine_tool_calibration.methods.step_diagonal.spread import LARGEST, NONE, SMALLEST, shape_covariance
+from machine_tool_calibration.model.fit import fit_models
+from machine_tool_calibration.simulation import TableSpec
+
+ORDERS = ("xyz", "yzx", "zxy")
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_random_functions_are_zero_at_first_and_of_size_one(share):
+    covariance = shape_covariance(np.linspace(-1.0, 3.0, 7), 0.2, share)
+    assert covariance[0] == pytest.approx(np.zeros(7), abs=1e-15)
+    assert np.mean(np.diag(covariance)) == pytest.approx(1.0)
+    assert np.linalg.eigvalsh(covariance).min() > -1e-12
+
+
+def _by_hand(model):
+    """Weights, means and covariances of the map for every size and shape, the readings' covariance written out."""
+    n = len(model.observations)
+    offsets = np.zeros((len(model.run_names), n))
+    offsets[model.observations.run, np.arange(n)] = 1.0
+    random = {term.name for term in model.spread.terms}
+    others = np.concatenate([offsets, *(t.columns for t in model.terms if t.name not in random)])
+    names = [p.name for p in model.own] + [p.name for t in model.terms if t.name not in random for p in t.parameters]
+    rows = np.array([[c.weights.get(name, 0.0) for name in names] for c in model.constraints])
+    design = others.T @ null_space(rows)  # unknowns that obey the datum
+    scale = np.linalg.norm(design, axis=0)
+    unit, found, _ = np.linalg.svd(design / scale, full_matrices=True)
+    rank = int(np.sum(found > 1e-10))
+    outside = unit[:, rank:]  # what no other unknown touches
+    residual = model.observations.readings.displacement - model.nominal
+    angles = np.concatenate([angle.columns for angle in model.spread.angles])
+    logs, means, covariances = [np.log(NONE)], [], []
+    sizes = np.geomspace(SMALLEST, LARGEST, module._SIZES)
+    each = [(s, shape) for shape in module._SHAPES for s in sizes]
+    mapping, index = model._map_rows()
+    for size, shape in [(0.0, module._SHAPES[0]), *each]:
+        prior = size**2 * block_diag(*[shape_covariance(a.table.nodes, *shape) for a in model.spread.angles])
+        readings = np.diag(model.sigma**2) + angles.T @ prior @ angles
+        seen = outside.T @ readings @ outside
+        told = outside.T @ residual
+        if size:
+            logs.append(np.log((1 - NONE) / len(each)))
+        logs[-1] += -0.5 * (np.linalg.slogdet(seen)[1] + told @ np.linalg.solve(seen, told))
+        # Generalised least squares for the others, regression for the angles.
+        inverse = np.linalg.inv(readings)
+        scaled = design / scale
+        inner = np.linalg.pinv(scaled.T @ inverse @ scaled, rcond=1e-11, hermitian=True)
+        estimate = null_space(rows) / scale @ inner @ scaled.T @ inverse
+        gain = prior @ angles @ inverse
+        back = gain @ (np.eye(n) - others.T @ estimate)
+        both = np.concatenate([estimate, back])
+        # Error of the estimates: they see angles (by their columns) and noise.
+        wrong = both @ angles.T - np.concatenate([np.zeros((len(names), len(angles))), np.eye(len(angles))])
+        covariance = wrong @ prior @ wrong.T + both @ np.diag(model.sigma**2) @ both.T
+        order = [*names, *(label for labels in model.spread.names for label in labels)]
+        place = [order.index(model.parameters[k].name) for k in index]
+        means.append(mapping @ (both @ residual)[place])
+        covariances.append(mapping @ covariance[np.ix_(place, place)] @ mapping.T)
+    logs = np.array(logs)
+    weights = np.exp(logs - logs.max())
+    return weights / weights.sum(), np.array(means), np.array(covariances)
+
+
+@pytest.mark.parametrize(("angular", "seed"), [(3e-6, 3), (1.5e-5, 4)])
+def test_the_map_is_the_mean_over_sizes_and_shapes(exact, angular, seed):
+    plan = {"blocks": 4, "step": (0.05, 0.04, 0.03), "corner": (-0.1, 0.2, 0.0)}
+    model = build(exact(seed, noise=1.0, angular=angular, **plan).session)
+    weights, means, covariances = _by_hand(model)
+    assert weights[1:].sum() > 0.02
+    mean = weights @ means
+    total = np.tensordot(weights, covariances, axes=1) + (means - mean).T @ ((means - mean) * weights[:, None])
+    profiles = model.profiles(fit_models([model]).fits[0])
+    uncertainty = np.sqrt(np.diag(total))
+    assert uncertainty.max() > 1.05 * np.sqrt(np.diag(covariances[0])).max()
+    assert profiles.value == pytest.approx(mean, abs=1e-3 * uncertainty.max())
+    assert np.sqrt(np.diag(profiles.covariance)) == pytest.approx(uncertainty, rel=2e-3, abs=1e-12)
+    assert model.spread.posterior.probability == pytest.approx(weights[1:].sum(), rel=1e-3)
+
+
+def test_the_same_readings_give_the_same_to_the_last_bit(exact):
+    session = exact(3, noise=1.0, angular=5e-6).session
+    one, other = identify(session), identify(session)
+    assert np.array_equal(one.error_map.error, other.error_map.error)
+    assert np.array_equal(one.error_map.uncertainty, other.error_map.uncertainty, equal_nan=True)
+    assert one.document() == other.document()
+
+
+def test_parameters_are_those_of_the_map(exact):
+    result = identify(exact(3, noise=1.0, angular=5e-6, repeats=2).session)
+    found = {p.name: p for p in result.parameters}
+    content = result.error_map.content
+    assert found["EXX(0.12)"].value - found["EXX(0)"].value == pytest.approx(content["x"][-1, 0], abs=1e-15)
+    assert found["EXX(0.12)"].standard_uncertainty == pytest.approx(content["x_u"][-1, 0], rel=1e-6)
+    assert 0.0 < content["angular_probability"] <= 1.0
+    assert SMALLEST * content["angular_probability"] ** 0.5 <= content["angular_size"] <= LARGEST
+
+
+def test_other_readings_or_unknowns_are_the_fits_own(exact):
+    """What was drawn from some readings says nothing of others, nor of a model with further unknowns."""
+    model = build(exact(3, noise=1.0, angular=5e-6).session)
+    fit = fit_models([model]).fits[0]
+    assert not np.array_equal(fit.theta, fit.solution.theta)
+    again = replace(model, observations=replace(model.observations))
+    other = fit_models([again]).fits[0]
+    assert np.array_equal(other.theta, other.solution.theta)
+    # The fit of one size is close to the mean over all.
+    assert other.theta[: len(model.own)] == pytest.approx(fit.theta[: len(model.own)], abs=1e-7)
+
+
+@pytest.mark.parametrize("angular", [0.0, 1.5e-5])
+def test_what_the_readings_tell_of_the_size(exact, angular):
+    found = [build(exact(seed, noise=1.0, angular=angular, repeats=2).session).spread.posterior for seed in range(8)]
+    if angular:
+        # The largest angle of a random function is 1.7 times its root mean square over the travel, on the average.
+        assert 4.5e-6 < np.median([p.size for p in found]) < 1.8e-5
+        assert np.median([p.probability for p in found]) > 0.95
+    else:
+        assert np.median([p.size for p in found]) < 2.5e-6
+        assert np.median([p.probability for p in found]) < 0.3
+
+
+def test_the_map_holds_the_arms_of_the_angles_along_its_own_edges(exact, worst):
+    """Away from the machine's zero an angle displaces the edges along which the position errors are published."""
+    corner = (-0.2, 0.1, -0.3)
+    nodes = tuple(corner[0] + 0.01 * k for k in range(13))
+    bow = TableSpec(nodes=nodes, values=tuple(2e-6 * k * (12 - k) / 36 for k in range(13)), interpolation="linear")
+    simulated = exact(2, motions={"EAX": bow}, tilt=0.0, orders=ORDERS, corner=corner)
+    model = build(simulated.session, "angular_one_mirror")
+    assert worst(simulated, model.profiles(fit_models([model]).fits[0])) < 5e-9
