@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from importlib import import_module
 from typing import Any
 
@@ -14,9 +14,9 @@ from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.identify import build_model, rejected_readings
 from machine_tool_calibration.methods.joint_agreement import Agreement, agreement
+from machine_tool_calibration.methods.joint_effects import with_effects
 from machine_tool_calibration.methods.joint_map import joint_map
 from machine_tool_calibration.methods.joint_model import CommonModels, common_models
-from machine_tool_calibration.model.effect_terms import add_effects, effect_term
 from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import ErrorMap, Estimate, Rejected, plain
@@ -70,7 +70,12 @@ class JointResult:
     @property
     def not_determined(self) -> list[dict[str, str]]:
         """What no session determines, with the reason."""
-        out: dict[str, str] = {}
+        out = {
+            entry.name: entry.why
+            for model in self.common.models
+            for entry in model.left_out
+            if entry.name.partition(".")[0] in self.effects
+        }
         names = [p.name for p in self.fit.assembly.parameters]
         solution = self.fit.solution
         for k in np.flatnonzero(~solution.is_determined()):
@@ -145,7 +150,7 @@ def joint_models(
     common = common_models(built, labels)
     if not effects:
         return common, tuple(names)
-    return _with_effects(common, labels, effects), tuple(names)
+    return with_effects(common, labels, effects), tuple(names)
 
 
 def identify_sessions(
@@ -187,32 +192,6 @@ def _variant(session: Session, model: str | None) -> str | None:
     module = {"tracking_interferometer": "tracking"}.get(session.method, session.method)
     known = import_module(f"machine_tool_calibration.methods.{module}").MODELS
     return model if model in known else _SHARING.get(session.method)
-
-
-def _with_effects(common: CommonModels, labels: Sequence[str], effects: Sequence[Effect]) -> CommonModels:
-    models = []
-    used: set[str] = set()
-    for model in common.models:
-        mine = [effect for effect in effects if effect.why_not(model.observations) is None]
-        used |= {effect.id for effect in mine}
-        # Even where a session by itself takes the effect up, the others may tell it.
-        straight = [effect_term(effect, model.observations) for effect in mine if not effect.shapes]
-        extended = add_effects(model.with_terms(straight), [effect for effect in mine if effect.shapes])
-        # A nonlinear coefficient is linearised where each session finds it: it cannot be shared.
-        curved = {effect.id for effect in mine if effect.shapes}
-        terms = tuple(
-            replace(term, parameters=tuple(replace(p, shared=False) for p in term.parameters))
-            if term.name in curved
-            else term
-            for term in extended.terms
-        )
-        models.append(replace(extended, terms=terms))
-    for effect in effects:
-        if effect.id not in used:
-            reasons = {label: effect.why_not(m.observations) for label, m in zip(labels, common.models, strict=True)}
-            first, why = next(iter(reasons.items()))
-            raise ModelError(f"effect {effect.id} acts in no session: {first}: {why}")
-    return replace(common, models=tuple(models))
 
 
 def _spread(common: CommonModels) -> float:
