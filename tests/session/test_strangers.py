@@ -77,10 +77,10 @@ def test_a_table_of_zeros_without_end(tmp_path: Path) -> None:
     (tmp_path / "session.yaml").write_bytes(YAML)
     with (tmp_path / "observations.csv").open("wb") as stream:
         stream.truncate(3 << 30)
-    start = time.perf_counter()
+    start = time.process_time()
     with pytest.raises(SessionError, match=r"a line of more|NUL"):
         read_session(tmp_path)
-    assert time.perf_counter() - start < 5.0
+    assert time.process_time() - start < 5.0
 
 
 def test_a_link_out_of_the_folder_is_only_read(tmp_path: Path) -> None:
@@ -105,9 +105,9 @@ def test_many_rows_take_seconds(tmp_path: Path) -> None:
         stream.writelines(
             f"{i},a,{x!r},1,0,0,{d!r},{q!r}\n" for i, (x, d, q, _) in enumerate((values * [1, 1e-6, 1, 1]).tolist())
         )
-    start = time.perf_counter()
+    start = time.process_time()
     readings = read_session(tmp_path).readings
-    assert time.perf_counter() - start < 20.0  # about one second on one idle core
+    assert time.process_time() - start < 20.0  # about one second on one idle core
     assert np.array_equal(readings.displacement, values[:, 1] * 1e-6)
 
 
