@@ -21,7 +21,7 @@ __all__ = ["add_effects", "best_shape", "effect_term"]
 
 _STEP = 1e-4
 # Share of a column's squared norm outside the model below which the model takes it up.
-_ABSORBED = 1e-10
+_ABSORBED = 1e-7
 # Share of a column's squared norm outside model and other effects below which it repeats them.
 _REPEATED = 1e-7
 
