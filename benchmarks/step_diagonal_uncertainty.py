@@ -119,11 +119,12 @@ uncertain by {scatter:.2f} (median over the table).
 | **geometric mean** | {mean} |
 
 They cannot be right for each size by itself. Where the angular errors are too small to show in the readings the model
-cannot know whether they are there; it states what is right on the average over machines with and without them.
-Uncertainties are then a tenth too large for a machine without angular errors, and up to a fifth too small for one
-whose errors are just too small to be seen. With larger ones they are right on the whole. The model `translations`,
-which takes them to be zero, is right for the first kind only: with errors of 5 urad its mean is 3 for 120 mm and 50 for
-600 mm.
+cannot know whether they are there; it states what is right on the average over machines with and without them. For a
+machine without angular errors the uncertainties are then some 14 % too large (0.77). They are up to 16 % too small
+(1.34) for one whose errors are just too small to be seen, and up to 25 % (1.7) if its guideways are so smooth that the
+angles are hardly more than a slope and a bow, which look like straightness. The model `translations`, which takes the
+angles to be zero, is right for the first kind of machine only: with errors of 5 urad its mean is 2.8 for 120 mm and 47
+for 600 mm.
 
 RMS error of the map, over the smallest possible one for a machine that is known to have no angular errors:
 
