@@ -205,3 +205,34 @@ def test_verdicts():
 def test_grouped():
     assert grouped([("a", "why"), ("b", "because"), ("c", "why")]) == [("why", "a, c"), ("because", "b")]
     assert grouped((str(k), "lost") for k in range(20))[0][1].endswith("7 and 12 more")
+
+
+def test_the_model_of_the_history(say, backlash, tmp_path, capsys):
+    session = tmp_path / "session"
+    shutil.copytree(backlash, session)
+    status, _, err = say(session, "--from-history")
+    assert status == 1 and "no model was tried yet" in err
+    assert run(["improve", str(session), "--sets", "199", "--json"]) == 0
+    capsys.readouterr()
+    status, out, err = say(session, "--from-history", "--json")
+    assert (status, err) == (0, "")
+    by_history = json.loads(out)
+    assert by_history["effects"] == ["backlash_y"]
+    assert json.loads(say(session, "--effect", "backlash_y", "--json")[1]) == by_history
+    assert run(["history", str(session), "--undo"]) == 0
+    capsys.readouterr()
+    assert json.loads(say(session, "--from-history", "--json")[1])["effects"] == []
+    assert say(session, "--from-history", "--effect", "scale")[0] == 2
+
+
+def test_readings_that_the_history_sets_aside(say, backlash, tmp_path, capsys):
+    session = tmp_path / "session"
+    shutil.copytree(backlash, session)
+    assert run(["improve", str(session), "--sets", "199", "--json"]) == 0
+    capsys.readouterr()
+    file = session / "history.yaml"
+    file.write_text(file.read_text().replace("set_aside: []", "set_aside: [3, 17]"))
+    document = json.loads(say(session, "--from-history", "--json")[1])
+    assert document["observations"] == document["used"] + 2
+    assert [entry["row"] for entry in document["rejected"]] == [3, 17]
+    assert "set aside by model" in document["rejected"][0]["reason"]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from machine_tool_calibration.cli.identified import show_result
-from machine_tool_calibration.cli.output import console, json_option, plain, to_json, write_json
+from machine_tool_calibration.cli.output import console, json_option, note, plain, to_json, write_json
 
 if TYPE_CHECKING:
     from machine_tool_calibration.effects.effect import Effect
@@ -25,6 +25,11 @@ __all__ = ["command"]
 )
 @click.option("--effects-file", type=click.Path(path_type=Path), help="YAML file with effects of your own, by formula.")
 @click.option("--model", help="Variant of the method's model, such as free or rigid_body.")
+@click.option(
+    "--from-history",
+    is_flag=True,
+    help="Model, effects and outliers as in the session's current model (`mtcal improve`, `mtcal history`).",
+)
 @click.option("--formulation", help="Step diagonal: one of the paper's formulations instead of the estimator.")
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path), help="Folder for the result document and the pictures."
@@ -36,6 +41,7 @@ def command(
     effects: tuple[str, ...],
     effects_file: Path | None,
     model: str | None,
+    from_history: bool,
     formulation: str | None,
     output: Path | None,
     plot: bool,
@@ -50,6 +56,7 @@ def command(
     \b
     mtcal identify session
     mtcal identify session --effect backlash_y --model rigid_body
+    mtcal identify session --from-history
     mtcal identify tracking grid_plate --json
     """
     from machine_tool_calibration.effects.formula import read_effects
@@ -57,7 +64,12 @@ def command(
 
     own = read_effects(effects_file) if effects_file else []
     opened = [open_measurement(path) for path in sessions]
-    document, result = _identified(opened, sessions, effects, own, model, formulation)
+    if from_history:
+        if len(opened) > 1 or effects or model or formulation:
+            raise click.UsageError("--from-history is for one session, without --effect, --model and --formulation.")
+        document, result = _by_history(opened[0], sessions[0], own)
+    else:
+        document, result = _identified(opened, sessions, effects, own, model, formulation)
     folder = output or (Path() if plot else None)
     written = _write(document, result, opened, folder, result_file=output is not None) if folder else []
     if as_json:
@@ -90,6 +102,29 @@ def _identified(
     from machine_tool_calibration.methods.joint import identify_sessions
 
     return identify_sessions(opened, _labels(paths), model=model, effects=effects, own=own).document(), None
+
+
+def _by_history(session: Session, path: Path, own: list[Effect]) -> tuple[dict[str, Any], Result | None]:
+    """By the session's current model: its variant, its effects, and without the readings that it sets aside."""
+    import numpy as np
+
+    from machine_tool_calibration.errors import CalibrationError
+    from machine_tool_calibration.methods.identify import identify
+    from machine_tool_calibration.session.history_file import fingerprint, history_path, read_history
+
+    entry = read_history(history_path(path)).in_use
+    if entry is None:
+        raise CalibrationError(f"{path}: no model was tried yet; `mtcal improve {path}` begins")
+    if entry.data != fingerprint(session):
+        note(f"the readings have changed since model {entry.number} was made of them")
+    aside = np.isin(session.readings.row, entry.set_aside)
+    kept = session.with_readings(session.readings.select(~aside)) if aside.any() else session
+    result = identify(kept, model=entry.model, effects=entry.effects, own=own)
+    document = result.document()
+    document["observations"] += int(aside.sum())
+    reason = f"set aside by model {entry.number} of the history"
+    document["rejected"] += [{"row": int(row), "reason": reason} for row in session.readings.row[aside]]
+    return document, result
 
 
 def _by_formulation(
