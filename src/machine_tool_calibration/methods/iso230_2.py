@@ -15,7 +15,7 @@ from machine_tool_calibration.errors import ModelError
 
 __all__ = ["Positioning", "positioning", "positioning_uncertainty"]
 
-_DRAWS = 500
+_DRAWS = 200
 
 
 @dataclass(frozen=True)

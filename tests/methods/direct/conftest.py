@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Mapping, Sequence
-from types import SimpleNamespace
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -82,3 +84,13 @@ def fitted_out(values: np.ndarray, motions: np.ndarray) -> np.ndarray:
 def direct() -> SimpleNamespace:
     """The functions of this file."""
     return SimpleNamespace(measured=measured, written=written, rigid_motions=rigid_motions, fitted_out=fitted_out)
+
+
+@pytest.fixture(scope="session")
+def plates() -> ModuleType:
+    """The functions of plates.py."""
+    spec = importlib.util.spec_from_file_location("direct_plates", Path(__file__).parent / "plates.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

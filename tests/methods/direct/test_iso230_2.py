@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -90,3 +90,23 @@ def test_direction_of_approach_follows_from_the_order_where_it_is_not_recorded(d
 @pytest.mark.parametrize("kind", ["straightness", "grid_plate", "drilled_plate"])
 def test_other_measurements_are_no_such_run(direct: SimpleNamespace, kind: str) -> None:
     assert "iso230_2" not in identify(direct.measured(kind, repeats=2).session).error_map.content
+
+
+def test_uncertainty_of_the_figures_is_that_of_repeated_tests(plates: ModuleType) -> None:
+    kept: dict[str, list[float]] = {}
+    stated: dict[str, list[float]] = {}
+    for seed in range(40):
+        session = plates.axis(seed, noise=5e-7, backlash=2e-6, scale=2e-5)
+        (run,) = identify(session).document()["error_map"]["iso230_2"]
+        for name in ("B", "B_mean", "E", "M", "A"):
+            kept.setdefault(name, []).append(run[name])
+            stated.setdefault(name, []).append(run[f"{name}_U"])
+    for name, values in kept.items():
+        assert np.mean(stated[name]) == pytest.approx(2.0 * np.std(values), rel=0.35), name
+    # A mean over 11 positions and 5 runs each way: 2 sqrt(2 / 55) 0.5 um
+    assert np.mean(stated["B_mean"]) == pytest.approx(2.0 * np.sqrt(2.0 / 55.0) * 5e-7, rel=0.1)
+
+
+def test_single_runs_have_no_uncertainty(plates: ModuleType) -> None:
+    (run,) = identify(plates.axis(1, runs=1)).document()["error_map"]["iso230_2"]
+    assert "B_U" not in run and run["B"] is not None

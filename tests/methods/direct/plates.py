@@ -1,0 +1,188 @@
+"""Plates and axes as workshops measure them: places computed point by point, with none of the estimator's columns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from machine_tool_calibration.session.parse import describe
+from machine_tool_calibration.session.session import Readings, Session
+
+__all__ = ["axis", "plate", "with_columns"]
+
+
+def session(
+    columns: Mapping[str, np.ndarray], declared: float, datum: str, terms: Sequence[str], repeat: np.ndarray, name: str
+) -> Session:
+    """One setup."""
+    description = describe(
+        {
+            "format": "mtcal-session/1",
+            "method": "direct",
+            "machine": {"chain": "w-X-Y-b-Z-t"},
+            "standard_uncertainty": {"displacement": declared},
+            "datum": datum,
+            "terms": list(terms),
+            "setups": [{"id": name}],
+        },
+        "session.yaml",
+    )
+    n = len(repeat)
+    readings = Readings(
+        setup=np.zeros(n, np.int64),
+        repeat=repeat.astype(np.int64),
+        displacement=columns["displacement"],
+        columns={key: np.asarray(v, float) for key, v in columns.items() if key != "displacement"},
+        labels={},
+        row=np.arange(n),
+    )
+    return Session(description, readings, "session")
+
+
+def with_columns(measured: Session, displacement: np.ndarray | None = None, **columns: np.ndarray) -> Session:
+    """The same with other readings or columns."""
+    old = measured.readings
+    new = Readings(
+        old.setup,
+        old.repeat,
+        old.displacement if displacement is None else displacement,
+        {**old.columns, **columns},
+        old.labels,
+        old.row,
+    )
+    return measured.with_readings(new)
+
+
+def _scatter(rng: np.random.Generator, shape: tuple[int, ...], size: float, tails: float | None) -> np.ndarray:
+    if tails is None:
+        return size * rng.normal(size=shape)
+    return size * rng.standard_t(tails, size=shape) / np.sqrt(tails / (tails - 2.0))
+
+
+def plate(
+    seed: int,
+    *,
+    holes: int = 300,
+    side: float = 0.6,
+    origin: tuple[float, float] = (0.0, 0.0),
+    drilled: float = 6e-6,
+    tails: float | None = 5.0,
+    measured: float = 1e-6,
+    declared: float = 1.5e-6,
+    scales: tuple[float, float] = (0.0, 0.0),
+    square: float = 0.0,
+    turn: float | None = None,
+    far: int = 0,
+    repeats: int = 1,
+    rows: bool = False,
+    row_scatter: float = 0.0,
+) -> tuple[Session, list[int]]:
+    """Holes that a drill with unequal scales and axes out of square made, then measured somewhere else.
+
+    Args:
+        seed: of everything random.
+        holes: how many.
+        side: of the plate, m.
+        origin: nominal place of its corner, m.
+        drilled: scatter of the holes, m.
+        tails: degrees of freedom of its distribution (Student's); normal without.
+        measured: scatter of the coordinate measuring machine, m.
+        declared: standard uncertainty that the session states, m.
+        scales: of X and Y.
+        square: angle by which Y leans towards -x, rad.
+        turn: of the plate on the measuring machine, rad; up to a milliradian if absent.
+        far: how many readings are far off.
+        repeats: how often every hole was measured.
+        rows: whether the holes lie in a grid, drilled row by row.
+        row_scatter: scatter that the holes of one row share, m.
+
+    Returns:
+        The session, with x and y of each hole as two readings, and the rows that are far off.
+    """
+    rng = np.random.default_rng(seed)
+    if rows:
+        count = int(np.sqrt(holes))
+        line = np.linspace(0.0, side, count)
+        nominal = np.array([(x, y) for y in line for x in line])
+        row = np.repeat(np.arange(count), count)
+    else:
+        nominal = np.round(rng.uniform(0.0, side, (holes, 2)), 5)
+        row = np.zeros(holes, np.int64)
+    nominal = nominal + np.asarray(origin)
+    made = nominal.copy()
+    made[:, 0] = nominal[:, 0] * (1.0 + scales[0]) - np.sin(square) * nominal[:, 1]
+    made[:, 1] = nominal[:, 1] * (1.0 + scales[1])
+    made += _scatter(rng, made.shape, drilled, tails) + (rng.normal(size=(row.max() + 1, 2)) * row_scatter)[row]
+    angle = rng.uniform(-1e-3, 1e-3) if turn is None else turn
+    c, s = np.cos(angle), np.sin(angle)
+    lying = made @ np.array([[c, s], [-s, c]]) + rng.normal(size=2) * 1e-4
+    seen = np.concatenate([lying + rng.normal(size=lying.shape) * measured for _ in range(repeats)])
+    place = np.tile(nominal, (repeats, 1))
+    deviation = (seen - place).reshape(-1)
+    n = len(deviation)
+    off = np.sort(rng.choice(n, far, replace=False))
+    deviation[off] += rng.choice([-1.0, 1.0], far) * rng.uniform(25.0, 60.0, far) * drilled
+    columns = {
+        "time": np.arange(n) * 5.0,
+        "x": np.repeat(place[:, 0], 2),
+        "y": np.repeat(place[:, 1], 2),
+        "z": np.zeros(n),
+        "gx": np.tile([1.0, 0.0], n // 2),
+        "gy": np.tile([0.0, 1.0], n // 2),
+        "gz": np.zeros(n),
+        "displacement": deviation,
+    }
+    repeat = np.repeat(np.arange(repeats), n // repeats)
+    return session(columns, declared, "rigid", (), repeat, "plate"), off.tolist()
+
+
+def axis(
+    seed: int,
+    *,
+    positions: int = 11,
+    length: float = 0.5,
+    runs: int = 5,
+    noise: float = 5e-7,
+    declared: float = 2e-7,
+    scale: float = 0.0,
+    backlash: float = 0.0,
+    wander: float = 0.0,
+    between: float = 0.0,
+    datum: str = "none",
+    terms: Sequence[str] = (),
+) -> Session:
+    """An axis run by ISO 230-2, up and down.
+
+    Args:
+        seed: of everything random.
+        positions: target positions.
+        length: m.
+        runs: up and down.
+        noise: scatter of a single positioning, m.
+        declared: standard uncertainty that the session states, m.
+        scale: of the axis.
+        backlash: half the reversal error, m.
+        wander: size of a positioning error without any simple shape, m.
+        between: scatter between the passes, m.
+        datum: of the session.
+        terms: machine errors of the session.
+    """
+    rng = np.random.default_rng(seed)
+    target = np.linspace(0.0, length, positions)
+    error = scale * target + wander * rng.normal(size=positions)
+    up = np.arange(positions)
+    index = np.tile(np.concatenate([up, up[::-1]]), runs)
+    approach = np.tile(np.repeat([1.0, -1.0], positions), runs)
+    passing = np.repeat(rng.normal(size=2 * runs) * between, positions)
+    n = len(index)
+    columns = {
+        "time": np.arange(n) * 10.0,
+        "x": target[index],
+        "gx": np.ones(n),
+        "gy": np.zeros(n),
+        "gz": np.zeros(n),
+        "dir_x": approach,
+        "displacement": error[index] - backlash * approach + passing + rng.normal(size=n) * noise,
+    }
+    return session(columns, declared, datum, terms, np.repeat(np.arange(runs), 2 * positions), "X")
