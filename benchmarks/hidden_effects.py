@@ -4,7 +4,7 @@ Simulated sessions of random machines: with one hidden effect, with two, with no
 setups), and with one that is in no catalogue. The simulator calculates readings from geometry and shares no formula
 with the estimator.
 
-    python benchmarks/hidden_effects.py --trials 20 --output docs/hidden_effects.md
+    python benchmarks/hidden_effects.py --trials 20 --output rates.md
 """
 
 from __future__ import annotations
@@ -13,65 +13,104 @@ import argparse
 import time
 import zlib
 from collections import defaultdict
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import threadpoolctl
 
+from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.candidates import effect_candidates
-from machine_tool_calibration.diagnosis.diagnose import diagnose
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.methods.identify import build_model
+from machine_tool_calibration.methods.identify import build_model, identify
 from machine_tool_calibration.model.fit import fit_models, screen
+from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import FLAWS, PRESETS, FlawSpec, SimulationSpec, Spread, simulate
 
-# An effect that must be this large to be seen, m, counts as absorbed by the model.
+# Largest change of a reading by which an effect is tried at first, m.
+_TRIED = 3e-6
+# An effect that must change a reading by more than this to be seen, m, counts as absorbed by the model.
 _LARGEST = 1.5e-5
 # An unlisted effect that a listed one reproduces to this cosine cannot be known to be another.
 _ALIKE = 0.9
-_HEADER = "| plan | data | sessions | missing_effect | right group | exact effect | unexplained | adequate | other |"
+# Two effects are told apart where their signals outside the model have at most this cosine.
+_APART = 0.5
+# Slopes and bows between setups, in standard uncertainties of a reading.
+_SPREAD = 0.4
 _PLANS = ("tracking_2d", "tracking_3d", "step_diagonal", "rotary_axis", "probing_cross")
+_SIGNALS = {
+    "one at 10": 10.0,
+    "one at 10 with spread": 10.0,
+    "one at 6": 6.0,
+    "two at 12": 12.0,
+    "unlisted at 15": 15.0,
+}
+_LISTED = tuple(name for name in FLAWS if not name.startswith("unlisted") and not name.endswith("C"))
+_UNLISTED = tuple(name for name in FLAWS if name.startswith("unlisted"))
+_VERDICTS = ("missing_effect", "unexplained", "adequate")
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One simulated session and what was said of it."""
+    """One simulated session to be diagnosed."""
 
     kind: str
     plan: str
     effects: tuple[str, ...]
-    signal: float
     seed: int
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What was said of a session.
+
+    Attributes:
+        verdict: of the diagnosis; empty where the session was left out.
+        first: whether the effects, or look-alikes named with them, come first in the ranking.
+        found: whether they, or look-alikes named with them, were accepted.
+        exact: whether they themselves were accepted, and nothing else.
+        before: error of the map with the effect in the data, over its error without.
+        after: the same with what was accepted in the model.
+    """
+
+    trial: Trial
     verdict: str = ""
     accepted: tuple[str, ...] = ()
-    first: str = ""
-    groups: tuple[tuple[str, ...], ...] = ()
+    ranked: tuple[str, ...] = ()
+    first: bool = False
+    found: bool = False
+    exact: bool = False
+    before: float = np.nan
+    after: float = np.nan
     seconds: float = 0.0
     note: str = ""
 
+    @property
+    def wrong(self) -> bool:
+        """Whether the verdict is not what it should be."""
+        if self.trial.effects in {(name,) for name in _UNLISTED}:
+            return self.verdict != "unexplained"
+        return not self.found if self.trial.effects else self.verdict != "adequate"
 
-def signal_outside_model(spec: SimulationSpec) -> float:
-    """Norm of what an effect changes in the readings, outside the model's freedom, in standard uncertainties."""
-    with_effect = simulate(spec.model_copy(update={"noise_factor": 0.0})).session
-    without = simulate(spec.model_copy(update={"noise_factor": 0.0, "effects": ()})).session
-    change = with_effect.readings.displacement - without.readings.displacement
-    fit = fit_models([build_model(without)[0]]).fits[0]
-    keep = np.isfinite(without.readings.displacement)
+
+def signal_outside_model(clean: Session, change: Array) -> float:
+    """Norm of a change of the readings, outside the model's freedom, in standard uncertainties."""
+    fit = fit_models([build_model(clean)[0]]).fits[0]
+    keep = np.isfinite(clean.readings.displacement)
     return float(np.sqrt(max(screen(fit, change[keep][None]).gram[0, 0], 0.0)))
 
 
-def looks_listed(spec: SimulationSpec) -> bool:
-    """Whether an effect of the catalogue reproduces this one's signal outside the model."""
-    with_effect = simulate(spec.model_copy(update={"noise_factor": 0.0})).session
-    without = simulate(spec.model_copy(update={"noise_factor": 0.0, "effects": ()})).session
-    change = (with_effect.readings.displacement - without.readings.displacement)[None]
-    fit = fit_models([build_model(without)[0]]).fits[0]
+def looks_listed(clean: Session, change: Array) -> bool:
+    """Whether an effect of the catalogue reproduces this signal outside the model."""
+    fit = fit_models([build_model(clean)[0]]).fits[0]
     candidates, _ = effect_candidates(fit.model.observations, list(catalogue().values()))
     for candidate in candidates:
         for block in candidate.blocks:
-            projected = screen(fit, np.concatenate([block.columns, change]))
+            projected = screen(fit, np.concatenate([block.columns, change[None]]))
             scale = np.sqrt(np.maximum(projected.squares[:-1], 1e-300))
             inner = projected.gram[:-1, :-1] / np.outer(scale, scale)
             right = inner[:-1, -1]
@@ -81,153 +120,182 @@ def looks_listed(spec: SimulationSpec) -> bool:
     return False
 
 
-def run(trial: Trial) -> Trial:
-    """Simulate and diagnose."""
-    plan = PRESETS[trial.plan]
-    spread = Spread()
-    base = SimulationSpec(plan=plan, seed=trial.seed)
-    sigma = simulate(base.model_copy(update={"noise_factor": 0.0})).session.sigma
-    if trial.kind == "spread" or trial.kind.endswith("with spread"):
-        spread = Spread(slope=0.4 * sigma, bow=0.4 * sigma)
-    flaws = []
-    known, observations = catalogue(), build_model(simulate(base).session)[0].observations
-    for effect in trial.effects:
-        if effect in known and known[effect].why_not(observations):
-            return _with(trial, verdict="absorbed", note="does not act in this plan")
-        one = base.model_copy(update={"effects": (FlawSpec(id=effect, amplitude=3e-6),)})
-        strength = signal_outside_model(one)
-        if 3e-6 * trial.signal / max(strength, 1e-9) > _LARGEST:
-            return _with(
-                trial, verdict="absorbed", note=f"{strength:.2f} standard uncertainties from an amplitude of 3 um"
-            )
-        if trial.kind.startswith("unlisted") and looks_listed(one):
-            return _with(trial, verdict="absorbed", note="looks like a listed effect")
-        flaws.append(FlawSpec(id=effect, amplitude=3e-6 * trial.signal / strength))
-    session = simulate(base.model_copy(update={"effects": tuple(flaws), "spread": spread})).session
-    start = time.perf_counter()
-    found = diagnose(session, seed=trial.seed + 1)
-    seconds = time.perf_counter() - start
-    ranked = found.ranked
-    return _with(
-        trial,
+def flaw(base: SimulationSpec, effect: str, signal: float) -> FlawSpec:
+    """An effect whose signal outside the model is as large as wanted.
+
+    Raises:
+        CalibrationError: the model takes it up, it does not act in this plan, or it looks like another.
+    """
+    silent = base.model_copy(update={"noise_factor": 0.0, "effects": (), "spread": Spread()})
+    clean = simulate(silent).session
+    if effect in catalogue():
+        observations = build_model(clean)[0].observations
+        _, excluded = effect_candidates(observations, [catalogue()[effect]])
+        if excluded:
+            raise CalibrationError(f"{effect} does not act here: {excluded[effect]}")
+    tried = FlawSpec(id=effect, amplitude=_TRIED)
+    changed = simulate(silent.model_copy(update={"effects": (tried,)})).session
+    change = changed.readings.displacement - clean.readings.displacement
+    strength = signal_outside_model(clean, change)
+    if _TRIED * signal > _LARGEST * strength:
+        raise CalibrationError(f"{effect}: {strength:.2f} standard uncertainties from a change of {_TRIED * 1e6:g} um")
+    if effect in _UNLISTED and looks_listed(clean, change):
+        raise CalibrationError(f"{effect} looks like a listed effect")
+    return FlawSpec(id=effect, amplitude=_TRIED * signal / strength)
+
+
+def run(trial: Trial) -> Outcome:
+    """Simulate, diagnose, and look at the map; a session that cannot be made is left out with the reason."""
+    with threadpoolctl.threadpool_limits(1, user_api="blas"):
+        base = SimulationSpec(plan=PRESETS[trial.plan], seed=trial.seed)
+        sigma = simulate(base).session.sigma
+        if "spread" in trial.kind:
+            base = base.model_copy(update={"spread": Spread(slope=_SPREAD * sigma, bow=_SPREAD * sigma)})
+        try:
+            flaws = tuple(flaw(base, effect, _SIGNALS[trial.kind]) for effect in trial.effects)
+        except CalibrationError as error:
+            return Outcome(trial, note=str(error))
+        session = simulate(base.model_copy(update={"effects": flaws})).session
+        start = time.perf_counter()
+        found = diagnose(session, seed=trial.seed + 1)
+        seconds = time.perf_counter() - start
+        outcome = _judged(trial, found, seconds)
+        if trial.kind.startswith(("one", "two")):
+            before, after = map_ratios(base, session, found.accepted)
+            outcome = replace(outcome, before=before, after=after)
+        return outcome
+
+
+def _judged(trial: Trial, found: Diagnosis, seconds: float) -> Outcome:
+    groups = [set(group) for look in found.looks for group in look.groups]
+    alike = {e: {e}.union(*(group for group in groups if e in group)) for e in trial.effects}
+    ranked = tuple(r.candidate.name for r in found.ranked)
+    return Outcome(
+        trial=trial,
         verdict=found.verdict,
         accepted=found.accepted,
-        first=ranked[0].candidate.name if ranked else "",
-        groups=tuple(group for look in found.looks for group in look.groups),
+        ranked=ranked[:3],
+        first=bool(trial.effects) and all(alike[e] & set(ranked[: len(trial.effects)]) for e in trial.effects),
+        found=bool(trial.effects) and all(alike[e] & set(found.accepted) for e in trial.effects),
+        exact=bool(trial.effects) and set(trial.effects) == set(found.accepted),
         seconds=seconds,
     )
 
 
-def _with(trial: Trial, **changes: object) -> Trial:
-    return Trial(**{**trial.__dict__, **changes})  # type: ignore[arg-type]
+def map_ratios(base: SimulationSpec, session: Session, accepted: tuple[str, ...]) -> tuple[float, float]:
+    """Error of the map before and after effects are added, over its error in a session without any hidden effect.
+
+    The reference is the map of the same machine from readings without noise and hidden effects, so that all have the
+    same datum; errors count in standard uncertainties of the session without a hidden effect.
+    """
+    silent = base.model_copy(update={"noise_factor": 0.0, "effects": (), "spread": Spread()})
+    reference, _ = _map(simulate(silent).session, ())
+    without, uncertainty = _map(simulate(base.model_copy(update={"effects": ()})).session, ())
+
+    def error(values: Array) -> float:
+        return float(np.sqrt(np.nanmean(((values - reference) / uncertainty) ** 2)))
+
+    return error(_map(session, ())[0]) / error(without), error(_map(session, accepted)[0]) / error(without)
 
 
-def safe(trial: Trial) -> Trial:
-    """A failure is a result too."""
-    try:
-        return run(trial)
-    except CalibrationError as error:
-        verdict = "absorbed" if "does not occur" in str(error) or "changes no reading" in str(error) else "error"
-        return _with(trial, verdict=verdict, note=str(error))
+def _map(session: Session, effects: tuple[str, ...]) -> tuple[Array, Array]:
+    values = identify(session, effects=effects).document()["error_map"]
+    names = [name for name in values if f"{name}_u" in values]
+    arrays = [np.asarray(values[name], dtype=float).ravel() for name in names]
+    stated = [np.asarray(values[f"{name}_u"], dtype=float).ravel() for name in names]
+    uncertainty = np.concatenate(stated)
+    return np.concatenate(arrays), np.where(uncertainty > 0, uncertainty, np.nan)
 
 
-def in_group(trial: Trial, effect: str) -> bool:
-    """Whether the effect, or one that the diagnosis said it cannot be told from, was accepted."""
-    alike = {effect} | {name for group in trial.groups if effect in group for name in group}
-    return any(name in alike for name in trial.accepted)
+def pairs(plan: str) -> list[tuple[str, str]]:
+    """Effects that a plan can show and tell from each other, one random machine taken for all."""
+    base = SimulationSpec(plan=PRESETS[plan], seed=1, noise_factor=0.0)
+    clean = simulate(base).session
+    names, changes = [], []
+    for effect in _LISTED:
+        try:
+            one = flaw(base, effect, _SIGNALS["two at 12"])
+        except CalibrationError:
+            continue
+        names.append(effect)
+        changed = simulate(base.model_copy(update={"effects": (one,)})).session
+        changes.append(changed.readings.displacement - clean.readings.displacement)
+    fit = fit_models([build_model(clean)[0]]).fits[0]
+    inner = screen(fit, np.array(changes)).gram[:-1, :-1]
+    norm = np.sqrt(np.diag(inner))
+    apart = np.abs(inner) <= _APART * np.outer(norm, norm)
+    return [(names[i], names[j]) for i in range(len(names)) for j in range(i) if apart[i, j]]
 
 
-def trials(count: int, plans: tuple[str, ...]) -> list[Trial]:
+def trials(count: int, plans: tuple[str, ...], kinds: tuple[str, ...]) -> list[Trial]:
     """What to run."""
     out = []
-    listed = [name for name in FLAWS if not name.startswith("unlisted") and not name.endswith("C")]
-    unlisted = [name for name in FLAWS if name.startswith("unlisted")]
     for plan in plans:
-        for kind in ("none", "spread"):
-            out += [Trial(kind, plan, (), 0.0, zlib.crc32(f"{plan}{kind}{k}".encode()) % 10**6) for k in range(count)]
-        for effect in listed:
-            for kind, signal in (("one at 10", 10.0), ("one at 6", 6.0), ("one at 10 with spread", 10.0)):
-                for k in range(max(count // 10, 1)):
-                    out.append(
-                        Trial(kind, plan, (effect,), signal, zlib.crc32(f"{plan}{effect}{kind}{k}".encode()) % 10**6)
-                    )
-        for effect in unlisted:
-            for k in range(max(count // 5, 1)):
-                out.append(
-                    Trial("unlisted at 15", plan, (effect,), 15.0, zlib.crc32(f"{plan}{effect}{k}".encode()) % 10**6)
-                )
-        rng = np.random.default_rng(zlib.crc32(plan.encode()))
-        pairs = [name for name in listed if not name.startswith("E")]
-        for k in range(count):
-            pair = tuple(str(name) for name in rng.choice(pairs, 2, replace=False))
-            out.append(Trial("two at 12", plan, pair, 12.0, 1000 + k))
+        for kind in kinds:
+            if kind in ("none", "spread"):
+                chosen: Sequence[tuple[str, ...]] = [()] * count
+            elif kind.startswith("two"):
+                rng = np.random.default_rng(zlib.crc32(plan.encode()))
+                possible = pairs(plan)
+                chosen = [possible[k] for k in rng.integers(len(possible), size=count)] if possible else []
+            else:
+                names = _UNLISTED if kind.startswith("unlisted") else _LISTED
+                chosen = [(effect,) for effect in names] * max(count // 10, 1)
+            for k, effects in enumerate(chosen):
+                seed = zlib.crc32(f"{plan} {kind} {effects} {k}".encode()) % 10**6
+                out.append(Trial(kind, plan, effects, seed))
     return out
 
 
-def table(results: list[Trial]) -> str:
-    """Markdown tables of the rates."""
+def table(outcomes: list[Outcome]) -> str:
+    """Markdown table of the rates."""
     lines = [
-        _HEADER,
-        "|---|---|---|---|---|---|---|---|---|",
+        "| data | plan | sessions | ranked first | found | exact | "
+        + " | ".join(_VERDICTS)
+        + " | outliers | map before | map after |",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
-    by: dict[tuple[str, str], list[Trial]] = defaultdict(list)
-    for trial in results:
-        if trial.verdict not in ("absorbed",):
-            by[trial.plan, trial.kind].append(trial)
-            by["all", trial.kind].append(trial)
-    for (plan, kind), group in sorted(by.items()):
+    by: dict[tuple[str, str], list[Outcome]] = defaultdict(list)
+    for outcome in outcomes:
+        if outcome.verdict:
+            by[outcome.trial.kind, outcome.trial.plan].append(outcome)
+            by[outcome.trial.kind, "all"].append(outcome)
+    for (kind, plan), group in sorted(by.items()):
         n = len(group)
-        right = sum(all(in_group(t, e) for e in t.effects) for t in group if t.effects)
-        exact = sum(set(t.effects) <= set(t.accepted) for t in group if t.effects)
-        verdicts = [sum(t.verdict == v for t in group) for v in ("missing_effect", "unexplained", "adequate")]
-        lines.append(
-            "| "
-            + " | ".join(str(v) for v in (plan, kind, n, verdicts[0], right, exact, *verdicts[1:], n - sum(verdicts)))
-            + " |"
-        )
+        shown = kind.startswith(("one", "two"))
+        rates = [sum(getattr(o, name) for o in group) if shown else "" for name in ("first", "found", "exact")]
+        verdicts = [sum(o.verdict == v for o in group) for v in (*_VERDICTS, "outliers")]
+        ratios = [
+            f"{np.median([getattr(o, name) for o in group]):.2f}" if shown else "" for name in ("before", "after")
+        ]
+        lines.append("| " + " | ".join(str(v) for v in (kind, plan, n, *rates, *verdicts, *ratios)) + " |")
     return "\n".join(lines)
 
 
 def main() -> None:
     """Run and print."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--trials", type=int, default=20)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument(
+        "--trials", type=int, default=20, help="sessions of a plan with nothing hidden; a tenth an effect"
+    )
     parser.add_argument("--plans", nargs="*", default=list(_PLANS))
+    parser.add_argument("--kinds", nargs="*", default=["none", "spread", *_SIGNALS])
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--output", type=Path)
     parser.add_argument("--failures", action="store_true", help="print every session that went wrong")
     options = parser.parse_args()
-    work = trials(options.trials, tuple(options.plans))
+    work = trials(options.trials, tuple(options.plans), tuple(options.kinds))
     with ProcessPoolExecutor(options.workers) as pool:
-        results = list(pool.map(safe, work, chunksize=4))
-    text = table(results)
+        outcomes = list(pool.map(run, work, chunksize=4))
+    text = table(outcomes)
     print(text)
-    print(f"\nslowest diagnosis {max(t.seconds for t in results):.1f} s")
-    for trial in results:
-        if trial.verdict == "absorbed":
-            continue
-        wrong = (
-            trial.effects
-            and trial.kind.startswith(("one", "two"))
-            and not all(in_group(trial, e) for e in trial.effects)
-        )
-        wrong = (
-            wrong
-            or (not trial.effects and trial.verdict != "adequate")
-            or (trial.kind.startswith("unl") and trial.verdict != "unexplained")
-        )
-        if options.failures and wrong:
-            print(
-                trial.kind,
-                trial.plan,
-                trial.effects,
-                trial.seed,
-                "->",
-                trial.verdict,
-                trial.accepted,
-                trial.first,
-                trial.note,
-            )
+    print(
+        f"\n{sum(not o.verdict for o in outcomes)} left out; slowest diagnosis {max(o.seconds for o in outcomes):.1f} s"
+    )
+    for o in outcomes:
+        if options.failures and o.verdict and o.wrong:
+            t = o.trial
+            print(t.kind, t.plan, *t.effects, t.seed, "->", o.verdict, *o.accepted, "ranked", *o.ranked)
     if options.output:
         options.output.write_text(text + "\n", encoding="utf-8")
 

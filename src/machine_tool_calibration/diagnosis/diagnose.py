@@ -40,9 +40,9 @@ _LACK_LEVEL = 0.001
 _LEFT_OVER = 0.1
 # How much better a structure without a cause must do than the best effect to speak against it.
 _STRUCTURE_FACTOR, _STRUCTURE_MARGIN = 1.3, 6.0
-# Variance of slopes and bows between setups, over that of the readings, up to which it is reproducibility and no more.
+# Variance of slopes and bows between setups, over that of the readings, that is usual: reproducibility and no more.
 # Direct deviations of parts and of axes have no instrument's setup: there the spread may be any.
-_SPREAD = {"any": 0.15, "direct": 100.0}
+_SPREAD = {"any": 0.1, "direct": 100.0}
 # How many of the best effects are held against readings that were left out.
 _VALIDATED = 8
 
@@ -291,7 +291,8 @@ def _best_by_covariate(seen: Sequence[Ranked]) -> dict[str, float]:
     out: dict[str, float] = {}
     for r in seen:
         if r.rank and r.family_p_value <= _STRUCTURE_LEVEL:
-            name = r.candidate.name.split(": ", 1)[0]
+            # No effect that depends on the time makes a step or a wave in it.
+            name = r.candidate.name if r.shape else r.candidate.name.split(": ", 1)[0]
             out[name] = max(out.get(name, -np.inf), r.bic_gain)
     return out
 
@@ -304,6 +305,8 @@ def _structure(fit: Fit, seen: Sequence[Ranked], noise: Noise) -> tuple[Structur
     for r in sorted(seen, key=lambda r: (r.family_p_value, -r.statistic)):
         if r.rank and r.family_p_value <= _STRUCTURE_LEVEL:
             covariate, shape = r.candidate.name.split(": ", 1)
+            if r.shape:
+                shape = f"{shape} {r.shape[0]:.3g} s"
             found.append(
                 Structure(covariate, shape, r.family_p_value, 1.0 - r.rms_after**2 * len(observations) / squares)
             )
@@ -325,8 +328,8 @@ def _look(
     # A constant of a run is its datum: an effect counts by how it varies within the runs.
     within = _within_runs(columns / observations.session.sigma, observations.run)
     projected = replace(projected, squares=np.concatenate([within, projected.squares[len(columns) :]]))
-    most = _SPREAD.get(observations.session.method, _SPREAD["any"])
-    reduced = reduce(projected, spread.family, fit.solution.degrees_of_freedom, most)
+    usual = _SPREAD.get(observations.session.method, _SPREAD["any"])
+    reduced = reduce(projected, spread.family, fit.solution.degrees_of_freedom, usual)
     data = observed(projected.gram)
     split = len(candidates)
     found = search(reduced, places[:split], data, rng, sets=sets, level=_LEVEL)

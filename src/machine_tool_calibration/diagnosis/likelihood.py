@@ -48,8 +48,8 @@ class Reduced:
         n_candidates: k.
         family: (u,) family of each spread column.
         dimension: degrees of freedom of the residuals.
-        most: largest variance of the spread that counts as spread, in units of the readings' variance: a larger one is
-            itself something that the model lacks.
+        usual: variance of the spread that is usual, in units of the readings' variance. Larger ones are ever less
+            likely (a half-normal prior): a large spread is itself something that the model lacks.
         root: (k + u, r) such that root root^T is the matrix over the norms before.
     """
 
@@ -58,7 +58,7 @@ class Reduced:
     n_candidates: int
     family: IntArray
     dimension: int
-    most: float
+    usual: float
     root: Array
 
 
@@ -98,21 +98,21 @@ class Likelihoods:
     ratios: list[tuple[float, ...]]
 
 
-def reduce(projected: Projected, family: IntArray, dimension: int, most: float = 0.5) -> Reduced:
+def reduce(projected: Projected, family: IntArray, dimension: int, usual: float) -> Reduced:
     """Inner products of candidates and, last, spread columns, without the rounding that would make them indefinite.
 
     Args:
         projected: of [candidates, spread], see `model.fit.screen`.
         family: (u,) family of each spread column.
         dimension: degrees of freedom of the residuals.
-        most: see `Reduced`.
+        usual: see `Reduced`.
     """
     gram = projected.gram[:-1, :-1]
     scale = np.sqrt(np.maximum(projected.squares[:-1], np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
     vectors = vectors[:, values > _ROUNDING] * np.sqrt(values[values > _ROUNDING])
     clean = vectors @ vectors.T * np.outer(scale, scale)
-    return Reduced(clean, projected.squares[:-1], len(gram) - len(family), family, dimension, most, vectors)
+    return Reduced(clean, projected.squares[:-1], len(gram) - len(family), family, dimension, usual, vectors)
 
 
 def observed(gram_with_residual: Array) -> Data:
@@ -142,7 +142,6 @@ def spread_ratios(reduced: Reduced, data: Data) -> list[tuple[float, ...]]:
         tuple(ratio if g == f else 0.0 for g in range(families))
         for f in range(families)
         for ratio in _RATIOS
-        if ratio <= reduced.most
     ]
     best = scan(reduced, [], one, tries or [()]).null_ratio[0]
     return [tuple(share * float(ratio) for ratio in best) for share in (_SHARES if best.any() else (0.0,))]
@@ -195,7 +194,8 @@ def scan(reduced: Reduced, blocks: Sequence[slice], data: Data, ratios: list[tup
         else:
             logdet, weighted, product_, squares = 0.0, own, own_data, data.squares
         squares = np.maximum(squares, 1e-300)
-        value = -n * np.log(squares / n) - logdet
+        price = logdet + sum(ratio) / reduced.usual
+        value = -n * np.log(squares / n) - price
         better = value > null
         null[better], null_variance[better] = value[better], squares[better] / n
         null_ratio[better] = ratio
@@ -212,7 +212,7 @@ def scan(reduced: Reduced, blocks: Sequence[slice], data: Data, ratios: list[tup
                     np.linalg.cholesky(inner + 1e-12 * np.trace(inner) * np.eye(len(inner))), right_side
                 )
                 gain = np.einsum("rb,rb->b", half, half)
-            value_j = -n * np.log(np.maximum(squares - gain, 1e-12 * squares) / n) - logdet
+            value_j = -n * np.log(np.maximum(squares - gain, 1e-12 * squares) / n) - price
             better = value_j > best[j]
             best[j][better] = value_j[better]
             chosen[j][better] = index

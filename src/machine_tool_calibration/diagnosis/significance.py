@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import stats
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.diagnosis.likelihood import Data, Likelihoods, Reduced, scan, simulate, spread_ratios
@@ -81,7 +82,7 @@ def search(
         best[k] = int(np.argmax(scores[:, 0]))
         statistic[k] = measured.block[mine][best[k], 0] - measured.null[0]
         chance = (null.block[mine] - null.null - handicap).max(axis=0)
-        tail = _Tail(chance)
+        tail = _Tail(chance, int(rank[rank > 0].min()))
         log_p[k] = tail.log_p_value(scores[best[k], :1])[0]
         null_p[k] = np.exp(tail.log_p_value(chance))
     p_value = np.exp(log_p)
@@ -95,10 +96,12 @@ def search(
 class _Tail:
     """What chance makes of a candidate's score: counted in the bulk, an exponential tail beyond.
 
-    A likelihood ratio with the spread refitted is not distributed as chi-square where few setups tell of it.
+    A likelihood ratio with the spread refitted is not distributed as chi-square where few setups tell of it: its tail
+    is heavier, never lighter. Where the simulated one is lighter, that is the luck of the draws.
     """
 
-    def __init__(self, chance: Array) -> None:
+    def __init__(self, chance: Array, unknowns: int) -> None:
+        self.unknowns = unknowns
         self.sorted = np.sort(chance)
         self.start = float(np.quantile(chance, 1.0 - _TAIL))
         excess = chance[chance > self.start] - self.start
@@ -109,7 +112,8 @@ class _Tail:
         rank = np.searchsorted(self.sorted, score, side="left")
         bulk = (len(self.sorted) - rank + 1.0) / (len(self.sorted) + 1.0)
         tail = np.log(_TAIL) - np.maximum(score - self.start, 0.0) / self.scale
-        return np.asarray(np.where(score > self.start, tail, np.log(bulk)))
+        simulated = np.where(score > self.start, tail, np.log(bulk))
+        return np.asarray(np.maximum(simulated, stats.chi2.logsf(np.maximum(score, 0.0), self.unknowns)))
 
 
 def _tries(smallest: Array, quantile: float) -> float:

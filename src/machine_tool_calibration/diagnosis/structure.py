@@ -14,14 +14,17 @@ _DEGREE = 4
 _ORDERS = (1, 2, 3, 4, 5)
 _SIGNS = ("dir_x", "dir_y", "dir_z", "dir_c")
 _ANGLES = ("c", "azimuth", "elevation")
-_DISTINCT = 3
+# Moments at which a step is tried, and numbers of periods over the whole session.
+_MOMENTS = 24
+_PERIODS = tuple(range(3, 25))
 
 
 def structure_candidates(observations: Observations) -> list[Candidate]:
     """Smooth functions of every covariate that varies, periodic ones of angles.
 
     A function of time, temperature or direction of approach is also tried as a displacement along each machine axis;
-    products of two axis positions show where the machine does not move as rigid bodies.
+    products of two axis positions show where the machine does not move as rigid bodies, those of a direction of
+    approach and a position where lost motion is not the same everywhere.
     """
     out = []
     n = len(observations)
@@ -45,6 +48,8 @@ def structure_candidates(observations: Observations) -> list[Candidate]:
                         label = f"{name}: {shape}, as a displacement along {axis}"
                         out.append(Candidate(label, (Block((), columns * along),), 0, n))
     out += _products(observations)
+    out += _lost_motions(observations)
+    out += _events(observations)
     return out
 
 
@@ -67,6 +72,37 @@ def _products(observations: Observations) -> list[Candidate]:
         name = f"{'xyz'[a]} and {'xyz'[b]}: product, as a displacement"
         out.append(Candidate(name, (Block((), columns),), 0, len(observations)))
     return out
+
+
+def _lost_motions(observations: Observations) -> list[Candidate]:
+    out = []
+    for j, axis in enumerate("xyz"):
+        sign = np.sign(observations.readings.columns.get(f"dir_{axis}", np.zeros(len(observations))))
+        along = sign * observations.direction[:, j]
+        if len(np.unique(sign[sign != 0])) < 2 or np.ptp(along) < 1e-6:
+            continue
+        for k, other in enumerate("xyz"):
+            scaled = _scaled(observations.position[:, k])
+            if scaled is not None:
+                degree = min(_DEGREE, len(np.unique(np.round(scaled, 9))) - 1)
+                shapes = np.polynomial.legendre.legvander(scaled, degree)[:, 1:].T
+                name = f"dir_{axis} and {other}: lost motion of {axis.upper()} that varies along {other}"
+                out.append(Candidate(name, (Block((), shapes * along),), 0, len(observations)))
+    return out
+
+
+def _events(observations: Observations) -> list[Candidate]:
+    """What comes suddenly, and what comes and goes; the nonlinear coefficient is the moment or the period, s."""
+    time = observations.readings.columns.get("time", np.arange(len(observations), dtype=float))
+    scaled = _scaled(time)
+    if scaled is None:
+        return []
+    moments = np.quantile(time, (np.arange(_MOMENTS) + 1.0) / (_MOMENTS + 1.0))
+    steps = tuple(Block((float(m),), (time > m).astype(float)[None]) for m in np.unique(moments))
+    turns, duration = np.pi * (scaled + 1.0), float(np.ptp(time))
+    waves = tuple(Block((duration / k,), np.array([np.sin(k * turns), np.cos(k * turns)])) for k in _PERIODS)
+    n = len(observations)
+    return [Candidate("time: a step at", steps, 1, n), Candidate("time: a wave with a period of", waves, 1, n)]
 
 
 def _covariates(observations: Observations) -> dict[str, Array]:
