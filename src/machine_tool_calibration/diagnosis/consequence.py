@@ -82,9 +82,7 @@ def consequences(diagnosis: Diagnosis, most: int = _MOST) -> dict[str, Consequen
     return out
 
 
-def before_and_after(
-    diagnosis: Diagnosis, ranked: Ranked, changes: Mapping[str, Consequence]
-) -> tuple[float, float]:
+def before_and_after(diagnosis: Diagnosis, ranked: Ranked, changes: Mapping[str, Consequence]) -> tuple[float, float]:
     """RMS residual without and with a candidate, m: of a full fit where there is one, else of the screening."""
     name = ranked.candidate.name
     if name in changes:

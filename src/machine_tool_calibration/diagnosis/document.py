@@ -103,9 +103,7 @@ def _ranked(diagnosis: Diagnosis) -> Iterator[tuple[Ranked, Look]]:
         yield r, diagnosis.looks[k if k < len(diagnosis.accepted) else 0]
 
 
-def _candidate(
-    diagnosis: Diagnosis, ranked: Ranked, look: Look, changes: Mapping[str, Consequence]
-) -> dict[str, Any]:
+def _candidate(diagnosis: Diagnosis, ranked: Ranked, look: Look, changes: Mapping[str, Consequence]) -> dict[str, Any]:
     name = ranked.candidate.name
     change = changes.get(name)
     before, after = before_and_after(diagnosis, ranked, changes)

@@ -138,11 +138,7 @@ def spread_ratios(reduced: Reduced, data: Data) -> list[tuple[float, ...]]:
     """
     families = int(reduced.family.max(initial=-1)) + 1
     one = Data(data.products[:, :1], data.squares[:1])
-    tries = [
-        tuple(ratio if g == f else 0.0 for g in range(families))
-        for f in range(families)
-        for ratio in _RATIOS
-    ]
+    tries = [tuple(ratio if g == f else 0.0 for g in range(families)) for f in range(families) for ratio in _RATIOS]
     best = scan(reduced, [], one, tries or [()]).null_ratio[0]
     return [tuple(share * float(ratio) for ratio in best) for share in (_SHARES if best.any() else (0.0,))]
 

@@ -94,7 +94,5 @@ def sizes_in_words(parameters: Sequence[Estimate]) -> str:
     shown = list(parameters)
     if len(shown) > _MANY:
         shown = [max(shown, key=lambda p: abs(p.value) / max(p.standard_uncertainty, 1e-300))]
-    text = ", ".join(
-        f"{p.name.split('.', 1)[-1]} = {quantity(p.value, p.unit, p.standard_uncertainty)}" for p in shown
-    )
+    text = ", ".join(f"{p.name.split('.', 1)[-1]} = {quantity(p.value, p.unit, p.standard_uncertainty)}" for p in shown)
     return text if len(shown) == len(parameters) else f"{len(parameters)} coefficients, {text}"
