@@ -130,3 +130,11 @@ def test_screening_an_effect_says_what_adding_it_gives() -> None:
     projected = screen(fit, catalogue()["backlash_y"].columns(fit.model.observations)).gram
     fall = before.fit.solution.chi_square - after.fit.solution.chi_square
     assert projected[0, 1] ** 2 / projected[0, 0] == pytest.approx(fall, rel=1e-6)
+
+
+def test_rounding_is_no_structure() -> None:
+    plan = PRESETS["tracking_2d"].model_copy(update={"station_uncertainty": 0.0})
+    found = diagnose(simulate(SimulationSpec(plan=plan, seed=4, noise_factor=0.0)).session, sets=199)
+    assert found.verdict == "adequate"
+    assert found.accepted == ()
+    assert not found.looks[0].structure

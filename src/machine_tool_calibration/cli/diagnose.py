@@ -47,11 +47,10 @@ def command(
     mtcal diagnose measurements/cube --effect backlash_y --output pictures
     mtcal diagnose measurements/cube --json
     """
-    from machine_tool_calibration.diagnosis.consequence import consequences
     from machine_tool_calibration.diagnosis.diagnose import diagnose
     from machine_tool_calibration.diagnosis.document import diagnosis_document
     from machine_tool_calibration.diagnosis.report import diagnosis_report
-    from machine_tool_calibration.planning.what_to_measure import what_to_measure
+    from machine_tool_calibration.planning.conclusions import SEARCH, conclude
     from machine_tool_calibration.session.open import open_measurement
 
     session = open_measurement(measurement)
@@ -64,21 +63,17 @@ def command(
             own=own,
             seed=seed,
             sets=sets,
-            progress=lambda what, share: progress(what, 0.7 * share),
+            progress=lambda what, share: progress(what, SEARCH * share),
         )
-        progress("what the candidates would change", 0.7)
-        changes = consequences(found)
-        advice = what_to_measure(
-            found, model=model, own=own, progress=lambda what, share: progress(what, 0.8 + 0.2 * share)
-        )
+        then = conclude(found, model=model, own=own, progress=progress)
     if output is not None:
         from machine_tool_calibration.plots.diagnosis import save_diagnosis
 
-        saved(save_diagnosis(found, changes, output))
+        saved(save_diagnosis(found, then.changes, output))
     if as_json:
-        write_json(diagnosis_document(found, advice, changes))
+        write_json(diagnosis_document(found, then.advice, then.changes))
         return
-    report = diagnosis_report(found, advice, changes, 0 if everything else 8)
+    report = diagnosis_report(found, then.advice, then.changes, 0 if everything else 8)
     screen = console()
     for paragraph in report.words:
         screen.print(paragraph, markup=False)

@@ -43,6 +43,8 @@ _STRUCTURE_FACTOR, _STRUCTURE_MARGIN = 1.3, 6.0
 # Variance of slopes and bows between setups, over that of the readings, that is usual: reproducibility and no more.
 # Direct deviations of parts and of axes have no instrument's setup: there the spread may be any.
 _SPREAD = {"any": 0.1, "direct": 100.0}
+# Reduced chi-square below which the residuals are rounding, whatever they look like.
+_ROUNDING = 1e-6
 # How many of the best effects are held against readings that were left out.
 _VALIDATED = 8
 
@@ -93,6 +95,8 @@ class Look:
 
     def winner(self) -> Ranked | None:
         """The most probable effect that is significant, possible, and predicts readings that were held out."""
+        if self.fit.joint.reduced_chi_square < _ROUNDING:
+            return None
         for k, r in enumerate(self.ranked):
             if not r.rank or r.family_p_value > _LEVEL or not r.possible:
                 continue
@@ -299,6 +303,8 @@ def _best_by_covariate(seen: Sequence[Ranked]) -> dict[str, float]:
 
 def _structure(fit: Fit, seen: Sequence[Ranked], noise: Noise) -> tuple[Structure, ...]:
     """Significant structures, the most significant first, with the share of the sum of squares that each explains."""
+    if fit.joint.reduced_chi_square < _ROUNDING:
+        return ()
     observations = fit.model.observations
     squares = fit.solution.chi_square * observations.session.sigma**2
     found = []

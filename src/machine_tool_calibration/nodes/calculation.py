@@ -10,7 +10,7 @@ from typing import Any
 
 from machine_tool_calibration.diagnosis.compare import compare
 from machine_tool_calibration.diagnosis.compare_document import comparison_document
-from machine_tool_calibration.diagnosis.consequence import Consequence, consequences
+from machine_tool_calibration.diagnosis.consequence import Consequence
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.document import diagnosis_document
 from machine_tool_calibration.effects.effect import Effect
@@ -20,7 +20,7 @@ from machine_tool_calibration.methods.improve import Improvement, improve
 from machine_tool_calibration.model.result import Result, plain
 from machine_tool_calibration.nodes.background import Progress
 from machine_tool_calibration.planning.advice import Advice
-from machine_tool_calibration.planning.what_to_measure import what_to_measure
+from machine_tool_calibration.planning.conclusions import SEARCH, conclude
 from machine_tool_calibration.session.collect import Collector
 from machine_tool_calibration.session.parse import parse_description
 from machine_tool_calibration.session.place import Place
@@ -37,9 +37,6 @@ __all__ = [
     "identified",
     "improved",
 ]
-
-# Shares of the time of a diagnosis: the search, and what the candidates would change; the rest goes to the advice.
-_SEARCH, _CHANGES = 0.7, 0.1
 
 
 @dataclass(frozen=True)
@@ -157,7 +154,7 @@ def diagnosed(request: Request, progress: Progress) -> Diagnosed:
         own=own,
         seed=request.seed,
         sets=request.sets,
-        progress=lambda step, share: progress(step, _SEARCH * share),
+        progress=lambda step, share: progress(step, SEARCH * share),
     )
     return _diagnosed(request, own, found, progress)
 
@@ -176,7 +173,7 @@ def improved(request: Request, progress: Progress) -> Improved:
         own=own,
         seed=request.seed,
         sets=request.sets,
-        progress=lambda step, share: progress(step, _SEARCH * share),
+        progress=lambda step, share: progress(step, SEARCH * share),
     )
     return Improved(steps, _diagnosed(request, own, steps.diagnosis, progress), _identified(steps.steps[-1].result))
 
@@ -186,14 +183,9 @@ def _identified(result: Result) -> Identified:
 
 
 def _diagnosed(request: Request, own: list[Effect], found: Diagnosis, progress: Progress) -> Diagnosed:
-    progress("what the candidates would change", _SEARCH)
-    changes = consequences(found)
-    done = _SEARCH + _CHANGES
-    advice = what_to_measure(
-        found, model=request.model, own=own, progress=lambda step, share: progress(step, done + (1.0 - done) * share)
-    )
-    content = diagnosis_document(found, advice, changes)
-    return Diagnosed(found, changes, advice, content, _json(content))
+    then = conclude(found, model=request.model, own=own, progress=progress)
+    content = diagnosis_document(found, then.advice, then.changes)
+    return Diagnosed(found, then.changes, then.advice, content, _json(content))
 
 
 def _json(content: Mapping[str, Any]) -> str:
