@@ -86,7 +86,7 @@ def positioning(position: Array, direction: Array, deviation: Array) -> Position
     down_mean, down_s, down_n = _statistics(index.reshape(-1), deviation, direction < 0, m)
     reversal = up_mean - down_mean
     mean = (up_mean + down_mean) / 2
-    repeatability = np.max([2 * up_s + 2 * down_s + np.abs(reversal), 4 * up_s, 4 * down_s], axis=0)
+    repeatability = np.max(np.stack([2 * up_s + 2 * down_s + np.abs(reversal), 4 * up_s, 4 * down_s]), axis=0)
     means = np.concatenate([up_mean, down_mean])
     return Positioning(
         position=target,

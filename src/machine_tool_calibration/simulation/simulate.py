@@ -185,7 +185,7 @@ def _spread(spec: SimulationSpec, measurement: Measurement, rng: np.random.Gener
 
 def _chips(spec: SimulationSpec, measurement: Measurement, rng: np.random.Generator) -> tuple[BoolArray, Array]:
     n = len(measurement.scene)
-    chance, size, sign = rng.random(n), rng.uniform(1.0, 3.0, n), rng.choice([-1.0, 1.0], n)
+    chance, size, sign = rng.random(n), rng.uniform(1.0, 3.0, n), rng.choice(np.array([-1.0, 1.0]), n)
     if spec.chips is None:
         return np.zeros(n, bool), np.zeros(n)
     hit = chance < spec.chips.fraction
