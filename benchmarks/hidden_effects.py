@@ -129,10 +129,12 @@ def flaw(base: SimulationSpec, effect: str, signal: float) -> FlawSpec:
     silent = base.model_copy(update={"noise_factor": 0.0, "effects": (), "spread": Spread()})
     clean = simulate(silent).session
     if effect in catalogue():
-        observations = build_model(clean)[0].observations
-        _, excluded = effect_candidates(observations, [catalogue()[effect]])
+        model = build_model(clean)[0]
+        _, excluded = effect_candidates(model.observations, [catalogue()[effect]])
         if excluded:
             raise CalibrationError(f"{effect} does not act here: {excluded[effect]}")
+        if any(term.name.endswith(f".{effect}") for term in model.terms):
+            raise CalibrationError(f"the model has {effect} already, as a random function")
     tried = FlawSpec(id=effect, amplitude=_TRIED)
     changed = simulate(silent.model_copy(update={"effects": (tried,)})).session
     change = changed.readings.displacement - clean.readings.displacement

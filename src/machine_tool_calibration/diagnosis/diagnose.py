@@ -228,7 +228,10 @@ def _rounds(
     """Look, accept the best effect, and look again, until nothing is found or three are."""
     base = model_of(session, ())
     fit = fit_models([base]).fits[0]
-    candidates, excluded = effect_candidates(base.observations, known)
+    # Error motions that the model holds as random functions, under names of their own.
+    held = {term.name.rsplit(".", 1)[1] for term in base.terms if "." in term.name}
+    candidates, excluded = effect_candidates(base.observations, [e for e in known if e.id not in held])
+    excluded |= {e.id: "the model has it already, as a random function" for e in known if e.id in held}
     structures = structure_candidates(base.observations)
     looks: list[Look] = []
     accepted: list[Effect] = []
