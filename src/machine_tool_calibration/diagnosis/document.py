@@ -14,7 +14,8 @@ from machine_tool_calibration.diagnosis.consequence import (
     effect_estimates,
     rms,
 )
-from machine_tool_calibration.diagnosis.diagnose import Diagnosis, Look, Structure
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis
+from machine_tool_calibration.diagnosis.look import Look, Structure
 from machine_tool_calibration.diagnosis.ranking import Ranked
 from machine_tool_calibration.model.result import plain
 from machine_tool_calibration.planning.advice import Advice, Separation, Visibility, alias_groups_of

@@ -22,6 +22,9 @@ _LEVEL = 0.01
 _MOST = 0.08
 # A reading with less than this share of itself in its residual cannot be judged.
 _SEEN = 0.02
+# Where the tails of direct deviations are looked at, and the degrees of freedom of Student's distribution tried there.
+_SHOULDERS = (0.8, 0.9, 0.95)
+_DOFS = (4.0, 6.0, 10.0, 20.0, 1000.0)
 
 
 @dataclass(frozen=True)
@@ -101,6 +104,27 @@ def _studentized(fit: Fit) -> tuple[np.ndarray, np.ndarray, float]:
     # The bulk's size is itself uncertain where few degrees of freedom are left.
     dof = max(fit.solution.degrees_of_freedom * 0.37, 4.0)
     limit = float(stats.t.isf(_LEVEL / max(int(judged.sum()), 1) / 2, dof))
+    if fit.model.observations.session.method == "direct" and judged.any():
+        limit = max(limit, _limit_of_tails(np.abs(normal[judged]) / max(bulk, 1e-12)))
     deviation = np.zeros(len(free))
     deviation[judged] = fit.residuals[judged] / free[judged]
     return normal / max(bulk, 1e-12), deviation, max(limit, 4.5)
+
+
+def _limit_of_tails(size: np.ndarray) -> float:
+    """Limit for residuals that scatter with longer tails than noise does, as holes do that a drill made.
+
+    Student's distribution with as many degrees of freedom as the shoulders of the residuals ask for; readings further
+    out than the shoulders have no say.
+
+    Args:
+        size: absolute residuals over the bulk's standard deviation.
+    """
+    shoulder = np.array([np.quantile(size, q) for q in _SHOULDERS])
+    probability = (1 + np.array(_SHOULDERS)) / 2
+    misfit = []
+    for dof in _DOFS:
+        expected = stats.t.ppf(probability, dof) / stats.t.ppf(0.75, dof) * stats.norm.ppf(0.75)
+        misfit.append(float(np.sum(np.log(shoulder / expected) ** 2)))
+    dof = _DOFS[int(np.argmin(misfit))]
+    return float(stats.t.isf(_LEVEL / len(size) / 2, dof) / stats.t.ppf(0.75, dof) * stats.norm.ppf(0.75))

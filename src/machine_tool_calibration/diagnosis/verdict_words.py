@@ -7,7 +7,8 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from machine_tool_calibration.diagnosis.consequence import Consequence, rms
-from machine_tool_calibration.diagnosis.diagnose import Diagnosis, Look, Structure
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis
+from machine_tool_calibration.diagnosis.look import Look, Structure
 from machine_tool_calibration.diagnosis.quantities import probability, quantity, sizes_in_words
 from machine_tool_calibration.planning.advice import Advice, Separation
 from machine_tool_calibration.session.session import Session

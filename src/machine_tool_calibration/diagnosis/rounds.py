@@ -1,0 +1,205 @@
+"""Effects found one after the other, each in what the model with the earlier ones leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import stats
+
+from machine_tool_calibration.diagnosis.candidates import Candidate, effect_candidates
+from machine_tool_calibration.diagnosis.look import Look, look_at
+from machine_tool_calibration.diagnosis.ranking import Ranked
+from machine_tool_calibration.diagnosis.rules import ROUNDS, rules_of
+from machine_tool_calibration.diagnosis.structure import structure_candidates
+from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.model.fit import Fit, fit_models
+from machine_tool_calibration.model.model import MethodModel
+from machine_tool_calibration.session.session import Session
+
+__all__ = ["Found", "find_effects_in", "left_over"]
+
+# How much better a structure without a cause must do than one effect, or than several together, to speak against them.
+_ONE, _MARGIN, _SEVERAL = 1.3, 6.0, 0.9
+# Chance from which an effect that was found early is no longer needed beside those found after it, and how often that
+# is looked at.
+_NEEDLESS, _MOST_NEEDLESS = 0.003, 4
+
+
+@dataclass(frozen=True)
+class Found:
+    """What the rounds came to.
+
+    Attributes:
+        looks: at the first model and after every accepted effect.
+        accepted: in the order in which they were found.
+        excluded: effects that could not be looked for, with the reason.
+    """
+
+    looks: tuple[Look, ...]
+    accepted: tuple[Effect, ...]
+    excluded: dict[str, str]
+
+
+@dataclass(frozen=True)
+class _Task:
+    """What stays the same in all rounds."""
+
+    session: Session
+    model_of: Callable[[Session, Sequence[Effect]], MethodModel]
+    fit: Fit
+    candidates: list[Candidate]
+    structures: list[Candidate]
+    rng: np.random.Generator
+    sets: int
+    progress: Callable[[str, float], None]
+
+
+def find_effects_in(
+    session: Session,
+    known: Sequence[Effect],
+    model_of: Callable[[Session, Sequence[Effect]], MethodModel],
+    rng: np.random.Generator,
+    sets: int,
+    progress: Callable[[str, float], None],
+) -> Found:
+    """Look, accept the best effect, and look again, until nothing is found or three are.
+
+    Args:
+        session: the measurement.
+        known: effects to look for.
+        model_of: makes the model of a session with effects added.
+        rng: source of random numbers.
+        sets: simulated data sets in which nothing is missing.
+        progress: told what is being done and the share that is finished.
+    """
+    base = model_of(session, ())
+    # Error motions that the model holds as random functions, under names of their own.
+    held = {term.name.rsplit(".", 1)[1] for term in base.terms if "." in term.name}
+    candidates, excluded = effect_candidates(base.observations, [e for e in known if e.id not in held])
+    excluded |= {e.id: "the model has it already, as a random function" for e in known if e.id in held}
+    structures = structure_candidates(base.observations)
+    task = _Task(session, model_of, fit_models([base]).fits[0], candidates, structures, rng, sets, progress)
+    if rules_of(session.method).side_by_side:
+        return _without_needless(task, excluded)
+    found = _one_after_the_other(task, excluded, ())
+    if found.accepted and not _stands(found):
+        # The first may have been taken for several others together.
+        other = _one_after_the_other(task, excluded, (found.accepted[0].id,))
+        if other.accepted and _stands(other):
+            return other
+    return replace(found, looks=found.looks[:1], accepted=()) if _contradicted(found) else found
+
+
+def _without_needless(task: _Task, excluded: dict[str, str]) -> Found:
+    """The rounds, begun again while an early effect is made superfluous by later ones."""
+    last: set[str] = set()
+    while True:
+        found = _one_after_the_other(task, excluded, last)
+        needless = _needless(found)
+        if needless is None or needless in last or len(last) == _MOST_NEEDLESS:
+            return found
+        last.add(needless)
+
+
+def _stands(found: Found) -> bool:
+    return not _contradicted(found) and not left_over(found)
+
+
+def left_over(found: Found) -> bool:
+    """Whether so much structure is left that the accepted effects, if there are any, are not the cause."""
+    look = found.looks[-1]
+    first, last = found.looks[0].fit.solution.chi_square, look.fit.solution.chi_square
+    left = look.structure[0].share * last if look.structure else 0.0
+    if not found.accepted:
+        return left > 0
+    most = rules_of(look.fit.model.observations.session.method).left_over
+    return left > most * (first - last + left)
+
+
+def _one_after_the_other(task: _Task, excluded: dict[str, str], last: Collection[str]) -> Found:
+    """The rounds, with some effects taken only if there is no other."""
+    rules = rules_of(task.session.method)
+    fit, candidates, excluded = task.fit, task.candidates, dict(excluded)
+    looks: list[Look] = []
+    accepted: list[Effect] = []
+    alike: set[str] = set()
+    while True:
+        what = f"round {len(looks) + 1}: {len(candidates)} effects, {task.sets} simulated sets"
+        task.progress(what, min((len(looks) + 0.2) / (ROUNDS + 1), 0.9))
+        left = [c for c in candidates if c.effect not in accepted and c.name not in alike]
+        looks.append(look_at(fit, left, task.structures, task.rng, task.sets))
+        winner = looks[-1].winner(last)
+        rounds = sum(rules.tier(effect.id) == len(rules.order) for effect in accepted)
+        if winner is None or rounds == ROUNDS:
+            return Found(tuple(looks), tuple(accepted), excluded)
+        effect = winner.candidate.effect
+        assert effect is not None
+        try:
+            fit = _settled(fit_models([task.model_of(task.session, [*accepted, effect])]).fits[0])
+        except ModelError as error:
+            # Together with it the data no longer determines the rest: nothing can be said of it.
+            excluded[effect.id] = str(error)
+            candidates = [c for c in candidates if c.effect is not effect]
+            looks.pop()
+            continue
+        accepted.append(effect)
+        # What cannot be told from it would only take up what its linearisation leaves; what contains it may still have
+        # more to say.
+        groups = (group for group in looks[-1].groups if effect.id in group)
+        alike |= {name for group in groups for name in group if effect.id not in _contained(name, candidates)}
+
+
+def _contained(name: str, candidates: Sequence[Candidate]) -> tuple[str, ...]:
+    """Ids of the simpler effects that a candidate contains."""
+    return next((c.effect.contains for c in candidates if c.name == name and c.effect is not None), ())
+
+
+def _contradicted(found: Found) -> bool:
+    """Whether a structure that the accepted effects do not depend on does better: that means another cause."""
+    if not found.accepted:
+        return False
+    own = {name for effect in found.accepted for name in effect.covariates or effect.needs}
+    foreign = max((g for name, g in found.looks[0].structure_gains.items() if name not in own), default=-np.inf)
+    gains = [_ranked(look, effect).bic_gain for look, effect in zip(found.looks, found.accepted, strict=False)]
+    if len(gains) == 1:
+        return bool(foreign >= _ONE * gains[0] + _MARGIN)
+    return bool(foreign >= _SEVERAL * sum(gains))
+
+
+def _ranked(look: Look, effect: Effect) -> Ranked:
+    return next(r for r in look.ranked if r.candidate.effect is effect)
+
+
+def _needless(found: Found) -> str | None:
+    """The effect that the later ones have made superfluous: what it explained they explain better."""
+    fit = found.looks[-1].fit
+    worst, chance = None, _NEEDLESS
+    first = len(fit.model.own)
+    for term in fit.model.terms:
+        mine = np.arange(first, first + len(term.parameters))
+        first += len(term.parameters)
+        mine = mine[fit.determined[mine]]
+        if not len(mine) or all(effect.id != term.name for effect in found.accepted[:-1]):
+            continue
+        inner = fit.solution.covariance[np.ix_(fit.places[mine], fit.places[mine])]
+        squares = float(fit.theta[mine] @ np.linalg.pinv(inner, rcond=1e-10, hermitian=True) @ fit.theta[mine])
+        p = float(stats.chi2.sf(squares / fit.joint.reduced_chi_square, len(mine)))
+        if p > chance:
+            worst, chance = term.name, p
+    return worst
+
+
+def _settled(fit: Fit) -> Fit:
+    """The fit, if the iteration came to rest.
+
+    Raises:
+        ModelError: it did not: the unknowns are so nearly interchangeable that no step is small.
+    """
+    squares = float(np.sum((fit.residuals / fit.model.sigma) ** 2))
+    expected = fit.solution.chi_square
+    if abs(squares - expected) > max(1.0, 0.02 * expected) and fit.joint.assembly.problem.priors is None:
+        raise ModelError("together with the model's own unknowns the data does not determine it")
+    return fit

@@ -1,0 +1,68 @@
+"""Diagnosis of plates and axes as workshops measure them."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from machine_tool_calibration.diagnosis.diagnose import diagnose
+
+
+@pytest.fixture(scope="module")
+def plates() -> ModuleType:
+    """The functions of tests/methods/direct/plates.py."""
+    path = Path(__file__).parents[1] / "methods" / "direct" / "plates.py"
+    spec = importlib.util.spec_from_file_location("direct_plates", path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_scale_then_different_scales_and_squareness(plates: ModuleType) -> None:
+    for seed in range(8):
+        session, _ = plates.plate(seed, scales=(4e-5, 2e-5), square=5e-5)
+        found = diagnose(session)
+        assert found.verdict == "missing_effect"
+        assert found.accepted[0] == "scale"
+        assert len(found.accepted) == 3 and "C0Y" in found.accepted
+        assert {"scale_x", "scale_y"} & set(found.accepted)
+
+
+def test_one_scale_only(plates: ModuleType) -> None:
+    found = [diagnose(plates.plate(seed, scales=(4e-5, 4e-5))[0]).accepted for seed in range(12)]
+    assert sum(accepted == ("scale",) for accepted in found) >= 10
+
+
+@pytest.mark.parametrize("given", [{}, {"declared": 1e-7}, {"declared": 3e-5}, {"repeats": 4, "holes": 120}])
+def test_plates_in_which_nothing_is_missing(plates: ModuleType, given: dict[str, float]) -> None:
+    verdicts = [diagnose(plates.plate(seed, **given)[0]).verdict for seed in range(12)]
+    assert sum(verdict in ("adequate", "outliers") for verdict in verdicts) >= 10
+
+
+def test_rows_that_scatter_together_are_no_effect(plates: ModuleType) -> None:
+    accepted = [diagnose(plates.plate(seed, rows=True, row_scatter=3e-6)[0]).accepted for seed in range(12)]
+    assert sum(not found for found in accepted) >= 11
+
+
+def test_far_holes_are_named(plates: ModuleType) -> None:
+    session, far = plates.plate(3, far=4, scales=(4e-5, 4e-5), tails=None)
+    found = diagnose(session)
+    assert [o.row for o in sorted(found.outliers, key=lambda o: o.row)] == far
+    assert found.accepted == ("scale",)
+
+
+def test_axis_with_backlash_and_an_error_of_no_simple_shape(plates: ModuleType) -> None:
+    for seed in range(6):
+        session = plates.axis(seed, backlash=2e-6, wander=2e-6, scale=2e-5, between=2e-7)
+        found = diagnose(session)
+        assert found.verdict == "missing_effect"
+        assert {"EXX", "backlash_x"} <= set(found.accepted) <= {"scale", "EXX", "backlash_x"}
+
+
+def test_passes_that_differ_are_no_drift(plates: ModuleType) -> None:
+    found = [diagnose(plates.axis(seed, between=5e-7, terms=("EXX",))).accepted for seed in range(15)]
+    assert sum(not accepted for accepted in found) >= 13
