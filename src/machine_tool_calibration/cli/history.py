@@ -24,9 +24,7 @@ __all__ = ["command"]
 @click.option("--use", type=int, metavar="N", help="Make model N the current one.")
 @click.option("--compare", nargs=2, type=int, metavar="N M", help="Show two models side by side.")
 @json_option
-def command(
-    measurement: Path, undo: bool, use: int | None, compare: tuple[int, int] | None, as_json: bool
-) -> None:
+def command(measurement: Path, undo: bool, use: int | None, compare: tuple[int, int] | None, as_json: bool) -> None:
     """List the models that were tried on a session, compare two, or undo a step.
 
     SESSION is a session folder or a recording. `mtcal improve` writes the history; nothing is ever removed from it:

@@ -38,9 +38,7 @@ command line.
 """
 
 
-@click.group(
-    cls=Verbs, help=HELP, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110}
-)
+@click.group(cls=Verbs, help=HELP, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(__version__, prog_name="mtcal", message="%(prog)s %(version)s")
 def group() -> None:
     """All verbs; what `--help` says is `HELP`."""

@@ -39,10 +39,20 @@ A SPEC.yaml holds `plan` (with its `method`), `seed`, `machine`, `effects` and s
 @click.option("--method", type=click.Choice(METHODS), help="Measuring method, with its usual plan.")
 @click.option("--preset", metavar="NAME", help="A named plan; --list shows them.")
 @click.option("--dimension", type=click.Choice(["2", "3"]), help="Tracking interferometer in the plane or in space.")
-@click.option("--plan", "settings", multiple=True, metavar="KEY=VALUE",
-              help="Another value of the plan, such as repeats=3 or pointing=tracking. May be repeated.")
-@click.option("--effect", "effects", multiple=True, metavar="ID[:KEY=VALUE,…]",
-              help="Put an effect in, such as backlash_y or warmup_x:size=4e-6,tau=900. May be repeated.")
+@click.option(
+    "--plan",
+    "settings",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Another value of the plan, such as repeats=3 or pointing=tracking. May be repeated.",
+)
+@click.option(
+    "--effect",
+    "effects",
+    multiple=True,
+    metavar="ID[:KEY=VALUE,…]",
+    help="Put an effect in, such as backlash_y or warmup_x:size=4e-6,tau=900. May be repeated.",
+)
 @click.option("--size", type=float, help="Size of the one effect: the coefficient of its formula, in its unit.")
 @click.option("--amplitude", type=float, help="Or the largest change of a reading that it shall make, m.")
 @click.option("--machine", type=click.Path(path_type=Path), help="True errors of the machine (YAML); random otherwise.")
@@ -152,8 +162,10 @@ def _show(summary: dict[str, Any], simulated: Simulated) -> None:
     lost = f", {summary['missing']} of them missing" if summary["missing"] else ""
     gross = f", {summary['outliers']} with a gross error" if summary["outliers"] else ""
     setups = f"{len(summary['setups'])} setup{'' if len(summary['setups']) == 1 else 's'}"
-    out.print(f"{summary['method']}: {summary['observations']} readings{lost}{gross}, "
-              f"{setups} ({', '.join(summary['setups'])}), seed {summary['seed']}")
+    out.print(
+        f"{summary['method']}: {summary['observations']} readings{lost}{gross}, "
+        f"{setups} ({', '.join(summary['setups'])}), seed {summary['seed']}"
+    )
     out.print(f"standard uncertainty of a reading {summary['standard_uncertainty'] * 1e6:.3g} µm")
     for chosen in simulated.truth.effects:
         extra = ", ".join(f"{key} {_short(value)}" for key, value in chosen.parameters.items())
@@ -187,13 +199,22 @@ def _list(as_json: bool) -> None:
     from machine_tool_calibration.simulation import FLAWS, PRESETS
 
     if as_json:
-        write_json({
-            "presets": {name: plan.method for name, plan in PRESETS.items()},
-            "effects": [
-                {"id": f.id, "formula": f.formula, "unit": f.unit, "typical": f.typical, "methods": f.methods,
-                 "listed": f.listed} for f in FLAWS.values()
-            ],
-        })
+        write_json(
+            {
+                "presets": {name: plan.method for name, plan in PRESETS.items()},
+                "effects": [
+                    {
+                        "id": f.id,
+                        "formula": f.formula,
+                        "unit": f.unit,
+                        "typical": f.typical,
+                        "methods": f.methods,
+                        "listed": f.listed,
+                    }
+                    for f in FLAWS.values()
+                ],
+            }
+        )
         return
     out = console()
     presets = Table("preset", "method", box=None, header_style="bold")

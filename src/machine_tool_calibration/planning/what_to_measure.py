@@ -84,9 +84,7 @@ def what_to_measure(
     return Advice(tuple(separations), tuple(seldom))
 
 
-def _separation(
-    group: tuple[str, ...], now: Sensed, seen: Sequence[tuple[Option, Sensed]]
-) -> Separation | None:
+def _separation(group: tuple[str, ...], now: Sensed, seen: Sequence[tuple[Option, Sensed]]) -> Separation | None:
     group = tuple(name for name in group if name in now.place)
     if len(group) < 2:
         return None
