@@ -25,6 +25,9 @@ SPECS = {
     ),
     "outliers": SimulationSpec(plan=PRESETS["probing_cross"], seed=9, chips=Chips(fraction=0.02)),
     "too noisy": SimulationSpec(plan=PRESETS["tracking_2d"], seed=102, noise_factor=1.6),
+    "too little to tell": SimulationSpec(
+        plan=PRESETS["tracking_2d"], seed=213138, effects=(FlawSpec(id="station_drift", amplitude=1e-6),)
+    ),
 }
 
 
@@ -53,6 +56,13 @@ def test_adequate_says_so_first() -> None:
     assert shown.words[0].startswith("Nothing is missing that this measurement could show")
     assert len(shown.words) == 1
     assert table(shown, "Smallest size").rows
+
+
+def test_where_setups_may_differ_as_much_as_an_effect_would_the_likeliest_is_told() -> None:
+    found, shown = report("too little to tell")
+    assert found.verdict == "adequate"
+    assert shown.words[0].startswith("No effect stands out from what chance and small differences between the setups")
+    assert "The likeliest would be station_drift" in shown.words[0]
 
 
 def test_an_effect_found_is_told_with_its_size_and_what_it_does() -> None:

@@ -10,6 +10,7 @@ from machine_tool_calibration.diagnosis.consequence import Consequence, rms
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.look import Look, Structure
 from machine_tool_calibration.diagnosis.quantities import probability, quantity, sizes_in_words
+from machine_tool_calibration.diagnosis.ranking import Ranked
 from machine_tool_calibration.planning.advice import Advice, Separation
 from machine_tool_calibration.session.session import Session
 
@@ -65,7 +66,30 @@ def _verdict(diagnosis: Diagnosis) -> str:
             f"{many} not belong to the rest: single, large deviations that do not repeat, as a chip or a broken beam "
             f"makes them. Without them nothing is missing that this measurement could show; the residual is {residual}."
         )
+    suspect = _suspect(diagnosis)
+    if suspect is not None:
+        groups = [group for group in diagnosis.looks[0].groups if suspect.candidate.name in group]
+        likeliest = " or ".join(groups[0]) if groups else suspect.candidate.name
+        return (
+            f"No effect stands out from what chance and small differences between the setups can do: the residual is "
+            f"{residual}. The likeliest would be {likeliest}; chance does as well with a probability of "
+            f"{probability(suspect.family_p_value)}."
+        )
     return f"Nothing is missing that this measurement could show: the residual is {residual}."
+
+
+def _suspect(diagnosis: Diagnosis) -> Ranked | None:
+    """The likeliest effect, where the residuals are larger than chance explains and repeats do not explain them."""
+    look = diagnosis.looks[0]
+    likeliest = look.ranked[0] if look.ranked and look.ranked[0].rank else None
+    too_large = look.fit.joint.p_value < _TOO_LARGE and diagnosis.session.method != "direct"
+    return likeliest if too_large and not _noisy(look) else None
+
+
+def _noisy(look: Look) -> bool:
+    """Whether repeats scatter as much as everything else: then the declared uncertainty is too small."""
+    found = float(np.sqrt(look.fit.joint.reduced_chi_square)) * look.noise.declared
+    return look.noise.from_repeats is not None and look.noise.from_repeats > 0.9 * found
 
 
 def _title(diagnosis: Diagnosis, name: str) -> str:
@@ -144,7 +168,7 @@ def _noise(diagnosis: Diagnosis) -> Iterator[str]:
         return
     if diagnosis.verdict in ("adequate", "outliers", "missing_effect") and joint.p_value < _TOO_LARGE:
         text = f"The readings scatter {ratio:.2f} times as much as declared, which chance does not explain."
-        if noise.from_repeats is not None and noise.from_repeats > 0.9 * ratio * noise.declared:
+        if noise.from_repeats is not None and _noisy(look):
             repeats = quantity(noise.from_repeats, "m")
             text += f" Repeats scatter as much ({repeats}): the declared uncertainty is too small."
         elif again:
