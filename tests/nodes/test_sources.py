@@ -9,8 +9,11 @@ from hypothesis import strategies as st
 
 from machine_tool_calibration.nodes.averaging import Batch, NotYet, Recent, is_steady
 from machine_tool_calibration.nodes.environment import interpolate
+from machine_tool_calibration.nodes.optics import make_optics
+from machine_tool_calibration.nodes.shared import procedure_file
 from machine_tool_calibration.nodes.simulated_source import SimulatedSource
 from machine_tool_calibration.nodes.site import Beam, Moment, Site, SiteSpec
+from machine_tool_calibration.procedure import read_procedure
 
 from .conftest import SITE
 
@@ -146,3 +149,14 @@ def test_a_site_is_the_same_for_every_process():
     moment = Moment(12.0, {"x": 0.1, "y": 0.2}, {"x": 1, "y": -1})
     assert one.functional_point(moment).tolist() == two.functional_point(moment).tolist()
     assert one.sensed(7.0) == two.sensed(7.0)
+
+
+def test_where_the_tool_was_says_nothing_about_the_table():
+    """The session may come after the true positions of what it does not measure."""
+    source = SimulatedSource(Site(SiteSpec()), 0, 1e3, 0.0, 0.01)
+    for stamp in (400 * MS, 1400 * MS):
+        source.add_pose(stamp, np.zeros(3))
+    source.look_at(make_optics(source.site, read_procedure(procedure_file("rotary_axis")).session))
+    source.set_beam(0, "A", 0, Beam(np.array([1.0, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0])))
+    with pytest.raises(NotYet, match="have not said where they are"):
+        source.window(0.1)

@@ -211,7 +211,7 @@ class Instrument(Node):
             return
         self._setups = [setup.id for setup in session.setups]
         try:
-            self._simulated.optics = make_optics(self._site, session)
+            self._simulated.look_at(make_optics(self._site, session))
         except CalibrationError as error:
             self.get_logger().error(str(error))
 

@@ -68,6 +68,13 @@ class SimulatedSource:
 
     # --- what the simulated axes and pointer say
 
+    def look_at(self, optics: Optics) -> None:
+        """What the instrument looks at from now on; where another body is says nothing about this one."""
+        if optics.body != self.optics.body:
+            self._poses.clear()
+            self._next = 0
+        self.optics = optics
+
     def add_pose(self, stamp: int, place: Array, rotation: Array | None = None) -> None:
         """The true pose of what carries the target (tool or table) at a time, ns."""
         if self._poses and stamp < self._poses[-1].stamp:
