@@ -262,7 +262,8 @@ def table(outcomes: list[Outcome]) -> str:
         if outcome.verdict:
             by[outcome.trial.kind, outcome.trial.plan].append(outcome)
             by[outcome.trial.kind, "all"].append(outcome)
-    for (kind, plan), group in sorted(by.items()):
+    kinds = list(dict.fromkeys(outcome.trial.kind for outcome in outcomes))
+    for (kind, plan), group in sorted(by.items(), key=lambda item: (kinds.index(item[0][0]), item[0][1])):
         n = len(group)
         shown = kind.startswith(("one", "two"))
         rates = [sum(getattr(o, name) for o in group) if shown else "" for name in ("first", "found", "exact")]
