@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib import import_module
 from typing import Any
 
@@ -17,6 +17,7 @@ from machine_tool_calibration.methods.joint_agreement import Agreement, agreemen
 from machine_tool_calibration.methods.joint_effects import with_effects
 from machine_tool_calibration.methods.joint_map import joint_map
 from machine_tool_calibration.methods.joint_model import CommonModels, common_models
+from machine_tool_calibration.methods.joint_spread import StatedAngles, settled, stated
 from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import ErrorMap, Estimate, Rejected, plain
@@ -35,6 +36,8 @@ class JointResult:
     Attributes:
         labels: names of the sessions.
         fit: of all of them.
+        angles: small angular errors that a step diagonal has as random functions, and all else with the mean over
+            them; None where there are none.
         common: the models and what they share.
         error_map: one map.
         agreement: whether the sessions agree.
@@ -46,6 +49,7 @@ class JointResult:
 
     labels: tuple[str, ...]
     fit: JointFit
+    angles: StatedAngles | None
     common: CommonModels
     error_map: ErrorMap
     agreement: Agreement
@@ -55,9 +59,14 @@ class JointResult:
     observations: tuple[int, ...]
 
     @property
+    def stated(self) -> JointFit:
+        """The fit with the values that are published."""
+        return self.fit if self.angles is None else self.angles.fit
+
+    @property
     def parameters(self) -> list[Estimate]:
         """The unknowns that the data determines; those of an instrument carry the session's label."""
-        solution = self.fit.solution
+        solution = self.stated.solution
         sigma = np.sqrt(np.diag(solution.covariance).clip(0.0))
         return [
             Estimate(p.name, float(p.reference + value), float(u), p.unit)
@@ -85,6 +94,8 @@ class JointResult:
             if others:
                 why = f"the readings do not change if it changes together with {', '.join(others[:4])}"
             out[names[k]] = why
+        if self.angles is not None:
+            out |= {entry.name: entry.why for entry in self.angles.untold}
         return [{"name": name, "why": why} for name, why in out.items()]
 
     def document(self) -> dict[str, Any]:
@@ -148,9 +159,11 @@ def joint_models(
     pairs = [build_model(session, _variant(session, model)) for session in sessions]
     built, names = [base for base, _ in pairs], [name for _, name in pairs]
     common = common_models(built, labels)
+    common = replace(common, models=settled(common.models, labels, common.angles))
     if not effects:
         return common, tuple(names)
-    return with_effects(common, labels, effects), tuple(names)
+    common = with_effects(common, labels, effects)
+    return replace(common, models=settled(common.models, labels, common.angles)), tuple(names)
 
 
 def identify_sessions(
@@ -175,11 +188,13 @@ def identify_sessions(
     """
     common, names = joint_models(sessions, labels, model=model, effects=find_effects(effects, own))
     joint = fit_models(common.models, labels)
+    angles = stated(joint, common.angles)
     return JointResult(
         labels=tuple(labels),
         fit=joint,
+        angles=angles,
         common=common,
-        error_map=joint_map(joint, common),
+        error_map=joint_map(joint, common, angles),
         agreement=agreement(joint, common, labels, _spread(common)),
         effects=tuple(effects),
         model_names=names,

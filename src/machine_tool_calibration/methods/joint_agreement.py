@@ -241,9 +241,7 @@ def _test(matrix: Array, vector: Array, where: slice, size: Array) -> tuple[floa
     return float(vector[where] @ inverse @ vector[where]), rank
 
 
-def _difference(
-    matrix: Array, vector: Array, where: slice, size: Array, entry: _Candidate
-) -> tuple[float, float]:
+def _difference(matrix: Array, vector: Array, where: slice, size: Array, entry: _Candidate) -> tuple[float, float]:
     """The largest difference that is clearly one, and its standard uncertainty."""
     inverse, _ = _inverse(matrix, where, size)
     value = entry.shape @ (inverse @ vector[where])

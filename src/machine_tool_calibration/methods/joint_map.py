@@ -10,6 +10,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.machine.tables import MachineTable
 from machine_tool_calibration.methods.joint_model import CommonModels
+from machine_tool_calibration.methods.joint_spread import StatedAngles
 from machine_tool_calibration.methods.rigid_body import map_field
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.result import ErrorMap
@@ -20,16 +21,24 @@ _MOST_POINTS = 5000
 _LOOSE = 1e-9
 
 
-def joint_map(joint: JointFit, common: CommonModels) -> ErrorMap:
+def joint_map(joint: JointFit, common: CommonModels, angles: StatedAngles | None = None) -> ErrorMap:
     """Tables with their uncertainties, and position errors at the points of all sessions.
 
     What all readings together leave open is taken out of the position errors by least squares over the points.
+
+    Args:
+        joint: the fit.
+        common: its models.
+        angles: the mean over all sizes of small angular errors, where there are any.
     """
+    joint = joint if angles is None else angles.fit
     place = {parameter.name: k for k, parameter in enumerate(joint.assembly.parameters)}
     index = np.array([place[label] for table in common.tables for label in table.labels], dtype=np.int64)
     solution = joint.solution
     content: dict[str, Any] = {"tables": _tables(common.tables, joint, index)}
     content |= _rotary(joint)
+    if angles is not None:
+        content |= {"angular_size": angles.size, "angular_probability": angles.probability}
     points = _points(joint, common)
     n = len(points)
     field = map_field(common.tables, points)

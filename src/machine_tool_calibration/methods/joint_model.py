@@ -3,7 +3,8 @@
 Every session's model has tables of the machine's error motions at nodes of its own, and only those that it can tell by
 itself. Put together, a table must be the same function for all: the nodes are those of all sessions that have it, and
 a session's readings depend on every motion that any session has and that moves its functional point, also on those
-that it had left out because it could not tell them from others.
+that it had left out because it could not tell them from others. The angular errors that a step diagonal takes for small
+random functions are such motions too (`joint_spread`).
 """
 
 from __future__ import annotations
@@ -20,10 +21,9 @@ from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.machine.error_motions import SQUARENESS, parse_motion
 from machine_tool_calibration.machine.table import interpolation
 from machine_tool_calibration.machine.tables import MachineTable
-from machine_tool_calibration.methods.joint_spread import without_spread
+from machine_tool_calibration.methods.joint_spread import angles_of, expected, without_spread
 from machine_tool_calibration.methods.needed_datum import needed_rows
 from machine_tool_calibration.methods.rigid_body import table_datum
-from machine_tool_calibration.methods.step_diagonal.model import StepDiagonalModel
 from machine_tool_calibration.model.model import Constraint, MethodModel, Prior, assemble
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.terms import Term
@@ -47,12 +47,14 @@ class CommonModels:
         fixed: by name of an unknown of the tables, (q,) how it takes part in what all readings leave open and the
             datum fixes.
         datum: in words.
+        angles: those of the tables that are expected to be small smooth random functions.
     """
 
     models: tuple[MethodModel, ...]
     tables: tuple[MachineTable, ...]
     fixed: Mapping[str, Array]
     datum: str
+    angles: tuple[MachineTable, ...] = ()
 
 
 def common_models(models: Sequence[MethodModel], labels: Sequence[str]) -> CommonModels:
@@ -71,8 +73,10 @@ def common_models(models: Sequence[MethodModel], labels: Sequence[str]) -> Commo
         if chain.linear and chain != linear[0] and not _compatible(chain, linear[0]):
             raise ModelError(f"session {label!r} is of a machine with another chain than the sessions before it")
     tables = _shared_tables(models, linear[0]) if linear else ()
+    random = {table.name for model in models for table in angles_of(model)}
     shared = tuple(_with_tables(model, tables) for model in models)
-    return _with_datum(shared, labels, tables)
+    angles = tuple(table for table in tables if table.name in random)
+    return replace(_with_datum(expected(shared, angles), labels, tables), angles=angles)
 
 
 def _compatible(one: Chain, other: Chain) -> bool:
@@ -101,15 +105,15 @@ def tables_of(model: MethodModel) -> tuple[MachineTable, ...]:
 
 def _shared_tables(models: Sequence[MethodModel], chain: Chain) -> tuple[MachineTable, ...]:
     """Every motion that a session has, on the nodes of all that sense it."""
-    names = list(dict.fromkeys(table.name for model in models for table in tables_of(model)))
+    every = [table for model in models for table in (*tables_of(model), *angles_of(model))]
+    names = list(dict.fromkeys(table.name for table in every))
     out = []
     for name in names:
         if name in SQUARENESS:
             out.append(MachineTable(chain, name, np.empty(0)))
             continue
         # Nodes of those that can tell the motion: at further ones it would be mixed with others, and nothing gained.
-        nodes = [table.nodes for model in models for table in tables_of(model) if table.name == name]
-        out.append(MachineTable(chain, name, _union(nodes)))
+        out.append(MachineTable(chain, name, _union(table.nodes for table in every if table.name == name)))
     return tuple(out)
 
 
@@ -131,8 +135,7 @@ def _with_tables(model: MethodModel, tables: Sequence[MachineTable]) -> MethodMo
     own = tables_of(model)
     if not hasattr(model, "tables"):
         return model
-    if isinstance(model, StepDiagonalModel):
-        model = without_spread(model, [table.name for table in tables])
+    model = without_spread(model)
     kept, terms = [], []
     for table in tables:
         columns = machine_columns(table, model.observations)
@@ -200,9 +203,7 @@ def _with_datum(models: Sequence[MethodModel], labels: Sequence[str], tables: Se
     zero = [np.zeros((part.dimension, part.n_points)) for part in assembly.problem.parts]
     total, squares = gram(assembly.problem, np.zeros(m), zero)
     problem = assembly.problem
-    normal = solve_normal(
-        total[:m, :m], total[:m, m], problem.constraints, problem.constraint_values, squares[:m]
-    )
+    normal = solve_normal(total[:m, :m], total[:m, m], problem.constraints, problem.constraint_values, squares[:m])
     scale = 1.0 / np.sqrt(np.maximum(squares[:m], 1e-30 * max(float(squares[:m].max(initial=0.0)), 1e-300)))
     basis = np.linalg.qr(normal.undetermined / scale[:, None])[0] if normal.undetermined.size else np.zeros((m, 0))
     places = [
@@ -241,5 +242,3 @@ def _preference(constraint: Constraint, tables: Sequence[MachineTable]) -> int:
     first = kinds[0]
     assert first is not None
     return 0 if first.is_straightness else 1 if first.is_rotation else 2
-
-

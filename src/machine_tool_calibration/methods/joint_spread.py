@@ -1,36 +1,166 @@
-"""Angular errors that a step diagonal takes for small random functions, where another session knows them."""
+"""Angular errors that a step diagonal takes for small random functions, as the machine's: shared by all sessions.
+
+A step diagonal by itself has them as unknowns of its own (`step_diagonal.spread`). They are the machine's: by their
+lever arms they also move the functional point in the other sessions' readings and everywhere in the map. So in a fit
+of several sessions they are tables like all others, with what is expected of them beside the readings: each a smooth
+random function of its axis's position that is zero next to the axis's zero, all of one size and shape. What is possible
+for these is drawn from the readings of all sessions, and what is published is the mean over it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.estimation.solve import gram
+from machine_tool_calibration.machine.tables import MachineTable
 from machine_tool_calibration.methods.step_diagonal.model import StepDiagonalModel
+from machine_tool_calibration.methods.step_diagonal.spread import (
+    LARGEST,
+    AngularPosterior,
+    angular_priors,
+    mean_shape,
+    normal_posterior,
+)
+from machine_tool_calibration.model.fit import JointFit, fit_models
+from machine_tool_calibration.model.model import MethodModel, NotDetermined, assemble
 
-__all__ = ["without_spread"]
+__all__ = ["StatedAngles", "angles_of", "expected", "settled", "stated", "without_spread"]
+
+# Share of the variance expected of an angle, over all its nodes, that must go before the readings tell it.
+_TOLD = 0.5
 
 
-def without_spread(model: StepDiagonalModel, known: Collection[str]) -> StepDiagonalModel:
-    """The model without the random functions of those angular errors that others have as tables.
+@dataclass(frozen=True)
+class StatedAngles:
+    """Unknowns of all sessions as they are published: the mean over all sizes and shapes of the angular errors.
 
-    Those that turn the mirror but move no functional point, such as ECX of the chain w-X-Y-b-Z-t, stay: a tracker does
-    not know them.
-
-    Args:
-        model: of a step diagonal.
-        known: names of the error motions that have tables.
+    Attributes:
+        fit: the fit, with these values and their covariance in place of its own.
+        size: root mean square of the angular errors over all that is possible, rad.
+        probability: that they are not zero.
+        untold: those of which the readings say little more than the size.
     """
-    if model.spread is None:
+
+    fit: JointFit
+    size: float
+    probability: float
+    untold: tuple[NotDetermined, ...]
+
+
+def angles_of(model: MethodModel) -> tuple[MachineTable, ...]:
+    """Tables of the angular errors that a model takes for small random functions."""
+    spread = model.spread if isinstance(model, StepDiagonalModel) else None
+    return () if spread is None else tuple(angle.table for angle in spread.angles)
+
+
+def without_spread(model: MethodModel) -> MethodModel:
+    """The model without angular errors of its own."""
+    if not isinstance(model, StepDiagonalModel) or model.spread is None:
         return model
-    told = [angle for angle in model.spread.angles if angle.table.name in known]
-    kept = tuple(angle for angle in model.spread.angles if angle.table.name not in known)
-    gone = {f"angle.{angle.table.name}" for angle in told}
-    unknowns = {p.name for term in model.terms if term.name in gone for p in term.parameters}
+    gone = {term.name for term in model.spread.terms}
+    unknowns = {name for names in model.spread.names for name in names}
     return replace(
         model,
         terms=tuple(term for term in model.terms if term.name not in gone),
         priors=tuple(prior for prior in model.priors if not unknowns & set(prior.weights)),
-        constraints=tuple(c for c in model.constraints if not unknowns & set(c.weights)),
-        # What the session alone says of the others is no longer all that is known of them.
-        spread=replace(model.spread, angles=kept, observations=None) if kept else None,
+        spread=None,
     )
+
+
+def expected(models: Sequence[MethodModel], angles: Sequence[MachineTable]) -> tuple[MethodModel, ...]:
+    """The models, told that these angular errors are smooth and at the most of the largest size that is considered."""
+    return _with_priors(models, angles, {t.name: LARGEST**2 * mean_shape(t.nodes, _zero(t)) for t in angles})
+
+
+def settled(
+    models: Sequence[MethodModel], labels: Sequence[str], angles: Sequence[MachineTable]
+) -> tuple[MethodModel, ...]:
+    """The models with the size and shape of the angular errors that all readings together tell.
+
+    Args:
+        models: one for each session, those terms that were added included.
+        labels: names of the sessions.
+        angles: tables of the angular errors.
+    """
+    if not angles:
+        return tuple(models)
+    told = _posterior(fit_models(models, labels), angles)[0]
+    return _with_priors(models, angles, {t.name: c for t, c in zip(angles, told.priors, strict=True)})
+
+
+def stated(fit: JointFit, angles: Sequence[MachineTable]) -> StatedAngles | None:
+    """What is published of a fit: the mean over all that is possible for the angular errors; None without any."""
+    if not angles:
+        return None
+    told, order = _posterior(fit, angles)
+    solution = fit.solution
+    theta, covariance = solution.theta.copy(), np.empty_like(solution.covariance)
+    theta[order] = told.theta
+    covariance[np.ix_(order, order)] = told.covariance
+    variance = np.diag(told.covariance)[-sum(len(table.nodes) for table in angles) :]
+    untold, first = [], 0
+    for table, prior in zip(angles, told.priors, strict=True):
+        mine = slice(first, first + len(table.nodes))
+        first = mine.stop
+        if variance[mine].sum() > _TOLD * np.trace(prior):
+            untold.append(
+                NotDetermined(
+                    table.name,
+                    "the readings say little more than its size (angular_size); it is taken for a small smooth random "
+                    "function",
+                )
+            )
+    stated_fit = JointFit(fit.assembly, replace(solution, theta=theta, covariance=covariance))
+    return StatedAngles(stated_fit, told.size, told.probability, tuple(untold))
+
+
+def _zero(table: MachineTable) -> int:
+    """The node at which the datum of tables has it zero; a constant angle is squareness and slopes of others."""
+    return int(np.argmin(np.abs(table.nodes)))
+
+
+def _with_priors(
+    models: Sequence[MethodModel], angles: Sequence[MachineTable], covariances: Mapping[str, Array]
+) -> tuple[MethodModel, ...]:
+    """The models with what is known of each angle, said once: by the first model that has it."""
+    labels = {label for table in angles for label in table.labels}
+    out, pending = [], list(angles)
+    for model in models:
+        own = {parameter.name for parameter in model.parameters}
+        mine = [table for table in pending if set(table.labels) <= own]
+        pending = [table for table in pending if table not in mine]
+        kept = tuple(prior for prior in model.priors if not labels & set(prior.weights))
+        told = angular_priors([table.labels for table in mine], [covariances[table.name] for table in mine])
+        out.append(replace(model, priors=kept + told))
+    return tuple(out)
+
+
+def _posterior(fit: JointFit, angles: Sequence[MachineTable]) -> tuple[AngularPosterior, IntArray]:
+    """What all readings say of the angles and all else, and the place of each of its unknowns among the fit's."""
+    labels = {label for table in angles for label in table.labels}
+    models = [
+        replace(model, priors=tuple(prior for prior in model.priors if not labels & set(prior.weights)))
+        for model in fit.assembly.models
+    ]
+    problem = assemble(models, None if len(models) == 1 else [str(k) for k in range(len(models))]).problem
+    place = {parameter.name: k for k, parameter in enumerate(fit.assembly.parameters)}
+    last = np.array([place[label] for table in angles for label in table.labels], dtype=np.int64)
+    others = np.setdiff1d(np.arange(problem.size), last)
+    order = np.concatenate([others, last])
+    theta = fit.solution.theta
+    total, squares = gram(problem, theta, fit.solution.local)
+    matrix = total[np.ix_(order, order)]
+    # The others count from the fit's values, the angles from zero.
+    right = total[order, -1] + matrix[:, len(others) :] @ theta[last]
+    conditions = problem.constraints[:, others]
+    kept = np.abs(conditions).max(axis=1, initial=0.0) > 0.0
+    goal = (problem.constraint_values - conditions @ theta[others])[kept]
+    nodes = [(table.nodes, _zero(table)) for table in angles]
+    found = normal_posterior(nodes, matrix, right, conditions[kept], goal, squares[others])
+    moved = found.theta.copy()
+    moved[: len(others)] += theta[others]
+    return replace(found, theta=moved), order

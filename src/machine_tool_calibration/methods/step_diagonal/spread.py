@@ -54,6 +54,8 @@ __all__ = [
     "angular_posterior",
     "angular_priors",
     "coarse_nodes",
+    "mean_shape",
+    "normal_posterior",
     "shape_covariance",
 ]
 
@@ -94,24 +96,30 @@ def coarse_nodes(blocks: Array) -> Array:
     return blocks if len(blocks) <= _MOST_NODES else np.linspace(blocks[0], blocks[-1], _MOST_NODES)
 
 
-def shape_covariance(nodes: Array, length: float, share: float) -> Array:
-    """(k, k) covariance of a smooth random function that is 0 at the first node and has a mean variance of 1.
+def shape_covariance(nodes: Array, length: float, share: float, zero: int = 0) -> Array:
+    """(k, k) covariance of a smooth random function that is 0 at one node and has a mean variance of 1.
 
     Args:
         nodes: (k,) positions on the axis, m.
         length: correlation length of the short waves, as a share of the travel.
         share: of the variance that is the long waves'.
+        zero: the node at which it is 0; the first if absent.
     """
-    return (1.0 - share) * _waves(nodes, length) + share * _waves(nodes, _LONG)
+    return (1.0 - share) * _waves(nodes, length, zero) + share * _waves(nodes, _LONG, zero)
 
 
-def _waves(nodes: Array, length: float) -> Array:
+def _waves(nodes: Array, length: float, zero: int) -> Array:
     u = (nodes - nodes[0]) / (nodes[-1] - nodes[0])
     kernel = np.exp(-0.5 * ((u[:, None] - u[None]) / length) ** 2)
     since = np.eye(len(u))
-    since[:, 0] -= 1.0
+    since[:, zero] -= 1.0
     covariance = since @ kernel @ since.T
     return np.asarray(covariance / np.mean(np.diag(covariance)))
+
+
+def mean_shape(nodes: Array, zero: int = 0) -> Array:
+    """(k, k) covariance of a random function of size 1, the mean over the shapes that are expected."""
+    return np.asarray(np.mean([shape_covariance(nodes, *shape, zero) for shape in _SHAPES], axis=0))
 
 
 def _modes(covariance: Array) -> tuple[Array, Array]:
@@ -173,30 +181,50 @@ def angular_posterior(
         residual: (n,) measured minus predicted with all unknowns zero, m.
         sigma: (n,) standard uncertainty of a reading, m.
     """
-    random = np.concatenate([angle.columns for angle in angles]) / sigma
-    other = np.concatenate([columns / sigma, (residual / sigma)[None]])
-    k = len(columns)
-    inner = other @ other.T
+    every = np.concatenate([columns, *(angle.columns for angle in angles)]) / sigma
+    nodes = [(angle.table.nodes, 0) for angle in angles]
+    return normal_posterior(nodes, every @ every.T, every @ (residual / sigma), constraints)
+
+
+def normal_posterior(
+    nodes: Sequence[tuple[Array, int]],
+    matrix: Array,
+    right: Array,
+    constraints: Array,
+    values: Array | None = None,
+    squares: Array | None = None,
+) -> AngularPosterior:
+    """The same from normal equations N x = b of all unknowns, those of the angular errors last and from zero.
+
+    Args:
+        nodes: for each angular error its nodes, m, and the index of the one at which it is zero.
+        matrix: (K + q, K + q) N, without what is expected of the angles.
+        right: (K + q,) b.
+        constraints: (c, K) the datum of the other unknowns.
+        values: (c,) its values; zero if absent.
+        squares: (K,) for the rank, as in `solve_normal`.
+    """
+    k = constraints.shape[1]
+    cross = matrix[:k, k:]
     # The covariance of the other unknowns projects them off, however many of them the datum leaves undetermined.
-    without = solve_normal(inner[:k, :k], inner[:k, k], constraints, np.zeros(len(constraints)))
-    cross = other @ random.T
-    shared = without.covariance @ cross[:k]
-    gram = random @ random.T - cross[:k].T @ shared
-    right = cross[k] - without.covariance @ inner[:k, k] @ cross[:k]
+    goal = np.zeros(len(constraints)) if values is None else values
+    without = solve_normal(matrix[:k, :k], right[:k], constraints, goal, squares)
+    shared = without.covariance @ cross
+    gram = matrix[k:, k:] - cross.T @ shared
+    right = right[k:] - without.step @ cross
 
     sizes = np.geomspace(SMALLEST, LARGEST, _SIZES)
     variance = sizes**2
-    nodes = [angle.table.nodes for angle in angles]
-    covariances = [[shape_covariance(at, *shape) for at in nodes] for shape in _SHAPES]
+    covariances = [[shape_covariance(at, *shape, zero) for at, zero in nodes] for shape in _SHAPES]
     shapes = [
         _shaped(block_diag(*[_root(c) for c in each]), (gram + gram.T) / 2, right, variance) for each in covariances
     ]
     logs = np.array([shape.log_likelihood for shape in shapes]) + np.log((1.0 - NONE) / (len(shapes) * _SIZES))
     weights = np.exp(logs - logsumexp(np.append(logs, np.log(NONE))))
 
-    means, squares = zip(*(s.moments(variance, w) for s, w in zip(shapes, weights, strict=True)), strict=True)
+    means, second = zip(*(s.moments(variance, w) for s, w in zip(shapes, weights, strict=True)), strict=True)
     mean = np.sum(means, axis=0)
-    spread = np.sum(squares, axis=0) - np.outer(mean, mean)
+    spread = np.sum(second, axis=0) - np.outer(mean, mean)
     # Once the angles are known, the others follow: their covariance is that without angles, and their share of these.
     carried = shared @ spread
     return AngularPosterior(
