@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
@@ -22,6 +23,9 @@ __all__ = ["bar", "model_options", "own_effects", "saved", "search_options", "sh
 Command = TypeVar("Command", bound=Callable[..., Any])
 # Longest text that a column keeps on one line.
 _UNBROKEN = 24
+# Between two columns; and what a column of longer text needs to stay readable.
+_GAP = 2
+_FOLDED = 8
 
 
 def model_options(function: Command) -> Command:
@@ -92,9 +96,23 @@ def show_table(screen: Console, table: TextTable) -> None:
 
     shown = Table(box=None, header_style="bold", pad_edge=False)
     used = [k for k in range(len(table.columns)) if any(row[k] for row in table.rows)]
+    longest = {k: max((len(row[k]) for row in table.rows), default=0) for k in used}
+    heads = {k: table.columns[k] for k in used}
+    unbroken = {k for k in used if longest[k] <= _UNBROKEN}
+
+    def missing() -> int:
+        # What rich may still break counts as if it could become as narrow as the narrowest text that is kept whole.
+        widths = (max(longest[k] if k in unbroken else 0, *(len(line) for line in heads[k].split("\n"))) for k in used)
+        return sum(widths) + _GAP * (len(used) - 1) + sum(_FOLDED for k in used if k not in unbroken) - screen.width
+
+    # rich cuts columns that must not break where the table is too wide: break headings first, then the longest texts.
+    if missing() > 0:
+        heads = {k: fill(text, max(longest[k], 1), break_long_words=False) for k, text in heads.items()}
+    for k in sorted(unbroken, key=lambda k: longest[k], reverse=True):
+        if missing() > 0:
+            unbroken.discard(k)
     for k in used:
-        longest = max((len(row[k]) for row in table.rows), default=0)
-        shown.add_column(Text(table.columns[k]), overflow="fold", no_wrap=longest <= _UNBROKEN)
+        shown.add_column(Text(heads[k]), overflow="fold", no_wrap=k in unbroken)
     for row in table.rows:
         shown.add_row(*(Text(row[k]) for k in used))
     screen.print()

@@ -1,0 +1,39 @@
+"""Tables of text on a terminal: narrow or wide, no text is cut."""
+
+from __future__ import annotations
+
+from io import StringIO
+
+import pytest
+from rich.console import Console
+
+from machine_tool_calibration.cli.diagnosing import show_table
+from machine_tool_calibration.diagnosis.report import TextTable
+
+HEADS = ("model", "from", "made (UTC)", "variant", "effects", "change", "readings", "residual", "chi²/ν", "map moves")
+ROW = ("→ 2", "1", "2026-11-21 14:48", "small_angles", *["thermal_expansion_x"] * 2, "744", "0.089", "1.00", "0.745")
+
+
+def printed(width: int) -> str:
+    screen = Console(file=StringIO(), width=width)
+    show_table(screen, TextTable("Models", HEADS, (ROW,), ""))
+    return screen.file.getvalue()  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("width", [60, 80, 100, 116, 120, 130, 160])
+def test_nothing_is_cut(width: int) -> None:
+    text = printed(width)
+    assert all(len(line) <= width for line in text.splitlines())
+    for wanted in ("".join(HEADS), "".join(ROW)):
+        assert not set(wanted) - set(text)
+    cells = [text.count(letter) for letter in "9x"]
+    assert cells == ["".join(HEADS + ROW).count(letter) for letter in "9x"]
+
+
+def test_headings_break_before_values() -> None:
+    text = printed(120)
+    assert "0.745" in text and "thermal_expansion_x" in text and "small_angles" in text
+
+
+def test_a_wide_screen_keeps_headings_in_one_line() -> None:
+    assert "map moves" in printed(160)
