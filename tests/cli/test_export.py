@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 from machine_tool_calibration.cli.main import run
+from machine_tool_calibration.session.writer import write_session
+from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
 SESSION = Path(__file__).parents[1] / "data" / "tracking_2d"
 
@@ -27,6 +29,25 @@ def test_people_see_before_and_after(tmp_path: Path, capsys: pytest.CaptureFixtu
     shown = capsys.readouterr()
     assert "RMS compensated" in shown.out and "x.comp" in shown.out
     assert "not determined: EZX" in shown.err
+
+
+def test_effects_of_the_history(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    session, folder = tmp_path / "session", tmp_path / "tables"
+    spec = SimulationSpec(plan=PRESETS["tracking_2d"], seed=4, effects=(FlawSpec(id="backlash_y", size=2e-6),))
+    write_session(simulate(spec).session, session)
+    call = ["export", str(session), "--format", "json", "-o", str(folder), "--from-history"]
+    assert run(call) == 1
+    assert "no model was tried yet" in capsys.readouterr().err
+    assert run([*call, "--effect", "backlash_y"]) == 2
+    assert run(["improve", str(session), "--sets", "199", "--json"]) == 0
+    capsys.readouterr()
+    assert run([*call, "--json"]) == 0
+    shown = capsys.readouterr()
+    assert "with backlash_y, as in model 2 of the history" in shown.err
+    assert json.loads(shown.out)["model"] == "rigid_body"
+    same = tmp_path / "same"
+    assert run(["export", str(session), "--format", "json", "-o", str(same), "--effect", "backlash_y"]) == 0
+    assert (same / "compensation.json").read_text() == (folder / "compensation.json").read_text()
 
 
 def test_nothing_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

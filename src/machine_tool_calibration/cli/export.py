@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from machine_tool_calibration.cli.current_model import current_model
 from machine_tool_calibration.cli.info import topic_names, topic_option
 from machine_tool_calibration.cli.output import console, json_option, note, write_json
 from machine_tool_calibration.errors import CalibrationError
@@ -16,6 +18,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
+    from machine_tool_calibration.effects.effect import Effect
     from machine_tool_calibration.methods.axis_tables import AxisTables
     from machine_tool_calibration.model.result import ErrorMap
     from machine_tool_calibration.session.controller_tables.preview import Left
@@ -36,6 +39,16 @@ _FORMATS = ("linuxcnc", "linuxcnc-trims", "isg", "etalon", "csv", "json")
 )
 @click.option("--model", help="Model of the method; by default one with tables, such as rigid_body.")
 @click.option("--effect", "effects", multiple=True, help="Physical effect to add to the model; may be repeated.")
+@click.option(
+    "--from-history",
+    is_flag=True,
+    help="Effects and outliers as in the session's current model (`mtcal improve`, `mtcal history`).",
+)
+@click.option(
+    "--effects-file",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="YAML file with effects of your own, by formula.",
+)
 @topic_option
 @json_option
 def command(
@@ -44,6 +57,8 @@ def command(
     output: Path | None,
     model: str | None,
     effects: tuple[str, ...],
+    from_history: bool,
+    effects_file: Path | None,
     topics: tuple[str, ...],
     as_json: bool,
 ) -> None:
@@ -59,11 +74,16 @@ def command(
     mtcal export session --format isg             TwinCAT CNC volumetric compensation, ISG CSV
     mtcal export bag --format etalon              the same, Etalon Exchange
     mtcal export x_axis plate --format json       two sessions together
+    mtcal export session --format isg --from-history   with the effects that `mtcal improve` found
     """
+    from machine_tool_calibration.effects.formula import read_effects
     from machine_tool_calibration.session.controller_tables import read_tables, write_tables
     from machine_tool_calibration.session.controller_tables.preview import preview
 
-    tables, error_map, models, source = _identified(measurements, model, effects, topic_names(topics))
+    if from_history and (len(measurements) > 1 or effects):
+        raise click.UsageError("--from-history is for one session, without --effect.")
+    chosen = _Chosen(model, effects, from_history, read_effects(effects_file) if effects_file else [])
+    tables, error_map, models, source = _identified(measurements, chosen, topic_names(topics))
     files = write_tables(form, tables, source)
     left = preview(error_map, read_tables(form, files, tables))
     folder = output or Path(f"compensation_{form}")
@@ -91,8 +111,18 @@ def command(
         note("warning: the errors would grow; do not load these files")
 
 
+@dataclass(frozen=True)
+class _Chosen:
+    """The model that the user asked for."""
+
+    model: str | None
+    effects: tuple[str, ...]
+    from_history: bool
+    own: list[Effect]
+
+
 def _identified(
-    paths: tuple[Path, ...], model: str | None, effects: tuple[str, ...], topics: dict[str, str]
+    paths: tuple[Path, ...], chosen: _Chosen, topics: dict[str, str]
 ) -> tuple[AxisTables, ErrorMap, tuple[str, ...], str]:
     """Tables, error map and names of the models of one measurement or of several together, and what they are called."""
     from machine_tool_calibration.methods.axis_tables import axis_tables, joint_axis_tables
@@ -105,12 +135,18 @@ def _identified(
     if len(sessions) > 1:
         names = [path.resolve().stem for path in paths]
         labels = [f"{name}#{k + 1}" if names.count(name) > 1 else name for k, name in enumerate(names)]
-        joint = identify_sessions(sessions, labels, model=model, effects=effects)
+        joint = identify_sessions(sessions, labels, model=chosen.model, effects=chosen.effects, own=chosen.own)
         note(joint.agreement.statement)
         return joint_axis_tables(joint), joint.error_map, joint.model_names, source
-    if model is None and sessions[0].method == "tracking_interferometer":
+    session, model, effects = sessions[0], chosen.model, chosen.effects
+    if chosen.from_history:
+        entry, session, _ = current_model(session, paths[0])
+        effects = tuple(entry.effects)
+        model = model or (None if entry.model == "free" else entry.model)
+        note(f"with {', '.join(effects) or 'no effects'}, as in model {entry.number} of the history")
+    if model is None and session.method == "tracking_interferometer":
         model = "rigid_body"  # its default has no tables
-    result = identify(sessions[0], model=model, effects=effects)
+    result = identify(session, model=model, effects=effects, own=chosen.own)
     return axis_tables(result), result.error_map, (result.model_name,), source
 
 
@@ -136,3 +172,7 @@ def _show(out: Console, folder: Path, files: dict[str, str], left: Sequence[Left
         figures = (row.rms_before, row.rms_after, row.largest_before, row.largest_after, 2 * row.uncertainty)
         table.add_row(row.name, *(f"{1e6 * figure:.2f}" for figure in figures))
     out.print(table)
+    out.print(
+        "Compensated: what the tables leave of the errors that were identified. What was not identified comes on top: "
+        "U, and what the machine does not repeat."
+    )

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from machine_tool_calibration.cli.current_model import current_model
 from machine_tool_calibration.cli.identified import show_result
-from machine_tool_calibration.cli.output import console, json_option, note, plain, to_json, write_json
+from machine_tool_calibration.cli.output import console, json_option, plain, to_json, write_json
 
 if TYPE_CHECKING:
     from machine_tool_calibration.effects.effect import Effect
@@ -106,19 +107,9 @@ def _identified(
 
 def _by_history(session: Session, path: Path, own: list[Effect]) -> tuple[dict[str, Any], Result | None]:
     """By the session's current model: its variant, its effects, and without the readings that it sets aside."""
-    import numpy as np
-
-    from machine_tool_calibration.errors import CalibrationError
     from machine_tool_calibration.methods.identify import identify
-    from machine_tool_calibration.session.history_file import fingerprint, history_path, read_history
 
-    entry = read_history(history_path(path)).in_use
-    if entry is None:
-        raise CalibrationError(f"{path}: no model was tried yet; `mtcal improve {path}` begins")
-    if entry.data != fingerprint(session):
-        note(f"the readings have changed since model {entry.number} was made of them")
-    aside = np.isin(session.readings.row, entry.set_aside)
-    kept = session.with_readings(session.readings.select(~aside)) if aside.any() else session
+    entry, kept, aside = current_model(session, path)
     result = identify(kept, model=entry.model, effects=entry.effects, own=own)
     document = result.document()
     document["observations"] += int(aside.sum())
