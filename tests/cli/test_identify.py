@@ -189,6 +189,9 @@ def test_output_that_cannot_be_written(say, tmp_path):
         ((0.25, 0.01, "1"), ("0.250", "0.010", "0.020", "")),
         ((12.3456, 0.5, "1/K"), ("12.35", "0.50", "1.00", "1/K")),
         ((0.0, 0.0, "m"), ("0", "0", "0", "µm")),
+        ((-4e-9, 1.2e-6, "m"), ("0.0", "1.2", "2.4", "µm")),
+        ((1e-9, 5e-10, "m/s"), ("3.6", "1.8", "3.6", "µm/h")),
+        ((4e-6, 6.4e-7, "m", True), ("0.00400", "0.00064", "0.00128", "mm")),
     ],
 )
 def test_digits_that_the_uncertainty_bears(value, expected):
@@ -199,7 +202,16 @@ def test_verdicts():
     assert "within their declared" in verdict({"reduced_chi_square": 1.0, "p_value": 0.5})
     assert "scatter 2.0 times" in verdict({"reduced_chi_square": 4.0, "p_value": 1e-9})
     assert "p < 1e-12" in verdict({"reduced_chi_square": 4.0, "p_value": 0.0})
+    assert "nearly within" in verdict({"reduced_chi_square": 1.15, "p_value": 0.007})
     assert "stated too large" in verdict({"reduced_chi_square": 0.25, "p_value": 0.99999})
+
+
+def test_effects_and_squareness_come_before_what_is_of_the_setups(say, backlash):
+    status, out, _ = say(backlash, "--model", "rigid_body", "--effect", "backlash_y")
+    lines = out.splitlines()
+    begin = lines.index(next(line for line in lines if line.startswith("name"))) + 1
+    assert status == 0 and "model: rigid_body with backlash_y" in words(out)
+    assert [line.split()[0] for line in lines[begin : begin + 3]] == ["backlash_y.b", "C0Y", "A.x"]
 
 
 def test_grouped():

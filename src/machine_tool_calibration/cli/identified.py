@@ -22,6 +22,8 @@ _MOST_NAMES = 8
 _TABLE = re.compile(r"((?:.*[./])?E[XYZABC][XYZABC])\((.+)\)")
 _MOTION = re.compile(r"E[XYZABC][XYZABC]")
 _PUBLISHED = ("x", "y", "z", "workpiece_error", "workpiece_form")
+_UNITS = {"m": (1e6, "µm"), "rad": (1e6, "µrad"), "m/s": (3.6e9, "µm/h"), "rad/s": (3.6e9, "µrad/h")}
+_PLACE = re.compile(r".*\.([xyz]|dead_path)")
 
 
 def show_result(document: Mapping[str, Any], opened: Iterable[Session]) -> None:
@@ -31,6 +33,8 @@ def show_result(document: Mapping[str, Any], opened: Iterable[Session]) -> None:
     screen = console()
     for session in opened:
         screen.print(measured(session))
+    if document["effects"]:
+        screen.print(f"model: {document['model']} with {', '.join(document['effects'])}")
     screen.print(verdict(document))
     table = Table(show_header=False, box=None, pad_edge=False)
     for name, text in [*figures({**document, "not_determined": []}), *_motions(document["error_map"])]:
@@ -79,6 +83,11 @@ def verdict(document: Mapping[str, Any]) -> str:
         )
     if p > 1 - 1e-3:
         return f"The readings scatter only {ratio:.2f} times their declared uncertainty: it is stated too large."
+    if p < 0.05:
+        return (
+            f"The model fits the readings nearly within their declared uncertainty (p = {p:.2g}): something small may "
+            "be missing in it. `mtcal diagnose` looks for it."
+        )
     return f"The model fits the readings within their declared uncertainty (p = {p:.2g})."
 
 
@@ -122,14 +131,15 @@ def _show_parameters(document: Mapping[str, Any]) -> None:
 
     single = [entry for entry in document["parameters"] if not _TABLE.fullmatch(entry["name"])]
     added = tuple(f"{effect}." for effect in document["effects"])
-    if added:
-        single.sort(key=lambda entry: not entry["name"].startswith(added))
+    # Effects first, then what is of the machine (squareness), then what is of the setups.
+    single.sort(key=lambda entry: 0 if entry["name"].startswith(added) and added else 1 + ("." in entry["name"]))
     if single:
         table = Table(title="parameters", title_justify="left", box=None, pad_edge=False)
         for heading in ("name", "value", "u (k = 1)", "U (k = 2)", "unit"):
             table.add_column(heading, justify="left" if heading in ("name", "unit") else "right")
         for entry in single[:_MOST_ROWS]:
-            table.add_row(entry["name"], *shown(entry["value"], entry["standard_uncertainty"], entry["unit"]))
+            place = _PLACE.fullmatch(entry["name"]) is not None
+            table.add_row(entry["name"], *shown(entry["value"], entry["standard_uncertainty"], entry["unit"], place))
         console().print(table)
         if len(single) > _MOST_ROWS:
             console().print(f"… and {len(single) - _MOST_ROWS} more; --json gives all of them")
@@ -153,21 +163,33 @@ def _show_tables(entries: Iterable[Mapping[str, Any]]) -> None:
     for name, own in tables.items():
         value, u = (1e6 * np.array([entry[key] for entry in own]) for key in ("value", "standard_uncertainty"))
         unit = "µrad" if own[0]["unit"] == "rad" else "µm"
-        table.add_row(name, str(len(own)), f"{value.min():.2f}", f"{value.max():.2f}", f"{2 * u.max():.2g}", unit)
+        most = 2.0 * float(u.max())
+        places = _places(most) if 1e-6 < most < 1e9 else 2
+        texts = (_fixed(float(number), places) for number in (value.min(), value.max(), most))
+        table.add_row(name, str(len(own)), *texts, unit)
     console().print(table)
 
 
-def shown(value: float, uncertainty: float, unit: str) -> tuple[str, str, str, str]:
-    """Value, u and U with as many digits as the uncertainty bears, and the unit that people use."""
-    factor, name = {"m": (1e6, "µm"), "rad": (1e6, "µrad")}.get(unit, (1.0, unit))
+def shown(value: float, uncertainty: float, unit: str, place: bool = False) -> tuple[str, str, str, str]:
+    """Value, u and U with as many digits as the uncertainty bears, and the unit that people use; a place is in mm."""
+    factor, name = _UNITS.get(unit, (1.0, unit))
     if unit == "1" and max(abs(value), uncertainty) < 1e-3:
         factor, name = 1e6, "µm/m"
-    if unit == "m" and abs(value) > 1e-2:
+    if unit == "m" and (place or abs(value) > 1e-2):
         factor, name = 1e3, "mm"
     u = uncertainty * factor
-    if 1e-9 < u < 1e4 and abs(value * factor) < 1e9:
-        digits = max(0, 1 - int(np.floor(np.log10(u))))
-        texts = tuple(f"{number:.{digits}f}" for number in (value * factor, u, 2 * u))
+    if 1e-9 < u < 1e7 and abs(value * factor) < 1e9:
+        texts = tuple(_fixed(number, _places(u)) for number in (value * factor, u, 2 * u))
     else:
         texts = (f"{value * factor:.5g}", f"{u:.2g}", f"{2 * u:.2g}")
     return texts[0], texts[1], texts[2], "" if name == "1" else name
+
+
+def _places(uncertainty: float) -> int:
+    """Decimals that leave an uncertainty two figures."""
+    return max(0, 1 - int(np.floor(np.log10(uncertainty))))
+
+
+def _fixed(number: float, places: int) -> str:
+    """So many decimals, and no minus sign before a zero."""
+    return f"{round(number, places) + 0.0:.{places}f}"
