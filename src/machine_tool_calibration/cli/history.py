@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
 __all__ = ["command"]
 
+# Rows of a comparison before the coefficients.
+_FIGURES = 9
+
 
 @click.command("history")
 @click.argument("measurement", metavar="SESSION", type=click.Path(path_type=Path))
@@ -94,7 +97,7 @@ def _compared(one: Entry, other: Entry) -> TextTable:
         return (name, first, second)
 
     def chi(entry: Entry) -> str:
-        return "–" if entry.reduced_chi_square is None else f"{entry.reduced_chi_square:.3f}"
+        return "–" if entry.reduced_chi_square is None else f"{entry.reduced_chi_square:.2f}"
 
     both = (one, other)
     rows = [
@@ -107,9 +110,8 @@ def _compared(one: Entry, other: Entry) -> TextTable:
         row("degrees of freedom", str(one.degrees_of_freedom), str(other.degrees_of_freedom)),
         row("map of errors, µm RMS", micrometres(one.map_rms), micrometres(other.map_rms)),
         row(
-            "its uncertainty, µm RMS (k = 1)",
-            micrometres(one.map_uncertainty_rms),
-            micrometres(other.map_uncertainty_rms),
+            "its uncertainty U, µm RMS (k = 2)",
+            *(micrometres(None if e.map_uncertainty_rms is None else 2 * e.map_uncertainty_rms) for e in both),
         ),
     ]
     known = [{p.name: p for p in entry.estimates()} for entry in both]
@@ -119,5 +121,8 @@ def _compared(one: Entry, other: Entry) -> TextTable:
         ]
         rows.append(row(name, *texts))
     return TextTable(
-        "Side by side", ("", f"model {one.number}", f"model {other.number}"), tuple(rows), "coefficients ± U (k = 2)"
+        "Side by side",
+        ("", f"model {one.number}", f"model {other.number}"),
+        tuple(rows),
+        "coefficients ± U (k = 2)" if len(rows) > _FIGURES else "",
     )

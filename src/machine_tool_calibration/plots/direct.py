@@ -80,6 +80,8 @@ def draw_tables(tables: Mapping[str, Any]) -> Figure:
     """Each error motion against its axis, with expanded uncertainty (k = 2); squareness in the title."""
     from matplotlib.figure import Figure
 
+    from machine_tool_calibration.diagnosis.quantities import quantity
+
     curves = {name: table for name, table in tables.items() if "nodes" in table}
     columns = min(3, len(curves))
     rows = -(-len(curves) // columns)
@@ -90,7 +92,7 @@ def draw_tables(tables: Mapping[str, Any]) -> Figure:
     for panel in panels[len(curves) :]:
         panel.set_visible(False)
     squareness = [
-        f"{name} = {1e6 * table['value']:.2f} ± {2e6 * table['value_u']:.2f} µrad"
+        f"{name} = {quantity(table['value'], 'rad', table['value_u'])}"
         for name, table in tables.items()
         if "nodes" not in table and _known(table["value"])
     ]
@@ -130,6 +132,8 @@ def draw_map(content: Mapping[str, Any]) -> Figure:
         arrow = 1e3 * _LENGTH * width / largest * error[shown][:, [i, j]]
         start = 1e3 * points[shown][:, [i, j]]
         panel.quiver(*start.T, *arrow.T, angles="xy", scale_units="xy", scale=1.0, color="tab:blue", width=0.003)
+        panel.update_datalim(start + arrow)  # matplotlib counts only where arrows begin
+        panel.autoscale_view()
     panel.set_aspect("equal", adjustable="datalim")
     panel.set_xlabel(f"{'XYZ'[i]} / mm")
     panel.set_ylabel(f"{'XYZ'[j]} / mm")

@@ -43,6 +43,7 @@ def draw_comparison(comparison: Comparison) -> Figure:
     leaves the panel, its largest value is written.
     """
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
 
     figure = Figure(figsize=(13, 10), layout="constrained")
     axes = figure.subplots(3, 3)
@@ -53,7 +54,10 @@ def draw_comparison(comparison: Comparison) -> Figure:
     for panel in axes.flat:
         if len(panel.get_legend_handles_labels()[0]) > len(handles):
             handles, labels = panel.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=5, frameon=False)
+    if comparison.by_repeat:
+        handles = [*handles, Line2D([], [], ls="", marker="_", ms=6, color="0.4")]
+        labels = [*labels, "each repeat alone (bars: U, k = 2)"]
+    figure.legend(handles, labels, loc="outside upper center", ncols=3, frameon=False)
     return figure
 
 
