@@ -12,11 +12,13 @@ import numpy as np
 from machine_tool_calibration.cli.measuring import bar, graph_options, show_files, show_result
 from machine_tool_calibration.cli.output import console, json_option, plain, write_json
 from machine_tool_calibration.cli.truth import MapError, map_error
+from machine_tool_calibration.diagnosis.quantities import quantity
 from machine_tool_calibration.nodes.measurement import Measured, Setting, free_folder, measure
 from machine_tool_calibration.nodes.shared import procedure_file
 from machine_tool_calibration.nodes.site import Moment, Site, SiteSpec, read_site
 from machine_tool_calibration.plots.pictures import draw
 from machine_tool_calibration.simulation import FlawSpec
+from machine_tool_calibration.simulation.flaws import find_flaw
 
 if TYPE_CHECKING:
     from machine_tool_calibration.methods.improve import Improvement
@@ -207,7 +209,7 @@ def _reveal(story: _Story) -> str:
     found = story.improvement.diagnosis.accepted
     if story.hidden is None:
         return "Nothing was hidden." + ("" if not found else " What was added is a false alarm.")
-    said = f"Hidden was {story.hidden.id}, of size {story.hidden.size:.3g} (SI)."
+    said = f"Hidden was {story.hidden.id}, of size {_hidden_size(story.hidden)}."
     alike = {story.hidden.id}
     for look in story.improvement.diagnosis.looks:
         alike |= {name for group in look.groups if story.hidden.id in group for name in group}
@@ -216,6 +218,11 @@ def _reveal(story: _Story) -> str:
     if alike & set(found):
         return f"{said} Found was {', '.join(found)}, which this measurement cannot tell from it."
     return f"{said} It was not found."
+
+
+def _hidden_size(hidden: FlawSpec) -> str:
+    """The size of what was hidden, in the units that people use."""
+    return "as it usually is" if hidden.size is None else quantity(hidden.size, find_flaw(hidden.id).unit)
 
 
 def _document(story: _Story) -> dict[str, Any]:

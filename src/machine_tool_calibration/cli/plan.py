@@ -57,13 +57,15 @@ def _show(found: Forecast) -> None:
     sigma = found.result.fit.model.observations.session.sigma
     screen.print(
         f"{document['method'].replace('_', ' ')}, model {document['model']}: {document['readings']} readings of "
-        f"{sigma * 1e6:.3g} µm in {duration(found.seconds)} of motion and waiting; setting up comes on top"
+        f"u = {sigma * 1e6:.3g} µm (k = 1) in {duration(found.seconds)} of motion and waiting; setting up comes on top"
     )
-    table = Table(title="uncertainty to come, U (k = 2)", title_justify="left", box=None, pad_edge=False)
+    table = Table(
+        title="uncertainty to come, U (k = 2), of each coordinate", title_justify="left", box=None, pad_edge=False
+    )
     for heading in ("", "typical", "at most", "not determined"):
         table.add_column(heading, justify="left" if not heading else "right")
     for name, values in document["uncertainties"].items():
-        row = _row(name.removesuffix("_u"), values)
+        row = _row(name.removesuffix("_u"), values)  # each coordinate by itself
         if row is not None:
             table.add_row(*row)
     screen.print(table)
@@ -80,7 +82,7 @@ def _show(found: Forecast) -> None:
     if found.visible:
         screen.print(effects)
     if found.absorbed:
-        screen.print(f"would not show, as the model takes them up: {', '.join(found.absorbed)}")
+        screen.print(f"would not be found, as the model has them already or takes them up: {', '.join(found.absorbed)}")
     screen.print(f"datum: {document['datum']}")
 
 

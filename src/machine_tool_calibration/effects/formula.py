@@ -118,7 +118,7 @@ class FormulaEffect(Effect):
                 raise ModelError(f"effect {self.id}: {name} has the unknown unit {unit!r}") from None
         unit_of_value = self._expression.unit(units)
         if unit_of_value is not None and unit_of_value.dimensionality != registry().Unit("m").dimensionality:
-            raise ModelError(f"effect {self.id}: the formula gives {unit_of_value:P}, and not a length")
+            raise ModelError(f"effect {self.id}: the formula gives {unit_of_value:~P}, and not a length")
 
     def _check_linear(self) -> None:
         """Linear in the coefficients: with all at zero nothing, with all doubled twice as much, with two the sum."""

@@ -189,4 +189,4 @@ def _diagnosed(request: Request, own: list[Effect], found: Diagnosis, progress: 
 
 
 def _json(content: Mapping[str, Any]) -> str:
-    return json.dumps(plain(content), allow_nan=False)
+    return json.dumps(plain(content), allow_nan=False, ensure_ascii=False)

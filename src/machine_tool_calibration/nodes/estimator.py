@@ -168,7 +168,7 @@ class Estimator(Node):
                 else:
                     words, content = done(outcome)
                     self._last, self._level = words, Level.OK
-                    answer.send(True, json.dumps(content, allow_nan=False))
+                    answer.send(True, json.dumps(content, allow_nan=False, ensure_ascii=False))
                 self._show()
 
             self.background.start(

@@ -99,9 +99,7 @@ def workpiece_points(workpiece: Workpiece, folder: Path) -> tuple[WorkpiecePoint
 
 def workpiece_entries(points: tuple[WorkpiecePoint, ...]) -> list[dict[str, Any]]:
     """The points as `session.yaml` holds them."""
-    return [
-        {"id": p.id, "feature": p.feature, "position": list(p.position), "normal": list(p.normal)} for p in points
-    ]
+    return [{"id": p.id, "feature": p.feature, "position": list(p.position), "normal": list(p.normal)} for p in points]
 
 
 _Part = tuple[Feature, list[Contour], Touched, float]
@@ -138,7 +136,9 @@ def _file(feature: File, folder: Path) -> list[Contour]:
         return read_dxf_outline(path, _UNITS[feature.unit] if feature.unit else None, feature.layer)
     if path.suffix.lower() == ".csv":
         if feature.unit is None:
-            raise SessionError(f"{path}: a CSV outline does not say its unit; give unit: mm, m or inch")
+            raise SessionError(
+                f"{path}: a CSV outline does not say its unit; say unit (mm, m or inch; on the command line --unit)"
+            )
         return read_csv_outline(path, _UNITS[feature.unit], closed=feature.closed)
     raise SessionError(f"{path}: outlines are read from .dxf and .csv files")
 

@@ -52,7 +52,9 @@ def read_dxf_outline(file: Path, unit: float | None, layer: str | None) -> list[
         raise SessionError(f"{file}: is not a valid DXF drawing: {' '.join(str(error).split())}") from None
     scale = unit if unit is not None else _UNITS.get(int(drawing.header.get("$INSUNITS", 0)))
     if scale is None:
-        raise SessionError(f"{file}: the drawing does not say its unit; give unit: mm, m or inch")
+        raise SessionError(
+            f"{file}: the drawing does not say its unit; say unit (mm, m or inch; on the command line --unit)"
+        )
     entities = [e for e in drawing.modelspace() if layer is None or e.dxf.layer == layer]
     pieces: list[Segment] = []
     for entity in entities:

@@ -45,7 +45,7 @@ _SMALL = "only its size is told by the readings (angular_size); it is taken for 
 _ZERO = "the model takes it to be zero"
 _RANDOM = (
     f"; the map is the mean over angular errors that are zero (with a probability of {NONE:g} before any reading) or "
-    f"smooth random functions of {1e6 * SMALLEST:g} to {1e6 * LARGEST:g} urad"
+    f"smooth random functions of {1e6 * SMALLEST:g} to {1e6 * LARGEST:g} µrad"
 )
 
 

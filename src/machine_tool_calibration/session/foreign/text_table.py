@@ -177,7 +177,7 @@ def read_text_table(path: Path, form: FileForm) -> TextTable:
         if width[row] < count or any(cells[row, count:]):
             raise SessionError(
                 f"{source} line {places[row]}: {width[row]} cells where {'the header' if first else 'another row'} has "
-                f"{count}"
+                f"{count}" + ("; is the separator right?" if count == 1 else "")
             )
     return TextTable(source, names, cells[first:, :count], tuple(places[first:]), places[0], form)
 
