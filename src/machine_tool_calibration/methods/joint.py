@@ -96,6 +96,7 @@ class JointResult:
             out[names[k]] = why
         if self.angles is not None:
             out |= {entry.name: entry.why for entry in self.angles.untold}
+        out |= {entry.name: entry.why for entry in self.error_map.not_determined}
         return [{"name": name, "why": why} for name, why in out.items()]
 
     def document(self) -> dict[str, Any]:
@@ -189,13 +190,16 @@ def identify_sessions(
     common, names = joint_models(sessions, labels, model=model, effects=find_effects(effects, own))
     joint = fit_models(common.models, labels)
     angles = stated(joint, common.angles)
+    agreed = agreement(joint, common, labels, _spread(common))
+    if angles is not None:
+        agreed = replace(agreed, statement=agreed.statement + angles.hidden)
     return JointResult(
         labels=tuple(labels),
         fit=joint,
         angles=angles,
         common=common,
         error_map=joint_map(joint, common, angles),
-        agreement=agreement(joint, common, labels, _spread(common)),
+        agreement=agreed,
         effects=tuple(effects),
         model_names=names,
         rejected=tuple(rejected_readings(session) for session in sessions),

@@ -3,28 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.machine.error_motions import parse_motion
 from machine_tool_calibration.machine.tables import MachineTable
 from machine_tool_calibration.methods.joint_model import CommonModels
 from machine_tool_calibration.methods.joint_spread import StatedAngles
 from machine_tool_calibration.methods.rigid_body import map_field
 from machine_tool_calibration.model.fit import JointFit
+from machine_tool_calibration.model.model import NotDetermined
 from machine_tool_calibration.model.result import ErrorMap
 
 __all__ = ["joint_map"]
 
 _MOST_POINTS = 5000
 _LOOSE = 1e-9
+# Share of a table's range by which a point may be beyond it, and displacement per unit that counts.
+_SAME = 1e-3
+_MOVES = 1e-9
 
 
 def joint_map(joint: JointFit, common: CommonModels, angles: StatedAngles | None = None) -> ErrorMap:
     """Tables with their uncertainties, and position errors at the points of all sessions.
 
-    What all readings together leave open is taken out of the position errors by least squares over the points.
+    What all readings together leave open is taken out of the position errors by least squares over the points. Where a
+    component depends on a table beyond its nodes, which a session reached that cannot tell it there, it has no value.
 
     Args:
         joint: the fit.
@@ -43,16 +50,19 @@ def joint_map(joint: JointFit, common: CommonModels, angles: StatedAngles | None
     n = len(points)
     field = map_field(common.tables, points)
     flat = field.reshape(len(field), 3 * n)
+    beyond, lost = _beyond(common.tables, points)
+    inside = ~beyond.reshape(-1)
     fixed = [common.fixed[label] for table in common.tables for label in table.labels]
     open_ = flat.T @ np.array(fixed) if fixed else np.zeros((3 * n, 0))
-    size = np.linalg.norm(open_, axis=0)
+    size = np.linalg.norm(open_[inside], axis=0)
     open_ = open_[:, size > 1e-9] / size[size > 1e-9]
     if open_.shape[1]:
-        flat = flat - (open_ @ np.linalg.lstsq(open_, flat.T, rcond=1e-9)[0]).T
+        flat = flat - (open_ @ np.linalg.lstsq(open_[inside], flat.T[inside], rcond=1e-9)[0]).T
     error = (solution.theta[index] @ flat).reshape(n, 3)
     parts = flat.reshape(len(field), n, 3)
     covariance = np.einsum("knd,kl,lne->nde", parts, solution.covariance[np.ix_(index, index)], parts, optimize=True)
     loose = np.linalg.norm(flat.T @ solution.loose_directions()[index], axis=1).reshape(n, 3) > _LOOSE
+    loose |= beyond
     error = np.where(loose, np.nan, error)
     uncertainty = np.where(loose, np.nan, np.sqrt(np.einsum("nii->ni", covariance).clip(0.0)))
     covariance = np.where(loose.any(axis=1)[:, None, None], np.nan, covariance)
@@ -62,7 +72,29 @@ def joint_map(joint: JointFit, common: CommonModels, angles: StatedAngles | None
         "position_error_u": uncertainty,
         "datum": common.datum,
     }
-    return ErrorMap(content, points, error, uncertainty, covariance)
+    return ErrorMap(content, points, error, uncertainty, covariance, lost)
+
+
+def _beyond(tables: Sequence[MachineTable], points: Array) -> tuple[BoolArray, tuple[NotDetermined, ...]]:
+    """(n, 3) components of the position error that depend on a table beyond its nodes, and this in words."""
+    out = np.zeros((len(points), 3), dtype=bool)
+    names: dict[tuple[str, float, float], list[str]] = {}
+    for table in tables:
+        if table.is_squareness or len(table.nodes) < 2:
+            continue
+        axis = parse_motion(table.name).axis
+        at, low, high = points[:, "XYZ".index(axis)], float(table.nodes[0]), float(table.nodes[-1])
+        margin = _SAME * (high - low)
+        away = (at < low - margin) | (at > high + margin)
+        moved = np.abs(map_field([replace(table, nodes=table.nodes[:1])], points)[0]) > _MOVES
+        if (away[:, None] & moved).any():
+            out |= away[:, None] & moved
+            names.setdefault((axis.lower(), low, high), []).append(table.name)
+    if not names:
+        return out, ()
+    ranges = [f"{', '.join(motions)} from {a} = {low:g} to {high:g} m" for (a, low, high), motions in names.items()]
+    why = f"{int(out.sum())} of {out.size} values depend on error motions beyond where they are known: "
+    return out, (NotDetermined("error_map.position_error", why + "; ".join(ranges)),)
 
 
 def _points(joint: JointFit, common: CommonModels) -> Array:

@@ -21,9 +21,10 @@ from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.machine.error_motions import SQUARENESS, parse_motion
 from machine_tool_calibration.machine.table import interpolation
 from machine_tool_calibration.machine.tables import MachineTable
-from machine_tool_calibration.methods.joint_spread import angles_of, expected, without_spread
+from machine_tool_calibration.methods.joint_spread import angles_of, expected, in_words, without_spread
 from machine_tool_calibration.methods.needed_datum import needed_rows
 from machine_tool_calibration.methods.rigid_body import table_datum
+from machine_tool_calibration.methods.step_diagonal.spread import coarse_nodes
 from machine_tool_calibration.model.model import Constraint, MethodModel, Prior, assemble
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.terms import Term
@@ -76,7 +77,9 @@ def common_models(models: Sequence[MethodModel], labels: Sequence[str]) -> Commo
     random = {table.name for model in models for table in angles_of(model)}
     shared = tuple(_with_tables(model, tables) for model in models)
     angles = tuple(table for table in tables if table.name in random)
-    return replace(_with_datum(expected(shared, angles), labels, tables), angles=angles)
+    common = _with_datum(expected(shared, angles), labels, tables)
+    words = "; ".join([common.datum, in_words(angles)]) if angles else common.datum
+    return replace(common, angles=angles, datum=words)
 
 
 def _compatible(one: Chain, other: Chain) -> bool:
@@ -107,14 +110,31 @@ def _shared_tables(models: Sequence[MethodModel], chain: Chain) -> tuple[Machine
     """Every motion that a session has, on the nodes of all that sense it."""
     every = [table for model in models for table in (*tables_of(model), *angles_of(model))]
     names = list(dict.fromkeys(table.name for table in every))
+    random = {table.name for model in models for table in angles_of(model)}
     out = []
     for name in names:
         if name in SQUARENESS:
             out.append(MachineTable(chain, name, np.empty(0)))
             continue
         # Nodes of those that can tell the motion: at further ones it would be mixed with others, and nothing gained.
-        out.append(MachineTable(chain, name, _union(table.nodes for table in every if table.name == name)))
+        nodes = [table.nodes for table in every if table.name == name]
+        if name in random:
+            # Of a random function something is known everywhere, and a straight line beyond its nodes is not that.
+            nodes += [own for model in models if (own := _sensed_nodes(model, chain, name)) is not None]
+        out.append(MachineTable(chain, name, _union(nodes)))
     return tuple(out)
+
+
+def _sensed_nodes(model: MethodModel, chain: Chain, name: str) -> Array | None:
+    """Nodes for a smooth function where a session's readings depend on an error motion; None where none does."""
+    if not hasattr(model, "tables"):
+        return None
+    axis = "XYZ".index(parse_motion(name).axis)
+    nodes = coarse_nodes(np.unique(np.round(model.observations.position[:, axis], 9)))
+    if len(nodes) < 2:
+        return None
+    columns = machine_columns(MachineTable(chain, name, nodes), model.observations)
+    return nodes if np.abs(columns).max() > _SENSED else None
 
 
 def _union(nodes: Iterable[Array]) -> Array:

@@ -20,6 +20,8 @@ from machine_tool_calibration.machine.tables import MachineTable
 from machine_tool_calibration.methods.step_diagonal.model import StepDiagonalModel
 from machine_tool_calibration.methods.step_diagonal.spread import (
     LARGEST,
+    NONE,
+    SMALLEST,
     AngularPosterior,
     angular_priors,
     mean_shape,
@@ -28,10 +30,12 @@ from machine_tool_calibration.methods.step_diagonal.spread import (
 from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.model.model import MethodModel, NotDetermined, assemble
 
-__all__ = ["StatedAngles", "angles_of", "expected", "settled", "stated", "without_spread"]
+__all__ = ["StatedAngles", "angles_of", "expected", "in_words", "settled", "stated", "without_spread"]
 
 # Share of the variance expected of an angle, over all its nodes, that must go before the readings tell it.
 _TOLD = 0.5
+# Probability of angular errors above which differences between sessions may have been taken for them.
+_LIKELY = 0.5
 
 
 @dataclass(frozen=True)
@@ -50,11 +54,33 @@ class StatedAngles:
     probability: float
     untold: tuple[NotDetermined, ...]
 
+    @property
+    def hidden(self) -> str:
+        """What an agreement of sessions does not mean, because angular errors explain as much; empty if they do not.
+
+        A rotation of the mirror looks like straightness to a step diagonal in every order of its moves (ECX like EYX):
+        a straightness that another session sees differently cannot be told from such a rotation.
+        """
+        if self.probability < _LIKELY:
+            return ""
+        return (
+            f"; a straightness that step diagonals and others see differently may be taken for angular errors "
+            f"(angular_size: {1e6 * self.size:.2g} urad) and not show as a contradiction"
+        )
+
 
 def angles_of(model: MethodModel) -> tuple[MachineTable, ...]:
     """Tables of the angular errors that a model takes for small random functions."""
     spread = model.spread if isinstance(model, StepDiagonalModel) else None
     return () if spread is None else tuple(angle.table for angle in spread.angles)
+
+
+def in_words(angles: Sequence[MachineTable]) -> str:
+    """What is assumed of these angular errors."""
+    return (
+        f"{', '.join(table.name for table in angles)} are zero (with a probability of {NONE:g} before any reading) or "
+        f"smooth random functions of {1e6 * SMALLEST:g} to {1e6 * LARGEST:g} urad, and the map is the mean over these"
+    )
 
 
 def without_spread(model: MethodModel) -> MethodModel:

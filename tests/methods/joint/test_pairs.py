@@ -54,7 +54,8 @@ def _normalised(result: JointResult, simulated: Simulated) -> float:
     field = map_field(tables, points).reshape(-1, 3 * len(points))
     open_ = field.T @ np.array([result.common.fixed[label] for table in tables for label in table.labels])
     error = (result.error_map.error - simulated.truth.machine.position_error(points)).ravel()
-    error = (error - open_ @ np.linalg.lstsq(open_, error, rcond=1e-9)[0]).reshape(-1, 3)
+    known = np.isfinite(error)
+    error = (error - open_ @ np.linalg.lstsq(open_[known], error[known], rcond=1e-9)[0]).reshape(-1, 3)
     uncertainty = result.error_map.uncertainty
     good = (uncertainty > 1e-12) & (np.abs(points) < 0.1101).all(axis=1)[:, None]
     return float(np.mean((error[good] / uncertainty[good]) ** 2))
