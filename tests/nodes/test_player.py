@@ -123,6 +123,17 @@ def test_pause_step_and_go_on(tmp_path: Path, play) -> None:
     assert heard.clock == sorted(heard.clock)
 
 
+def test_nothing_is_sent_before_the_delay_is_over(tmp_path: Path, play) -> None:
+    operator = play(ticks(tmp_path / "bag"), rate=0.0, delay=10 * PATIENCE)
+    heard = Heard(operator)
+    assert operator.wait(lambda: operator._node.count_publishers("/joint_states") == 1, PATIENCE)
+    operator.call("player/pause", PATIENCE)
+    assert heard.values == [] and heard.clock == [] and operator.session == ""
+    assert operator.call("player/step", PATIENCE) == "/session"  # who asks for a message is there
+    operator.call("player/resume", PATIENCE)
+    assert operator.wait(lambda: len(heard.values) == 20, PATIENCE)
+
+
 def test_the_rate_is_kept(tmp_path: Path, play) -> None:
     """Never faster than asked; how much slower a busy machine is, is not ours to say."""
     operator = play(ticks(tmp_path / "bag", 21, 200_000_000), rate=4.0, paused=True)

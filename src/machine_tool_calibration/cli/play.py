@@ -20,6 +20,13 @@ __all__ = ["command"]
 @click.option("--offset", type=click.FloatRange(min=0), default=0.0, help="Where in the bag to begin, s.")
 @click.option("--loop", "-l", is_flag=True, help="Begin again at the end, until Ctrl-C.")
 @click.option("--paused", "-p", is_flag=True, help="Wait for the service player/resume.")
+@click.option(
+    "--delay",
+    type=click.FloatRange(0.0),
+    default=1.0,
+    show_default=True,
+    help="Before the first message, s: a subscriber that is not found by then misses what is not latched.",
+)
 @click.option("--keep", is_flag=True, help="Stay at the end, so that late subscribers get what is latched.")
 @click.option(
     "--clock-rate", type=click.FloatRange(0, 10000), default=40.0, help="Rate of /clock, Hz; 0: do not publish it."
@@ -34,6 +41,7 @@ def command(
     offset: float,
     loop: bool,
     paused: bool,
+    delay: float,
     keep: bool,
     clock_rate: float,
     remap: tuple[str, ...],
@@ -66,6 +74,7 @@ def command(
         "offset": repr(offset),
         "loop": str(loop).lower(),
         "paused": str(paused).lower(),
+        "delay": repr(delay),
         "clock_rate": repr(clock_rate),
         "exit_at_end": str(not keep).lower(),
     }

@@ -87,6 +87,9 @@ class Player(Node):
         frequency = declare(self, "clock_rate", 40.0, "of /clock; 0: none", unit="Hz", low=0.0, high=10000.0)
         wanted = declare(self, "topics", [""], "names of the topics to play; all if there are none")
         self._leave = declare(self, "exit_at_end", False, "end the node when the bag has been played")
+        delay = declare(
+            self, "delay", 0.0, "before the first message, so that subscribers are found", unit="s", low=0.0
+        )
         if not path:
             raise CalibrationError("the parameter bag is missing: which recording is to be played?")
         self.bag = BagReader(Path(path))
@@ -107,6 +110,7 @@ class Player(Node):
         for name, action in (("pause", self._pause), ("resume", self._resume), ("step", self._step)):
             self.create_service(Trigger, f"player/{name}", action)
         self._pace = Pace(self._rate, self._start, time.monotonic_ns(), paused=paused)
+        self._begin: int | None = time.monotonic_ns() + round(delay * 1e9) if delay else None
         self._messages: Iterator[Message] = iter(())
         self._next: Message | None = None
         self._ended = False
@@ -170,6 +174,8 @@ class Player(Node):
 
     def _tick(self) -> None:
         """Send all that is due."""
+        if self._is_early():
+            return
         try:
             now = time.monotonic_ns()
             for _ in range(_AT_ONCE):
@@ -179,6 +185,18 @@ class Player(Node):
                 self._advance(message)
         except RecordingError as error:
             self._fail(error)
+
+    def _is_early(self) -> bool:
+        """Whether the delay is not over yet; the time in the bag begins when it is."""
+        now = time.monotonic_ns()
+        if self._begin is None:
+            return False
+        if now < self._begin:
+            return True
+        self._begin = None
+        if not self._pace.paused:
+            self._pace.set(self._start, now)
+        return False
 
     def _advance(self, message: Message) -> None:
         if not self._pace.rate:
@@ -212,7 +230,7 @@ class Player(Node):
         self._end()
 
     def _tell_time(self, at: int | None = None) -> None:
-        if self._time_topic is None:
+        if self._time_topic is None or self._begin is not None:
             return
         if at is None:
             at = min(self._pace.position(time.monotonic_ns()), self.bag.last)
@@ -235,7 +253,7 @@ class Player(Node):
         return self._answer(response, "playing")
 
     def _step(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        message = self._next
+        message, self._begin = self._next, None
         if not self._pace.paused or message is None:
             response.success = False
             response.message = "only a paused replay can be stepped" if message else "no message is left"

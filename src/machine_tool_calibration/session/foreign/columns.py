@@ -143,6 +143,7 @@ class Columns:
         if given is None and wanted is None:
             given = "1"
         if given is None:
+            self.table.index(rule.column, role)  # where there is no such column, that is what is wrong
             raise SessionError(
                 f"{self.table.source}: the unit of {role} (column {rule.column!r}) is not given, as in "
                 f"--unit {role}={'mm' if wanted == 'length' else 'deg'} or --unit {wanted}="
