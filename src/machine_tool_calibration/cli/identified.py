@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from machine_tool_calibration.cli.direct_words import direct_tables, scatter_words
-from machine_tool_calibration.cli.measuring import figures
+from machine_tool_calibration.cli.figures import figures
 from machine_tool_calibration.cli.output import console
 
 if TYPE_CHECKING:
@@ -20,8 +20,6 @@ __all__ = ["grouped", "measured", "show_result", "shown", "verdict"]
 _MOST_ROWS = 40
 _MOST_NAMES = 8
 _TABLE = re.compile(r"((?:.*[./])?E[XYZABC][XYZABC])\((.+)\)")
-_MOTION = re.compile(r"E[XYZABC][XYZABC]")
-_PUBLISHED = ("x", "y", "z", "workpiece_error", "workpiece_form")
 _UNITS = {"m": (1e6, "µm"), "rad": (1e6, "µrad"), "m/s": (3.6e9, "µm/h"), "rad/s": (3.6e9, "µrad/h")}
 _PLACE = re.compile(r".*\.([xyz]|dead_path)")
 
@@ -37,7 +35,7 @@ def show_result(document: Mapping[str, Any], opened: Iterable[Session]) -> None:
         screen.print(f"model: {document['model']} with {', '.join(document['effects'])}")
     screen.print(verdict(document))
     table = Table(show_header=False, box=None, pad_edge=False)
-    for name, text in [*figures({**document, "not_determined": []}), *_motions(document["error_map"])]:
+    for name, text in figures({**document, "not_determined": []}):
         table.add_row(name, text)
     screen.print(table)
     for shown_of_direct in direct_tables(document["error_map"]):
@@ -103,27 +101,6 @@ def grouped(entries: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
         )
         for reason, own in names.items()
     ]
-
-
-def _motions(content: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Largest value and uncertainty of what a map holds beside positions."""
-    out = []
-    for name, value in content.items():
-        known = name in _PUBLISHED or _MOTION.fullmatch(name)
-        if not known or f"{name}_u" not in content or not isinstance(value, list):
-            continue
-        found, u = (np.array(content[key], dtype=float).reshape(-1) for key in (name, f"{name}_u"))
-        good = np.isfinite(found)
-        title = f"errors of {name.upper()}" if name in ("x", "y", "z") else name.replace("_", " ")
-        if not good.any():
-            out.append((title, "not determined"))
-            continue
-        unit = "µrad" if _MOTION.fullmatch(name) and name[1] in "ABC" else "µm"
-        text = (
-            f"{1e6 * np.abs(found[good]).max():.2f} {unit} at most, U (k = 2) at most {2e6 * u[good].max():.2f} {unit}"
-        )
-        out.append((title, text + ("" if good.all() else f"; {int((~good).sum())} of {len(good)} not determined")))
-    return out
 
 
 def _show_parameters(document: Mapping[str, Any]) -> None:

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
-import numpy as np
 
+from machine_tool_calibration.cli.figures import figures
 from machine_tool_calibration.cli.output import error_console
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from machine_tool_calibration.nodes.measurement import Measured, Progress
 
-__all__ = ["bar", "figures", "graph_options", "show_files", "show_result"]
+__all__ = ["bar", "graph_options", "show_files", "show_result"]
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -73,48 +73,6 @@ def _lines(console: Console) -> Progress:
             console.print(f"{text} ({done} of {total})")
 
     return show
-
-
-def figures(document: dict[str, Any]) -> list[tuple[str, str]]:
-    """What the result of a session says, in words and micrometres."""
-    rows = [
-        ("readings used", f"{document['used']} of {document['observations']}"),
-        ("RMS residual", f"{document['rms_residual'] * 1e6:.3f} µm"),
-    ]
-    chi = document.get("reduced_chi_square")
-    if chi is not None:
-        rows.append(("reduced chi-square", f"{chi:.2f} (1 if the model and the declared uncertainty are right)"))
-    error_map = document.get("error_map") or {}
-    error, uncertainty = _array(error_map.get("position_error")), _array(error_map.get("position_error_u"))
-    if error.size:
-        rows.append(("points of the map", str(len(error))))
-        rows.append(("error of position", f"{_rms(error):.2f} µm RMS, {_largest(error):.2f} µm at most"))
-    if uncertainty.size:
-        rows.append(
-            (
-                "its uncertainty U (k = 2)",
-                f"{2 * _rms(uncertainty):.2f} µm RMS, {2 * _largest(uncertainty):.2f} µm at most",
-            )
-        )
-    missing = document.get("not_determined") or []
-    if missing:
-        names = ", ".join(entry["name"] for entry in missing[:6])
-        rows.append(("not determined", f"{names}{' …' if len(missing) > 6 else ''}"))
-    return rows
-
-
-def _array(value: Any) -> np.ndarray:
-    return np.array([[np.nan if v is None else v for v in row] for row in value]) if value else np.zeros((0, 3))
-
-
-def _rms(vectors: np.ndarray) -> float:
-    """Root mean square length of vectors, micrometres."""
-    return float(np.sqrt(np.mean(np.nansum(vectors**2, axis=1)))) * 1e6
-
-
-def _largest(vectors: np.ndarray) -> float:
-    """Greatest length of a vector, micrometres."""
-    return float(np.sqrt(np.max(np.nansum(vectors**2, axis=1)))) * 1e6
 
 
 def show_result(console: Console, measured: Measured) -> None:

@@ -107,5 +107,8 @@ def command(
             }
         )
         return
-    show_result(console(), measured)
-    show_files(console(), measured)
+    screen = console()
+    show_result(screen, measured)
+    show_files(screen, measured)
+    if measured.result is not None and measured.session_folder is not None:
+        screen.print(f"next: mtcal identify {measured.session_folder}, mtcal diagnose {measured.session_folder}")
