@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 __all__ = ["command", "topic_names", "topic_option"]
 
 _MICRO = 1e6
+# Displacements that are all smaller, m, are deviations: shown in micrometres.
+_SMALL = 1e-3
 _UNITS = {"x": ("mm", 1e3), "y": ("mm", 1e3), "z": ("mm", 1e3), "displacement": ("mm", 1e3), "time": ("s", 1.0)}
 _ANGLES = ("a", "b", "c", "azimuth", "elevation")
 
@@ -203,6 +205,8 @@ def _column(column: ColumnSummary) -> tuple[str, str, str, str, str]:
         unit = "°C"
     elif column.name == "air_pressure":
         unit, factor = "hPa", 0.01
+    elif column.name == "displacement" and max(abs(column.low or 0.0), abs(column.high or 0.0)) < _SMALL:
+        unit, factor = "µm", 1e6
     low, high = (("" if value is None else f"{value * factor:.6g}") for value in (column.low, column.high))
     return column.name, low, high, unit, str(column.missing or "")
 
