@@ -11,7 +11,8 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.machine.error_motions import parse_motion
 from machine_tool_calibration.machine.tables import MachineTable
-from machine_tool_calibration.methods.joint_model import CommonModels
+from machine_tool_calibration.methods.joint_between import between_nodes
+from machine_tool_calibration.methods.joint_model import CommonModels, tables_of
 from machine_tool_calibration.methods.joint_spread import StatedAngles
 from machine_tool_calibration.methods.rigid_body import map_field
 from machine_tool_calibration.model.fit import JointFit
@@ -31,7 +32,8 @@ def joint_map(joint: JointFit, common: CommonModels, angles: StatedAngles | None
     """Tables with their uncertainties, and position errors at the points of all sessions.
 
     What all readings together leave open is taken out of the position errors by least squares over the points. Where a
-    component depends on a table beyond its nodes, which a session reached that cannot tell it there, it has no value.
+    component depends on a table beyond its nodes, which a session reached that cannot tell it there, it has no value;
+    where it depends on one between its nodes, what straight lines may be wrong by is in its uncertainty.
 
     Args:
         joint: the fit.
@@ -61,6 +63,9 @@ def joint_map(joint: JointFit, common: CommonModels, angles: StatedAngles | None
     error = (solution.theta[index] @ flat).reshape(n, 3)
     parts = flat.reshape(len(field), n, 3)
     covariance = np.einsum("knd,kl,lne->nde", parts, solution.covariance[np.ix_(index, index)], parts, optimize=True)
+    covariance += between_nodes(
+        common.tables, solution.theta[index], solution.covariance[np.ix_(index, index)], points, _read(common)
+    )
     loose = np.linalg.norm(flat.T @ solution.loose_directions()[index], axis=1).reshape(n, 3) > _LOOSE
     loose |= beyond
     error = np.where(loose, np.nan, error)
@@ -95,6 +100,18 @@ def _beyond(tables: Sequence[MachineTable], points: Array) -> tuple[BoolArray, t
     ranges = [f"{', '.join(motions)} from {a} = {low:g} to {high:g} m" for (a, low, high), motions in names.items()]
     why = f"{int(out.sum())} of {out.size} values depend on error motions beyond where they are known: "
     return out, (NotDetermined("error_map.position_error", why + "; ".join(ranges)),)
+
+
+def _read(common: CommonModels) -> dict[str, Array]:
+    """By name of a table, the positions on its axis at which a session that senses it has read."""
+    out = {}
+    for table in common.tables:
+        if not table.is_squareness:
+            axis = "XYZ".index(parse_motion(table.name).axis)
+            told = [m for m in common.models if table.name in {own.name for own in tables_of(m)}]
+            every = [np.empty(0), *(m.observations.position[:, axis] for m in told)]
+            out[table.name] = np.unique(np.concatenate(every))
+    return out
 
 
 def _points(joint: JointFit, common: CommonModels) -> Array:
