@@ -10,6 +10,8 @@ import numpy as np
 
 __all__ = ["figures"]
 
+# Chance of the residuals below which the model is in doubt.
+_DOUBTFUL = 0.01
 _PUBLISHED = ("x", "y", "z", "workpiece_error", "workpiece_form")
 _MOTION = re.compile(r"E[XYZABC][XYZABC]")
 
@@ -32,7 +34,7 @@ def figures(document: dict[str, Any]) -> list[tuple[str, str]]:
         rows.append(
             (
                 "its uncertainty U (k = 2)",
-                f"{2 * _rms(uncertainty):.2f} µm RMS, {2 * _largest(uncertainty):.2f} µm at most",
+                f"{2 * _rms(uncertainty):.2f} µm RMS, {2 * _largest(uncertainty):.2f} µm at most{_if_right(document)}",
             )
         )
     rows += _motions(error_map)
@@ -62,6 +64,12 @@ def _motions(content: Mapping[str, Any]) -> list[tuple[str, str]]:
         )
         out.append((title, text + ("" if good.all() else f"; {int((~good).sum())} of {len(good)} not determined")))
     return out
+
+
+def _if_right(document: dict[str, Any]) -> str:
+    """A warning where the readings speak against the model on which the uncertainty rests."""
+    p = document.get("p_value")
+    return ", if the model were right" if p is not None and p < _DOUBTFUL else ""
 
 
 def _array(value: Any) -> np.ndarray:

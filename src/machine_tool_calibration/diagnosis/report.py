@@ -115,7 +115,7 @@ def _candidates(diagnosis: Diagnosis, changes: Mapping[str, Consequence], shown:
     if accepted:
         note = f"✓ found; {note}; the others as they were before anything was added"
     if left:
-        note += f"; {left} less probable ones are left out"
+        note += f"; {left} less probable {'one is' if left == 1 else 'ones are'} left out"
     heads = ("effect", "alike", "probability", "p", "size", "plausible", "residual RMS / µm", "map moves / µm RMS")
     return TextTable(title, heads, tuple(rows), note)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
@@ -26,6 +27,12 @@ _ONE, _MARGIN, _SEVERAL = 1.3, 6.0, 0.9
 # Chance from which an effect that was found early is no longer needed beside those found after it, and how often that
 # is looked at.
 _NEEDLESS, _MOST_NEEDLESS = 0.003, 4
+
+
+# Growth of the map's uncertainty from which an effect is worth nothing in the model, whether or not it is there.
+_SPOILT = 30.0
+# Uncertainties of the map that are those of the machine or the part, not of where the instrument stood.
+_OF_THE_MACHINE = re.compile(r"(position_error|[xyz]|E[XYZABC][XYZABC]|workpiece_error|workpiece_form)_u")
 
 
 @dataclass(frozen=True)
@@ -138,13 +145,16 @@ def _one_after_the_other(task: _Task, excluded: dict[str, str], last: Collection
         effect = winner.candidate.effect
         assert effect is not None
         try:
-            fit = _settled(fit_models([task.model_of(task.session, [*accepted, effect])]).fits[0])
+            wider = _settled(fit_models([task.model_of(task.session, [*accepted, effect])]).fits[0])
+            if not rules.side_by_side:
+                _hold(fit, wider)
         except ModelError as error:
             # Together with it the data no longer determines the rest: nothing can be said of it.
             excluded[effect.id] = str(error)
             candidates = [c for c in candidates if c.effect is not effect]
             looks.pop()
             continue
+        fit = wider
         accepted.append(effect)
         # What cannot be told from it would only take up what its linearisation leaves; what contains it may still have
         # more to say.
@@ -203,3 +213,22 @@ def _settled(fit: Fit) -> Fit:
     if abs(squares - expected) > max(1.0, 0.02 * expected) and fit.joint.assembly.problem.priors is None:
         raise ModelError("together with the model's own unknowns the data does not determine it")
     return fit
+
+
+def _hold(fit: Fit, wider: Fit) -> None:
+    """Nothing, if the map is still worth something with another effect in the model.
+
+    Raises:
+        ModelError: its uncertainty has grown beyond all use.
+    """
+    before, after = fit.model.error_map(fit).content, wider.model.error_map(wider).content
+    growth = 1.0
+    for name in (name for name in before if _OF_THE_MACHINE.fullmatch(name) and name in after):
+        old, new = (float(np.sqrt(np.nanmean(np.square(np.asarray(c[name], dtype=float))))) for c in (before, after))
+        if old > 0 and np.isfinite(new):
+            growth = max(growth, new / old)
+    if growth > _SPOILT:
+        raise ModelError(
+            "together with it the data no longer determines the machine's errors: their uncertainty would grow "
+            f"{growth:.0f} times"
+        )

@@ -14,6 +14,8 @@ _DEGREE = 4
 _ORDERS = (1, 2, 3, 4, 5)
 _SIGNS = ("dir_x", "dir_y", "dir_z", "dir_c")
 _ANGLES = ("c", "azimuth", "elevation")
+# Fewer readings than this show neither a step nor a wave.
+_ENOUGH = 40
 # Moments at which a step is tried, and numbers of periods over the whole session.
 _MOMENTS = 24
 _PERIODS = tuple(range(3, 25))
@@ -95,7 +97,7 @@ def _events(observations: Observations) -> list[Candidate]:
     """What comes suddenly, and what comes and goes; the nonlinear coefficient is the moment or the period, s."""
     time = observations.readings.columns.get("time", np.arange(len(observations), dtype=float))
     scaled = _scaled(time)
-    if scaled is None:
+    if scaled is None or len(time) < _ENOUGH:
         return []
     moments = np.quantile(time, (np.arange(_MOMENTS) + 1.0) / (_MOMENTS + 1.0))
     steps = tuple(Block((float(m),), (time > m).astype(float)[None]) for m in np.unique(moments))

@@ -72,8 +72,8 @@ def _verdict(diagnosis: Diagnosis) -> str:
         likeliest = " or ".join(groups[0]) if groups else suspect.candidate.name
         return (
             f"No effect stands out from what chance and small differences between the setups can do: the residual is "
-            f"{residual}. The likeliest would be {likeliest}; chance does as well with a probability of "
-            f"{probability(suspect.family_p_value)}."
+            f"{residual}. The likeliest would be {likeliest}; chance does as well with a probability "
+            f"{_of(suspect.family_p_value)}."
         )
     return f"Nothing is missing that this measurement could show: the residual is {residual}."
 
@@ -90,6 +90,12 @@ def _noisy(look: Look) -> bool:
     """Whether repeats scatter as much as everything else: then the declared uncertainty is too small."""
     found = float(np.sqrt(look.fit.joint.reduced_chi_square)) * look.noise.declared
     return look.noise.from_repeats is not None and look.noise.from_repeats > 0.9 * found
+
+
+def _of(p: float) -> str:
+    """A probability after its noun: of 0.02, or below 1e-6."""
+    text = probability(p)
+    return f"below {text[1:].strip()}" if text.startswith("<") else f"of {text}"
 
 
 def _title(diagnosis: Diagnosis, name: str) -> str:
@@ -117,7 +123,7 @@ def _found(diagnosis: Diagnosis, name: str, change: Consequence | None, advice: 
             f"With it in the model the residual falls from {quantity(change.rms_before, 'm')} to "
             f"{quantity(change.rms_after, 'm')} RMS{moved}."
         )
-    words.append(f"Chance would do as well with a probability of {probability(ranked.family_p_value)}.")
+    words.append(f"Chance would do as well with a probability {_of(ranked.family_p_value)}.")
     if not ranked.plausible:
         words.append("Such a size does not usually occur: look for another cause as well.")
     separation = next((s for s in advice.separations if s.effects[0] == name), None)
