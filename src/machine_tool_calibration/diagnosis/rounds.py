@@ -224,9 +224,10 @@ def _hold(fit: Fit, wider: Fit) -> None:
     before, after = fit.model.error_map(fit).content, wider.model.error_map(wider).content
     growth = 1.0
     for name in (name for name in before if _OF_THE_MACHINE.fullmatch(name) and name in after):
-        old, new = (float(np.sqrt(np.nanmean(np.square(np.asarray(c[name], dtype=float))))) for c in (before, after))
-        if old > 0 and np.isfinite(new):
-            growth = max(growth, new / old)
+        old, new = (np.asarray(content[name], dtype=float) for content in (before, after))
+        both = np.isfinite(old) & np.isfinite(new) & (old > 0)
+        if both.any():
+            growth = max(growth, float(np.sqrt(np.mean(new[both] ** 2) / np.mean(old[both] ** 2))))
     if growth > _SPOILT:
         raise ModelError(
             "together with it the data no longer determines the machine's errors: their uncertainty would grow "
