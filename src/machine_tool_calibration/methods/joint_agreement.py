@@ -161,9 +161,9 @@ def _log_tail(chi_square: float, rank: int) -> float:
 
 
 def _sentence(entry: Contradiction) -> str:
-    scale, unit = (1e6, {"m": "um", "rad": "urad"}[entry.unit]) if entry.unit in ("m", "rad") else (1.0, entry.unit)
+    scale, unit = (1e6, {"m": "µm", "rad": "µrad"}[entry.unit]) if entry.unit in ("m", "rad") else (1.0, entry.unit)
     motion = entry.motion if not entry.alike else f"{entry.motion} (or {', '.join(entry.alike)})"
-    size = f"{abs(entry.difference) * scale:.3g} {unit} (standard uncertainty {entry.difference_u * scale:.2g} {unit})"
+    size = f"{abs(entry.difference) * scale:.3g} ± {2 * entry.difference_u * scale:.2g} {unit} (k = 2)"
     if len(entry.others) == 1:
         pair = f"sessions {entry.session!r} and {entry.others[0]!r}"
         return f"{pair} contradict each other in {motion} by {size}"

@@ -70,9 +70,14 @@ def common_models(models: Sequence[MethodModel], labels: Sequence[str]) -> Commo
     """
     chains = [Chain.parse(model.observations.session.description.machine.chain) for model in models]
     linear = [chain for chain in chains if chain.linear]
-    for chain, label in zip(chains, labels, strict=True):
+    first = next((model for model, chain in zip(models, chains, strict=True) if chain.linear), models[0])
+    for model, chain, label in zip(models, chains, labels, strict=True):
         if chain.linear and chain != linear[0] and not _compatible(chain, linear[0]):
-            raise ModelError(f"session {label!r} is of a machine with another chain than the sessions before it")
+            this, before = (m.observations.session.description.machine.chain for m in (model, first))
+            raise ModelError(
+                f"session {label!r} is of a machine with another chain ({this}) than the sessions before it "
+                f"({before}): every session.yaml holds the chain of the whole machine, moved axes and others"
+            )
     tables = _shared_tables(models, linear[0]) if linear else ()
     random = {table.name for model in models for table in angles_of(model)}
     shared = tuple(_with_tables(model, tables) for model in models)

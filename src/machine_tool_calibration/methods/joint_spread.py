@@ -65,7 +65,7 @@ class StatedAngles:
             return ""
         return (
             f"; a straightness that step diagonals and others see differently may be taken for angular errors "
-            f"(angular_size: {1e6 * self.size:.2g} urad) and not show as a contradiction"
+            f"(angular_size: {1e6 * self.size:.2g} µrad) and not show as a contradiction"
         )
 
 
@@ -79,7 +79,7 @@ def in_words(angles: Sequence[MachineTable]) -> str:
     """What is assumed of these angular errors."""
     return (
         f"{', '.join(table.name for table in angles)} are zero (with a probability of {NONE:g} before any reading) or "
-        f"smooth random functions of {1e6 * SMALLEST:g} to {1e6 * LARGEST:g} urad, and the map is the mean over these"
+        f"smooth random functions of {1e6 * SMALLEST:g} to {1e6 * LARGEST:g} µrad, and the map is the mean over these"
     )
 
 

@@ -247,7 +247,7 @@ def _check_places(model: RotaryAxisModel) -> None:
             raise
         missed = np.inf
     if missed > _LOST * model.observations.session.sigma:
-        by = f" by {missed * 1e6:.3g} um in the middle" if np.isfinite(missed) else ""
+        by = f" by {missed * 1e6:.3g} µm in the middle" if np.isfinite(missed) else ""
         raise ModelError(
             f"{model.observations.session.source}: no places of stations and targets near the stated ones explain the "
             f"readings (they are missed{by}); state the stations to a decimetre and the targets to some centimetres"
