@@ -212,7 +212,15 @@ def start(body: str, folder: Path) -> subprocess.Popen[str]:
         f"cli.__path__.append({str(folder)!r}); main()"
     )
     pipe = subprocess.PIPE
-    return subprocess.Popen([sys.executable, "-c", code, "work"], stdin=pipe, stdout=pipe, stderr=pipe, text=True)
+    return subprocess.Popen(
+        [sys.executable, "-c", code, "work"],
+        stdin=pipe,
+        stdout=pipe,
+        stderr=pipe,
+        text=True,
+        # A shell has its background jobs ignore Ctrl-C, and they pass that on.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
 
 
 @pytest.mark.parametrize("lines", [3, 100_000])
