@@ -118,6 +118,27 @@ def test_a_target_beside_the_beam_is_not_read(source):
     assert caught.value.kind == "beam"
 
 
+def test_what_was_said_before_the_last_command_is_no_lost_beam(source):
+    """The axes and the pointer may be heard later by the instrument than by the procedure, and one before the other."""
+    hold(source, 0, 500 * MS, 0.1)
+    source.expect(600 * MS)
+    for stamp in (1100 * MS, 1600 * MS):
+        source.add_pose(stamp, np.array([0.1, 0.2, 0.0]))
+    with pytest.raises(NotYet, match="pointer has not answered") as caught:
+        source.window(0.1)
+    assert caught.value.kind == "other"
+    along = np.array([0.45, 0.2, 0.0]) / np.hypot(0.45, 0.2)
+    beam = Beam(np.array([-0.35, 0.0, 0.0]), along)
+    source.set_beam(700 * MS, "A", 0, beam)
+    assert source.window(0.1).path == pytest.approx(np.hypot(0.45, 0.2), abs=2e-6)
+    source.expect(1700 * MS)
+    source.set_beam(1800 * MS, "A", 0, Beam(beam.origin, np.array([1.0, 0.0, 0.0])))
+    with pytest.raises(NotYet, match="since their last command") as caught:
+        source.window(0.1)
+    assert caught.value.kind == "other"
+    assert source.lost() == ""
+
+
 def test_moving_the_instrument_to_another_setup_loses_the_count(source):
     assert source.lost() == ""
     source.set_beam(1, "B", 1, Beam(np.zeros(3), np.array([1.0, 0.0, 0.0])))

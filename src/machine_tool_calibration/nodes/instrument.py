@@ -231,13 +231,16 @@ class Instrument(Node):
         if not self._simulated.optics.aims:
             return
         place, setup = message.pose.position, message.header.frame_id
+        if self._simulated.setup and not setup:
+            return  # a pointer that has just started again: the instrument stands where it stood
         direction = rotation_of(message.pose.orientation)[:, 0]
         beam = Beam(np.array([place.x, place.y, place.z]), direction)
         self._simulated.set_beam(from_message(message.header.stamp), setup, self._index(setup), beam)
         self._moved()
 
     def _commanded(self, message: PointStamped) -> None:
-        """An instrument whose beam is fixed learns from the pointer's command at which setup it stands."""
+        """Axes and pointer move; an instrument whose beam is fixed learns from it at which setup it stands."""
+        self._simulated.expect(from_message(message.header.stamp))
         if self._simulated.optics.aims:
             return
         setup = message.header.frame_id
@@ -283,6 +286,8 @@ class Instrument(Node):
         problem = self.source.problem()
         if problem:
             raise NotYet("other", problem)
+        if self._simulated is not None:
+            self._simulated.need_answers()
         return self._recent.window(self._averaging, self._tolerance)
 
     def _refuse_or_wait(self, request: _Request, reason: NotYet) -> None:

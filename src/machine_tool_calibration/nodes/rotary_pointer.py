@@ -85,15 +85,22 @@ class RotaryPointer(Node):
         except CalibrationError as error:
             self.get_logger().error(str(error))
             return
+        if self._setup not in self._ids():
+            self._setup = ""  # it belonged to another session
         waiting, self._waiting = self._waiting, None
         if waiting is not None:
             self._commanded(waiting)
 
+    def _ids(self) -> list[str]:
+        """The setups between which the pointer is carried; none where the instrument of the method is fixed."""
+        setups = self._session.setups if self._session is not None else ()
+        return [setup.id for setup in setups if isinstance(setup, StationSetup)]
+
     def _commanded(self, message: PointStamped) -> None:
         setup = message.header.frame_id
-        if self._session is not None and not isinstance(self._session.setups[0], StationSetup):
-            return  # the instrument of this method is fixed
-        ids = [entry.id for entry in self._session.setups] if self._session is not None else []
+        ids = self._ids()
+        if self._session is not None and not ids:
+            return
         if setup not in ids:  # the session that describes it may be under way
             self._waiting = message
             if self._session is not None:
@@ -141,7 +148,7 @@ class RotaryPointer(Node):
         """The true beam; from the machine's zero as long as no setup has been commanded."""
         if self._session is None or not self._setup:
             return self.site.beam(np.zeros(3), azimuth, elevation, Moment(0.0, {}, {}))
-        index = [entry.id for entry in self._session.setups].index(self._setup)
+        index = self._ids().index(self._setup)
         moment = Moment(
             time=seconds(stamp - self._origin),
             position={},

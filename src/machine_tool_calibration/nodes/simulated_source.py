@@ -59,7 +59,7 @@ class SimulatedSource:
         self._sample_noise, self._radius = sample_noise, beam_radius
         self._poses: deque[Pose] = deque(maxlen=keep)
         self._beam: Beam | None = None
-        self._beam_stamp = self._setup_start = 0
+        self._beam_stamp = self._due = self._setup_start = 0
         self._beside_since: int | None = None
         self._random = np.random.default_rng([site.spec.seed, 31, seed])
         self._air = 0.0
@@ -97,6 +97,10 @@ class SimulatedSource:
         self.set_setup(stamp, setup, index)
         self._beam = beam
 
+    def expect(self, stamp: int) -> None:
+        """Axes and pointer were commanded: what they said before says nothing about where they are now."""
+        self._due = stamp
+
     # --- geometry
 
     def _moment(self, time: int) -> Moment:
@@ -131,11 +135,20 @@ class SimulatedSource:
         path = float(paths[middle])
         return paths + self.site.added(moment, path, look.direction, look.azimuth, self.first, look.incidence)
 
-    def _need_aim(self) -> None:
+    def need_answers(self) -> None:
+        """Refuse a reading as long as it is not known where the target and the beam are.
+
+        Raises:
+            NotYet: nothing has come yet, or nothing since the last command.
+        """
         if self.optics.aims and self._beam is None:
             raise NotYet("other", "no beam: the rotary pointer has not pointed anywhere yet")
-        if not self.setup:
-            raise NotYet("other", "it is not known at which setup the instrument stands")
+        if not self._poses:
+            raise NotYet("other", "the axes have not said where they are")
+        if self.optics.aims and self._beam_stamp < self._due:
+            raise NotYet("other", "the rotary pointer has not answered its last command")
+        if self._poses[-1].stamp < self._due:
+            raise NotYet("other", "the axes have not said where they are since their last command")
 
     def _beside(self, pose: Pose) -> float:
         return self.optics.beside(self._target(pose), self._beam)
@@ -149,9 +162,9 @@ class SimulatedSource:
             NotYet: the axes or the beam are not where a reading is possible.
         """
         self._check_blocked()
-        self._need_aim()
-        if not self._poses:
-            raise NotYet("other", "the axes have not said where they are")
+        self.need_answers()
+        if not self.setup:
+            raise NotYet("other", "it is not known at which setup the instrument stands")
         last = self._poses[-1]
         end, start = last.stamp, last.stamp - nanoseconds(length)
         before = self._poses[-2] if len(self._poses) > 1 else Pose(start, last.place, last.rotation)
