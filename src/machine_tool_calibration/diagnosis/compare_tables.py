@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
-from machine_tool_calibration.diagnosis.comparison import Comparison, Share
+from machine_tool_calibration.diagnosis.compare_figures import chance, expanded, untold
+from machine_tool_calibration.diagnosis.compare_trends import trends_table
+from machine_tool_calibration.diagnosis.comparison import Approach, Comparison, Share
+from machine_tool_calibration.diagnosis.quantities import micrometres, quantity
 from machine_tool_calibration.diagnosis.report import TextTable
 
 __all__ = ["comparison_tables"]
 
 _MICRO = 1e6
-_MOST_PARTS, _MOST_LABELS, _MOST_TRENDS = 12, 5, 8
+_MOST_PARTS, _MOST_LABELS = 12, 5
 _HOUR = 3600.0
+_HEADS = "× declared: scatter over the declared uncertainty; of all misfit: share of the sum of squares"
 # Names and factors of positions for people.
 _UNITS = {"x": ("mm", 1e3), "y": ("mm", 1e3), "z": ("mm", 1e3), "c": ("deg", 180.0 / math.pi)}
 
@@ -20,7 +25,8 @@ _UNITS = {"x": ("mm", 1e3), "y": ("mm", 1e3), "z": ("mm", 1e3), "c": ("deg", 180
 def comparison_tables(comparison: Comparison) -> Iterator[TextTable]:
     """Where the model fails: the whole, setups, regions, approaches, trends, single readings."""
     yield _overall(comparison)
-    yield _parts("Setups, worst first", "setup", comparison.setups, _MOST_PARTS)
+    setups = _parts("Setups, worst first", "setup", comparison.setups, _MOST_PARTS)
+    yield replace(setups, note=f"{_HEADS}; {setups.note}".removesuffix("; "))
     if len(comparison.runs) > len(comparison.setups):
         yield _parts("Repeats, worst first", "setup and repeat", comparison.runs, _MOST_LABELS)
     for name, shares in comparison.labels.items():
@@ -31,7 +37,7 @@ def comparison_tables(comparison: Comparison) -> Iterator[TextTable]:
     if comparison.approaches:
         yield _approaches(comparison)
     if comparison.trends:
-        yield _trends(comparison)
+        yield trends_table(comparison)
     yield _worst(comparison)
 
 
@@ -39,15 +45,22 @@ def _overall(comparison: Comparison) -> TextTable:
     overall = comparison.overall
     repeats = overall.noise.from_repeats
     rows = [
-        ("RMS of measured − predicted", f"{_MICRO * overall.rms:.3g} µm"),
-        ("declared standard uncertainty", f"{_MICRO * overall.noise.declared:.3g} µm"),
-        ("scatter of repeated readings", "–" if repeats is None else f"{_MICRO * repeats:.3g} µm"),
-        ("reduced chi-square", f"{overall.reduced_chi_square:.3g}, {overall.degrees_of_freedom} degrees of freedom"),
-        ("chance of so much, if the model is right", _chance(overall.p_value)),
+        ("measured − predicted, RMS", quantity(overall.rms, "m")),
+        ("declared standard uncertainty of a reading", quantity(overall.noise.declared, "m")),
+        (
+            "scatter of readings repeated at one place",
+            "not repeated often enough to tell" if repeats is None else quantity(repeats, "m"),
+        ),
+        (
+            "reduced chi-square (1 if the model and the declared uncertainty are right)",
+            f"{overall.reduced_chi_square:.3g}, {overall.degrees_of_freedom} degrees of freedom",
+        ),
+        ("chance of so large a scatter, if the model is right", chance(overall.p_value)),
     ]
     if overall.noise.lack_of_fit_p is not None:
-        rows.append(("chance that places differ so much more than repeats", _chance(overall.noise.lack_of_fit_p)))
-    return TextTable(f"{overall.readings} readings", ("", ""), tuple(rows))
+        rows.append(("chance that places differ so much more than repeats do", chance(overall.noise.lack_of_fit_p)))
+    note = "every ± below is an expanded uncertainty (k = 2)"
+    return TextTable(f"All {overall.readings} readings", ("", ""), tuple(rows), note)
 
 
 def _parts(title: str, head: str, shares: Sequence[Share], most: int) -> TextTable:
@@ -55,29 +68,29 @@ def _parts(title: str, head: str, shares: Sequence[Share], most: int) -> TextTab
         (
             share.name,
             str(share.readings),
-            f"{_MICRO * share.rms:.3g}",
+            micrometres(share.rms),
             _times(share),
             f"{share.share:.0%}",
-            _with(share.mean, share.mean_u, _MICRO),
-            _with(share.slope, share.slope_u, _MICRO * _HOUR),
+            expanded(share.mean, share.mean_u, _MICRO),
+            expanded(share.slope, share.slope_u, _MICRO * _HOUR),
             "" if share.worst_row is None else str(share.worst_row),
         )
         for share in shares[:most]
     )
-    columns = (head, "readings", "RMS/µm", "× declared", "of all squares", "mean/µm", "slope/(µm/h)", "worst row")
-    note = "± is the expanded uncertainty (k = 2); a dash: the model's own unknowns take it up"
+    columns = (head, "readings", "RMS / µm", "× declared", "of all misfit", "mean / µm", "drift / (µm/h)", "worst row")
+    shown, note = untold(columns, rows, (5, 6))
     if len(shares) > most:
-        note = f"{len(shares) - most} more; {note}"
-    return TextTable(title, columns, rows, note)
+        note = f"{len(shares) - most} more; {note}".removesuffix("; ")
+    return TextTable(title, columns, shown, note)
 
 
 def _labels(name: str, shares: Sequence[Share]) -> TextTable:
     rows = tuple(
-        (s.name, str(s.readings), f"{_MICRO * s.rms:.3g}", _times(s), f"{s.share:.0%}", str(s.worst_row))
+        (s.name, str(s.readings), micrometres(s.rms), _times(s), f"{s.share:.0%}", str(s.worst_row))
         for s in shares[:_MOST_LABELS]
     )
     more = f"{len(shares) - _MOST_LABELS} more" if len(shares) > _MOST_LABELS else ""
-    columns = (name, "readings", "RMS/µm", "× declared", "of all squares", "worst row")
+    columns = (name, "readings", "RMS / µm", "× declared", "of all misfit", "worst row")
     return TextTable(f"By {name}, worst first", columns, rows, more)
 
 
@@ -96,13 +109,14 @@ def _regions(comparison: Comparison) -> TextTable:
                     axis,
                     f"{where} {unit}",
                     str(share.readings),
-                    f"{_MICRO * share.rms:.3g}",
+                    micrometres(share.rms),
                     _times(share),
-                    _with(share.mean, share.mean_u, _MICRO),
+                    expanded(share.mean, share.mean_u, _MICRO),
                 )
             )
-    columns = ("axis", "position", "readings", "RMS/µm", "× declared", "mean/µm")
-    return TextTable("Regions of each axis, the three worst", columns, tuple(rows))
+    columns = ("axis", "position", "readings", "RMS / µm", "× declared", "mean / µm")
+    shown, note = untold(columns, tuple(rows), (5,))
+    return TextTable("Regions of each axis, the three worst", columns, shown, note)
 
 
 def _approaches(comparison: Comparison) -> TextTable:
@@ -110,31 +124,24 @@ def _approaches(comparison: Comparison) -> TextTable:
         (
             a.axis,
             f"{a.forward} / {a.backward}",
-            _with(a.difference, a.difference_u, _MICRO),
-            _with(a.displacement, a.displacement_u, _MICRO) + (" µrad" if a.axis == "c" and a.displacement else ""),
-            _chance(a.p_value),
+            expanded(a.difference, a.difference_u, _MICRO),
+            _apart(a),
+            chance(a.p_value),
         )
         for a in comparison.approaches
     )
-    columns = ("axis", "readings + / −", "mean after + minus after −/µm", "as a displacement of the axis/µm", "p")
-    return TextTable("Direction of approach", columns, rows)
+    columns = ("axis", "readings after + / −", "residual after + minus after − / µm", "axis stands apart by", "chance")
+    shown, note = untold(columns, rows, (2, 3))
+    note = (
+        "axis stands apart by: what the two directions would have to differ by on the axis (a backlash of half width b "
+        f"gives −2 b); chance: that noise alone makes so much; {note}"
+    ).removesuffix("; ")
+    return TextTable("Direction of approach", columns, shown, note)
 
 
-def _trends(comparison: Comparison) -> TextTable:
-    rows = tuple(
-        (
-            t.covariate,
-            _with(t.slope, t.slope_u, _MICRO * t.span),
-            _with(t.added, t.added_u, _MICRO * t.span),
-            _chance(t.p_value),
-        )
-        for t in comparison.trends[:_MOST_TRENDS]
-    )
-    columns = ("over", "change of the residuals over its range/µm", "the same, if added to the model/µm", "p")
-    tried = len(comparison.trends)
-    chance = 1 / (tried + 1)
-    note = f"{tried} tried: by chance alone the smallest p is about {chance:.1g}; `mtcal diagnose` allows for that"
-    return TextTable("Straight lines over time, temperature and other covariates", columns, rows, note)
+def _apart(approach: Approach) -> str:
+    text = expanded(approach.displacement, approach.displacement_u, _MICRO)
+    return text if approach.displacement is None else f"{text} {'µrad' if approach.axis == 'c' else 'µm'}"
 
 
 def _worst(comparison: Comparison) -> TextTable:
@@ -147,31 +154,18 @@ def _worst(comparison: Comparison) -> TextTable:
             ids[readings.setup[k]],
             str(readings.repeat[k]),
             *(str(readings.labels[name][k]) for name in labels),
-            f"{_MICRO * comparison.residual[k]:+.3g}",
-            f"{comparison.studentized[k]:+.2f}",
+            f"{_MICRO * comparison.residual[k]:+.2f}",
+            f"{comparison.studentized[k]:+.1f}",
         )
         for k in comparison.worst[:_MOST_LABELS]
     )
-    columns = ("row", "setup", "repeat", *labels, "residual/µm", "studentized")
-    return TextTable("Single readings, worst first (rows count from 0)", columns, rows)
+    columns = ("row", "setup", "repeat", *labels, "residual / µm", "× expected")
+    note = (
+        "× expected: over the scatter that the declared uncertainty lets this residual have; row 0 is the second line "
+        "of observations.csv"
+    )
+    return TextTable("Single readings, worst first", columns, rows, note)
 
 
 def _times(share: Share) -> str:
     return "–" if share.reduced_chi_square is None else f"{share.reduced_chi_square**0.5:.2f}"
-
-
-def _with(value: float | None, uncertainty: float | None, factor: float) -> str:
-    """A value with its expanded uncertainty (k = 2)."""
-    if value is None or uncertainty is None:
-        return "–"
-    expanded = 2 * factor * uncertainty
-    places = 1 - math.floor(math.log10(expanded)) if expanded > 0 else 3
-    if not 0 <= places <= 6:
-        return f"{factor * value:+.2g} ± {expanded:.2g}"
-    return f"{factor * value:+.{places}f} ± {expanded:.{places}f}"
-
-
-def _chance(p: float | None) -> str:
-    if p is None:
-        return "–"
-    return f"{p:.2g}" if p >= 1e-4 else "< 0.0001"

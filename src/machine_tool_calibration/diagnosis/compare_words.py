@@ -30,7 +30,8 @@ def in_words(comparison: Comparison) -> str:
     else:
         first = f"the readings scatter {_ratio(ratio)} times the declared uncertainty; {_where(comparison)}"
     apart = _stand_out(comparison)
-    return f"{first}.{apart} {_repeats(overall, bool(apart))}"
+    cause = " What the cause is, `mtcal diagnose` says." if p < _LEVEL else ""
+    return f"{first}.{apart} {_repeats(overall, bool(apart))}{cause}"
 
 
 def _where(comparison: Comparison) -> str:
@@ -42,7 +43,7 @@ def _where(comparison: Comparison) -> str:
     if worst.reduced_chi_square < _WORSE**2 * comparison.overall.reduced_chi_square:
         return "all setups alike"
     times = worst.reduced_chi_square**0.5
-    return f"worst is setup {worst.name} ({_ratio(times)} times, {worst.share:.0%} of the sum of squares)"
+    return f"worst is setup {worst.name} ({_ratio(times)} times, {worst.share:.0%} of all misfit)"
 
 
 def _repeats(overall: Overall, apart: bool) -> str:
