@@ -95,8 +95,10 @@ def test_the_loop_live_gives_the_documents_of_the_command_line_to_the_last_bit(b
     improved = json.loads(operator.call("estimator/improve", PATIENCE))
     assert improved["effects"] == ["backlash_y"] and improved["rms_after"] < 0.5 * improved["rms_before"]
     assert operator.wait(lambda: bool(operator.document), PATIENCE)
-    with_effect = printed("identify", folder, "--effect", "backlash_y")
-    assert json.loads(operator.document) == with_effect
+    way = json.loads(Heard(operator, improvement__result=String)["improvement__result"].data)
+    assert way == printed("improve", folder, "--no-history", "-o", bench.folder / "improve")
+    assert [step["effects"] for step in way["steps"]] == [[], ["backlash_y"]]
+    assert json.loads(operator.document) == way["result"]
     # the effect stays in the model
     found = ask(operator, GetParameters, "estimator/get_parameters", GetParameters.Request(names=["effects"]))
     assert list(parameter_value_to_python(found.values[0])) == ["backlash_y"]

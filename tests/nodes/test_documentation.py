@@ -135,7 +135,7 @@ def test_topics_services_and_contents_are_those_of_the_running_nodes(bench, fini
     heard = hear(operator)
     finish(operator)
     collected(operator, 128)
-    for service in ("identify", "compare", "diagnose"):
+    for service in ("compare", "improve"):
         operator.call(f"estimator/{service}", PATIENCE)
     node = operator._node
     wanted = {f"/{name.strip('/')}" for name in rows()}

@@ -106,8 +106,8 @@ def test_a_recording_in_simulated_time_holds_everything_at_its_time(bench, finis
     operator = bench.operator(graph)
     finish(operator)
     collected(operator, 128)
-    for service in ("identify", "compare", "diagnose"):
-        operator.call(f"estimator/{service}", PATIENCE)
+    operator.call("estimator/compare", PATIENCE)
+    improved = json.loads(operator.call("estimator/improve", PATIENCE))
     assert operator.wait(lambda: bool(operator.document), PATIENCE)
     graph.stop(["recorder"])  # which takes what has come
     bag = BagReader(bench.folder / "bag1")
@@ -124,7 +124,8 @@ def test_a_recording_in_simulated_time_holds_everything_at_its_time(bench, finis
     late = np.array([(logged - stamp) * 1e-9 for logged, stamp in stamped])
     assert len(late) == 128 and np.median(late) == pytest.approx(0.05, abs=1e-6)
     session = session_from_bag(bench.folder / "bag1")
-    assert identify(session).document() == json.loads(operator.document)
+    assert "backlash_x" in improved["effects"]
+    assert identify(session, effects=improved["effects"]).document() == json.loads(operator.document)
 
 
 def test_two_graphs_in_one_domain(bench, finish):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -53,6 +53,7 @@ def command(
     mtcal improve measurements/cube --effect backlash_y
     """
     from machine_tool_calibration.methods.improve import entries, improve
+    from machine_tool_calibration.methods.improve_document import improvement_document
     from machine_tool_calibration.plots.improve import save_improvement
     from machine_tool_calibration.session.history_file import fingerprint, history_path, read_history, update_history
     from machine_tool_calibration.session.open import open_measurement
@@ -67,7 +68,7 @@ def command(
             session, model=model, effects=effects, own=own_effects(files), seed=seed, sets=sets, progress=progress
         )
     if as_json:
-        write_json(_document(done))
+        write_json(improvement_document(done))
     else:
         show_improvement(done)
     if history:
@@ -162,33 +163,3 @@ def _side_by_side(first: Step, last: Step) -> TextTable:
 
 def _chi(step: Step) -> str:
     return "–" if step.reduced_chi_square is None else f"{step.reduced_chi_square:.2f}"
-
-
-def _document(done: Improvement) -> dict[str, Any]:
-    """SI units; NaN becomes null."""
-    return {
-        "format": "mtcal-improvement/1",
-        "verdict": done.diagnosis.verdict,
-        "accepted": done.diagnosis.accepted,
-        "set_aside": done.steps[-1].set_aside,
-        "steps": [
-            {
-                "change": step.change,
-                "effects": step.result.effects,
-                "readings": len(step.result.fit.model.observations),
-                "rms_residual": step.result.rms_residual,
-                "reduced_chi_square": step.reduced_chi_square,
-                "p_value": step.result.fit.joint.p_value,
-                "map_rms": step.map_rms,
-                "map_change_rms": step.map_change,
-                "map_uncertainty_rms": step.map_uncertainty,
-                "left_at_tool_rms": step.left_at_tool,
-                "parameters": [
-                    {"name": p.name, "value": p.value, "standard_uncertainty": p.standard_uncertainty, "unit": p.unit}
-                    for p in step.parameters
-                ],
-            }
-            for step in done.steps
-        ],
-        "result": done.steps[-1].result.document(),
-    }

@@ -17,6 +17,7 @@ from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.effects.formula import read_effects
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.improve import Improvement, improve
+from machine_tool_calibration.methods.improve_document import improvement_document
 from machine_tool_calibration.model.result import Result, plain
 from machine_tool_calibration.nodes.background import Progress
 from machine_tool_calibration.planning.advice import Advice
@@ -111,11 +112,15 @@ class Diagnosed:
 
 @dataclass(frozen=True)
 class Improved:
-    """The models from the first to the last, the diagnosis behind them, and the map of the last."""
+    """The models from the first to the last, the diagnosis behind them, and the map of the last.
+
+    With the document `mtcal-improvement/1` as JSON.
+    """
 
     steps: Improvement
     diagnosed: Diagnosed
     identified: Identified
+    document: str
 
 
 def identified(request: Request, progress: Progress) -> Identified:
@@ -175,7 +180,12 @@ def improved(request: Request, progress: Progress) -> Improved:
         sets=request.sets,
         progress=lambda step, share: progress(step, SEARCH * share),
     )
-    return Improved(steps, _diagnosed(request, own, steps.diagnosis, progress), _identified(steps.steps[-1].result))
+    return Improved(
+        steps=steps,
+        diagnosed=_diagnosed(request, own, steps.diagnosis, progress),
+        identified=_identified(steps.steps[-1].result),
+        document=_json(improvement_document(steps)),
+    )
 
 
 def _identified(result: Result) -> Identified:

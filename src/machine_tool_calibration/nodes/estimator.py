@@ -223,8 +223,7 @@ class Estimator(Node):
         }
 
     def _improved(self, outcome: Improved) -> tuple[str, Mapping[str, Any]]:
-        self._results.show_diagnosis(outcome.diagnosed)
-        self._results.show_map(outcome.identified, self.get_parameter("magnification").value)
+        self._results.show_improvement(outcome, self.get_parameter("magnification").value)
         first, last = outcome.steps.steps[0], outcome.steps.steps[-1]
         effects = list(last.result.effects)
         self.set_parameters([Parameter("effects", Parameter.Type.STRING_ARRAY, effects or [""])])

@@ -11,7 +11,7 @@ from visualization_msgs.msg import MarkerArray
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.model.result import Result
-from machine_tool_calibration.nodes.calculation import Diagnosed, Identified
+from machine_tool_calibration.nodes.calculation import Diagnosed, Identified, Improved
 from machine_tool_calibration.nodes.clouds import cloud
 from machine_tool_calibration.nodes.map_views import arrows, axis_cloud
 from machine_tool_calibration.nodes.qos import LATCHED
@@ -34,6 +34,7 @@ class Publications:
         self._comparison = node.create_publisher(String, "comparison/result", LATCHED)
         self._diagnosis = node.create_publisher(DiagnosticArray, "diagnosis", LATCHED)
         self._diagnosis_result = node.create_publisher(String, "diagnosis/result", LATCHED)
+        self._improvement = node.create_publisher(String, "improvement/result", LATCHED)
 
     def show_map(self, identified: Identified, magnification: float) -> None:
         """Publish an error map in all its forms.
@@ -57,6 +58,17 @@ class Publications:
         """Publish the verdict and the candidates, and the document."""
         self._diagnosis.publish(verdict_message(now(self._node), diagnosed))
         self._diagnosis_result.publish(String(data=diagnosed.document))
+
+    def show_improvement(self, improved: Improved, magnification: float) -> None:
+        """Publish the way to a better model, the diagnosis behind it, and the last model's map.
+
+        Args:
+            improved: the models.
+            magnification: of the arrows; 0 for a round number.
+        """
+        self.show_diagnosis(improved.diagnosed)
+        self.show_map(improved.identified, magnification)
+        self._improvement.publish(String(data=improved.document))
 
 
 def _map_fields(result: Result) -> dict[str, Array]:

@@ -50,6 +50,7 @@ GRAPH_TOPICS = (
     GraphTopic("comparison/result", "std_msgs/msg/String", latched=True),
     GraphTopic("diagnosis", _STATUS, latched=True),
     GraphTopic("diagnosis/result", "std_msgs/msg/String", latched=True),
+    GraphTopic("improvement/result", "std_msgs/msg/String", latched=True),
     GraphTopic("estimator/status", _STATUS, latched=True),
 )
 """Subscribed from the start, so that a node that comes later loses nothing."""
@@ -66,6 +67,7 @@ _GROUPS = (
     "error_map",
     "comparison",
     "diagnosis",
+    "improvement",
 )
 
 
