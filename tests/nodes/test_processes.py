@@ -65,6 +65,33 @@ def _is_alive(process):
         return False
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("program", ["-m", "/usr/bin/mtcal-axis-simulator"])
+def test_stopped_while_it_is_still_importing_it_ends_quietly(number, program):
+    code = (
+        f"import sys, time; sys.argv = [{program!r}]; import machine_tool_calibration.nodes;"
+        f"print('importing', flush=True); time.sleep({PATIENCE})"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        # a shell has its background jobs ignore Ctrl-C, and they pass that on
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    ) as process:
+        assert process.stdout.readline() == "importing\n"
+        process.send_signal(number)
+        assert process.communicate(timeout=PATIENCE) == ("", "")
+        assert process.returncode == 0
+
+
+def test_other_programs_keep_their_signals():
+    code = "import signal; n = signal.SIGINT; h = signal.getsignal(n); import machine_tool_calibration.nodes;"
+    code += "assert signal.getsignal(n) is h"
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=PATIENCE)
+
+
 WRONG = [
     ("procedure", {}, "the parameter procedure must name a procedure's YAML file"),
     ("procedure", {"procedure": "/nowhere.yaml"}, "/nowhere.yaml: cannot be read: No such file or directory"),
