@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.experimental import EventsExecutor
 from sensor_msgs.msg import JointState, PointCloud2
@@ -22,8 +23,8 @@ from machine_tool_calibration.nodes.status import values
 __all__ = ["Operator", "Status"]
 
 _SPIN = 0.05  # s
-# A server may hear of a client later than the client of the server, and drops its answer then.
-_SETTLE = 0.5  # s
+# Of a server that is heard without a status: it may hear of a client later than the client of it, and drops its answer.
+_SETTLE = 3.0  # s
 _SERVICES = (
     *(f"procedure/{name}" for name in ("start", "pause", "resume", "abort")),
     *(f"estimator/{name}" for name in ("identify", "compare", "diagnose", "improve")),
@@ -67,6 +68,7 @@ class Operator:
         self.readings: list[JointState] = []
         self.document = ""
         self.error_map: PointCloud2 | None = None
+        self._others: set[str] = set()
         # Before the subscriptions: nodes hear of both in this order, so one whose status came knows the clients.
         self._clients = {name: self._node.create_client(Trigger, name) for name in _SERVICES}
         for topic, kind, keep, qos in (
@@ -118,8 +120,24 @@ class Operator:
         return (name, space) in self._node.get_node_names_and_namespaces()
 
     def _has_heard(self, service: str) -> bool:
-        """Whether a status of the service's node has come."""
-        return bool((self.procedure if service.startswith("procedure/") else self.estimator).entries)
+        """Whether a status of the service's node has come, which then knows the clients that were made before."""
+        name = service.partition("/")[0]
+        if name == "procedure":
+            return bool(self.procedure.entries)
+        if name == "estimator":
+            return bool(self.estimator.entries)
+        return name in self._others
+
+    def _client(self, service: str) -> Client:
+        """The client of a service, made with what tells when its server knows it."""
+        if service not in self._clients:
+            self._clients[service] = self._node.create_client(Trigger, service)
+            name = service.partition("/")[0]
+            self._others.discard(name)  # what was heard before says nothing about this client
+            self._node.create_subscription(
+                DiagnosticArray, f"{name}/status", lambda _, name=name: self._others.add(name), LATCHED
+            )
+        return self._clients[service]
 
     def call(self, service: str, timeout: float) -> str:
         """Call a `std_srvs/Trigger` and give its message.
@@ -127,16 +145,10 @@ class Operator:
         Raises:
             CalibrationError: the service is missing, refuses, or does not answer in time.
         """
-        client = self._clients.get(service)
-        known = (
-            client is not None and (service not in _SERVICES or self._has_heard(service)) and client.service_is_ready()
-        )
-        if client is None:
-            client = self._clients[service] = self._node.create_client(Trigger, service)
+        client = self._client(service)
         if not self.wait(client.service_is_ready, timeout):
             raise CalibrationError(f"the service {service} is not there after {timeout:g} s")
-        if not known:
-            self.wait(lambda: False, _SETTLE)
+        self.wait(lambda: self._has_heard(service), min(_SETTLE, timeout))
         future = client.call_async(Trigger.Request())
         if not self.wait(future.done, timeout):
             raise CalibrationError(f"the service {service} did not answer within {timeout:g} s")

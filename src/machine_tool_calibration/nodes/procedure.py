@@ -150,14 +150,16 @@ class ProcedureNode(Node):
         self._session = self.create_publisher(String, "session", LATCHED)
         self._readings = self.create_publisher(JointState, "reading", READINGS)
         self._status = self.create_publisher(DiagnosticArray, "procedure/status", LATCHED)
+        # Before the subscription to its status: an instrument whose status came knows these clients, else it would drop
+        # its first answers.
+        self._datum = self.create_client(Trigger, "instrument/datum")
+        self._capture = self.create_client(Trigger, "instrument/capture")
         self._axes = self.create_publisher(JointTrajectory, "axes/joint_trajectory", COMMAND)
         self._pointer = self.create_publisher(PointStamped, "pointer/command", COMMAND)
         self.create_subscription(DiagnosticArray, "axes/status", self._axes_status, STATE)
         self._joints = self.create_subscription(JointState, "joint_states", self._joint_states, STATE)
         self.create_subscription(JointState, "pointer/state", self._pointer_state, STATE)
         self.create_subscription(DiagnosticArray, "instrument/status", self._instrument_status, LATCHED)
-        self._datum = self.create_client(Trigger, "instrument/datum")
-        self._capture = self.create_client(Trigger, "instrument/capture")
         for name, handler in (
             ("start", self._start),
             ("pause", self._pause),
