@@ -16,16 +16,16 @@ from machine_tool_calibration.plots.improve import draw_improvement, save_improv
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
 CASES = [
-    ("tracking_2d", FlawSpec(id="backlash_y", size=1.5e-6)),
-    ("rotary_axis_both_ways", FlawSpec(id="backlash_c", size=1.3e-5)),
-    ("step_diagonal", FlawSpec(id="dead_path", size=3.0)),
-    ("probing_cross", FlawSpec(id="probe_pretravel", amplitude=4e-6)),
-    ("iso230_2", FlawSpec(id="backlash_x", size=2e-6)),
+    ("tracking_2d", FlawSpec(id="backlash_y", size=1.5e-6), "direction of approach of y"),
+    ("rotary_axis_both_ways", FlawSpec(id="backlash_c", size=1.3e-5), "direction of approach of c"),
+    ("step_diagonal_three_orders", FlawSpec(id="dead_path", size=3.0), "air"),
+    ("probing_cross", FlawSpec(id="probe_pretravel", amplitude=4e-6), "direction of the surface's normal"),
+    ("iso230_2", FlawSpec(id="backlash_x", size=2e-6), "direction of approach of x"),
 ]
 
 
-@pytest.mark.parametrize(("plan", "flaw"), CASES)
-def test_every_method_has_its_pictures(plan: str, flaw: FlawSpec) -> None:
+@pytest.mark.parametrize(("plan", "flaw", "shows_over"), CASES)
+def test_every_method_has_its_pictures(plan: str, flaw: FlawSpec, shows_over: str) -> None:
     session = simulate(SimulationSpec(plan=PRESETS[plan], seed=7, effects=(flaw,))).session
     done = improve(session, sets=199)
     figure = draw_improvement(done)
@@ -43,6 +43,8 @@ def test_every_method_has_its_pictures(plan: str, flaw: FlawSpec) -> None:
     measured = np.concatenate([np.asarray(line.get_ydata()) for line in added.lines[:-1]])
     assert np.sort(measured) == pytest.approx(np.sort(1e6 * found.looks[0].fit.residuals))
     assert over.get_ylabel() == "residual, µm"
+    assert found.accepted == (flaw.id,)
+    assert shows_over in over.get_xlabel()
 
 
 def test_files(tmp_path: Path) -> None:

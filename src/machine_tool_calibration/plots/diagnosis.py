@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +11,7 @@ import pandas as pd
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.consequence import Consequence, before_and_after
-from machine_tool_calibration.diagnosis.covariates import covariates, telling
+from machine_tool_calibration.diagnosis.covariates import bins, covariates, telling
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.document import named_probability
 from machine_tool_calibration.plots.residuals import axis_label, color, grids
@@ -24,6 +24,7 @@ __all__ = ["candidate_table", "draw_diagnosis", "save_diagnosis"]
 
 _SHOWN = 10
 _LISTED = 8
+_MEANS = 16
 
 
 def draw_diagnosis(diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> Figure:
@@ -47,7 +48,8 @@ def _title(diagnosis: Diagnosis) -> str:
         "unexplained": "structure that no effect explains",
         "outliers": f"{len(diagnosis.outliers)} readings do not belong to the rest",
     }
-    return f"{diagnosis.session.method}, {len(diagnosis.session.readings)} readings: {what[diagnosis.verdict]}"
+    method = diagnosis.session.method.replace("_", " ")
+    return f"{method}, {len(diagnosis.session.readings)} readings: {what[diagnosis.verdict]}"
 
 
 def _ranking(panel: Axes, diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> None:
@@ -96,30 +98,55 @@ def _over(panel: Axes, diagnosis: Diagnosis) -> None:
     first, last = diagnosis.looks[0].fit, diagnosis.looks[len(diagnosis.accepted)].fit
     name, values = _covariate(diagnosis)
     label, factor = axis_label(name)
-    panel.plot(factor * values, 1e6 * first.residuals, ".", ms=4, color="tab:red", alpha=0.6, label="before")
+    shown = [("before", first, "tab:red")]
     if diagnosis.accepted:
-        after = f"with {', '.join(diagnosis.accepted)}"
-        panel.plot(factor * values, 1e6 * last.residuals, ".", ms=4, color="tab:green", alpha=0.7, label=after)
+        shown.append((f"with {', '.join(diagnosis.accepted)}", last, "tab:green"))
+    number = bins(values, _MEANS)
+    used = np.unique(number)
+    at = [factor * float(values[number == k].mean()) for k in used]
+    for text, fit, shade in shown:
+        panel.plot(factor * values, 1e6 * fit.residuals, ".", ms=4, color=shade, alpha=0.5, label=text)
+        mean = [1e6 * float(fit.residuals[number == k].mean()) for k in used]
+        panel.plot(at, mean, "o-", ms=3, lw=1.2, color=shade, mec="black", mew=0.5, zorder=5)
     band = 2e6 * diagnosis.noise.declared
     panel.axhspan(-band, band, color="0.92", zorder=0, label="declared uncertainty U (k = 2)")
     panel.set_xlabel(label)
     panel.set_ylabel("residual, µm")
-    panel.set_title("Residuals over what they follow most", fontsize=10)
+    what = "what the effect acts through" if diagnosis.accepted else "what they follow most"
+    panel.set_title(f"Residuals over {what} (lines: means)", fontsize=10)
     panel.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=3, frameon=False)
 
 
 def _covariate(diagnosis: Diagnosis) -> tuple[str, Array]:
-    """The covariate of the structure found first; else the one that what was taken out follows; else the order."""
+    """What the picture is drawn over.
+
+    The covariate, among those through which the first accepted effect acts, that what was taken out follows best;
+    without one, that of the structure found first; else the one that the residuals follow; else the order.
+    """
     first, last = diagnosis.looks[0], diagnosis.looks[len(diagnosis.accepted)].fit
     known = covariates(first.fit.model.observations)
+    known = {name: values for name, values in known.items() if np.isfinite(values).all()}
     if not diagnosis.accepted:
         for structure in first.structure:
-            if structure.covariate in known and np.isfinite(known[structure.covariate]).all():
+            if structure.covariate in known:
                 return structure.covariate, known[structure.covariate]
     what = first.fit.residuals - last.residuals if diagnosis.accepted else first.fit.residuals
-    best = telling(known, what)
-    name = best[0][0] if best else "order"
+    own = _acts_through(diagnosis, known)
+    best = telling({name: known[name] for name in own} if own else known, what)
+    name = best[0][0] if best else own[0] if own else "order"
     return name, known.get(name, np.arange(len(what), dtype=float))
+
+
+def _acts_through(diagnosis: Diagnosis, known: Iterable[str]) -> list[str]:
+    """Covariates through which the first accepted effect acts, as it states itself."""
+    first = diagnosis.accepted[0] if diagnosis.accepted else None
+    effect = next((r.candidate.effect for r in diagnosis.ranked if r.candidate.name == first), None)
+    if effect is None:
+        return []
+    stated = effect.covariates or effect.needs
+    # A direction of approach shows as the sign of the step along what the reading senses.
+    along = [name for name in known if name.split(" along ")[0] in stated and " along " in name]
+    return along or [name for name in known if name in stated]
 
 
 def candidate_table(diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> pd.DataFrame:

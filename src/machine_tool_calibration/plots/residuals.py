@@ -25,9 +25,7 @@ _ARROWS, _LENGTH = 700, 0.10
 _WIDE = 0.3
 
 
-def draw_residuals(
-    panel: Axes, name: str, values: Array, residual: Array, setup: IntArray, most: int = _BINS
-) -> None:
+def draw_residuals(panel: Axes, name: str, values: Array, residual: Array, setup: IntArray, most: int = _BINS) -> None:
     """Residuals against a covariate with their running mean and twice its standard uncertainty.
 
     Args:
@@ -101,15 +99,32 @@ def axis_label(name: str) -> tuple[str, float]:
     """Label of a covariate for people, and the factor from SI."""
     if name in ("x", "y", "z", "path", "displacement"):
         return f"{name}, mm", 1e3
-    if name in ("c", "azimuth", "elevation", "normal"):
-        return f"{name}, deg", 180.0 / np.pi
+    if name in ("azimuth", "elevation"):
+        return f"{name} of the beam, deg", 180.0 / np.pi
+    if name == "normal":
+        return "direction of the surface's normal, deg", 180.0 / np.pi
+    if name == "c":
+        return "c, deg", 180.0 / np.pi
+    if name == "order":
+        return "row, in the order of time", 1.0
     if name == "time":
         return "time, min", 1.0 / 60.0
     if name.startswith("temperature_"):
         return f"temperature, {name.removeprefix('temperature_')}, °C", 1.0
     if name == "air_pressure":
         return "air pressure, hPa", 1e-2
+    if name.startswith("dir_"):
+        return _approach_label(name)
     return name, 1.0
+
+
+def _approach_label(name: str) -> tuple[str, float]:
+    """Direction of approach: its sign, or times what the reading senses of the axis (C: per radian of turn)."""
+    axis = name[4:5]
+    sign = f"direction of approach of {axis}"
+    if " along " not in name:
+        return f"{sign} (+1, -1)", 1.0
+    return (f"{sign} × its arm, mm", 1e3) if axis == "c" else (f"{sign} × its share in a reading", 1.0)
 
 
 def planes(position: Array, direction: Array) -> list[tuple[int, int]]:
