@@ -95,7 +95,11 @@ class Bench:
             "estimator": {"use_sim_time": simulated_time},
             "recorder": {"use_sim_time": simulated_time, "folder": str(self.folder / f"bag{self.count}")},
         }
-        programs = [Program(name, {**parameters[name], **(more or {}).get(name, {})}) for name in names]
+        programs = [
+            # a recording that is cut off is none
+            Program(name, {**parameters[name], **(more or {}).get(name, {})}, PATIENCE if name == "recorder" else 2.0)
+            for name in names
+        ]
         return self.stack.enter_context(Graph(programs, self.folder / f"log{self.count}", self.domain, namespace))
 
     def operator(self, graph: Graph | None = None, namespace: str = "") -> Operator:
@@ -143,7 +147,8 @@ def ask(operator: Operator, kind: Any, service: str, request: Any) -> Any:
 
     An answer is lost where the server does not know its client yet.
     """
-    client = operator._node.create_client(kind, service)
+    client = operator._clients.get(service) or operator._node.create_client(kind, service)
+    operator._clients[service] = client  # the server may know it the next time
     assert operator.wait(client.service_is_ready, PATIENCE), service
     answered: list[Any] = []
 

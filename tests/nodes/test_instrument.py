@@ -8,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import Temperature
 from std_msgs.msg import Float64MultiArray
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.nodes.qos import SLOW, STATE
+from machine_tool_calibration.nodes.qos import LATCHED, SLOW, STATE
 
 from .conftest import PATIENCE, SITE
 
@@ -29,9 +30,21 @@ def test_ten_kilohertz_stream_is_recorded_without_loss(bench):
     noisy = {**SITE, "noise": 3e-7}
     graph = bench.graph(names, simulated_time=False, site=noisy, more={"instrument": {"sample_noise": 2e-8}})
     operator = bench.operator(graph)
+    told = []
+    operator._node.create_subscription(DiagnosticArray, "recorder/status", told.append, LATCHED)
+
+    def batches():
+        """How many the recorder has."""
+        topics = {status.name: status for status in told[-1].status} if told else {}
+        entries = topics["/instrument/displacement"].values if "/instrument/displacement" in topics else ()
+        return int({entry.key: entry.value for entry in entries}.get("messages", 0))
+
+    assert operator.wait(lambda: batches() > 0, PATIENCE)
     seen = []
     operator._node.create_subscription(Float64MultiArray, "instrument/displacement", seen.append, STATE)
     assert operator.wait(lambda: sum(len(rows(message)) for message in seen) > 40_000, PATIENCE)
+    count = len(seen)
+    assert operator.wait(lambda: batches() > count, PATIENCE)  # it has been listening for longer
     graph.stop(["recorder"])
     with AnyReader([Path(bench.folder, "bag1")]) as bag:
         chosen = [entry for entry in bag.connections if entry.topic == "/instrument/displacement"]

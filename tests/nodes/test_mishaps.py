@@ -1,6 +1,7 @@
 """Nodes that die, start late or start again, and beams that are interrupted, in the middle of a procedure."""
 
 import copy
+import re
 import signal
 
 import numpy as np
@@ -51,7 +52,7 @@ def test_a_partner_that_stays_dead_is_an_error_that_can_be_resumed(bench):
     reaches(operator, 30)
     graph.kill("rotary_pointer")
     assert operator.wait(lambda: operator.procedure.entries["state"] == "error", PATIENCE)
-    assert operator.procedure.message == "no answer from rotary pointer for 5 s"
+    assert re.fullmatch(r"no answer from rotary pointer for \d+ s", operator.procedure.message)
     graph.start("rotary_pointer")
 
     def goes_on():
@@ -81,14 +82,15 @@ def test_a_partner_that_starts_late_is_waited_for(bench):
 def test_a_hand_in_the_beam(bench):
     graph = bench.graph(procedure=LONG)
     operator = bench.operator(graph)
-    begin(operator)
-    reaches(operator, 100)
 
     def block(value):
         wanted = ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=value)
         request = SetParameters.Request(parameters=[Parameter(name="beam_blocked", value=wanted)])
         assert ask(operator, SetParameters, "instrument/set_parameters", request).results[0].successful
 
+    block(False)  # so that the node knows its client when there is no time to lose
+    begin(operator)
+    reaches(operator, 100)
     block(True)
     assert operator.wait(lambda: operator.procedure.entries["state"] == "error", PATIENCE)
     assert operator.procedure.message == "instrument: the beam is blocked"

@@ -23,7 +23,7 @@ DEADLINE = 60.0
 def main() -> None:
     namespace, batches, rate, samples = sys.argv[1], int(sys.argv[2]), float(sys.argv[3]), int(sys.argv[4])
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    stream_qos = QoSProfile(depth=100)
+    stream_qos = QoSProfile(depth=2000)  # as many as a busy machine may let wait for some seconds
     rclpy.init()
     node = rclpy.create_node("stream_publisher", namespace=namespace)
     node.create_publisher(String, "session", latched).publish(String(data="before the recorder"))

@@ -182,15 +182,26 @@ def test_a_wrong_request_is_one_line(tmp_path: Path, ros_domain: int) -> None:
             assert expected in errors
 
 
-def test_the_command_records_for_a_time(tmp_path: Path, ros_domain: int) -> None:
-    with publisher("/", 100_000, 100, 5) as sender:
-        expect(sender, "up")
-        words = ["-m", "machine_tool_calibration", "record", "-o", str(tmp_path / "b 'ag"), "--duration", "4", "--json"]
-        with program(*words) as process:
-            output, errors = process.communicate(timeout=PATIENCE)
-            assert process.returncode == 0, errors
+def command(folder: Path, *words: str):
+    return program("-m", "machine_tool_calibration", "record", "-o", str(folder), "--json", *words)
+
+
+def test_the_command_records_until_it_is_stopped(tmp_path: Path, ros_domain: int) -> None:
+    folder = tmp_path / "b 'ag"
+    with publisher("/", 200, 400, 5) as sender, command(folder) as process:
+        expect(sender, "sent")
+        process.send_signal(signal.SIGINT)
+        output, errors = process.communicate(timeout=PATIENCE)
+        assert process.returncode == 0, errors
     document = json.loads(output)
     assert document["format"] == "mtcal-recording/1"
     assert document["lost"] == 0
-    assert document["messages"] == BagReader(tmp_path / "b 'ag").messages_in_all > 0
+    assert document["messages"] == BagReader(folder).messages_in_all == 421  # 200 twice, 20 and the description
     assert "/session" in {topic["name"] for topic in document["topics"]}
+
+
+def test_the_command_records_for_a_time(tmp_path: Path, ros_domain: int) -> None:
+    with command(tmp_path / "bag", "--duration", "0.5") as process:
+        output, errors = process.communicate(timeout=PATIENCE)
+        assert process.returncode == 0, errors
+    assert json.loads(output)["messages"] == BagReader(tmp_path / "bag").messages_in_all

@@ -64,15 +64,15 @@ def command(
     for name, value in parameters.items():
         arguments += ["-p", f"{name}:={value}"]
     made: list[Recorder] = []
+    timer = threading.Timer(duration, os.kill, (os.getpid(), signal.SIGINT)) if duration else None
 
     def create() -> Recorder:
         made.append(Recorder())
+        if timer is not None:  # the time counts from when it listens
+            timer.daemon = True
+            timer.start()
         return made[0]
 
-    timer = threading.Timer(duration, os.kill, (os.getpid(), signal.SIGINT)) if duration else None
-    if timer is not None:
-        timer.daemon = True
-        timer.start()
     status = run(create, arguments)
     if timer is not None:
         timer.cancel()

@@ -29,9 +29,11 @@ from machine_tool_calibration.session.writer import write_session
 __all__ = ["NODES", "UNNEEDED", "Measured", "Progress", "Setting", "free_folder", "measure", "site_document"]
 
 NODES = ("axis_simulator", "rotary_pointer", "instrument", "probe", "estimator", "procedure", "recorder")
-_START = 60.0  # s until all nodes have found each other, on a slow machine
+_START = 120.0  # s until all nodes have found each other, on a slow machine
 _IDENTIFY = 600.0
-_COLLECT = 10.0
+# what takes no time, on a machine that has none: reached only in a failure
+_COLLECT = 60.0
+_CLOSE = 40.0  # longer than the recorder gives itself to close its file
 
 UNNEEDED = {
     "probing": ("rotary_pointer", "instrument"),
@@ -222,7 +224,7 @@ def _programs(setting: Setting, procedure: Path, site: Path, method: str) -> lis
     if not setting.identify:
         left_out.add("estimator")
     return [
-        Program(name, parameters[name], grace=30.0 if name == "recorder" else 2.0)
+        Program(name, parameters[name], grace=_CLOSE if name == "recorder" else 2.0)
         for name in ("recorder", *(name for name in nodes if name != "recorder"))
         if name not in left_out and importlib.util.find_spec(f"machine_tool_calibration.nodes.{name}") is not None
     ]

@@ -27,7 +27,7 @@ from machine_tool_calibration.instruments.touch import Limits, NominalTouch, Par
 from machine_tool_calibration.nodes.deferred import Answer, DeferredService
 from machine_tool_calibration.nodes.environment import TOPICS
 from machine_tool_calibration.nodes.parameters import declare
-from machine_tool_calibration.nodes.process import run
+from machine_tool_calibration.nodes.process import STOP_GRACE, run
 from machine_tool_calibration.nodes.qos import COMMAND, LATCHED, SLOW, STATE
 from machine_tool_calibration.nodes.simulated_part import Pretravel, SimulatedPart
 from machine_tool_calibration.nodes.site import Site, read_site
@@ -385,7 +385,7 @@ class Probe(Node):
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    return run(Probe, args)
+    return run(Probe, args, grace=STOP_GRACE)
 
 
 if __name__ == "__main__":

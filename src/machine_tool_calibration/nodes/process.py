@@ -25,6 +25,7 @@ from machine_tool_calibration.errors import CalibrationError
 __all__ = ["STOP_GRACE", "default_environment", "post", "run", "use_sim_time"]
 
 STOP_GRACE = 1.8  # s: nodes that have nothing to save end within 2 s, whatever happens
+_SAVE_GRACE = 30.0  # s: others may have a disk to wait for
 _STOPS = {signal.SIGINT, signal.SIGTERM}
 _TICK = 0.1  # s
 
@@ -43,7 +44,7 @@ def default_environment() -> None:
             os.environ["ROS_LOG_DIR"] = str(Path(tempfile.gettempdir(), f"ros-log-{os.getuid()}"))
 
 
-def run(create: Callable[[], Node], args: list[str] | None = None, *, grace: float = 10.0) -> int:
+def run(create: Callable[[], Node], args: list[str] | None = None, *, grace: float = _SAVE_GRACE) -> int:
     """Run a node until SIGINT, SIGTERM or an external shutdown.
 
     A node may have a method `close()`, which is called before it is destroyed, and an attribute `done`, which ends it
