@@ -44,7 +44,14 @@ def test_people_read_the_verdict_first(hidden: str, capsys: pytest.CaptureFixtur
     assert run(["diagnose", hidden, *SETS]) == 0
     out = capsys.readouterr().out
     assert out.splitlines()[0] == "The model lacks backlash of Y (backlash_y)."
-    for title in ("Effects looked for", "Look-alikes", "Smallest size", "not looked for", "taken up by"):
+    for title in (
+        "Effects looked for",
+        "Look-alikes",
+        "Smallest size",
+        "not looked for",
+        "the map holds already",
+        "taken for",
+    ):
         assert title in out
     assert max(map(len, out.splitlines())) <= 120
     assert "\x1b" not in out

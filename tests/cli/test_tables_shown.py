@@ -35,5 +35,16 @@ def test_headings_break_before_values() -> None:
     assert "0.745" in text and "thermal_expansion_x" in text and "small_angles" in text
 
 
+@pytest.mark.parametrize("width", [80, 100])
+def test_long_texts_stay_readable_where_headings_can_break(width: int) -> None:
+    heads = ("effect", "size", "residual RMS with it in the model", "map moves")
+    size = "s = 0.32 ± 0.21 µm, c = -0.80 ± 0.21 µm, lead = 3.0399 ± 0.0083 mm"
+    screen = Console(file=StringIO(), width=width)
+    show_table(screen, TextTable("Effects", heads, (("pitch_periodic_x", size, "1.157", "4.734"),), ""))
+    text = screen.file.getvalue()  # type: ignore[attr-defined]
+    assert "s = 0.32 ± 0.21 µm," in text
+    assert "pitch_periodic_x" in text
+
+
 def test_a_wide_screen_keeps_headings_in_one_line() -> None:
     assert "map moves" in printed(160)

@@ -66,14 +66,45 @@ def test_where_setups_may_differ_as_much_as_an_effect_would_the_likeliest_is_tol
 
 
 def test_an_effect_found_is_told_with_its_size_and_what_it_does() -> None:
-    _, shown = report("missing_effect")
+    found, shown = report("missing_effect")
     assert shown.words[0] == "The model lacks backlash of Y (backlash_y)."
     words = shown.words[1]
     for part in ("e_y = -b dir_y", "± ", "(k = 2)", "changes the readings by", "residual falls", "at the tool point"):
         assert part in words
     first = table(shown, "Effects looked for").rows[0]
     assert first[0] == "✓ backlash_y"
-    assert "→" in first[6]
+    assert 0.0 < float(first[6]) < 1e6 * found.noise.declared * 1.2
+    assert "without any the residual is" in table(shown, "Effects looked for").note
+
+
+def test_every_coefficient_found_is_explained() -> None:
+    _, shown = report("missing_effect")
+    assert table(shown, "What was found").rows[0][:3] == ("backlash_y", "b", "half width")
+
+
+def test_a_look_alike_that_is_told_apart_is_said_to_be() -> None:
+    found, _ = report("missing_effect")
+    advice = what_to_measure(found)
+    near = replace(advice.separations[0], effects=("backlash_y", "station_drift"), apart_before=21.0)
+    words = diagnosis_report(found, replace(advice, separations=(near,)), consequences(found)).words[1]
+    assert "look-alike, station_drift" in words
+    assert "the readings tell them apart: the patterns differ by 21 standard uncertainties" in words
+
+
+def test_what_is_part_of_the_map_is_kept_apart_from_what_hides_behind_the_instrument() -> None:
+    _, shown = report("adequate")
+    held, hidden = table(shown, "Errors that the map holds already"), table(shown, "Effects that would not show here")
+    assert "EXX" in held.rows[0][0] and "points" in held.rows[0][1]
+    assert hidden.rows == (("pointer_zero_offset", hidden.rows[0][1]),)
+    assert hidden.rows[0][1].startswith("place of ")
+    assert not hidden.note
+
+
+def test_a_workpiece_is_not_the_map() -> None:
+    _, shown = report("outliers")
+    hidden = table(shown, "Effects that would not show here")
+    assert any("backlash_c" in row[0] and "form of the workpiece" in row[1] for row in hidden.rows)
+    assert "make the map wrong" in hidden.note
 
 
 def test_unexplained_says_on_what_the_residuals_depend() -> None:

@@ -23,9 +23,9 @@ __all__ = ["bar", "model_options", "own_effects", "saved", "search_options", "sh
 Command = TypeVar("Command", bound=Callable[..., Any])
 # Longest text that a column keeps on one line.
 _UNBROKEN = 24
-# Between two columns; and what a column of longer text needs to stay readable.
+# Between two columns; what a column of longer text needs to be read with ease; and the least that it can do with.
 _GAP = 2
-_FOLDED = 8
+_EASE, _FOLDED = 24, 8
 
 
 def model_options(function: Command) -> Command:
@@ -100,16 +100,17 @@ def show_table(screen: Console, table: TextTable) -> None:
     heads = {k: table.columns[k] for k in used}
     unbroken = {k for k in used if longest[k] <= _UNBROKEN}
 
-    def missing() -> int:
-        # What rich may still break counts as if it could become as narrow as the narrowest text that is kept whole.
-        widths = (max(longest[k] if k in unbroken else 0, *(len(line) for line in heads[k].split("\n"))) for k in used)
-        return sum(widths) + _GAP * (len(used) - 1) + sum(_FOLDED for k in used if k not in unbroken) - screen.width
+    def missing(folded: int) -> int:
+        # What rich may still break counts as if it could become so narrow.
+        texts = {k: longest[k] if k in unbroken else min(longest[k], folded) for k in used}
+        widths = (max(texts[k], *(len(line) for line in heads[k].split("\n"))) for k in used)
+        return sum(widths) + _GAP * (len(used) - 1) - screen.width
 
     # rich cuts columns that must not break where the table is too wide: break headings first, then the longest texts.
-    if missing() > 0:
+    if missing(_EASE) > 0:
         heads = {k: fill(text, max(longest[k], 1), break_long_words=False) for k, text in heads.items()}
     for k in sorted(unbroken, key=lambda k: longest[k], reverse=True):
-        if missing() > 0:
+        if missing(_FOLDED) > 0:
             unbroken.discard(k)
     for k in used:
         shown.add_column(Text(heads[k]), overflow="fold", no_wrap=k in unbroken)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from machine_tool_calibration.diagnosis.consequence import Consequence, before_and_after
+from machine_tool_calibration.diagnosis.consequence import Consequence, before_and_after, rms
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.document import named_probability, smallest_sizes
 from machine_tool_calibration.diagnosis.quantities import (
@@ -19,6 +19,8 @@ from machine_tool_calibration.diagnosis.quantities import (
     sizes_in_words,
 )
 from machine_tool_calibration.diagnosis.ranking import Ranked
+from machine_tool_calibration.diagnosis.report_model import coefficients_table, hidden_table, in_map_table
+from machine_tool_calibration.diagnosis.text_table import TextTable
 from machine_tool_calibration.diagnosis.verdict_words import verdict_words
 from machine_tool_calibration.model.result import Estimate
 from machine_tool_calibration.planning.advice import Advice, alias_groups_of
@@ -27,23 +29,6 @@ __all__ = ["Report", "TextTable", "diagnosis_report"]
 
 _SHOWN = 8
 _MANY = 3
-
-
-@dataclass(frozen=True)
-class TextTable:
-    """A table of text.
-
-    Attributes:
-        title: what it shows.
-        columns: heads.
-        rows: as many texts as there are heads.
-        note: to be read below it.
-    """
-
-    title: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    note: str = ""
 
 
 @dataclass(frozen=True)
@@ -72,11 +57,13 @@ def diagnosis_report(
     """
     tables = [
         _candidates(diagnosis, changes, shown),
+        coefficients_table(diagnosis, changes),
         _outliers(diagnosis),
         _structure(diagnosis),
         _alike(diagnosis, advice),
         _next(advice),
-        _absorbed(diagnosis),
+        hidden_table(diagnosis),
+        in_map_table(diagnosis),
         _detectable(diagnosis),
         _excluded(diagnosis),
     ]
@@ -94,7 +81,7 @@ def _candidates(diagnosis: Diagnosis, changes: Mapping[str, Consequence], shown:
     for r in ranked[: len(accepted) + shown] if shown else ranked:
         name = r.candidate.name
         change = changes.get(name)
-        before, after = before_and_after(diagnosis, r, changes)
+        _, after = before_and_after(diagnosis, r, changes)
         rows.append(
             (
                 f"{'✓ ' if name in accepted else ''}{name}",
@@ -102,8 +89,8 @@ def _candidates(diagnosis: Diagnosis, changes: Mapping[str, Consequence], shown:
                 probability(named_probability(diagnosis, r)),
                 probability(r.family_p_value),
                 _sizes(r, change),
-                "yes" if r.plausible else "no",
-                f"{micrometres(before)} → {micrometres(after)}",
+                "" if r.plausible else "no",
+                micrometres(after),
                 micrometres(None if change is None else change.map_change_rms),
             )
         )
@@ -111,12 +98,18 @@ def _candidates(diagnosis: Diagnosis, changes: Mapping[str, Consequence], shown:
     if diagnosis.verdict == "unexplained":
         title = "Effects looked for: none of them is named as the cause"
     left = len(ranked) - len(rows)
-    note = "alike: the same letter, look-alikes; p: paid for the whole search; size ± U (k = 2)"
+    before = micrometres(rms(diagnosis.looks[0].fit.residuals))
+    note = (
+        "alike: the same letter, look-alikes; p: chance of doing as well, paid for the whole search; size ± U (k = 2); "
+        f"residual and map: RMS with it in the model; without any the residual is {before} µm"
+    )
     if accepted:
         note = f"✓ found; {note}; the others as they were before anything was added"
+    if any(not r.plausible for r in ranked):
+        note += "; plausible: no, if such a size does not occur"
     if left:
         note += f"; {left} less probable {'one is' if left == 1 else 'ones are'} left out"
-    heads = ("effect", "alike", "probability", "p", "size", "plausible", "residual RMS / µm", "map moves / µm RMS")
+    heads = ("effect", "alike", "probability", "p", "size", "plausible", "residual / µm", "map moves / µm")
     return TextTable(title, heads, tuple(rows), note)
 
 
@@ -138,9 +131,9 @@ def _outliers(diagnosis: Diagnosis) -> TextTable:
     )
     return TextTable(
         "Readings that do not belong to the rest; they were set aside",
-        ("row", "studentized", "deviation / µm"),
+        ("row", "× expected", "deviation / µm"),
         rows,
-        "rows count from 0: row 0 is the second line of observations.csv",
+        "× expected: deviation over the scatter that it should have; row 0 is the second line of observations.csv",
     )
 
 
@@ -162,14 +155,14 @@ def _alike(diagnosis: Diagnosis, advice: Advice) -> TextTable:
                 s.measure,
                 duration(s.seconds),
                 s.aside,
-                f"{s.cosine_before:.2f} → {s.cosine_after:.2f}",
+                f"{s.cosine_before:.2f} → {s.cosine_after:.2f}" if s.kind is not None else "",
                 f"{s.apart_before:.1f} → {s.apart_after:.1f}" if told else "",
             )
         )
-    heads = ("look-alikes", "to tell them apart", "time", "besides", "cosine", "apart / σ")
-    note = "cosine: 1 if they cannot be told apart"
+    heads = ("look-alikes", "to tell them apart", "time", "besides", "cosine", "apart / u")
+    note = "cosine: how alike their patterns are in the readings, now → then; 1: not to be told apart"
     if any(row[-1] for row in rows):
-        note += "; apart: how many standard uncertainties the nearest is from the effect found, at its size"
+        note += "; apart: how far the patterns differ at the size found, in standard uncertainties u"
     return TextTable("Look-alikes, and what to measure next", heads, tuple(rows), note)
 
 
@@ -189,15 +182,6 @@ def _next(advice: Advice) -> TextTable:
     return TextTable("Effects that hardly show here, and what would show them", heads, rows)
 
 
-def _absorbed(diagnosis: Diagnosis) -> TextTable:
-    by: dict[str, list[str]] = {}
-    for a in diagnosis.looks[0].absorbed:
-        by.setdefault(a.by, []).append(a.effect)
-    rows = tuple((", ".join(names), what) for what, names in by.items())
-    title = "Effects that would not show: the model's own freedom takes them up"
-    return TextTable(title, ("effect", "taken up by"), rows)
-
-
 def _detectable(diagnosis: Diagnosis) -> TextTable:
     look = diagnosis.looks[len(diagnosis.accepted)]
     rows = []
@@ -207,7 +191,8 @@ def _detectable(diagnosis: Diagnosis) -> TextTable:
             rows.append((r.candidate.name, *_smallest(r, sizes)))
     rows.sort()
     title = "Smallest size that this measurement would have found (80 % power)"
-    return TextTable(title, ("effect", "smallest size", "sizes that occur"), tuple(rows))
+    note = "what each coefficient is, `mtcal effects ID` says" if rows else ""
+    return TextTable(title, ("effect", "smallest size", "sizes that occur"), tuple(rows), note)
 
 
 def _smallest(ranked: Ranked, sizes: Mapping[str, float | None]) -> tuple[str, str]:
@@ -217,7 +202,7 @@ def _smallest(ranked: Ranked, sizes: Mapping[str, float | None]) -> tuple[str, s
     if not seen:
         text = "none that occurs"
     elif len(sizes) <= _MANY:
-        text = ", ".join(f"{name} {quantity(value, known[name].unit)}" for name, value in seen.items())
+        text = ", ".join(f"{name}: {quantity(value, known[name].unit)}" for name, value in seen.items())
     else:
         low, high = min(seen.values()), max(seen.values())
         many = f"{len(sizes)}" if len(seen) == len(sizes) else f"{len(seen)} of {len(sizes)}"

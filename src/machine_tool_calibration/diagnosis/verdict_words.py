@@ -111,6 +111,8 @@ def _found(diagnosis: Diagnosis, name: str, change: Consequence | None, advice: 
     if change is not None:
         if 0 < len(change.parameters) <= _MANY:
             words.append(f"Its size is {sizes_in_words(change.parameters)} (k = 2).")
+        elif change.parameters:
+            words.append(f"Its size is that of {len(change.parameters)} coefficients, listed below.")
         if change.signal_rms is not None and change.signal_largest is not None:
             words.append(
                 f"It changes the readings by {quantity(change.signal_rms, 'm')} RMS, "
@@ -136,8 +138,8 @@ def _lookalike(separation: Separation) -> str:
     others = " or ".join(separation.effects[1:])
     if separation.apart_before >= _APART:
         return (
-            f"In this measurement {others} would look similar, but is {separation.apart_before:.0f} standard "
-            "uncertainties away at this size."
+            f"A look-alike, {others}, would leave a similar pattern in the residuals, but at the size found the "
+            f"readings tell them apart: the patterns differ by {separation.apart_before:.0f} standard uncertainties."
         )
     text = f"It may as well be {others}: this measurement cannot tell them apart."
     return f"{text} To tell: {separation.measure}." if separation.kind is not None else text

@@ -27,7 +27,7 @@ class RefractiveIndex(Effect):
     formula = "reading = g (n - n_standard) path"
     source = "Edlén; Bönsch and Potulski 1998; ISO 230-2:2014 Annex on laser interferometers"
     kind = "reading"
-    coefficients = (Coefficient("g", "1", -20.0, 20.0),)
+    coefficients = (Coefficient("g", "1", -20.0, 20.0, "share that is not compensated; 1: all"),)
     needs = ("temperature_air",)
     covariates = ("temperature_air", "air_pressure", "relative_humidity", "path", "displacement")
     methods = _OPTICAL
@@ -45,7 +45,7 @@ class DeadPath(Effect):
     formula = "reading = D (n - n_standard)"
     source = "ISO 230-2:2014, dead path; Ibaraki et al. 2014, Table 4, u14"
     kind = "reading"
-    coefficients = (Coefficient("D", "m", -20.0, 20.0),)
+    coefficients = (Coefficient("D", "m", -20.0, 20.0, "length of the dead path"),)
     needs = ("temperature_air",)
     covariates = ("temperature_air", "air_pressure", "relative_humidity")
     methods = _OPTICAL

@@ -23,7 +23,7 @@ class Backlash(Effect):
         self.id = f"backlash_{axis}"
         self.title = f"backlash of {axis.upper()}"
         self.formula = f"e_{axis} = -b dir_{axis}"
-        self.coefficients = (Coefficient("b", "m", 0.0, 5e-5),)
+        self.coefficients = (Coefficient("b", "m", 0.0, 5e-5, "half width"),)
         self.needs = (axis, f"dir_{axis}")
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
@@ -40,7 +40,7 @@ class BacklashC(Effect):
     formula = "angle of C: -b dir_c"
     source = "ISO 230-2:2014, reversal error; half width b"
     kind = "position"
-    coefficients = (Coefficient("b", "rad", 0.0, 1e-3),)
+    coefficients = (Coefficient("b", "rad", 0.0, 1e-3, "half width"),)
     needs = ("c", "dir_c")
     methods = ("rotary_axis", "probing")
 

@@ -19,7 +19,7 @@ class LinearDrift(Effect):
     formula = "reading = r time"
     source = "ISO 230-3, environmental temperature variation error"
     kind = "reading"
-    coefficients = (Coefficient("r", "m/s", -1e-6, 1e-6),)
+    coefficients = (Coefficient("r", "m/s", -1e-6, 1e-6, "rate"),)
     needs = ("time",)
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
@@ -47,7 +47,11 @@ class StationDrift(Effect):
         """A velocity for each station."""
         axes = "xyz"[: self._dimension(observations)]
         ids = observations.session.setup_ids
-        return tuple(Coefficient(f"{i}.v{axis}", "m/s", -1e-6, 1e-6) for i in ids for axis in axes)
+        return tuple(
+            Coefficient(f"{i}.v{axis}", "m/s", -1e-6, 1e-6, f"velocity of station {i} along {axis}")
+            for i in ids
+            for axis in axes
+        )
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Elapsed time times minus the beam's direction, for the readings of each station."""

@@ -27,12 +27,14 @@ class Coefficient:
         unit: SI.
         low: smallest plausible value.
         high: largest plausible value.
+        meaning: what it is, in a few words.
     """
 
     name: str
     unit: str
     low: float
     high: float
+    meaning: str = ""
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,7 @@ class Shape:
         low: smallest plausible value.
         high: largest plausible value.
         discrete: whether it is chosen from a list, such as a number of harmonics, and has no uncertainty.
+        meaning: what it is, in a few words.
     """
 
     name: str
@@ -52,6 +55,7 @@ class Shape:
     low: float
     high: float
     discrete: bool = False
+    meaning: str = ""
 
 
 class Effect(ABC):
@@ -100,6 +104,12 @@ class Effect(ABC):
     def coefficients_for(self, observations: Observations, shape: tuple[float, ...] = ()) -> tuple[Coefficient, ...]:
         """The coefficients; effects with one set a setup, or as many as their shape says, say here how many."""
         return self.coefficients
+
+    def meanings(self, observations: Observations) -> dict[str, str]:
+        """What each coefficient is, by the name under which it is published."""
+        linear = {c.name: c.meaning for c in self.coefficients_for(observations)}
+        named = linear | {s.name: s.meaning for s in self.shapes}
+        return {f"{self.id}.{name}": meaning for name, meaning in named.items()}
 
     def shape_grid(self, observations: Observations) -> list[tuple[float, ...]]:
         """Values of the nonlinear coefficients from which a search starts; one empty tuple without any."""

@@ -14,6 +14,8 @@ from machine_tool_calibration.model.observations import Observations
 __all__ = ["ErrorMotionEffect"]
 
 _DEGREES = 4
+# Legendre polynomials over the axis's range: what each looks like; its size is that at the upper end.
+_POWERS = ("constant", "straight line", "bow (power 2)", "S (power 3)", "double bow (power 4)")
 # A single axis read again and again at so few positions tells its error at each of them.
 _FEWEST, _MOST = 4, 60
 _STILL = 1e-6  # m
@@ -40,7 +42,7 @@ class ErrorMotionEffect(Effect):
         if self.is_squareness:
             self.title = f"squareness {name}"
             self.formula = f"{name} times lever arm"
-            self.coefficients = (Coefficient("angle", "rad", -2e-3, 2e-3),)
+            self.coefficients = (Coefficient("angle", "rad", -2e-3, 2e-3, "deviation from a right angle"),)
             self.needs = (name[2].lower(),)
             return
         motion = parse_motion(name)
@@ -50,7 +52,7 @@ class ErrorMotionEffect(Effect):
         self.formula = (
             f"{name}({self.axis}), a polynomial of degree {_DEGREES}; position by position for one axis alone"
         )
-        self.coefficients = tuple(Coefficient(f"p{k}", unit, -limit, limit) for k in range(1, _DEGREES + 1))
+        self.coefficients = tuple(Coefficient(f"p{k}", unit, -limit, limit, _POWERS[k]) for k in range(1, _DEGREES + 1))
         self.needs = (self.axis,)
         if motion.component == motion.axis:
             self.contains = (f"scale_{self.axis}", "scale")
@@ -75,7 +77,10 @@ class ErrorMotionEffect(Effect):
             return self.coefficients
         low, high = self.coefficients[0].low, self.coefficients[0].high
         first = self._first(observations)
-        return tuple(Coefficient(f"p{k}", "m", low, high) for k in range(first, len(nodes)))
+        return tuple(
+            Coefficient(f"p{k}", "m", low, high, _POWERS[k] if k < 2 else "shape beyond a straight line")
+            for k in range(first, len(nodes))
+        )
 
     def _nodes(self, observations: Observations) -> Array | None:
         """Positions of a single axis, if each was read at least twice; None where a polynomial is meant."""

@@ -51,6 +51,7 @@ class _Unknown(_Record):
     unit: str = "1"
     low: Finite
     high: Finite
+    meaning: str = ""
 
 
 class _Constant(_Record):
@@ -88,8 +89,10 @@ class FormulaEffect(Effect):
         )
         self.source = definition.source
         self.kind = "reading" if definition.enters == "reading" else "position"
-        self.coefficients = tuple(Coefficient(n, u.unit, u.low, u.high) for n, u in definition.coefficients.items())
-        self.shapes = tuple(Shape(n, u.unit, u.low, u.high) for n, u in definition.shapes.items())
+        self.coefficients = tuple(
+            Coefficient(n, u.unit, u.low, u.high, u.meaning) for n, u in definition.coefficients.items()
+        )
+        self.shapes = tuple(Shape(n, u.unit, u.low, u.high, meaning=u.meaning) for n, u in definition.shapes.items())
         own = set(definition.coefficients) | set(definition.shapes) | set(definition.constants) | {"pi"}
         unused = set(definition.coefficients) | set(definition.shapes)
         for name in sorted(unused - self._expression.names):

@@ -20,7 +20,10 @@ class TableThermalGrowth(Effect):
     formula = "target = (temperature_table - 20) (k_r radius + k_z height)"
     source = "ISO 230-3; linear expansion"
     kind = "position"
-    coefficients = (Coefficient("k_r", "1/K", -3e-4, 3e-4), Coefficient("k_z", "1/K", -1e-3, 1e-3))
+    coefficients = (
+        Coefficient("k_r", "1/K", -3e-4, 3e-4, "growth outwards"),
+        Coefficient("k_z", "1/K", -1e-3, 1e-3, "growth upwards"),
+    )
     needs = ("temperature_table",)
     methods = ("rotary_axis",)
 
@@ -40,7 +43,7 @@ class WorkpieceThermal(Effect):
     formula = "surface = k (temperature_work - 20) position"
     source = "ISO 1; linear expansion"
     kind = "position"
-    coefficients = (Coefficient("k", "1/K", -3e-4, 3e-4),)
+    coefficients = (Coefficient("k", "1/K", -3e-4, 3e-4, "expansion coefficient"),)
     needs = ("temperature_work",)
     methods = ("probing", "direct")
 

@@ -25,7 +25,7 @@ class HarmonicEffect(Effect):
     """
 
     kind = "reading"
-    shapes = (Shape("highest_order", "1", 2.0, 8.0, discrete=True),)
+    shapes = (Shape("highest_order", "1", 2.0, 8.0, discrete=True, meaning="waves a turn, the most"),)
     limit: float
 
     @abstractmethod
@@ -36,7 +36,9 @@ class HarmonicEffect(Effect):
         """Sine and cosine coefficients of each order, m."""
         highest = int(shape[0]) if shape else int(_HIGHEST[-1])
         return tuple(
-            Coefficient(f"{kind}{k}", "m", -self.limit, self.limit) for k in range(2, highest + 1) for kind in "sc"
+            Coefficient(f"{kind}{k}", "m", -self.limit, self.limit, f"{k} waves a turn, {part} part")
+            for k in range(2, highest + 1)
+            for kind, part in (("s", "sine"), ("c", "cosine"))
         )
 
     def shape_grid(self, observations: Observations) -> list[tuple[float, ...]]:

@@ -26,7 +26,9 @@ class MirrorMisalignment(Effect):
     def coefficients_for(self, observations: Observations, shape: tuple[float, ...] = ()) -> tuple[Coefficient, ...]:
         """Two tilts for each setup."""
         return tuple(
-            Coefficient(f"{i}.t{k}", "rad", -0.02, 0.02) for i in observations.session.setup_ids for k in (1, 2)
+            Coefficient(f"{i}.t{k}", "rad", -0.02, 0.02, f"tilt of the mirror of {i} about direction {k}")
+            for i in observations.session.setup_ids
+            for k in (1, 2)
         )
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:

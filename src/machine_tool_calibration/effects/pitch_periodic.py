@@ -31,8 +31,11 @@ class PitchPeriodic(Effect):
         self.id = f"pitch_periodic_{axis}"
         self.title = f"periodic error of {axis.upper()}"
         self.formula = f"e_{axis} = s sin(2 pi {axis} / lead) + c cos(2 pi {axis} / lead)"
-        self.coefficients = (Coefficient("s", "m", -5e-5, 5e-5), Coefficient("c", "m", -5e-5, 5e-5))
-        self.shapes = (Shape("lead", "m", _SHORTEST, 1.0),)
+        self.coefficients = (
+            Coefficient("s", "m", -5e-5, 5e-5, "sine part of the wave"),
+            Coefficient("c", "m", -5e-5, 5e-5, "cosine part of the wave"),
+        )
+        self.shapes = (Shape("lead", "m", _SHORTEST, 1.0, meaning="length of a wave"),)
         self.needs = (axis,)
 
     def shape_grid(self, observations: Observations) -> list[tuple[float, ...]]:

@@ -42,7 +42,7 @@ class PointerZeroOffset(Effect):
     formula = "reading = -q path, q = offset^2 / 2"
     source = "Ibaraki et al. 2014, Section 4 and Table 4, u41"
     kind = "reading"
-    coefficients = (Coefficient("q", "1", 0.0, 2e-4),)
+    coefficients = (Coefficient("q", "1", 0.0, 2e-4, "half the square of the angle"),)
     covariates = ("path", "displacement")
     methods = ("tracking_interferometer",)
 

@@ -19,7 +19,7 @@ class Scale(Effect):
     formula = "e = s position"
     source = "ISO 1; linear expansion of part or machine"
     kind = "position"
-    coefficients = (Coefficient("s", "1", -2e-3, 2e-3),)
+    coefficients = (Coefficient("s", "1", -2e-3, 2e-3, "relative change of length"),)
     covariates = ("x", "y", "z", "path", "displacement")
     methods = ("step_diagonal", "tracking_interferometer", "probing", "direct")
 
@@ -44,7 +44,7 @@ class AxisScale(Effect):
         self.id = f"scale_{axis}"
         self.title = f"scale of {axis.upper()}"
         self.formula = f"e_{axis} = s {axis}"
-        self.coefficients = (Coefficient("s", "1", -2e-3, 2e-3),)
+        self.coefficients = (Coefficient("s", "1", -2e-3, 2e-3, "relative change of length"),)
         self.needs = (axis,)
         self.covariates = (axis, "path", "displacement")
 

@@ -26,7 +26,7 @@ class ThermalExpansion(Effect):
         self.id = f"thermal_expansion_{axis}"
         self.title = f"thermal expansion of {axis.upper()}"
         self.formula = f"e_{axis} = k (temperature_{axis} - 20) {axis}"
-        self.coefficients = (Coefficient("k", "1/K", -2e-4, 2e-4),)
+        self.coefficients = (Coefficient("k", "1/K", -2e-4, 2e-4, "expansion coefficient"),)
         self.needs = (axis, f"temperature_{axis}")
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:

@@ -23,8 +23,8 @@ class Warmup(Effect):
         self.id = f"warmup_{axis}"
         self.title = f"warm-up of {axis.upper()}"
         self.formula = f"e_{axis} = a (1 - exp(-time / tau))"
-        self.coefficients = (Coefficient("a", "m", -1e-4, 1e-4),)
-        self.shapes = (Shape("tau", "s", 10.0, 1e5),)
+        self.coefficients = (Coefficient("a", "m", -1e-4, 1e-4, "displacement when warm"),)
+        self.shapes = (Shape("tau", "s", 10.0, 1e5, meaning="time constant"),)
         self.needs = (axis, "time")
         self.covariates = ("time",)
 
