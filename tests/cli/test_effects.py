@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.cli.main import run
+from machine_tool_calibration.diagnosis.effect_page import effects_table
 from machine_tool_calibration.diagnosis.injected import inject, where_it_shows
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.effects.formula import formula_effect
@@ -28,7 +29,7 @@ def test_the_catalogue_is_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["effects"]) == 0
     out = capsys.readouterr().out
     for name in catalogue():
-        assert f"\n{name} " in f"\n{out}"
+        assert name in out.split()
     assert f"{len(catalogue())} effects" in out
 
 
@@ -49,10 +50,22 @@ def test_one_effect_in_full_says_what_each_method_leaves(capsys: pytest.CaptureF
     assert run(["effects", "mirror_misalignment", "backlash_y"]) == 0
     out = capsys.readouterr().out
     first, second = out.split("backlash_y: backlash of Y")
-    assert "step_diagonal          0%" in first
-    assert "does not occur with tracking_interferometer" in first
-    assert "b: 0 µm to 50.0 µm" in second
+    row = next(line for line in first.splitlines() if line.startswith("step_diagonal "))
+    assert row.split()[1] == "0%" and "tilt of the mirror" in row
+    assert "not in tracking_2d, tracking_3d: does not occur with tracking interferometer" in " ".join(first.split())
+    assert "b (half width): 0 µm to 50.0 µm" in second
     assert "ISO 230-2" in second
+
+
+def test_effects_that_differ_by_the_axis_share_a_line() -> None:
+    table = effects_table(list(catalogue().values()))
+    ids = [row[0].split() for row in table.rows]
+    assert sorted(name for group in ids for name in group) == sorted(catalogue())
+    assert ["backlash_x", "backlash_y", "backlash_z"] in ids
+    assert ["EXX", "EYX", "EZX", "EXY", "EYY", "EZY", "EXZ", "EYZ", "EZZ"] in ids
+    assert ["dead_path"] in ids
+    formulas = {row[0].split()[0]: row[2] for row in table.rows}
+    assert formulas["backlash_x"] == catalogue()["backlash_x"].formula
 
 
 def test_an_unknown_effect_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:

@@ -253,7 +253,7 @@ def test_an_unknown_effect_is_refused_with_a_hint() -> None:
 
 def test_an_effect_that_cannot_act_is_refused() -> None:
     session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=1)).session
-    with pytest.raises(ModelError, match="does not occur with tracking_interferometer"):
+    with pytest.raises(ModelError, match="does not occur with tracking interferometer"):
         identify(session, effects=["probe_pretravel"])
 
 

@@ -64,33 +64,18 @@ def command(ids: tuple[str, ...], files: tuple[Path, ...], gallery: Path | None,
 
 
 def _list(effects: Sequence[Effect]) -> None:
-    from rich.table import Table
     from rich.text import Text
 
-    from machine_tool_calibration.diagnosis.effect_page import coefficients_in_words
+    from machine_tool_calibration.diagnosis.effect_page import effects_table
 
-    table = Table(box=None, header_style="bold", pad_edge=False)
-    table.add_column("id", no_wrap=True)
-    table.add_column("effect and formula", ratio=6)
-    table.add_column("plausible size", ratio=3)
-    table.add_column("columns", ratio=2)
-    table.add_column("methods", ratio=2)
-    table.add_column("source", ratio=3)
-    for effect in effects:
-        table.add_row(
-            effect.id,
-            Text(f"{effect.title}\n{effect.formula}"),
-            Text("\n".join(coefficients_in_words(effect))),
-            Text("\n".join(effect.needs)),
-            Text("\n".join(m.split("_")[0] for m in effect.methods) or "all"),
-            Text(effect.source),
-        )
     screen = console()
-    screen.print(table)
-    screen.print(f"\n{len(effects)} effects; `mtcal effects ID` says what each method leaves of one.", markup=False)
+    show_table(screen, effects_table(effects))
+    more = "`mtcal effects ID` says what the coefficients are, where it is described, what each method leaves of it."
+    screen.print(Text(f"\n{len(effects)} effects; {more}"))
 
 
 def _describe(effect: Effect) -> None:
+    from rich.table import Table
     from rich.text import Text
 
     from machine_tool_calibration.diagnosis.effect_page import coefficients_in_words, shown_table
@@ -101,12 +86,14 @@ def _describe(effect: Effect) -> None:
     screen.print(Text(f"{effect.id}: {effect.title}", style="bold"))
     lines = {
         "formula": f"{effect.formula} ({enters})",
-        "coefficients": "; ".join(coefficients_in_words(effect)),
+        "coefficients": "\n".join(coefficients_in_words(effect)),
         "columns": ", ".join(effect.needs) or "none",
-        "methods": ", ".join(effect.methods) or "all",
+        "methods": ", ".join(m.replace("_", " ") for m in effect.methods) or "all",
         "source": effect.source,
     }
+    shown = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
     for name, text in lines.items():
-        screen.print(Text(f"  {name + ':':14}{text}"))
+        shown.add_row(Text(f"  {name}:"), Text(text))
+    screen.print(shown)
     show_table(screen, shown_table(where_it_shows(effect)))
     screen.print()

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from machine_tool_calibration.diagnosis.injected import AMPLITUDE, Injected, Shown
 from machine_tool_calibration.diagnosis.quantities import range_of
 from machine_tool_calibration.diagnosis.report import TextTable
-from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape
+from machine_tool_calibration.model.unknown_words import unknowns_in_words
 
-__all__ = ["coefficients_in_words", "effect_document", "gallery_page", "shown_table"]
+__all__ = ["coefficients_in_words", "effect_document", "effects_table", "gallery_page", "shown_table"]
+
+# Share of an effect in the residuals from which the rest is not worth a word.
+_NEARLY_ALL = 0.95
 
 _INTRODUCTION = f"""# What effects look like
 
@@ -24,14 +29,19 @@ This page and its pictures are made by `mtcal effects ID … --gallery FOLDER`.
 
 
 def coefficients_in_words(effect: Effect) -> list[str]:
-    """Each coefficient with its plausible range."""
-    linear = [f"{c.name}: {range_of(c.low, c.high, c.unit)}" for c in effect.coefficients]
+    """Each coefficient: what it is, and its plausible range."""
+    linear = [f"{_what(c)}: {range_of(c.low, c.high, c.unit)}" for c in effect.coefficients]
     if not linear:
         linear = ["a set for each setup" if effect.setup_level else "as many as are needed"]
     for s in effect.shapes:
         span = f"{s.low:g} to {s.high:g}, chosen" if s.discrete else f"{range_of(s.low, s.high, s.unit)}, fitted"
-        linear.append(f"{s.name}: {span}")
+        linear.append(f"{_what(s)}: {span}")
     return linear
+
+
+def _what(coefficient: Coefficient | Shape) -> str:
+    meaning = coefficient.meaning
+    return f"{coefficient.name} ({meaning})" if meaning else coefficient.name
 
 
 def effect_document(effect: Effect) -> dict[str, Any]:
@@ -53,18 +63,56 @@ def effect_document(effect: Effect) -> dict[str, Any]:
     }
 
 
+def effects_table(effects: Sequence[Effect]) -> TextTable:
+    """The catalogue; effects that differ only by the axis make one line, with the formula of the first."""
+    lines: dict[tuple[str, ...], list[Effect]] = {}
+    for effect in effects:
+        lines.setdefault(_without_axis(effect), []).append(effect)
+    rows = tuple(
+        (
+            " ".join(effect.id for effect in alike),
+            alike[0].title,
+            alike[0].formula,
+            ", ".join(m.split("_")[0] for m in alike[0].methods) or "all",
+        )
+        for alike in lines.values()
+    )
+    note = "what is written is that of the first, and likewise of the others" if len(lines) < len(effects) else ""
+    return TextTable("Effects that can be looked for", ("id", "effect", "formula", "methods"), rows, note)
+
+
+def _without_axis(effect: Effect) -> tuple[str, ...]:
+    """What an effect says of itself, with a mark where the axis stands."""
+    motion = re.fullmatch(r"E[XYZ]([XYZ])|E[ABC]([XYZ])|[ABC]0[XYZ]", effect.id)
+    axis = (motion[1] or motion[2] or "") if motion else effect.id[-1] if effect.id[-2:-1] == "_" else ""
+    texts = (effect.title, effect.formula, *effect.methods)
+    if motion:
+        kind = "squareness" if "0" in effect.id else "rotation" if motion[2] else "translation"
+        texts = (kind, *(text.replace(effect.id, "*") for text in texts))
+    if not axis:
+        return texts
+    return tuple(re.sub(rf"(?<![A-Za-z]){axis}(?![A-Za-z])", "*", text, flags=re.IGNORECASE) for text in texts)
+
+
 def shown_table(shown: Sequence[Shown]) -> TextTable:
     """What becomes of an effect in each simulated plan."""
     rows = tuple(
         (
             s.plan,
-            "–" if s.left is None else f"{s.left:.0%}",
-            s.why_not if s.left is None else ("" if s.left > 0.95 else s.taken_up_by),
+            f"{s.left:.0%}",
+            "" if s.left > _NEARLY_ALL or not s.taken_up_by else unknowns_in_words(s.taken_up_by.split(", ")),
         )
         for s in shown
+        if s.left is not None
     )
-    note = "from simulated readings without noise; the other share is taken up by the unknowns named"
-    return TextTable("What the default model leaves of it", ("plan", "left", "the rest goes to"), rows, note)
+    without: dict[str, list[str]] = {}
+    for s in shown:
+        if s.left is None:
+            without.setdefault(s.why_not, []).append(s.plan)
+    notes = ["from simulated readings without noise"] if rows else []
+    notes += [f"not in {', '.join(plans)}: {why}" for why, plans in without.items()]
+    title = "What the default model leaves of it in the residuals of a plan, and what it takes the rest for"
+    return TextTable(title, ("plan", "left", "the rest is taken for"), rows, "; ".join(notes))
 
 
 def gallery_page(effects: Sequence[Effect], found: Mapping[str, Injected | None]) -> str:

@@ -92,7 +92,7 @@ class Effect(ABC):
     def why_not(self, observations: Observations) -> str | None:
         """Why the effect cannot be looked for in these readings; None if it can."""
         if self.methods and observations.session.method not in self.methods:
-            return f"does not occur with {observations.session.method}"
+            return f"does not occur with {observations.session.method.replace('_', ' ')}"
         for name in self.needs:
             values = observations.readings.columns.get(name)
             if values is None:

@@ -15,7 +15,7 @@ __all__ = ["ErrorMotionEffect"]
 
 _DEGREES = 4
 # Legendre polynomials over the axis's range: what each looks like; its size is that at the upper end.
-_POWERS = ("constant", "straight line", "bow (power 2)", "S (power 3)", "double bow (power 4)")
+_POWERS = ("constant", "straight line", "bow, power 2", "S, power 3", "double bow, power 4")
 # A single axis read again and again at so few positions tells its error at each of them.
 _FEWEST, _MOST = 4, 60
 _STILL = 1e-6  # m

@@ -100,8 +100,8 @@ class FormulaEffect(Effect):
         self._columns = tuple(sorted(self._expression.names - own - {"path", "displacement"}))
         self.needs = self._columns
         self.covariates = tuple(sorted(self._expression.names - own))
-        self._check_units()
         self._check_linear()
+        self._check_units()
 
     def _check_units(self) -> None:
         definition = self._definition
@@ -134,10 +134,20 @@ class FormulaEffect(Effect):
         each = [self._expression.evaluate(values | {n: float(n == m) for n in names}) for m in names]
         mixed = self._expression.evaluate(values | {n: 2.0 + k for k, n in enumerate(names)})
         expected = sum((2.0 + k) * part for k, part in enumerate(each))
-        if not np.allclose(zero, 0.0, atol=1e-9) or not np.allclose(mixed, expected, rtol=1e-6, equal_nan=True):
+        if np.any(np.abs(zero) > 0.0):
+            raise ModelError(f"effect {self.id}: {self._constant_part(names)}")
+        if not np.allclose(mixed, expected, rtol=1e-6, equal_nan=True):
             raise ModelError(
                 f"effect {self.id}: the formula is not linear in {', '.join(names)}; name other unknowns under shapes"
             )
+
+    def _constant_part(self, names: list[str]) -> str:
+        """What is wrong with a formula that is not zero where its coefficients are."""
+        zero = " and ".join(names)
+        text = f"with {zero} at zero the formula must be zero, but a part is not: give that part a coefficient too"
+        if not self._columns:
+            return text
+        return f"{text} (names that are no coefficients, here {', '.join(self._columns)}, are columns of the session)"
 
     def shape_grid(self, observations: Observations) -> list[tuple[float, ...]]:
         """Values between the limits of the nonlinear coefficient, on a logarithmic scale where both are positive."""
