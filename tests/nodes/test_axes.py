@@ -66,6 +66,11 @@ def test_simulated_time_jumps_to_the_end_of_the_dwell(bench):
     assert axes.operator.wait(held, PATIENCE)
     at = {from_message(state.header.stamp): dict(zip(state.name, state.position, strict=True)) for state in axes.states}
     assert at[int(report["held"])] == {"x": 0.2, "y": 0.0, "z": 0.0, "c": 0.0}
+    # the command said nothing of the table: who comes to measure it hears where it stands all the same
+    table = []
+    axes.operator._node.create_subscription(PoseStamped, "truth/table", table.append, STATE)
+    assert axes.operator.wait(lambda: table, PATIENCE)
+    assert from_message(table[-1].header.stamp) == int(report["held"])
     # the true point is off the encoders by the machine's errors: micrometres
     place = axes.truth[-1].pose.position
     assert 0.0 < abs(place.x - 0.2) + abs(place.y) + abs(place.z) < 1e-4
@@ -79,7 +84,8 @@ def test_commands_outside_the_travel_are_refused(bench, simulated_time):
     assert values(report)["state"] == "refused"
     assert report.status[0].level == b"\x02"
     assert report.status[0].message == "refused: y = 0.45 is outside its travel 0 to 0.4"
-    axes.operator.wait(lambda: False, 0.5)
+    seen = len(axes.states)
+    assert axes.operator.wait(lambda: len(axes.states) > seen + 2, PATIENCE)
     assert set(axes.states[-1].position) == {0.0}
     assert set(axes.states[-1].velocity) == {0.0}
 

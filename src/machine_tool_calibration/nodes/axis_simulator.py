@@ -133,7 +133,7 @@ class AxisSimulator(Node):
         is_moving = any(self._motion.velocity(since).values())
         braking = self._motion.braked(since, self.limits) if is_moving else None
         self._motion = Trajectory.through(self._motion.position(since), points, self.limits, braking)
-        # who measures the table commands it; all others need not hear of it at every target
+        # who measures the table commands it; all others need not hear of it at every target, only now and then
         self._turning = self.site.table_axis.lower() in message.joint_names
         self._directions, self._start = directions, begin
         if self.site.spec.repeatability:
@@ -174,6 +174,8 @@ class AxisSimulator(Node):
         if self._jumping:
             self._publish_truth(self._simulated_now)
             self._publish_state(self._simulated_now)
+        if not self._turning:  # who is about to measure the table must know where it stands
+            self._publish_table(self._now())
         self._send_report()
 
     def _publish_clock(self) -> None:
@@ -189,12 +191,20 @@ class AxisSimulator(Node):
             moment = Moment(time=seconds(stamp - self._origin), position=position, direction=directions)
             self._known, self._point = known, self.site.functional_point(moment)
             self._rotation = quaternion_of(self.site.tool_rotation(moment))
-            if self._turning and self.site.table_axis:
-                place, rotation = self.site.table(moment)
-                self._turned = place, quaternion_of(rotation)
+            self._turned = None
         self._truth.publish(pose_message(stamp, "machine", self._point + self._offset, self._rotation))
-        if self._turned is not None and self._turning:
-            self._table.publish(pose_message(stamp, "machine", *self._turned))
+        if self._turning:
+            self._publish_table(stamp)
+
+    def _publish_table(self, stamp: int) -> None:
+        if not self.site.table_axis:
+            return
+        if self._turned is None:
+            since = seconds(stamp - self._start)
+            position, directions = self._motion.position(since), self._motion.directions(since, self._directions)
+            place, rotation = self.site.table(Moment(seconds(stamp - self._origin), position, directions))
+            self._turned = place, quaternion_of(rotation)
+        self._table.publish(pose_message(stamp, "machine", *self._turned))
 
     def _publish_state(self, stamp: int) -> None:
         since = seconds(stamp - self._start)
