@@ -13,6 +13,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.session.yaml_text import load_yaml
 from machine_tool_calibration.simulation.machine_file import one_line, read_machine, read_record
 from machine_tool_calibration.simulation.plans import PLANS, PRESETS
+from machine_tool_calibration.simulation.plausible import refuse_implausible
 from machine_tool_calibration.simulation.spec import SimulationSpec
 
 __all__ = ["parse_effect", "parse_setting", "read_spec", "spec_from"]
@@ -78,7 +79,8 @@ def spec_from(
         fields: other fields of `SimulationSpec` that differ.
 
     Raises:
-        CalibrationError: an unknown preset or method, a value out of range, neither file nor method nor preset.
+        CalibrationError: an unknown preset or method, a value out of range or implausible, neither file nor method nor
+            preset.
     """
     if preset is not None and preset not in PRESETS:
         raise CalibrationError(f"no preset {preset!r}; there are {', '.join(PRESETS)}")
@@ -102,6 +104,8 @@ def spec_from(
     if effects:
         content["effects"] = [*content.get("effects", ()), *effects]
     try:
-        return SimulationSpec.model_validate(content)
+        spec = SimulationSpec.model_validate(content)
     except ValidationError as error:
         raise CalibrationError(one_line(error)) from None
+    refuse_implausible(spec)
+    return spec
