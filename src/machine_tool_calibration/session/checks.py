@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.consistency import check_consistency
@@ -14,11 +15,15 @@ from machine_tool_calibration.session.units import check_units
 
 __all__ = ["Place", "check_session"]
 
+# Share of different times among the readings from which the time tells readings apart.
+_TOLD_BY_TIME = 0.4
+
 
 def check_session(session: Session, place: Place | None = None) -> None:
     """Refuse a session that cannot be right or is not enough for its method.
 
-    Checked are: values that are missing where a displacement was read; times that run backwards; units that must be
+    Checked are: values that are missing where a displacement was read; times that run backwards; a reading that stands
+    there twice; units that must be
     wrong (`check_units`); stations, targets and readings that the method needs (`check_enough`); and readings that
     contradict the nominal geometry while a common mistake would explain them (`check_consistency`).
 
@@ -33,6 +38,7 @@ def check_session(session: Session, place: Place | None = None) -> None:
     _check_missing(session, place)
     _check_time(session, place)
     _check_signs(session, place)
+    _check_doubled(session, place)
     check_units(session, place)
     check_enough(session, place)
     check_consistency(session, place)
@@ -64,6 +70,28 @@ def _check_time(session: Session, place: Place) -> None:
         before, at = known[back[0]], known[back[0] + 1]
         where = place.row(session.readings.row[at])
         raise SessionError(f"{where}: time runs backwards, from {time[before]:.9g} s to {time[at]:.9g} s")
+
+
+def _check_doubled(session: Session, place: Place) -> None:
+    """The same reading twice, to the last column: a line that was copied, not a reading that was repeated."""
+    readings = session.readings
+    time = readings.columns.get("time")
+    # Where the clock does not tell readings apart, equal ones may be different ones.
+    if time is None or len(np.unique(time)) < _TOLD_BY_TIME * len(readings):
+        return
+    table = pd.DataFrame({"setup": readings.setup, "repeat": readings.repeat, "displacement": readings.displacement})
+    table = pd.concat([table, pd.DataFrame({**readings.columns, **readings.labels}).add_prefix("column ")], axis=1)
+    table = table.fillna(0.0)  # what is missing in both is equal in both
+    again = np.flatnonzero(table.duplicated().to_numpy() & np.isfinite(readings.displacement))
+    if not len(again):
+        return
+    at = int(again[0])
+    first = int(np.argmax((table == table.iloc[at]).all(axis=1)))
+    more = f", and {len(again) - 1} more like it" if len(again) > 1 else ""
+    raise SessionError(
+        f"{place.row(readings.row[at])}: the same reading as {place.row(readings.row[first])}, at the same time and in "
+        f"every column{more}: a line that was copied? A repeat has its own time and number"
+    )
 
 
 def _check_signs(session: Session, place: Place) -> None:
