@@ -100,7 +100,8 @@ def _show(comparison: Comparison) -> None:
     from rich.table import Table
 
     out = console()
-    table = Table(title="Value ± expanded uncertainty (k = 2) from the readings alone", title_justify="left")
+    title = "Value ± expanded uncertainty (k = 2) from the readings alone"
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
     table.add_column("figure", no_wrap=True)
     for name in comparison.profiles:
         table.add_column(_HEADS[name], justify="right")
@@ -110,7 +111,7 @@ def _show(comparison: Comparison) -> None:
     before = ""
     for kind, name in next(iter(figures.values())):
         if before and kind != before:
-            table.add_section()
+            table.add_row()
         before = kind
         row = [figures[column][kind, name] for column in comparison.profiles]
         table.add_row(_label(kind, name, next(iter(comparison.profiles.values()))), *(_cell(f) for f in row))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
+from machine_tool_calibration.cli import diagnosing
 from machine_tool_calibration.cli.measuring import bar, graph_options, show_files, show_result
 from machine_tool_calibration.cli.output import console, json_option, plain, write_json
 from machine_tool_calibration.cli.truth import MapError, map_error
@@ -117,7 +118,8 @@ def command(
     )
     with bar() as progress:
         measured = measure(procedure_file(procedure), setting, progress)
-        story = _story(number, hidden, measured, progress)
+    with diagnosing.bar() as share:
+        story = _story(number, hidden, measured, share)
     if as_json:
         write_json(_document(story))
         return
@@ -142,11 +144,8 @@ def _story(seed: int, hidden: FlawSpec | None, measured: Measured, progress: Any
     from machine_tool_calibration.methods.improve import improve
     from machine_tool_calibration.plots.improve import save_improvement
 
-    count = len(measured.session.readings)
-    improvement = improve(
-        measured.session, seed=seed, progress=lambda text, share: progress(text, int(share * count), count)
-    )
-    progress("drawing", count, count)
+    improvement = improve(measured.session, seed=seed, progress=progress)
+    progress("drawing", 1.0)
     folder = measured.output / "pictures"
     folder.mkdir()
     last = plain(improvement.steps[-1].result.document())

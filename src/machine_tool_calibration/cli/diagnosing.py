@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -26,6 +27,8 @@ _UNBROKEN = 24
 # Between two columns; what a column of longer text needs to be read with ease; and the least that it can do with.
 _GAP = 2
 _EASE, _FOLDED = 24, 8
+# A column of nothing else stands to the right, so that places stand below each other.
+_NUMBER = re.compile(r"[-+−]?[\d.:]+(e[-+]\d+)?( ?%)?|< ?[\d.e-]+|–")
 
 
 def model_options(function: Command) -> Command:
@@ -90,7 +93,7 @@ def bar() -> Iterator[Callable[[str, float], None]]:
 
 
 def show_table(screen: Console, table: TextTable) -> None:
-    """Print a table of text; columns without any text are left out."""
+    """Print a table of text; columns without any text are left out, numbers stand to the right."""
     from rich.table import Table
     from rich.text import Text
 
@@ -113,7 +116,8 @@ def show_table(screen: Console, table: TextTable) -> None:
         if missing(_FOLDED) > 0:
             unbroken.discard(k)
     for k in used:
-        shown.add_column(Text(heads[k]), overflow="fold", no_wrap=k in unbroken)
+        numbers = all(_NUMBER.fullmatch(row[k]) for row in table.rows if row[k])
+        shown.add_column(Text(heads[k]), overflow="fold", no_wrap=k in unbroken, justify="right" if numbers else "left")
     for row in table.rows:
         shown.add_row(*(Text(row[k]) for k in used))
     screen.print()

@@ -164,7 +164,8 @@ def _show(out: Console, folder: Path, files: dict[str, str], left: Sequence[Left
 
     for name in files:
         out.print(f"[bold]{folder / name}[/]")
-    table = Table(title="Error of position over the measured points, µm, without shift and turn of the whole")
+    title = "Error of position over the measured points, µm, without shift and turn of the whole"
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
     table.add_column("direction")
     for column in ("RMS now", "RMS compensated", "largest now", "largest compensated", "U (k = 2), RMS"):
         table.add_column(column, justify="right")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from machine_tool_calibration.cli.diagnosing import show_table
 from machine_tool_calibration.cli.output import console, json_option, plain, write_json
 from machine_tool_calibration.errors import CalibrationError
 
@@ -131,7 +132,7 @@ def _document(
 
 
 def _show_bag(out: Console, bag: BagReader, absent: str) -> None:
-    from rich.table import Table
+    from machine_tool_calibration.diagnosis.text_table import TextTable
 
     size = sum(file.stat().st_size for file in bag.files)
     try:
@@ -141,32 +142,28 @@ def _show_bag(out: Console, bag: BagReader, absent: str) -> None:
     files = f"{len(bag.files)} file" + ("s" if len(bag.files) != 1 else "")
     out.print(f"[bold]{bag.path}[/]: recording, {files}, {size / 1e6:.2f} MB")
     out.print(f"{bag.messages_in_all} messages in {bag.duration:.1f} s, from {start}")
-    table = Table("topic", "type", "messages", "per second", "latched")
-    for column in (2, 3):
-        table.columns[column].justify = "right"
+    rows = []
     for topic in sorted(bag.topics.values(), key=lambda topic: topic.name):
         rate = f"{topic.messages / bag.duration:.1f}" if bag.duration > 0 else ""
         latched = "yes" if any(profile.latched for profile in topic.qos) else ""
-        table.add_row(topic.name, topic.type, str(topic.messages), rate, latched)
-    out.print(table)
+        rows.append((topic.name, topic.type, str(topic.messages), rate, latched))
+    show_table(out, TextTable("Topics", ("topic", "type", "messages", "per second", "latched"), tuple(rows)))
     if absent:
         out.print(f"No measurement in it: {absent.split(': ', 1)[-1]}")
 
 
 def _show_session(out: Console, session: Session, summary: SessionSummary) -> None:
-    from rich.table import Table
+    from machine_tool_calibration.diagnosis.text_table import TextTable
 
     duration = "" if summary.duration is None else f" in {_time(summary.duration)}"
-    out.print(f"[bold]{session.source}[/]: {summary.method}, machine {session.description.machine.chain}")
+    method = summary.method.replace("_", " ")
+    out.print(f"[bold]{session.source}[/]: {method}, machine {session.description.machine.chain}")
     out.print(
-        f"{summary.readings} readings{duration}, {summary.missing} missing, {summary.targets} targets; "
+        f"{summary.readings} readings{duration}, {summary.missing} missing, {summary.targets} places or targets; "
         f"declared standard uncertainty {summary.standard_uncertainty * _MICRO:g} µm"
     )
-    table = Table("setup", "where", "readings", "missing", "repeats", "from", "to")
-    for column in table.columns[2:]:
-        column.justify = "right"
-    for setup, entry in zip(summary.setups, session.description.setups, strict=True):
-        table.add_row(
+    rows = tuple(
+        (
             setup.id,
             _where(entry),
             str(setup.readings),
@@ -175,13 +172,12 @@ def _show_session(out: Console, session: Session, summary: SessionSummary) -> No
             "" if setup.first_time is None else _time(setup.first_time),
             "" if setup.last_time is None else _time(setup.last_time),
         )
-    out.print(table)
-    table = Table("column", "from", "to", "unit", "missing")
-    for column in table.columns[1:3]:
-        column.justify = "right"
-    for summary_of in summary.columns:
-        table.add_row(*_column(summary_of))
-    out.print(table)
+        for setup, entry in zip(summary.setups, session.description.setups, strict=True)
+    )
+    show_table(out, TextTable("Setups", ("setup", "where", "readings", "missing", "repeats", "from", "to"), rows))
+    columns = tuple(_column(column) for column in summary.columns)
+    note = "as recorded, shown in the units that people use; an empty field counts as missing"
+    show_table(out, TextTable("Columns", ("column", "from", "to", "unit", "missing"), columns, note))
     if summary.labels:
         out.print(f"Text columns: {', '.join(summary.labels)}")
 

@@ -44,7 +44,7 @@ def graph_options(function: Command) -> Command:
 
 @contextmanager
 def bar() -> Iterator[Progress]:
-    """A progress bar on standard error; plain lines where that is not a terminal."""
+    """A progress bar of the readings on standard error; plain lines where that is not a terminal."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
     console = error_console()
@@ -64,13 +64,15 @@ def bar() -> Iterator[Progress]:
 
 
 def _lines(console: Console) -> Progress:
-    last = ""
+    last, counted = "", 0
 
     def show(text: str, done: int, total: int) -> None:
-        nonlocal last
+        nonlocal last, counted
         if text != last:
             last = text
-            console.print(f"{text} ({done} of {total})")
+            # The count once for every change of it: what is done before and after the readings has none.
+            console.print(f"{text} ({done} of {total} readings)" if done != counted else text)
+            counted = done
 
     return show
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from machine_tool_calibration.cli.diagnosing import show_table
 from machine_tool_calibration.cli.output import console, json_option, to_json, write_json
 from machine_tool_calibration.errors import CalibrationError
 
@@ -163,7 +164,7 @@ def _show(summary: dict[str, Any], simulated: Simulated) -> None:
     gross = f", {summary['outliers']} with a gross error" if summary["outliers"] else ""
     setups = f"{len(summary['setups'])} setup{'' if len(summary['setups']) == 1 else 's'}"
     out.print(
-        f"{summary['method']}: {summary['observations']} readings{lost}{gross}, "
+        f"{summary['method'].replace('_', ' ')}: {summary['observations']} readings{lost}{gross}, "
         f"{setups} ({', '.join(summary['setups'])}), seed {summary['seed']}"
     )
     out.print(f"standard uncertainty of a reading {summary['standard_uncertainty'] * 1e6:.3g} µm")
@@ -194,8 +195,7 @@ def _short(value: Any) -> str:
 
 
 def _list(as_json: bool) -> None:
-    from rich.table import Table
-
+    from machine_tool_calibration.diagnosis.text_table import TextTable
     from machine_tool_calibration.simulation import FLAWS, PRESETS
 
     if as_json:
@@ -217,12 +217,7 @@ def _list(as_json: bool) -> None:
         )
         return
     out = console()
-    presets = Table("preset", "method", box=None, header_style="bold")
-    for name, plan in PRESETS.items():
-        presets.add_row(name, plan.method)
-    table = Table("effect", "what it does", "typical size", box=None, header_style="bold")
-    for flaw in FLAWS.values():
-        table.add_row(flaw.id, flaw.formula, _sized(flaw.typical, flaw.unit))
-    out.print(presets)
-    out.print()
-    out.print(table)
+    presets = tuple((name, plan.method.replace("_", " ")) for name, plan in PRESETS.items())
+    show_table(out, TextTable("Presets", ("preset", "method"), presets))
+    rows = tuple((flaw.id, flaw.formula, _sized(flaw.typical, flaw.unit)) for flaw in FLAWS.values())
+    show_table(out, TextTable("Effects", ("effect", "what it does", "typical size"), rows))

@@ -11,6 +11,8 @@ __all__ = ["in_words"]
 
 # Chances at which the fit is called worse, or better, than declared, and repeats speak against the model.
 _LEVEL, _TOO_GOOD, _LACK = 0.01, 0.999, 0.003
+# Chance below which it fits only nearly.
+_NEARLY = 0.05
 # Share of the misfit that repeats must show to be called as large.
 _NOISE = 0.7
 # A few readings stand out: beyond so many times the bulk's scatter, at most this share, the bulk itself this quiet.
@@ -26,7 +28,8 @@ def in_words(comparison: Comparison) -> str:
     if p > _TOO_GOOD:
         first = f"the readings scatter only {_ratio(ratio)} times the declared uncertainty, which is too large"
     elif p >= _LEVEL:
-        first = f"the model fits within the declared uncertainty ({_um(overall.noise.declared)}; p = {p:.2g})"
+        nearly = "nearly " if p < _NEARLY else ""
+        first = f"the model fits {nearly}within the declared uncertainty ({_um(overall.noise.declared)}; p = {p:.2g})"
     else:
         first = f"the readings scatter {_ratio(ratio)} times the declared uncertainty; {_where(comparison)}"
     apart = _stand_out(comparison)
