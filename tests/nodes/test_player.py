@@ -146,7 +146,7 @@ def test_the_rate_is_kept(tmp_path: Path, play) -> None:
 
 
 def test_from_an_offset_in_a_loop_with_what_was_latched(tmp_path: Path, play) -> None:
-    operator = play(ticks(tmp_path / "bag", 10), rate=0.0, offset=0.375, loop=True, paused=True)
+    operator = play(ticks(tmp_path / "bag", 10), rate=2.0, offset=0.375, loop=True, paused=True)
     heard = ready(operator)
     assert operator.wait(lambda: operator.session == "latched", PATIENCE)  # it stands before the offset
     operator.call("player/resume", PATIENCE)
@@ -155,16 +155,17 @@ def test_from_an_offset_in_a_loop_with_what_was_latched(tmp_path: Path, play) ->
     assert heard.values[:6] == [8.0, 9.0] * 3
 
 
-def mtcal(*words: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "machine_tool_calibration", *words]
-    return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
+def mtcal(*words: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "machine_tool_calibration", "play", *words]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
 def test_ends_by_itself_and_counts(tmp_path: Path) -> None:
     bag = ticks(tmp_path / "bag")
-    answer = mtcal("play", str(bag), "/joint_states", "--fast", "--json")
-    assert answer.returncode == 0, answer.stderr
-    assert json.loads(answer.stdout) == {
+    with mtcal(str(bag), "/joint_states", "--fast", "--json") as process:
+        answer, errors = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 0, errors
+    assert json.loads(answer) == {
         "format": "mtcal-played/1",
         "bag": str(bag),
         "messages": 20,
@@ -174,10 +175,14 @@ def test_ends_by_itself_and_counts(tmp_path: Path) -> None:
 
 def test_wrong_requests_are_one_line(tmp_path: Path) -> None:
     bag = str(ticks(tmp_path / "bag"))
-    for words, expected in (
-        ([str(tmp_path / "none")], "no such file"),
-        ([bag, "/nothing"], "no topic '/nothing'"),
-        ([bag, "--offset", "100"], "the offset 100 s is behind its end"),
-    ):
-        answer = mtcal("play", *words)
-        assert answer.returncode == 1 and expected in answer.stderr and answer.stderr.count("\n") == 1, answer.stderr
+    started = [
+        (mtcal(*words), expected)
+        for words, expected in (
+            ([str(tmp_path / "none")], "no such file"),
+            ([bag, "/nothing"], "no topic '/nothing'"),
+            ([bag, "--offset", "100"], "the offset 100 s is behind its end"),
+        )
+    ]
+    for process, expected in started:
+        _, errors = process.communicate(timeout=PATIENCE)
+        assert process.returncode == 1 and expected in errors and errors.count("\n") == 1, errors

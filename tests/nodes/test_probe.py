@@ -134,6 +134,7 @@ def test_pretravel_depends_on_the_direction_of_the_contact(bench, finish):
     _, operator = start(
         bench, procedure(points, angles=(0.0, 1.0, 2.3)), site(), form=0.0, pretravel_variation=2e-6, pretravel_lobes=3
     )
+    refused_in_front_of_nothing(operator)
     finish(operator)
     session = session_of(operator)
     angle = np.array([np.arctan2(*p.normal[::-1]) for p in points])
@@ -154,8 +155,8 @@ def test_in_real_time_the_stylus_approaches_triggers_and_backs_off(bench, finish
     assert np.all(np.diff(session.readings.columns["time"]) > 0.4)
 
 
-def test_a_probe_that_stands_in_front_of_nothing_says_so(bench):
-    _, operator = start(bench, procedure(), site(), names=("axis_simulator", "probe", "procedure"))
+def refused_in_front_of_nothing(operator):
+    """A probe that is not at a point yet says so."""
     assert operator.wait(lambda: operator.procedure.entries.get("state") == "idle", PATIENCE)
     assert operator.wait(lambda: not operator.procedure.entries["waiting_for"], PATIENCE)
     with pytest.raises(CalibrationError, match="in front of no point"):

@@ -116,9 +116,13 @@ def test_what_is_wrong_is_said_in_one_line():
         assert said.startswith(f"{name}: ") and message in said
 
 
-def test_every_parameter_is_described(bench):
-    graph = bench.graph(NAMES)
-    operator = bench.operator(graph)
+def test_every_parameter_is_described_and_has_the_default_of_the_example(bench):
+    operator = bench.operator(bench.graph(NAMES, simulated_time=False))
+    check_descriptions(operator)
+    check_examples(operator)
+
+
+def check_descriptions(operator):
     for name in NAMES:
         listed = ask(operator, ListParameters, f"{name}/list_parameters", ListParameters.Request())
         own = [key for key in listed.result.names if key not in ("use_sim_time", "start_type_description_service")]
@@ -131,6 +135,18 @@ def test_every_parameter_is_described(bench):
                 assert descriptor.description.endswith("]"), f"{name}: {descriptor.name} has no unit"
             if descriptor.type == ParameterType.PARAMETER_INTEGER:
                 assert descriptor.integer_range, (name, descriptor.name)
+
+
+def check_examples(operator):
+    given = yaml.safe_load((CONFIG / "nodes.yaml").read_text())
+    assert sorted(key.rsplit("/", 1)[1] for key in given) == sorted(NAMES)
+    for name in NAMES:
+        wanted = given[f"/**/{name}"]["ros__parameters"]
+        if name == "instrument":
+            del wanted["sample_noise"]  # the bench sets it
+        request = GetParameters.Request(names=list(wanted))
+        found = ask(operator, GetParameters, f"{name}/get_parameters", request).values
+        assert {key: parameter_value_to_python(value) for key, value in zip(wanted, found, strict=True)} == wanted
 
 
 def test_parameter_files_reach_the_nodes_in_a_namespace(bench):
@@ -147,17 +163,3 @@ def test_parameter_files_reach_the_nodes_in_a_namespace(bench):
         request = GetParameters.Request(names=["speed", "acceleration"])
         values = ask(operator, GetParameters, "axis_simulator/get_parameters", request).values
         assert [value.double_value for value in values] == [0.123, 2.0]
-
-
-def test_example_parameters_are_the_nodes_defaults(bench):
-    given = yaml.safe_load((CONFIG / "nodes.yaml").read_text())
-    graph = bench.graph(NAMES, simulated_time=False)
-    operator = bench.operator(graph)
-    assert sorted(key.rsplit("/", 1)[1] for key in given) == sorted(NAMES)
-    for name in NAMES:
-        wanted = given[f"/**/{name}"]["ros__parameters"]
-        if name == "instrument":
-            del wanted["sample_noise"]  # the bench sets it
-        request = GetParameters.Request(names=list(wanted))
-        found = ask(operator, GetParameters, f"{name}/get_parameters", request).values
-        assert {key: parameter_value_to_python(value) for key, value in zip(wanted, found, strict=True)} == wanted

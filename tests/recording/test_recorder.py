@@ -12,7 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -170,12 +170,16 @@ def test_a_kill_costs_less_than_a_second(tmp_path: Path, ros_domain: int, seed: 
 def test_a_wrong_request_is_one_line(tmp_path: Path, ros_domain: int) -> None:
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "file").write_text("kept")
-    for parameter, expected in (
-        (f"folder:={tmp_path}/full", f"{tmp_path}/full: is not empty; a recording needs a new folder"),
-        ("split_size:=-1", "split_size"),
-        ("flush_period:=5.0", "flush_period"),
-    ):
-        with recorder(parameter) as process:
+    with ExitStack() as stack:
+        started = [
+            (stack.enter_context(recorder(parameter)), expected)
+            for parameter, expected in (
+                (f"folder:={tmp_path}/full", f"{tmp_path}/full: is not empty; a recording needs a new folder"),
+                ("split_size:=-1", "split_size"),
+                ("flush_period:=5.0", "flush_period"),
+            )
+        ]
+        for process, expected in started:
             _, errors = process.communicate(timeout=PATIENCE)
             assert process.returncode == 1
             assert len(errors.strip().splitlines()) == 1
