@@ -75,6 +75,7 @@ class Outcome:
         exact: whether they themselves were accepted, and nothing else.
         before: error of the map with the effect in the data, over its error without.
         after: the same with what was accepted in the model.
+        known: the same with what is hidden in the model: nothing that is found can be expected to do better.
     """
 
     trial: Trial
@@ -86,6 +87,7 @@ class Outcome:
     exact: bool = False
     before: float = np.nan
     after: float = np.nan
+    known: float = np.nan
     seconds: float = 0.0
     note: str = ""
 
@@ -163,8 +165,8 @@ def run(trial: Trial) -> Outcome:
         seconds = time.perf_counter() - start
         outcome = _judged(trial, found, seconds)
         if trial.kind.startswith(("one", "two")):
-            before, after = map_ratios(base, session, found.accepted)
-            outcome = replace(outcome, before=before, after=after)
+            before, after, known = map_ratios(base, session, ((), found.accepted, trial.effects))
+            outcome = replace(outcome, before=before, after=after, known=known)
         return outcome
 
 
@@ -184,11 +186,19 @@ def _judged(trial: Trial, found: Diagnosis, seconds: float) -> Outcome:
     )
 
 
-def map_ratios(base: SimulationSpec, session: Session, accepted: tuple[str, ...]) -> tuple[float, float]:
-    """Error of the map before and after effects are added, over its error in a session without any hidden effect.
+def map_ratios(base: SimulationSpec, session: Session, models: Sequence[tuple[str, ...]]) -> list[float]:
+    """Error of the map with some effects in the model, over its error in a session without any hidden effect.
 
     The reference is the map of the same machine from readings without noise and hidden effects, so that all have the
     same datum; errors count in standard uncertainties of the session without a hidden effect.
+
+    Args:
+        base: the machine and the plan.
+        session: the session with the hidden effects.
+        models: effects that are in each model.
+
+    Returns:
+        One ratio for each; NaN where the session does not determine the model.
     """
     silent = base.model_copy(update={"noise_factor": 0.0, "effects": (), "spread": Spread()})
     reference, _ = _map(simulate(silent).session, ())
@@ -197,7 +207,13 @@ def map_ratios(base: SimulationSpec, session: Session, accepted: tuple[str, ...]
     def error(values: Array) -> float:
         return float(np.sqrt(np.nanmean(((values - reference) / uncertainty) ** 2)))
 
-    return error(_map(session, ())[0]) / error(without), error(_map(session, accepted)[0]) / error(without)
+    ratios = []
+    for effects in models:
+        try:
+            ratios.append(error(_map(session, effects)[0]) / error(without))
+        except CalibrationError:
+            ratios.append(np.nan)
+    return ratios
 
 
 def _map(session: Session, effects: tuple[str, ...]) -> tuple[Array, Array]:
@@ -254,8 +270,8 @@ def table(outcomes: list[Outcome]) -> str:
     lines = [
         "| data | plan | sessions | ranked first | found | exact | "
         + " | ".join(_VERDICTS)
-        + " | outliers | map before | map after |",
-        "|---|---|---|---|---|---|---|---|---|---|---|---|",
+        + " | outliers | map before | map after | map if known |",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     by: dict[tuple[str, str], list[Outcome]] = defaultdict(list)
     for outcome in outcomes:
@@ -269,7 +285,8 @@ def table(outcomes: list[Outcome]) -> str:
         rates = [sum(getattr(o, name) for o in group) if shown else "" for name in ("first", "found", "exact")]
         verdicts = [sum(o.verdict == v for o in group) for v in (*_VERDICTS, "outliers")]
         ratios = [
-            f"{np.median([getattr(o, name) for o in group]):.2f}" if shown else "" for name in ("before", "after")
+            f"{np.nanmedian([getattr(o, name) for o in group]):.2f}" if shown else ""
+            for name in ("before", "after", "known")
         ]
         lines.append("| " + " | ".join(str(v) for v in (kind, plan, n, *rates, *verdicts, *ratios)) + " |")
     return "\n".join(lines)

@@ -24,6 +24,7 @@ __all__ = [
     "reduce",
     "scan",
     "simulate",
+    "spread_price",
     "spread_ratios",
     "weighted_products",
 ]
@@ -190,7 +191,7 @@ def scan(reduced: Reduced, blocks: Sequence[slice], data: Data, ratios: list[tup
         else:
             logdet, weighted, product_, squares = 0.0, own, own_data, data.squares
         squares = np.maximum(squares, 1e-300)
-        price = logdet + sum(ratio) / reduced.usual
+        price = logdet + _unusual(reduced, ratio)
         value = -n * np.log(squares / n) - price
         better = value > null
         null[better], null_variance[better] = value[better], squares[better] / n
@@ -242,6 +243,20 @@ def simulate(reduced: Reduced, ratio: Array, variance: float, count: int, rng: n
     )
     root_variance = np.sqrt(variance)
     return Data((noise + moved) * root_variance, squares * variance)
+
+
+def spread_price(reduced: Reduced, ratio: tuple[float, ...]) -> float:
+    """What spread of these variances costs a likelihood: twice its logarithm, beside the sum of squares."""
+    root = np.sqrt(np.array(ratio))[reduced.family] if len(ratio) else np.zeros(0)
+    used = reduced.n_candidates + np.flatnonzero(root > 0)
+    s = root[root > 0]
+    core = np.eye(len(s)) + reduced.gram[np.ix_(used, used)] * np.outer(s, s)
+    return float(np.linalg.slogdet(core)[1]) + _unusual(reduced, ratio)
+
+
+def _unusual(reduced: Reduced, ratio: tuple[float, ...]) -> float:
+    """The prior's part of it."""
+    return sum(ratio) / reduced.usual
 
 
 def weighted_products(

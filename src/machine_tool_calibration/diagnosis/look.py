@@ -13,11 +13,13 @@ from machine_tool_calibration.diagnosis.candidates import Candidate, stack
 from machine_tool_calibration.diagnosis.crossvalidation import CrossValidation, cross_validate
 from machine_tool_calibration.diagnosis.likelihood import observed, reduce
 from machine_tool_calibration.diagnosis.noise import Noise, noise_of
+from machine_tool_calibration.diagnosis.pairs import Pair, best_pair
 from machine_tool_calibration.diagnosis.power import detectable_sizes
 from machine_tool_calibration.diagnosis.ranking import Ranked, alias_groups, rank_candidates
-from machine_tool_calibration.diagnosis.rules import LEVEL, ROUNDING, STRUCTURE_LEVEL, rules_of
+from machine_tool_calibration.diagnosis.rules import LEVEL, PAIR_LEVEL, ROUNDING, STRUCTURE_LEVEL, rules_of
 from machine_tool_calibration.diagnosis.significance import search
 from machine_tool_calibration.diagnosis.spread import run_spreads
+from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.model.fit import Fit, screen
 
 __all__ = ["Absorbed", "Look", "Structure", "look_at"]
@@ -55,6 +57,7 @@ class Look:
         noise: what is known of the readings' noise.
         ranked: effects that are not in the model, best first.
         groups: effects that this data cannot tell apart.
+        pair: the two effects that explain most together, if that was asked.
         absorbed: effects that would not show.
         structure: what the residuals depend on, most significant first.
         structure_gains: by how much the information criterion falls with each significant structure, by covariate.
@@ -66,26 +69,33 @@ class Look:
     noise: Noise
     ranked: tuple[Ranked, ...]
     groups: tuple[tuple[str, ...], ...]
+    pair: Pair | None
     absorbed: tuple[Absorbed, ...]
     structure: tuple[Structure, ...]
     structure_gains: dict[str, float]
     validation: CrossValidation | None
     detectable: dict[str, dict[str, float]]
 
-    def winner(self, last: Collection[str] = ()) -> Ranked | None:
+    def of(self, effect: Effect) -> Ranked:
+        """What was found of an effect."""
+        return next(r for r in self.ranked if r.candidate.effect is effect)
+
+    def winner(self, first: Collection[str] = (), last: Collection[str] = ()) -> Ranked | None:
         """The most probable effect that is significant, possible, and predicts readings that were held out.
 
         Args:
+            first: effects that are taken before all others; two that are significant together need not be so alone.
             last: effects that are taken only if there is no other.
         """
         if self.fit.joint.reduced_chi_square < ROUNDING:
             return None
         rules = rules_of(self.fit.model.observations.session.method)
         names = [r.candidate.name for r in self.ranked]
-        order = sorted(range(len(names)), key=lambda k: (names[k] in last, rules.tier(names[k])))
+        order = sorted(range(len(names)), key=lambda k: (names[k] not in first, names[k] in last, rules.tier(names[k])))
         for k in order:
             r = self.ranked[k]
-            if not r.rank or r.family_p_value > LEVEL or not r.possible:
+            granted = self.pair is not None and names[k] in first and self.pair.family_p_value <= PAIR_LEVEL
+            if not r.rank or not r.possible or (r.family_p_value > LEVEL and not granted):
                 continue
             if self.validation is None or k >= _VALIDATED or self.validation.agrees(k):
                 return r
@@ -93,7 +103,13 @@ class Look:
 
 
 def look_at(
-    fit: Fit, candidates: Sequence[Candidate], structures: Sequence[Candidate], rng: np.random.Generator, sets: int
+    fit: Fit,
+    candidates: Sequence[Candidate],
+    structures: Sequence[Candidate],
+    rng: np.random.Generator,
+    sets: int,
+    *,
+    pairs: bool,
 ) -> Look:
     """Test all candidates and structures on what a fit leaves.
 
@@ -103,6 +119,7 @@ def look_at(
         structures: functions of the covariates.
         rng: source of random numbers.
         sets: simulated data sets in which nothing is missing.
+        pairs: whether to look for two effects together.
     """
     observations = fit.model.observations
     n = len(observations)
@@ -130,6 +147,7 @@ def look_at(
         noise=noise,
         ranked=ranked,
         groups=alias_groups(ranked, reduced),
+        pair=best_pair(ranked, reduced, data, found.likelihoods, rng, sets) if pairs else None,
         absorbed=absorbed,
         structure=structure,
         structure_gains=_best_by_covariate(seen),

@@ -11,8 +11,8 @@ from scipy import stats
 
 from machine_tool_calibration.diagnosis.candidates import Candidate, effect_candidates
 from machine_tool_calibration.diagnosis.look import Look, look_at
-from machine_tool_calibration.diagnosis.ranking import Ranked
-from machine_tool_calibration.diagnosis.rules import ROUNDS, rules_of
+from machine_tool_calibration.diagnosis.pairs import Pair
+from machine_tool_calibration.diagnosis.rules import LEVEL, ROUNDS, rules_of
 from machine_tool_calibration.diagnosis.structure import structure_candidates
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import ModelError
@@ -24,6 +24,10 @@ __all__ = ["Found", "find_effects_in", "left_over"]
 
 # How much better a structure without a cause must do than one effect, or than several together, to speak against them.
 _ONE, _MARGIN, _SEVERAL = 1.3, 6.0, 0.9
+# Gain of the information criterion from which two effects are tried in the place of a single other one.
+_PARSIMONY = 6.0
+# The same in the place of two or three.
+_CLEARLY = 2.0
 # Chance from which an effect that was found early is no longer needed beside those found after it, and how often that
 # is looked at.
 _NEEDLESS, _MOST_NEEDLESS = 0.003, 4
@@ -91,10 +95,18 @@ def find_effects_in(
     task = _Task(session, model_of, fit_models([base]).fits[0], candidates, structures, rng, sets, progress)
     if rules_of(session.method).side_by_side:
         return _without_needless(task, excluded)
-    found = _one_after_the_other(task, excluded, ())
+    found = _one_after_the_other(task, excluded)
+    pair = found.looks[0].pair
+    if pair is not None and _does_better(pair, found):
+        # Neither leads by itself, or a third one looks like their sum.
+        other = _one_after_the_other(task, excluded, first=pair.names)
+        if _are(pair, other.accepted[:2]) and _stands(other):
+            both = _each_beside_the_other(task, other)
+            if both is not None:
+                return both
     if found.accepted and not _stands(found):
         # The first may have been taken for several others together.
-        other = _one_after_the_other(task, excluded, (found.accepted[0].id,))
+        other = _one_after_the_other(task, excluded, last=(found.accepted[0].id,))
         if other.accepted and _stands(other):
             return other
     return replace(found, looks=found.looks[:1], accepted=()) if _contradicted(found) else found
@@ -104,11 +116,45 @@ def _without_needless(task: _Task, excluded: dict[str, str]) -> Found:
     """The rounds, begun again while an early effect is made superfluous by later ones."""
     last: set[str] = set()
     while True:
-        found = _one_after_the_other(task, excluded, last)
+        found = _one_after_the_other(task, excluded, last=last)
         needless = _needless(found)
         if needless is None or needless in last or len(last) == _MOST_NEEDLESS:
             return found
         last.add(needless)
+
+
+def _does_better(pair: Pair, found: Found) -> bool:
+    """Whether two effects fitted together explain more than what was found one after the other."""
+    if _are(pair, found.accepted):
+        return False
+    return pair.gain > _gain(found) + (_PARSIMONY if len(found.accepted) < 2 else _CLEARLY)
+
+
+def _are(pair: Pair, effects: Sequence[Effect]) -> bool:
+    return {effect.id for effect in effects} == set(pair.names)
+
+
+def _each_beside_the_other(task: _Task, found: Found) -> Found | None:
+    """The same with the first effect as it shows beside the second, where it does not show alone; None if not there."""
+    first, second = found.accepted[:2]
+    look = found.looks[0]
+    alone = look.of(first)
+    if alone.family_p_value <= LEVEL:
+        return found
+    fit = fit_models([task.model_of(task.session, [second])]).fits[0]
+    left = [c for c in task.candidates if c.effect is not second]
+    beside = look_at(fit, left, task.structures, task.rng, task.sets, pairs=False).of(first)
+    if beside.family_p_value > LEVEL:
+        return None
+    shown = replace(
+        alone,
+        p_value=beside.p_value,
+        log_p_value=beside.log_p_value,
+        family_p_value=beside.family_p_value,
+        probability=beside.probability,
+    )
+    ranked = tuple(shown if r is alone else r for r in look.ranked)
+    return replace(found, looks=(replace(look, ranked=ranked), *found.looks[1:]))
 
 
 def _stands(found: Found) -> bool:
@@ -126,8 +172,10 @@ def left_over(found: Found) -> bool:
     return left > most * (first - last + left)
 
 
-def _one_after_the_other(task: _Task, excluded: dict[str, str], last: Collection[str]) -> Found:
-    """The rounds, with some effects taken only if there is no other."""
+def _one_after_the_other(
+    task: _Task, excluded: dict[str, str], first: Collection[str] = (), last: Collection[str] = ()
+) -> Found:
+    """The rounds, with some effects taken before all others, or only if there is no other."""
     rules = rules_of(task.session.method)
     fit, candidates, excluded = task.fit, task.candidates, dict(excluded)
     looks: list[Look] = []
@@ -137,8 +185,9 @@ def _one_after_the_other(task: _Task, excluded: dict[str, str], last: Collection
         what = f"round {len(looks) + 1}: {len(candidates)} effects, {task.sets} simulated sets"
         task.progress(what, min((len(looks) + 0.2) / (ROUNDS + 1), 0.9))
         left = [c for c in candidates if c.effect not in accepted and c.name not in alike]
-        looks.append(look_at(fit, left, task.structures, task.rng, task.sets))
-        winner = looks[-1].winner(last)
+        pairs = not looks and not rules.side_by_side
+        looks.append(look_at(fit, left, task.structures, task.rng, task.sets, pairs=pairs))
+        winner = looks[-1].winner(first, last)
         rounds = sum(rules.tier(effect.id) == len(rules.order) for effect in accepted)
         if winner is None or rounds == ROUNDS:
             return Found(tuple(looks), tuple(accepted), excluded)
@@ -173,14 +222,20 @@ def _contradicted(found: Found) -> bool:
         return False
     own = {name for effect in found.accepted for name in effect.covariates or effect.needs}
     foreign = max((g for name, g in found.looks[0].structure_gains.items() if name not in own), default=-np.inf)
-    gains = [_ranked(look, effect).bic_gain for look, effect in zip(found.looks, found.accepted, strict=False)]
-    if len(gains) == 1:
-        return bool(foreign >= _ONE * gains[0] + _MARGIN)
-    return bool(foreign >= _SEVERAL * sum(gains))
+    if len(found.accepted) == 1:
+        return bool(foreign >= _ONE * _gain(found) + _MARGIN)
+    return bool(foreign >= _SEVERAL * _gain(found))
 
 
-def _ranked(look: Look, effect: Effect) -> Ranked:
-    return next(r for r in look.ranked if r.candidate.effect is effect)
+def _gain(found: Found) -> float:
+    """By how much the information criterion fell with the accepted effects."""
+    gains = [look.of(effect).bic_gain for look, effect in zip(found.looks, found.accepted, strict=False)]
+    pair = found.looks[0].pair
+    if pair is not None:
+        # Each of two may hide the other until it is in the model.
+        both = pair.others.get(frozenset(effect.id for effect in found.accepted[:2]), -np.inf)
+        gains[:2] = [max(sum(gains[:2]), both)]
+    return float(sum(gains))
 
 
 def _needless(found: Found) -> str | None:
