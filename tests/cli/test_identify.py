@@ -12,7 +12,7 @@ import pytest
 from machine_tool_calibration.cli.identified import grouped, shown, verdict
 from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.session.writer import write_session
-from machine_tool_calibration.simulation import FlawSpec, SimulationSpec, TrackingPlan, simulate
+from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, TrackingPlan, simulate
 
 DATA = Path(__file__).parents[1] / "data"
 
@@ -64,6 +64,33 @@ def test_for_programs(name, say):
     for key, value in document["error_map"].items():
         if key.endswith("_u"):
             assert np.shape(value) == np.shape(document["error_map"][key[:-2]])
+
+
+def test_what_is_not_determined_has_no_number_beside_it(say):
+    _, out, _ = say(DATA / "step_diagonal")
+    table, lost = out.split("not determined:")[:2]
+    assert "EAX" in lost
+    assert "angle.EAX" not in table and "EXX" in table
+
+
+def test_every_unknown_is_said_in_words(say, backlash):
+    _, out, _ = say(backlash, "--effect", "backlash_y")
+    lines = {line.split()[0]: line for line in out.splitlines() if line.strip()}
+    assert lines["backlash_y.b"].rstrip().endswith("half width")
+    assert "place of A" in lines["A.x"]
+    assert "distance at which A reads zero" in lines["A.dead_path"]
+
+
+def test_a_map_in_two_directions_and_too_few_runs_are_said(say, tmp_path):
+    spec = SimulationSpec(plan=PRESETS["iso230_2"], seed=3, effects=(FlawSpec(id="backlash_x", size=3e-6),))
+    session = simulate(spec).session
+    write_session(session.with_readings(session.readings.select(session.readings.repeat == 0)), tmp_path / "s")
+    _, out, _ = say(tmp_path / "s", "--effect", "backlash_x")
+    assert "22, at 11 places: a place counts once for each direction of approach" in words(out)
+    assert "ISO 230-2 asks for 5 runs in each direction" in words(out)
+    assert "repeatability and accuracy cannot be told" in words(out)
+    _, out, _ = say(tmp_path / "s")
+    assert "points of the map 11 " in words(out)
 
 
 def test_an_effect_makes_the_model_fit(say, backlash):

@@ -27,6 +27,8 @@ _UNBROKEN = 24
 # Between two columns; what a column of longer text needs to be read with ease; and the least that it can do with.
 _GAP = 2
 _EASE, _FOLDED = 24, 8
+# How narrow a heading becomes before any is broken at every word.
+_HEAD = 10
 # A column of nothing else stands to the right, so that places stand below each other.
 _NUMBER = re.compile(r"[-+−]?[\d.:]+(e[-+]\d+)?( ?%)?|< ?[\d.e-]+|–")
 
@@ -110,8 +112,9 @@ def show_table(screen: Console, table: TextTable) -> None:
         return sum(widths) + _GAP * (len(used) - 1) - screen.width
 
     # rich cuts columns that must not break where the table is too wide: break headings first, then the longest texts.
-    if missing(_EASE) > 0:
-        heads = {k: fill(text, max(longest[k], 1), break_long_words=False) for k, text in heads.items()}
+    for narrow in (_HEAD, 1):
+        if missing(_EASE) > 0:
+            heads = {k: fill(table.columns[k], max(longest[k], narrow), break_long_words=False) for k in used}
     for k in sorted(unbroken, key=lambda k: longest[k], reverse=True):
         if missing(_FOLDED) > 0:
             unbroken.discard(k)

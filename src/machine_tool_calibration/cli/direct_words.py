@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from machine_tool_calibration.diagnosis.text_table import TextTable
+
 if TYPE_CHECKING:
     from rich.table import Table
 
@@ -13,6 +15,8 @@ __all__ = ["direct_tables", "scatter_words"]
 # Chance below which a step or a parameter counts as significant.
 _SIGNIFICANT = 0.01
 _MOST_ROWS = 12
+# Runs in each direction that ISO 230-2:2014 asks for.
+_RUNS = 5
 # Figures of ISO 230-2:2014 in the order of a test report; up and down, then both.
 _FIGURES = (
     ("B", "reversal error B", ("", "", "B")),
@@ -44,7 +48,7 @@ def scatter_words(content: Mapping[str, Any], p_value: float) -> str | None:
     return f"The model fits the readings within their declared uncertainty ({both}): standard uncertainties use it."
 
 
-def direct_tables(content: Mapping[str, Any]) -> Iterator[Table | str]:
+def direct_tables(content: Mapping[str, Any]) -> Iterator[Table | TextTable | str]:
     """Tables and sentences, in the order in which they are read."""
     plate = content.get("plate")
     if plate:
@@ -52,12 +56,10 @@ def direct_tables(content: Mapping[str, Any]) -> Iterator[Table | str]:
         yield from _plate_words(plate)
     for run in content.get("iso230_2") or ():
         yield _run_table(run)
-        if run.get("note"):
-            yield run["note"]
 
 
 def _plate_table(plate: Mapping[str, Any]) -> Table:
-    table = _table(
+    table = _plate_heads(
         f"step by step, over {plate['places']} deviations (sizes ± U, k = 2, from the scatter that is left)",
         ("model", "unknowns", "RMS / µm", "scatter / µm", "p of the step", "sizes"),
     )
@@ -97,20 +99,27 @@ def _plate_words(plate: Mapping[str, Any]) -> Iterator[str]:
         )
 
 
-def _run_table(run: Mapping[str, Any]) -> Table:
-    n = f"{min(run['count_up'] or [0])} up, {min(run['count_down'] or [0])} down"
-    table = _table(
-        f"{run['axis']} by ISO 230-2: setup {run['setup']}, {len(run['position'])} positions, runs: {n} (µm)",
-        ("figure", "up", "down", "both", "U (k = 2)"),
-    )
+def _run_table(run: Mapping[str, Any]) -> TextTable:
+    counts = [min(run["count_up"] or [0]), min(run["count_down"] or [0])]
+    rows = []
     for key, title, names in _FIGURES:
         texts = [_micro(run.get(name)) if name else "" for name in names]
         if any(text not in ("", "–") for text in texts):
-            table.add_row(title, *texts, _micro(run.get(f"{key}_U")))
-    return table
+            rows.append((title, *texts, _micro(run.get(f"{key}_U"))))
+    title = (
+        f"{run['axis']} by ISO 230-2: setup {run['setup']}, {len(run['position'])} positions, runs: {counts[0]} up, "
+        f"{counts[1]} down (µm)"
+    )
+    notes = [run["note"].removesuffix(".")] if run.get("note") else []
+    if min(counts) < _RUNS:
+        notes.append(
+            f"ISO 230-2 asks for {_RUNS} runs in each direction; with fewer the figures are for information, and "
+            + ("repeatability and accuracy cannot be told" if max(counts) < 2 else "repeatability is uncertain")
+        )
+    return TextTable(title, ("figure", "up", "down", "both", "U (k = 2)"), tuple(rows), "; ".join(notes))
 
 
-def _table(title: str, heads: Sequence[str]) -> Table:
+def _plate_heads(title: str, heads: Sequence[str]) -> Table:
     from rich.table import Table
 
     table = Table(title=title, title_justify="left", box=None, pad_edge=False)

@@ -28,7 +28,7 @@ def figures(document: dict[str, Any]) -> list[tuple[str, str]]:
     error_map = document.get("error_map") or {}
     error, uncertainty = _array(error_map.get("position_error")), _array(error_map.get("position_error_u"))
     if error.size:
-        rows.append(("points of the map", str(len(error))))
+        rows.append(("points of the map", _points(error_map.get("points"), len(error))))
         rows.append(("error of position", f"{_rms(error):.2f} µm RMS, {_largest(error):.2f} µm at most"))
     if uncertainty.size:
         rows.append(
@@ -43,6 +43,14 @@ def figures(document: dict[str, Any]) -> list[tuple[str, str]]:
         names = ", ".join(entry["name"] for entry in missing[:6])
         rows.append(("not determined", f"{names}{' …' if len(missing) > 6 else ''}"))
     return rows
+
+
+def _points(points: Any, count: int) -> str:
+    """How many, and why one place may be there more than once."""
+    places = len({tuple(point) for point in points}) if points else count
+    if places == count:
+        return str(count)
+    return f"{count}, at {places} places: a place counts once for each direction of approach that an effect tells apart"
 
 
 def _motions(content: Mapping[str, Any]) -> list[tuple[str, str]]:

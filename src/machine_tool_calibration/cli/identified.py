@@ -8,9 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from machine_tool_calibration.cli.diagnosing import show_table
 from machine_tool_calibration.cli.direct_words import direct_tables, scatter_words
 from machine_tool_calibration.cli.figures import figures
 from machine_tool_calibration.cli.output import console
+from machine_tool_calibration.diagnosis.text_table import TextTable
+from machine_tool_calibration.model.unknown_words import unknown_in_words
 
 if TYPE_CHECKING:
     from machine_tool_calibration.session.session import Session
@@ -24,8 +27,16 @@ _UNITS = {"m": (1e6, "µm"), "rad": (1e6, "µrad"), "m/s": (3.6e9, "µm/h"), "ra
 _PLACE = re.compile(r".*\.([xyz]|dead_path)")
 
 
-def show_result(document: Mapping[str, Any], opened: Iterable[Session]) -> None:
-    """Print a result document."""
+def show_result(
+    document: Mapping[str, Any], opened: Iterable[Session], meanings: Mapping[str, str] | None = None
+) -> None:
+    """Print a result document.
+
+    Args:
+        document: of the result.
+        opened: the sessions that were identified.
+        meanings: what coefficients of effects are, by name.
+    """
     from rich.table import Table
 
     screen = console()
@@ -39,12 +50,15 @@ def show_result(document: Mapping[str, Any], opened: Iterable[Session]) -> None:
         table.add_row(name, text)
     screen.print(table)
     for shown_of_direct in direct_tables(document["error_map"]):
-        screen.print(shown_of_direct)
+        if isinstance(shown_of_direct, TextTable):
+            show_table(screen, shown_of_direct)
+        else:
+            screen.print(shown_of_direct)
     if "agreement" in document:
         screen.print(document["agreement"]["statement"])
     for reason, rows in grouped((str(entry["row"]), entry["reason"]) for entry in document["rejected"]):
         screen.print(f"not used: {'rows' if ',' in rows else 'row'} {rows} (the first row is 0): {reason}")
-    _show_parameters(document)
+    _show_parameters(document, meanings or {})
     for why, names in grouped((entry["name"], entry["why"]) for entry in document["not_determined"]):
         screen.print(f"not determined: {names}: {why}")
     screen.print(f"datum: {document['datum']}")
@@ -103,48 +117,47 @@ def grouped(entries: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
     ]
 
 
-def _show_parameters(document: Mapping[str, Any]) -> None:
-    from rich.table import Table
-
+def _show_parameters(document: Mapping[str, Any], meanings: Mapping[str, str]) -> None:
+    screen = console()
     single = [entry for entry in document["parameters"] if not _TABLE.fullmatch(entry["name"])]
-    added = tuple(f"{effect}." for effect in document["effects"])
+    effects = document["effects"]
+    added = tuple(f"{effect}." for effect in effects)
     # Effects first, then what is of the machine (squareness), then what is of the setups.
     single.sort(key=lambda entry: 0 if entry["name"].startswith(added) and added else 1 + ("." in entry["name"]))
-    if single:
-        table = Table(title="parameters", title_justify="left", box=None, pad_edge=False)
-        for heading in ("name", "value", "u (k = 1)", "U (k = 2)", "unit"):
-            table.add_column(heading, justify="left" if heading in ("name", "unit") else "right")
-        for entry in single[:_MOST_ROWS]:
-            place = _PLACE.fullmatch(entry["name"]) is not None
-            table.add_row(entry["name"], *shown(entry["value"], entry["standard_uncertainty"], entry["unit"], place))
-        console().print(table)
-        if len(single) > _MOST_ROWS:
-            console().print(f"… and {len(single) - _MOST_ROWS} more; --json gives all of them")
-    _show_tables(entry for entry in document["parameters"] if _TABLE.fullmatch(entry["name"]))
+    rows = []
+    for entry in single[:_MOST_ROWS]:
+        name = entry["name"]
+        place = _PLACE.fullmatch(name) is not None
+        what = meanings.get(name) or unknown_in_words(name, effects)
+        texts = shown(entry["value"], entry["standard_uncertainty"], entry["unit"], place)
+        rows.append((name, *texts, "" if what == name else what))
+    if rows:
+        left = len(single) - len(rows)
+        note = f"{left} more; --json gives all of them" if left else ""
+        heads = ("name", "value", "u (k = 1)", "U (k = 2)", "unit", "what it is")
+        show_table(screen, TextTable("Parameters", heads, tuple(rows), note))
+    _show_tables(document)
 
 
-def _show_tables(entries: Iterable[Mapping[str, Any]]) -> None:
-    """Each table of an error motion in one row."""
-    from rich.table import Table
-
+def _show_tables(document: Mapping[str, Any]) -> None:
+    """Each table of an error motion in one row; none of what is not determined."""
+    lost = {entry["name"] for entry in document["not_determined"]}
     tables: dict[str, list[Mapping[str, Any]]] = {}
-    for entry in entries:
+    for entry in document["parameters"]:
         match = _TABLE.fullmatch(entry["name"])
-        assert match is not None
-        tables.setdefault(match[1], []).append(entry)
-    if not tables:
-        return
-    table = Table(title="error motions (--json gives every value)", title_justify="left", box=None, pad_edge=False)
-    for heading in ("name", "values", "smallest", "largest", "U (k = 2) at most", "unit"):
-        table.add_column(heading, justify="left" if heading in ("name", "unit") else "right")
+        if match is not None and match[1].removeprefix("angle.") not in lost:
+            tables.setdefault(match[1], []).append(entry)
+    rows = []
     for name, own in tables.items():
         value, u = (1e6 * np.array([entry[key] for entry in own]) for key in ("value", "standard_uncertainty"))
         unit = "µrad" if own[0]["unit"] == "rad" else "µm"
         most = 2.0 * float(u.max())
         places = _places(most) if 1e-6 < most < 1e9 else 2
         texts = (_fixed(float(number), places) for number in (value.min(), value.max(), most))
-        table.add_row(name, str(len(own)), *texts, unit)
-    console().print(table)
+        rows.append((name, str(len(own)), *texts, unit))
+    if rows:
+        heads = ("name", "values", "smallest", "largest", "U (k = 2) at most", "unit")
+        show_table(console(), TextTable("Error motions", heads, tuple(rows), "--json gives every value"))
 
 
 def shown(value: float, uncertainty: float, unit: str, place: bool = False) -> tuple[str, str, str, str]:

@@ -79,7 +79,7 @@ def command(
     if "formulation" in document:
         _show_profiles(document)
     else:
-        show_result(document, opened)
+        show_result(document, opened, _meanings(result, own))
     for path in written:
         console().print(f"written: {path}")
 
@@ -103,6 +103,17 @@ def _identified(
     from machine_tool_calibration.methods.joint import identify_sessions
 
     return identify_sessions(opened, _labels(paths), model=model, effects=effects, own=own).document(), None
+
+
+def _meanings(result: Result | None, own: list[Effect]) -> dict[str, str]:
+    """What the coefficients of the effects in the model are, by name."""
+    from machine_tool_calibration.effects.catalogue import find_effects
+
+    if result is None:
+        return {}
+    observations = result.fit.model.observations
+    effects = find_effects(result.effects, own)
+    return {name: what for effect in effects for name, what in effect.meanings(observations).items()}
 
 
 def _by_history(session: Session, path: Path, own: list[Effect]) -> tuple[dict[str, Any], Result | None]:

@@ -85,7 +85,7 @@ def show_improvement(done: Improvement) -> None:
     screen.print(_words(done), markup=False)
     show_table(screen, _steps(done))
     if len(done.steps) > 1:
-        show_table(screen, _side_by_side(done.steps[0], done.steps[-1]))
+        show_table(screen, _side_by_side(done))
 
 
 def _words(done: Improvement) -> str:
@@ -126,36 +126,36 @@ def _steps(done: Improvement) -> TextTable:
                 micrometres(step.map_change),
                 micrometres(step.map_rms),
                 micrometres(None if step.map_uncertainty is None else 2 * step.map_uncertainty),
-                micrometres(None if step.left_at_tool is None else 2 * step.left_at_tool),
+                micrometres(done.left_at_tool(step)),
             )
         )
     heads = ("model", "size ± U", "p", "residual", "chi²/ν", "map moves", "map", "U of map", "left at the tool point")
     note = (
-        "p: that chance would do as well, paid for the search; µm RMS; U (k = 2) as `mtcal identify` publishes "
-        "it; left at the tool point: U with the real scatter of the readings, and what they see there and the model "
-        "does not explain"
+        "p: that chance would do as well, paid for the search; µm RMS; chi²/ν: reduced chi-square; map: length of the "
+        "errors; U (k = 2) as `mtcal identify` publishes it; left at the tool point: U with the real scatter of the "
+        "readings, what they see there and the model does not explain, and how far the map is off the last one"
     )
     return TextTable("Step by step", heads, tuple(rows), note)
 
 
-def _side_by_side(first: Step, last: Step) -> TextTable:
+def _side_by_side(done: Improvement) -> TextTable:
     from machine_tool_calibration.diagnosis.quantities import micrometres, probability
     from machine_tool_calibration.diagnosis.report import TextTable
 
     def pair(name: str, values: list[str]) -> tuple[str, str, str]:
         return (name, values[0], values[1])
 
-    both = (first, last)
+    both = (done.steps[0], done.steps[-1])
     rows = [
         pair("effects added", [", ".join(s.result.effects) or "none" for s in both]),
         pair("readings used", [str(len(s.result.fit.model.observations)) for s in both]),
         pair("residual, µm RMS", [micrometres(s.result.rms_residual) for s in both]),
-        pair("chi²/ν", [_chi(s) for s in both]),
+        pair("reduced chi-square", [_chi(s) for s in both]),
         pair("its p", [probability(s.result.fit.joint.p_value) for s in both]),
         pair("map of errors, µm RMS", [micrometres(s.map_rms) for s in both]),
         pair(
             "left at the tool point, µm RMS (k = 2)",
-            [micrometres(None if s.left_at_tool is None else 2 * s.left_at_tool) for s in both],
+            [micrometres(done.left_at_tool(s)) for s in both],
         ),
     ]
     return TextTable("Before and after", ("", "before", "after"), tuple(rows))

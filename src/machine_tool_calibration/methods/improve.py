@@ -99,6 +99,17 @@ class Improvement:
     diagnosis: Diagnosis
     steps: tuple[Step, ...]
 
+    def left_at_tool(self, step: Step) -> float | None:
+        """RMS length left at the tool point with the model of a step, so that steps can be compared, m.
+
+        The expanded uncertainty (k = 2) that the step itself knows of, and how far its map is from that of the last
+        step: what a model lacks moves its map by more than its own residuals tell.
+        """
+        if step.left_at_tool is None:
+            return None
+        off = map_change(step.result.error_map, self.steps[-1].result.error_map)
+        return float(np.hypot(2.0 * step.left_at_tool, off or 0.0))
+
 
 def improve(
     session: Session,

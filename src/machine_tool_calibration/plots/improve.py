@@ -51,9 +51,10 @@ def _fall(panel: Axes, improvement: Improvement) -> None:
     steps = improvement.steps
     at = np.arange(len(steps))
     panel.plot(at, [1e6 * s.result.rms_residual for s in steps], "o-", color="tab:red", label="residual, RMS")
-    tool = [np.nan if s.left_at_tool is None else 2e6 * s.left_at_tool for s in steps]
+    left = [improvement.left_at_tool(s) for s in steps]
+    tool = [np.nan if value is None else 1e6 * value for value in left]
     if np.isfinite(tool).any():
-        panel.plot(at, tool, "s-", color="tab:blue", label="left at the tool point, U (k = 2), RMS")
+        panel.plot(at, tool, "s-", color="tab:blue", label="left at the tool point (k = 2), RMS")
     declared = 1e6 * improvement.diagnosis.noise.declared
     panel.axhline(declared, color="0.3", ls=":", label="declared uncertainty of a reading")
     panel.set_xticks(at, [s.label for s in steps], rotation=20, ha="right", fontsize=8)

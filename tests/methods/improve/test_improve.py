@@ -51,6 +51,18 @@ def test_the_hidden_effect_is_added_and_everything_falls() -> None:
     assert abs(size.value - 2e-6) < 4 * size.standard_uncertainty
 
 
+def test_what_is_left_can_be_compared_between_models() -> None:
+    """A model that lacks something underestimates what it leaves: how far its map is off the last one is counted."""
+    effects = (FlawSpec(id="probe_pretravel", amplitude=4e-6),)
+    done = improve(simulate(SimulationSpec(plan=PRESETS["probing_cross"], seed=7, effects=effects)).session, sets=199)
+    first, last = done.steps
+    assert last.map_change is not None and first.left_at_tool is not None
+    before, after = done.left_at_tool(first), done.left_at_tool(last)
+    assert before is not None and after is not None
+    assert before >= max(last.map_change, 2 * first.left_at_tool)
+    assert after == pytest.approx(2 * last.left_at_tool)  # type: ignore[operator]
+
+
 def test_nothing_is_added_where_nothing_is_missing() -> None:
     done = improve(simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=101)).session, sets=199)
     assert [s.change for s in done.steps] == [""]
@@ -105,6 +117,7 @@ def test_steps_become_entries_of_a_history() -> None:
     # A record without what a method does not map.
     bare = replace(done.steps[1], map_rms=None, map_uncertainty=None, map_change=None)
     assert bare.left_at_tool is None
+    assert done.left_at_tool(bare) is None
     assert entries(replace(done, steps=(bare,)), "sha256-1", "2026", "improve")[0].map_rms is None
 
 
