@@ -10,20 +10,20 @@ import click
 import numpy as np
 
 from machine_tool_calibration.cli import diagnosing
+from machine_tool_calibration.cli.demo_truth import COMPARED, judged
 from machine_tool_calibration.cli.measuring import bar, graph_options, show_files, show_result
 from machine_tool_calibration.cli.output import console, json_option, plain, write_json
-from machine_tool_calibration.cli.truth import MapError, map_error
+from machine_tool_calibration.cli.truth import MapError
 from machine_tool_calibration.diagnosis.quantities import quantity
 from machine_tool_calibration.nodes.measurement import Measured, Setting, free_folder, measure
 from machine_tool_calibration.nodes.shared import procedure_file
-from machine_tool_calibration.nodes.site import Moment, Site, SiteSpec, read_site
+from machine_tool_calibration.nodes.site import SiteSpec
 from machine_tool_calibration.plots.pictures import draw
 from machine_tool_calibration.simulation import FlawSpec
 from machine_tool_calibration.simulation.flaws import find_flaw
 
 if TYPE_CHECKING:
     from machine_tool_calibration.methods.improve import Improvement
-    from machine_tool_calibration.model.result import Result
 
 __all__ = ["command"]
 
@@ -57,7 +57,7 @@ class _Story:
         hidden: effect and its size; None if nothing was hidden.
         measured: the measurement, with the first model's result.
         improvement: the loop.
-        before: the first model's map against the truth, for a method that maps the tool's position.
+        before: the first model's map against the truth.
         after: the last model's.
         pictures: files.
     """
@@ -66,8 +66,8 @@ class _Story:
     hidden: FlawSpec | None
     measured: Measured
     improvement: Improvement
-    before: MapError | None
-    after: MapError | None
+    before: MapError
+    after: MapError
     pictures: list[Path]
 
 
@@ -150,31 +150,8 @@ def _story(seed: int, hidden: FlawSpec | None, measured: Measured, progress: Any
     folder.mkdir()
     last = plain(improvement.steps[-1].result.document())
     pictures = [*draw(measured.session, last, folder), *save_improvement(improvement, folder)]
-    before, after = (_judged(measured, step.result) for step in (improvement.steps[0], improvement.steps[-1]))
+    before, after = (judged(measured, step.result) for step in (improvement.steps[0], improvement.steps[-1]))
     return _Story(seed, hidden, measured, improvement, before, after, pictures)
-
-
-def _judged(measured: Measured, result: Result) -> MapError | None:
-    """A map of the tool's position error against the truth; None for a method that maps something else."""
-    if measured.session.method != "tracking_interferometer":
-        return None
-    dimension = int(getattr(measured.session.description, "dimension", 3))
-    points = result.error_map.points
-    actual = _truth(measured)(points)[:, :dimension]
-    return map_error(points[:, :dimension], result.error_map.error[:, :dimension], actual)
-
-
-def _truth(measured: Measured) -> Any:
-    """The machine's own errors, without the hidden effect, from the nodes' site file."""
-    spec = read_site(str(measured.output / "site.yaml"))
-    site = Site(spec.model_copy(update={"effects": ()}))
-    upwards = dict.fromkeys("xyz", 1)
-
-    def at(points: np.ndarray) -> np.ndarray:
-        rows = [dict(zip("xyz", (float(v) for v in row), strict=True)) for row in points]
-        return np.asarray(np.array([site.functional_point(Moment(0.0, row, upwards)) for row in rows]) - points)
-
-    return at
 
 
 def _tell(story: _Story) -> None:
@@ -191,16 +168,19 @@ def _tell(story: _Story) -> None:
     show_improvement(story.improvement)
     screen.print("\n[bold]3. The truth[/], which nothing before has seen")
     screen.print(_reveal(story), markup=False)
-    if story.before is not None and story.after is not None:
-        _tell_map(story.before, story.after)
+    _tell_map(measured.session.method, story.before, story.after, story.improvement.steps[-1].map_uncertainty)
     show_files(screen, measured, [("picture" if p.suffix == ".png" else "table", p) for p in story.pictures])
 
 
-def _tell_map(before: MapError, after: MapError) -> None:
+def _tell_map(method: str, before: MapError, after: MapError, stated: float | None) -> None:
+    out = "mean" if method == "direct" else "shift and turn"
+    own = "the axis's deviations" if method == "direct" else "the machine's own errors"
+    known = stated is not None and method != "direct"
+    expected = f" The last model's own uncertainty says {1e6 * (stated or 0.0):.2f} µm RMS (k = 1)." if known else ""
     console().print(
-        f"The map is off by {before.rms * 1e6:.2f} µm RMS with the first model and by "
-        f"{after.rms * 1e6:.2f} µm with the last (shift and turn taken out); the machine's own errors are "
-        f"{before.before * 1e6:.2f} µm RMS.\n"
+        f"The {COMPARED[method]} is off the truth by {before.rms * 1e6:.2f} µm RMS with the first model and by "
+        f"{after.rms * 1e6:.2f} µm with the last ({out} taken out); {own} are {before.before * 1e6:.2f} µm RMS."
+        f"{expected}\n"
     )
 
 
@@ -239,10 +219,10 @@ def _document(story: _Story) -> dict[str, Any]:
         "found": story.improvement.diagnosis.accepted,
         "hidden": story.hidden.id if story.hidden else None,
         "hidden_size": story.hidden.size if story.hidden else None,
-        "map_error_rms_before": story.before.rms if story.before else None,
-        "map_error_rms": story.after.rms if story.after else None,
-        "map_error_largest": story.after.largest if story.after else None,
-        "machine_error_rms": story.before.before if story.before else None,
+        "map_error_rms_before": story.before.rms,
+        "map_error_rms": story.after.rms,
+        "map_error_largest": story.after.largest,
+        "machine_error_rms": story.before.before,
         "result": measured.result,
         "improved": story.improvement.steps[-1].result.document(),
     }

@@ -28,7 +28,7 @@ class MapError:
     before: float
 
 
-def map_error(points: Array, identified: Array, true: Array) -> MapError:
+def map_error(points: Array, identified: Array, true: Array, free: Array | None = None) -> MapError:
     """Compare a map with the truth.
 
     Self-calibration fixes neither where the origin of the coordinates is nor how they are turned: the rigid motion that
@@ -38,11 +38,13 @@ def map_error(points: Array, identified: Array, true: Array) -> MapError:
         points: (n, d) commanded positions, m; d is 2 or 3.
         identified: (n, d) identified position error, m; a point with NaN is left out.
         true: (n, d) true position error, m.
+        free: (k, n, d) further displacements that the measurement leaves open; they are taken out as well.
     """
     known = np.all(np.isfinite(identified), axis=1)
     points, identified, true = points[known], identified[known], true[known]
-    difference = _without_rigid(points, identified - true)
-    before = _without_rigid(points, true)
+    more = np.zeros((0, *points.shape)) if free is None else free[:, known]
+    difference = _without(points, identified - true, more)
+    before = _without(points, true, more)
     length = np.linalg.norm(difference, axis=1)
     return MapError(
         difference=difference,
@@ -52,8 +54,8 @@ def map_error(points: Array, identified: Array, true: Array) -> MapError:
     )
 
 
-def _without_rigid(points: Array, field: Array) -> Array:
-    """A field of small displacements without its best-fitting shift and turn."""
+def _without(points: Array, field: Array, more: Array) -> Array:
+    """A field of small displacements without its best-fitting shift and turn, and what else is free."""
     n, d = points.shape
     turns = [(0, 1)] if d == 2 else [(0, 1), (0, 2), (1, 2)]
     columns = np.zeros((n, d, d + len(turns)))
@@ -61,6 +63,6 @@ def _without_rigid(points: Array, field: Array) -> Array:
     for index, (i, j) in enumerate(turns):
         columns[:, i, d + index] = -points[:, j]
         columns[:, j, d + index] = points[:, i]
-    flat = columns.reshape(n * d, -1)
+    flat = np.hstack([columns.reshape(n * d, -1), more.reshape(len(more), n * d).T])
     motion, *_ = np.linalg.lstsq(flat, field.ravel(), rcond=None)
     return np.asarray(field - (flat @ motion).reshape(n, d))
