@@ -76,6 +76,7 @@ def test_the_recorder_subscribes_to_every_topic_that_is_described():
     assert set(recorded) == set(rows()) - own
     for name, topic in recorded.items():
         assert (topic.type, topic.latched) == (rows()[name].type, "transient local" in rows()[name].qos), name
+        assert rows()[name].qos.endswith(f"depth {topic.depth}"), name
 
 
 def shown(profile):

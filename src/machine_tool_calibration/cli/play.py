@@ -56,7 +56,7 @@ def command(
     \b
     mtcal play bag
     mtcal play bag --rate 10 --offset 60
-    mtcal play bag --fast --keep               feed a live estimator
+    mtcal play bag /session /reading --fast --keep     feed a live estimator
     """
     from rclpy.executors import ExternalShutdownException
 

@@ -31,6 +31,7 @@ from machine_tool_calibration.nodes.stamps import to_message
 from machine_tool_calibration.nodes.status import Level, status_message
 from machine_tool_calibration.nodes.taps import message_class
 from machine_tool_calibration.recording.errors import RecordingError
+from machine_tool_calibration.recording.graph import with_depth
 from machine_tool_calibration.recording.pace import Pace
 from machine_tool_calibration.recording.qos import Qos
 from machine_tool_calibration.recording.reader import BagReader, Message, Topic
@@ -300,7 +301,7 @@ def _offered(topic: Topic) -> Qos:
     """What the recorded publishers offered, with a queue that is worth waiting for."""
     if not topic.qos:
         return Qos(depth=_LEAST_DEPTH)
-    first = topic.qos[0]
+    first = with_depth(topic.name, topic.type, topic.qos[0])
     depth = max(first.depth, 1 if first.latched else _LEAST_DEPTH)
     return Qos(depth=depth, reliability=first.reliability, durability=first.durability)
 

@@ -19,7 +19,7 @@ from machine_tool_calibration.nodes.stamps import now, to_message
 from machine_tool_calibration.nodes.status import Level, status
 from machine_tool_calibration.nodes.taps import Taken, Tap, Taps
 from machine_tool_calibration.recording.errors import RecordingError
-from machine_tool_calibration.recording.graph import GRAPH_TOPICS, belongs_to_graph
+from machine_tool_calibration.recording.graph import GRAPH_TOPICS, belongs_to_graph, with_depth
 from machine_tool_calibration.recording.qos import Qos
 from machine_tool_calibration.recording.writer import BagWriter
 
@@ -126,7 +126,8 @@ class Recorder(Node):
 
     def _register(self, tap: Tap) -> None:
         # a standard type's definition and hash are known; else the publisher tells the hash
-        self.bag.add_topic(tap.topic, tap.type, qos=tap.offered, type_hash=tap.type_hash or None)
+        offered = tuple(with_depth(tap.topic, tap.type, profile) for profile in tap.offered)
+        self.bag.add_topic(tap.topic, tap.type, qos=offered, type_hash=tap.type_hash or None)
 
     def _take(self) -> None:
         if self._waiting:

@@ -3,44 +3,52 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from machine_tool_calibration.recording.qos import Qos
 
-__all__ = ["GRAPH_TOPICS", "GraphTopic", "belongs_to_graph", "compatible", "request_for"]
+__all__ = ["GRAPH_TOPICS", "GraphTopic", "belongs_to_graph", "compatible", "request_for", "with_depth"]
 
 
 @dataclass(frozen=True)
 class GraphTopic:
-    """A topic of the graph by its relative name; latched ones reach subscribers that come late."""
+    """A topic of the graph by its relative name; latched ones reach subscribers that come late.
+
+    Attributes:
+        name: relative.
+        type: of its messages.
+        latched: whether it is transient local.
+        depth: how many messages its publisher keeps.
+    """
 
     name: str
     type: str
     latched: bool = False
+    depth: int = 1
 
 
 _STATUS = "diagnostic_msgs/msg/DiagnosticArray"
 
 GRAPH_TOPICS = (
     GraphTopic("session", "std_msgs/msg/String", latched=True),
-    GraphTopic("reading", "sensor_msgs/msg/JointState", latched=True),
-    GraphTopic("axes/joint_trajectory", "trajectory_msgs/msg/JointTrajectory"),
-    GraphTopic("joint_states", "sensor_msgs/msg/JointState"),
-    GraphTopic("axes/status", _STATUS),
-    GraphTopic("truth/functional_point", "geometry_msgs/msg/PoseStamped"),
-    GraphTopic("truth/table", "geometry_msgs/msg/PoseStamped"),
-    GraphTopic("pointer/command", "geometry_msgs/msg/PointStamped"),
-    GraphTopic("pointer/state", "sensor_msgs/msg/JointState"),
-    GraphTopic("truth/beam", "geometry_msgs/msg/PoseStamped"),
-    GraphTopic("instrument/displacement", "std_msgs/msg/Float64MultiArray"),
+    GraphTopic("reading", "sensor_msgs/msg/JointState", latched=True, depth=20000),
+    GraphTopic("axes/joint_trajectory", "trajectory_msgs/msg/JointTrajectory", depth=10),
+    GraphTopic("joint_states", "sensor_msgs/msg/JointState", depth=100),
+    GraphTopic("axes/status", _STATUS, depth=100),
+    GraphTopic("truth/functional_point", "geometry_msgs/msg/PoseStamped", depth=100),
+    GraphTopic("truth/table", "geometry_msgs/msg/PoseStamped", depth=100),
+    GraphTopic("pointer/command", "geometry_msgs/msg/PointStamped", depth=10),
+    GraphTopic("pointer/state", "sensor_msgs/msg/JointState", depth=100),
+    GraphTopic("truth/beam", "geometry_msgs/msg/PoseStamped", depth=100),
+    GraphTopic("instrument/displacement", "std_msgs/msg/Float64MultiArray", depth=100),
     GraphTopic("instrument/status", _STATUS, latched=True),
-    GraphTopic("probe/trigger", "sensor_msgs/msg/JointState"),
+    GraphTopic("probe/trigger", "sensor_msgs/msg/JointState", depth=100),
     *(
-        GraphTopic(f"environment/temperature_{place}", "sensor_msgs/msg/Temperature")
+        GraphTopic(f"environment/temperature_{place}", "sensor_msgs/msg/Temperature", depth=10)
         for place in ("air", "x", "y", "z", "table", "work")
     ),
-    GraphTopic("environment/air_pressure", "sensor_msgs/msg/FluidPressure"),
-    GraphTopic("environment/relative_humidity", "sensor_msgs/msg/RelativeHumidity"),
+    GraphTopic("environment/air_pressure", "sensor_msgs/msg/FluidPressure", depth=10),
+    GraphTopic("environment/relative_humidity", "sensor_msgs/msg/RelativeHumidity", depth=10),
     GraphTopic("procedure/status", _STATUS, latched=True),
     GraphTopic("error_map", "sensor_msgs/msg/PointCloud2", latched=True),
     GraphTopic("error_map/axes", "sensor_msgs/msg/PointCloud2", latched=True),
@@ -80,6 +88,24 @@ def belongs_to_graph(name: str, namespace: str) -> bool:
     """
     prefix = namespace.rstrip("/") + "/"
     return name.startswith(prefix) and name.removeprefix(prefix).split("/")[0] in _GROUPS
+
+
+def with_depth(name: str, message_type: str, offered: Qos) -> Qos:
+    """What a publisher offers, with the depth that its topic has in the graph where discovery does not tell it.
+
+    A replay that does not know that `reading` keeps all its messages would latch the last one only.
+
+    Args:
+        name: absolute name, in any namespace.
+        message_type: of the topic.
+        offered: as discovered or recorded; a depth of 0 is not known.
+    """
+    if offered.depth:
+        return offered
+    for topic in GRAPH_TOPICS:
+        if topic.type == message_type and f"/{name}".endswith(f"/{topic.name}"):
+            return replace(offered, history="keep_last", depth=topic.depth)
+    return offered
 
 
 def request_for(offered: Iterable[Qos]) -> Qos:
