@@ -159,7 +159,7 @@ def _show_session(out: Console, session: Session, summary: SessionSummary) -> No
     method = summary.method.replace("_", " ")
     out.print(f"[bold]{session.source}[/]: {method}, machine {session.description.machine.chain}")
     out.print(
-        f"{summary.readings} readings{duration}, {summary.missing} missing, {summary.targets} places or targets; "
+        f"{summary.readings} readings{duration}, {summary.missing} missing, {summary.targets} targets; "
         f"declared standard uncertainty {summary.standard_uncertainty * _MICRO:g} µm"
     )
     rows = tuple(
