@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import importlib.util
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
 
 from machine_tool_calibration.diagnosis.diagnose import diagnose
@@ -53,6 +55,27 @@ def test_far_holes_are_named(plates: ModuleType) -> None:
     found = diagnose(session)
     assert [o.row for o in sorted(found.outliers, key=lambda o: o.row)] == far
     assert found.accepted == ("scale",)
+
+
+def test_repeats_in_a_plane_that_is_not_zero(plates: ModuleType) -> None:
+    """The mean of equal heights is that height, to the last bit."""
+    session, _ = plates.plate(2, repeats=3, holes=100, scales=(4e-5, 4e-5))
+    readings = session.readings
+    lifted = session.with_readings(replace(readings, columns={**readings.columns, "z": np.full(len(readings), 0.05)}))
+    found = diagnose(lifted)
+    assert found.accepted == ("scale",)
+    assert np.ptp(found.looks[0].fit.model.observations.position[:, 2]) == 0.0
+
+
+def test_far_holes_beside_each_other_are_something_else(plates: ModuleType) -> None:
+    """x and y of a hole alternate in the list: neighbours are those of the same direction."""
+    session, _ = plates.plate(4, tails=None)
+    readings = session.readings
+    change = np.zeros(len(readings))
+    along_y = np.flatnonzero(readings.columns["gy"] == 1.0)
+    change[along_y[40:49]] = 2e-4
+    found = diagnose(session.with_readings(replace(readings, displacement=readings.displacement + change)))
+    assert found.outliers == ()
 
 
 def test_axis_with_backlash_and_an_error_of_no_simple_shape(plates: ModuleType) -> None:

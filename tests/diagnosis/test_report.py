@@ -60,9 +60,10 @@ def test_adequate_says_so_first() -> None:
 
 def test_where_setups_may_differ_as_much_as_an_effect_would_the_likeliest_is_told() -> None:
     found, shown = report("too little to tell")
-    assert found.verdict == "adequate"
-    assert shown.words[0].startswith("No effect stands out from what chance and small differences between the setups")
-    assert "The likeliest would be station_drift" in shown.words[0]
+    assert found.verdict == "unexplained" and found.accepted == ()
+    assert "No effect is named as the cause" in shown.words[0]
+    assert "times as much as declared" in shown.words[1]
+    assert "The likeliest would be station_drift" in shown.words[1]
 
 
 def test_an_effect_found_is_told_with_its_size_and_what_it_does() -> None:

@@ -12,8 +12,9 @@ from machine_tool_calibration.diagnosis.look import Look
 from machine_tool_calibration.diagnosis.noise import Noise
 from machine_tool_calibration.diagnosis.outliers import Outlier, find_outliers
 from machine_tool_calibration.diagnosis.places import mean_places
-from machine_tool_calibration.diagnosis.ranking import Ranked
+from machine_tool_calibration.diagnosis.ranking import Ranked, against_chance
 from machine_tool_calibration.diagnosis.rounds import Found, find_effects_in, left_over
+from machine_tool_calibration.diagnosis.rules import rules_of
 from machine_tool_calibration.effects.catalogue import catalogue, find_effects
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.methods.identify import build_model
@@ -50,9 +51,15 @@ class Diagnosis:
     @property
     def ranked(self) -> tuple[Ranked, ...]:
         """Candidates best first: those accepted, in their order, then the others as the first look ranked them."""
+        rules = rules_of(self.session.method)
         first = [
             next(r for r in look.ranked if r.candidate.name == name)
             for look, name in zip(self.looks, self.accepted, strict=False)
+        ]
+        # What is looked for before all others is not held against them.
+        first = [
+            replace(r, probability=against_chance(r)) if rules.tier(r.candidate.name) < len(rules.order) else r
+            for r in first
         ]
         return tuple(first) + tuple(r for r in self.looks[0].ranked if r.candidate.name not in self.accepted)
 

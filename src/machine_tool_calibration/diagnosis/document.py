@@ -87,13 +87,14 @@ def diagnosis_document(
 def named_probability(diagnosis: Diagnosis, ranked: Ranked) -> float:
     """Probability that a candidate accounts for what the model lacks.
 
-    Where structure remains that no effect explains, the candidate's weight is multiplied with the largest probability
-    that chance made the structure, from its p-value (Sellke, Bayarri and Berger 2001).
+    Where structure remains that no effect explains, or the readings still contradict the model, the candidate's weight
+    is multiplied with the largest probability that chance made it, from its p-value (Sellke, Bayarri and Berger 2001).
     """
-    left = diagnosis.looks[-1].structure
-    if diagnosis.verdict != "unexplained" or not left:
+    look = diagnosis.looks[-1]
+    if diagnosis.verdict != "unexplained":
         return ranked.probability
-    p = min(max(min(s.p_value for s in left), _SMALLEST), 1.0 / np.e)
+    p = min([s.p_value for s in look.structure] or [look.fit.joint.p_value])
+    p = min(max(p, _SMALLEST), 1.0 / np.e)
     factor = -np.e * p * float(np.log(p))
     return ranked.probability * factor / (1.0 + factor)
 

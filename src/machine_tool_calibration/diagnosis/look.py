@@ -16,7 +16,7 @@ from machine_tool_calibration.diagnosis.noise import Noise, noise_of
 from machine_tool_calibration.diagnosis.pairs import Pair, best_pair
 from machine_tool_calibration.diagnosis.power import detectable_sizes
 from machine_tool_calibration.diagnosis.ranking import Ranked, alias_groups, rank_candidates
-from machine_tool_calibration.diagnosis.rules import LEVEL, PAIR_LEVEL, ROUNDING, STRUCTURE_LEVEL, rules_of
+from machine_tool_calibration.diagnosis.rules import ALONE_LEVEL, LEVEL, ROUNDING, STRUCTURE_LEVEL, rules_of
 from machine_tool_calibration.diagnosis.significance import search
 from machine_tool_calibration.diagnosis.spread import run_spreads
 from machine_tool_calibration.effects.effect import Effect
@@ -26,6 +26,8 @@ __all__ = ["Absorbed", "Look", "Structure", "look_at"]
 
 # Chance at which places that differ more than their repeats, without any pattern, speak for something missing.
 _LACK_LEVEL = 0.001
+# Share of the whole scatter from which that of repeats is as much.
+_AS_MUCH = 0.9
 # How many of the best effects are held against readings that were left out.
 _VALIDATED = 8
 
@@ -80,12 +82,21 @@ class Look:
         """What was found of an effect."""
         return next(r for r in self.ranked if r.candidate.effect is effect)
 
-    def winner(self, first: Collection[str] = (), last: Collection[str] = ()) -> Ranked | None:
+    @property
+    def noisy(self) -> bool:
+        """Whether repeats scatter as much as everything else: then the declared uncertainty is too small."""
+        scatter = float(np.sqrt(self.fit.joint.reduced_chi_square)) * self.noise.declared
+        return self.noise.from_repeats is not None and self.noise.from_repeats > _AS_MUCH * scatter
+
+    def winner(
+        self, first: Collection[str] = (), last: Collection[str] = (), *, granted: bool = False
+    ) -> Ranked | None:
         """The most probable effect that is significant, possible, and predicts readings that were held out.
 
         Args:
-            first: effects that are taken before all others; two that are significant together need not be so alone.
+            first: effects that are taken before all others.
             last: effects that are taken only if there is no other.
+            granted: whether the first ones are significant for another reason than this look.
         """
         if self.fit.joint.reduced_chi_square < ROUNDING:
             return None
@@ -94,12 +105,21 @@ class Look:
         order = sorted(range(len(names)), key=lambda k: (names[k] not in first, names[k] in last, rules.tier(names[k])))
         for k in order:
             r = self.ranked[k]
-            granted = self.pair is not None and names[k] in first and self.pair.family_p_value <= PAIR_LEVEL
-            if not r.rank or not r.possible or (r.family_p_value > LEVEL and not granted):
-                continue
-            if self.validation is None or k >= _VALIDATED or self.validation.agrees(k):
+            significant = r.family_p_value <= LEVEL or (granted and names[k] in first)
+            if r.rank and r.possible and significant and self._predicts(k):
                 return r
         return None
+
+    def suspect(self) -> Ranked | None:
+        """The most probable effect that would be significant if it were looked for alone, of a size that occurs."""
+        for k, r in enumerate(self.ranked):
+            if r.rank and r.possible and r.plausible and r.p_value <= ALONE_LEVEL and self._predicts(k):
+                return r
+        return None
+
+    def _predicts(self, k: int) -> bool:
+        """Whether readings that were held out speak for a candidate, or nothing is known of that."""
+        return self.validation is None or k >= _VALIDATED or self.validation.agrees(k)
 
 
 def look_at(
@@ -147,7 +167,7 @@ def look_at(
         noise=noise,
         ranked=ranked,
         groups=alias_groups(ranked, reduced),
-        pair=best_pair(ranked, reduced, data, found.likelihoods, rng, sets) if pairs else None,
+        pair=best_pair(ranked, reduced, data, found.likelihoods, rng.spawn(1)[0], sets) if pairs else None,
         absorbed=absorbed,
         structure=structure,
         structure_gains=_best_by_covariate(seen),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,12 +73,37 @@ def find_outliers(session: Session, build: Callable[[Session], MethodModel]) -> 
         ]
         rows = fit.model.observations.readings.row
         found += [Outlier(int(rows[k]), float(studentized[k]), float(deviation[k])) for k in far]
-        removed = np.isin(session.readings.row, [o.row for o in found])
-        session = session.with_readings(session.readings.select(~removed))
+        session = _without(whole, found)
         fit = fit_models([build(session)]).fits[0]
-    if _clustered(whole, found):
+    kept = _without_innocent(whole, found, build)
+    if _clustered(whole, kept):
         return [], whole, first
-    return found, session, fit
+    if len(kept) < len(found):
+        session = _without(whole, kept)
+        fit = fit_models([build(session)]).fits[0]
+    return kept, session, fit
+
+
+def _without(session: Session, outliers: Iterable[Outlier]) -> Session:
+    readings = session.readings
+    return session.with_readings(readings.select(~np.isin(readings.row, [o.row for o in outliers])))
+
+
+def _without_innocent(whole: Session, found: list[Outlier], build: Callable[[Session], MethodModel]) -> list[Outlier]:
+    """Those that still stand out when they are put back alone: what a bad neighbour pulled away is put back."""
+    kept = list(found)
+    for suspect in found:
+        others = [o for o in kept if o is not suspect]
+        fit = fit_models([build(_without(whole, others))]).fits[0]
+        studentized, deviation, limit = _studentized(fit)
+        at = int(np.flatnonzero(fit.model.observations.readings.row == suspect.row)[0])
+        if abs(studentized[at]) < limit:
+            kept = others
+        else:
+            # Now it is held against all that are sound.
+            now = Outlier(suspect.row, float(studentized[at]), float(deviation[at]))
+            kept[kept.index(suspect)] = now
+    return kept
 
 
 def _clustered(session: Session, found: list[Outlier]) -> bool:
@@ -86,8 +111,11 @@ def _clustered(session: Session, found: list[Outlier]) -> bool:
     readings = session.readings
     flagged = np.isin(readings.row, [o.row for o in found])
     beside = np.zeros(len(readings), dtype=bool)
-    for s in np.unique(readings.setup):
-        mine = np.flatnonzero(readings.setup == s)
+    # Deviations of a place along x and along y stand beside each other, and are two runs.
+    senses = [np.round(readings.columns[name], 6) for name in ("gx", "gy", "gz") if name in readings.columns]
+    run = np.unique(np.stack([readings.setup, *senses]), axis=1, return_inverse=True)[1].reshape(-1)
+    for s in np.unique(run):
+        mine = np.flatnonzero(run == s)
         beside[mine[1:]] |= flagged[mine[:-1]]
         beside[mine[:-1]] |= flagged[mine[1:]]
     return len(found) > 2 and 2 * int((flagged & beside).sum()) >= len(found)

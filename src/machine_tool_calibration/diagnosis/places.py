@@ -45,7 +45,8 @@ def mean_places(fit: Fit) -> tuple[Session, Noise] | None:
     first = np.unique(place, return_index=True)[1]
 
     def mean(values: np.ndarray) -> np.ndarray:
-        return np.asarray((np.bincount(place, values) / count)[place[first]])
+        # Differences from the first: what is the same for all stays the same to the last bit.
+        return np.asarray(values[first] + (np.bincount(place, values - values[first][place]) / count)[place[first]])
 
     averaged = readings.select(first)
     averaged = replace(

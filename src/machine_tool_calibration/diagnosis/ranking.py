@@ -14,7 +14,7 @@ from machine_tool_calibration.diagnosis.significance import Search
 from machine_tool_calibration.effects.effect import Coefficient
 from machine_tool_calibration.model.observations import Observations
 
-__all__ = ["Ranked", "Size", "alias_groups", "rank_candidates"]
+__all__ = ["Ranked", "Size", "against_chance", "alias_groups", "rank_candidates"]
 
 # Cosine from which two candidates count as look-alikes.
 _ALIKE = 0.9
@@ -156,8 +156,7 @@ def _with_probabilities(ranked: list[Ranked]) -> tuple[Ranked, ...]:
     spread between setups can do in its place, which an information criterion does not. "None of these" has the weight
     1; an impossible sign has none, and a size that does not occur a thousand times less.
     """
-    log_p = np.array([_log_p(r) for r in ranked])
-    log_weight = np.where(log_p < -1.0, -1.0 - log_p - np.log(np.maximum(-log_p, 1.0)), 0.0)
+    log_weight = np.array([_log_weight(r) for r in ranked])
     possible = np.array([bool(r.possible and r.rank) for r in ranked])
     top = max(float(log_weight.max(initial=0.0)), 0.0)
     weights = np.where(possible, np.exp(log_weight - top), 0.0)
@@ -165,6 +164,16 @@ def _with_probabilities(ranked: list[Ranked]) -> tuple[Ranked, ...]:
     filled = [replace(r, probability=float(w / total)) for r, w in zip(ranked, weights, strict=True)]
     # Candidates with the same columns keep the catalogue's order, whatever the last bits say.
     return tuple(sorted(filled, key=lambda r: (not (r.possible and r.rank), round(_log_p(r), 6))))
+
+
+def against_chance(ranked: Ranked) -> float:
+    """Probability of a candidate against none alone, whatever other candidates could do."""
+    return float(1.0 / (1.0 + np.exp(-_log_weight(ranked))))
+
+
+def _log_weight(ranked: Ranked) -> float:
+    log_p = _log_p(ranked)
+    return float(-1.0 - log_p - np.log(-log_p)) if log_p < -1.0 else 0.0
 
 
 def _log_p(ranked: Ranked) -> float:

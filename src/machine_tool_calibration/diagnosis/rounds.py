@@ -12,7 +12,7 @@ from scipy import stats
 from machine_tool_calibration.diagnosis.candidates import Candidate, effect_candidates
 from machine_tool_calibration.diagnosis.look import Look, look_at
 from machine_tool_calibration.diagnosis.pairs import Pair
-from machine_tool_calibration.diagnosis.rules import LEVEL, ROUNDS, rules_of
+from machine_tool_calibration.diagnosis.rules import LEVEL, PAIR_LEVEL, ROUNDS, rules_of
 from machine_tool_calibration.diagnosis.structure import structure_candidates
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import ModelError
@@ -20,7 +20,7 @@ from machine_tool_calibration.model.fit import Fit, fit_models
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["Found", "find_effects_in", "left_over"]
+__all__ = ["Found", "find_effects_in", "left_over", "still_fails"]
 
 # How much better a structure without a cause must do than one effect, or than several together, to speak against them.
 _ONE, _MARGIN, _SEVERAL = 1.3, 6.0, 0.9
@@ -28,6 +28,9 @@ _ONE, _MARGIN, _SEVERAL = 1.3, 6.0, 0.9
 _PARSIMONY = 6.0
 # The same in the place of two or three.
 _CLEARLY = 2.0
+# Reduced chi-square from which the readings contradict the model, the chance of that, and the share of the excess that
+# effects must take to be the cause all the same.
+_GROSS, _GROSS_LEVEL, _MOST_OF_IT = 2.0, 1e-9, 1 / 3
 # Chance from which an effect that was found early is no longer needed beside those found after it, and how often that
 # is looked at.
 _NEEDLESS, _MOST_NEEDLESS = 0.003, 4
@@ -96,20 +99,30 @@ def find_effects_in(
     if rules_of(session.method).side_by_side:
         return _without_needless(task, excluded)
     found = _one_after_the_other(task, excluded)
-    pair = found.looks[0].pair
+    look = found.looks[0]
+    pair = look.pair
     if pair is not None and _does_better(pair, found):
         # Neither leads by itself, or a third one looks like their sum.
-        other = _one_after_the_other(task, excluded, first=pair.names)
+        granted = pair.family_p_value <= PAIR_LEVEL
+        other = _one_after_the_other(task, found.excluded, look, first=pair.names, granted=granted)
         if _are(pair, other.accepted[:2]) and _stands(other):
             both = _each_beside_the_other(task, other)
             if both is not None:
                 return both
     if found.accepted and not _stands(found):
         # The first may have been taken for several others together.
-        other = _one_after_the_other(task, excluded, last=(found.accepted[0].id,))
+        other = _one_after_the_other(task, found.excluded, look, last=(found.accepted[0].id,))
         if other.accepted and _stands(other):
             return other
-    return replace(found, looks=found.looks[:1], accepted=()) if _contradicted(found) else found
+    if _contradicted(found):
+        return replace(found, looks=found.looks[:1], accepted=())
+    suspect = look.suspect()
+    if not found.accepted and look.structure and suspect is not None:
+        # That something is missing is known: what takes it all up need not stand out of all effects by itself.
+        other = _one_after_the_other(task, found.excluded, look, first=(suspect.candidate.name,), granted=True)
+        if other.accepted and _stands(other):
+            return other
+    return found
 
 
 def _without_needless(task: _Task, excluded: dict[str, str]) -> Found:
@@ -125,8 +138,8 @@ def _without_needless(task: _Task, excluded: dict[str, str]) -> Found:
 
 def _does_better(pair: Pair, found: Found) -> bool:
     """Whether two effects fitted together explain more than what was found one after the other."""
-    if _are(pair, found.accepted):
-        return False
+    if _are(pair, found.accepted) or (len(found.accepted) == 1 and found.accepted[0].id in pair.names):
+        return False  # the other one of the two was tried beside it
     return pair.gain > _gain(found) + (_PARSIMONY if len(found.accepted) < 2 else _CLEARLY)
 
 
@@ -162,8 +175,10 @@ def _stands(found: Found) -> bool:
 
 
 def left_over(found: Found) -> bool:
-    """Whether so much structure is left that the accepted effects, if there are any, are not the cause."""
+    """Whether so much is left that the accepted effects, if there are any, are not the cause."""
     look = found.looks[-1]
+    if still_fails(found.looks, bool(found.accepted)):
+        return True
     first, last = found.looks[0].fit.solution.chi_square, look.fit.solution.chi_square
     left = look.structure[0].share * last if look.structure else 0.0
     if not found.accepted:
@@ -172,12 +187,48 @@ def left_over(found: Found) -> bool:
     return left > most * (first - last + left)
 
 
+def still_fails(looks: Sequence[Look], accepted: bool) -> bool:
+    """Whether the model fails by much more than any spread that is usual, and what was found hardly changes that.
+
+    Repeats that scatter as much as all readings speak for a declared uncertainty that is too small instead. Deviations
+    that are read directly scatter as the part or the axis does, which nobody declares.
+
+    Args:
+        looks: at the first model and after every effect found.
+        accepted: whether there are any.
+    """
+    first, last = looks[0].fit, looks[-1].fit
+    joint = last.joint
+    if rules_of(last.model.observations.session.method).side_by_side or looks[-1].noisy:
+        return False
+    if joint.reduced_chi_square < _GROSS or joint.p_value > _GROSS_LEVEL:
+        return False
+    excess = first.solution.chi_square - first.solution.degrees_of_freedom
+    return not accepted or first.solution.chi_square - last.solution.chi_square < _MOST_OF_IT * excess
+
+
 def _one_after_the_other(
-    task: _Task, excluded: dict[str, str], first: Collection[str] = (), last: Collection[str] = ()
+    task: _Task,
+    excluded: dict[str, str],
+    start: Look | None = None,
+    *,
+    first: Collection[str] = (),
+    last: Collection[str] = (),
+    granted: bool = False,
 ) -> Found:
-    """The rounds, with some effects taken before all others, or only if there is no other."""
+    """The rounds, with some effects taken before all others, or only if there is no other.
+
+    Args:
+        task: what stays the same.
+        excluded: effects that could not be looked for.
+        start: the look at the first model, where it was taken already.
+        first: effects that are taken before all others.
+        last: effects that are taken only if there is no other.
+        granted: whether one of the first is taken in the first round also where it is not significant by itself.
+    """
     rules = rules_of(task.session.method)
-    fit, candidates, excluded = task.fit, task.candidates, dict(excluded)
+    fit, excluded = task.fit, dict(excluded)
+    candidates = [c for c in task.candidates if c.name not in excluded]
     looks: list[Look] = []
     accepted: list[Effect] = []
     alike: set[str] = set()
@@ -186,8 +237,9 @@ def _one_after_the_other(
         task.progress(what, min((len(looks) + 0.2) / (ROUNDS + 1), 0.9))
         left = [c for c in candidates if c.effect not in accepted and c.name not in alike]
         pairs = not looks and not rules.side_by_side
-        looks.append(look_at(fit, left, task.structures, task.rng, task.sets, pairs=pairs))
-        winner = looks[-1].winner(first, last)
+        looks.append(start or look_at(fit, left, task.structures, task.rng, task.sets, pairs=pairs))
+        start = None
+        winner = looks[-1].winner(first, last, granted=granted and not accepted)
         rounds = sum(rules.tier(effect.id) == len(rules.order) for effect in accepted)
         if winner is None or rounds == ROUNDS:
             return Found(tuple(looks), tuple(accepted), excluded)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["LEVEL", "PAIR_LEVEL", "ROUNDING", "ROUNDS", "STRUCTURE_LEVEL", "Rules", "rules_of"]
+__all__ = ["ALONE_LEVEL", "LEVEL", "PAIR_LEVEL", "ROUNDING", "ROUNDS", "STRUCTURE_LEVEL", "Rules", "rules_of"]
 
 # Family errors of a round: together at most one false alarm in twenty sessions in which nothing is missing.
 LEVEL, STRUCTURE_LEVEL = 0.03, 0.02
 # That of two effects which are significant only together.
 PAIR_LEVEL = 0.005
+# Chance of a single effect, not paid for the search, where structure shows already that something is missing.
+ALONE_LEVEL = 0.01
 ROUNDS = 3
 # Reduced chi-square below which the residuals are rounding, whatever they look like.
 ROUNDING = 1e-6

@@ -56,13 +56,11 @@ def structure_candidates(observations: Observations) -> list[Candidate]:
 
 
 def _products(observations: Observations) -> list[Candidate]:
-    moving = [j for j in range(3) if np.ptp(observations.position[:, j]) > 0]
     out = []
     for a, b in ((0, 1), (0, 2), (1, 2)):
-        if a not in moving or b not in moving:
-            continue
         u, v = _scaled(observations.position[:, a]), _scaled(observations.position[:, b])
-        assert u is not None and v is not None
+        if u is None or v is None:
+            continue
         columns = np.concatenate(
             [
                 (u * v * observations.direction.T),

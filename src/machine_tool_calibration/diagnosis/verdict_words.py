@@ -11,6 +11,7 @@ from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.look import Look, Structure
 from machine_tool_calibration.diagnosis.quantities import probability, quantity, sizes_in_words
 from machine_tool_calibration.diagnosis.ranking import Ranked
+from machine_tool_calibration.diagnosis.rounds import still_fails
 from machine_tool_calibration.planning.advice import Advice, Separation
 from machine_tool_calibration.session.session import Session
 
@@ -23,6 +24,8 @@ _MANY = 3
 _APART = 6.0
 # Chance below which a backlash of the impossible sign is no accident.
 _REVERSED = 1e-6
+# Difference of the information criterion from which one effect does clearly better than another.
+_CLEARLY = 6.0
 # Scatter of repeats over that of all, below which places differ more than their repeats.
 _SHARED = 0.7
 
@@ -68,14 +71,20 @@ def _verdict(diagnosis: Diagnosis) -> str:
         )
     suspect = _suspect(diagnosis)
     if suspect is not None:
-        groups = [group for group in diagnosis.looks[0].groups if suspect.candidate.name in group]
-        likeliest = " or ".join(groups[0]) if groups else suspect.candidate.name
         return (
             f"No effect stands out from what chance and small differences between the setups can do: the residual is "
-            f"{residual}. The likeliest would be {likeliest}; chance does as well with a probability "
-            f"{_of(suspect.family_p_value)}."
+            f"{residual}. {_likeliest(diagnosis, suspect)}"
         )
+    look = diagnosis.looks[0]
+    if diagnosis.session.method == "direct" and look.fit.joint.p_value < _TOO_LARGE:
+        return f"No effect and no pattern stands out from the scatter of the deviations: the residual is {residual}."
     return f"Nothing is missing that this measurement could show: the residual is {residual}."
+
+
+def _likeliest(diagnosis: Diagnosis, suspect: Ranked) -> str:
+    groups = [group for group in diagnosis.looks[0].groups if suspect.candidate.name in group]
+    names = " or ".join(groups[0]) if groups else suspect.candidate.name
+    return f"The likeliest would be {names}; chance does as well with a probability {_of(suspect.family_p_value)}."
 
 
 def _suspect(diagnosis: Diagnosis) -> Ranked | None:
@@ -83,13 +92,7 @@ def _suspect(diagnosis: Diagnosis) -> Ranked | None:
     look = diagnosis.looks[0]
     likeliest = look.ranked[0] if look.ranked and look.ranked[0].rank else None
     too_large = look.fit.joint.p_value < _TOO_LARGE and diagnosis.session.method != "direct"
-    return likeliest if too_large and not _noisy(look) else None
-
-
-def _noisy(look: Look) -> bool:
-    """Whether repeats scatter as much as everything else: then the declared uncertainty is too small."""
-    found = float(np.sqrt(look.fit.joint.reduced_chi_square)) * look.noise.declared
-    return look.noise.from_repeats is not None and look.noise.from_repeats > 0.9 * found
+    return likeliest if too_large and not look.noisy else None
 
 
 def _of(p: float) -> str:
@@ -130,13 +133,16 @@ def _found(diagnosis: Diagnosis, name: str, change: Consequence | None, advice: 
         words.append("Such a size does not usually occur: look for another cause as well.")
     separation = next((s for s in advice.separations if s.effects[0] == name), None)
     if separation is not None:
-        words.append(_lookalike(separation))
+        gains = {r.candidate.name: r.bic_gain for r in diagnosis.looks[k].ranked}
+        as_good = any(gains.get(other, -np.inf) > ranked.bic_gain - _CLEARLY for other in separation.effects[1:])
+        words.append(_lookalike(separation, as_good))
     return " ".join(words)
 
 
-def _lookalike(separation: Separation) -> str:
+def _lookalike(separation: Separation, as_good: bool) -> str:
+    """What to say of look-alikes, which may do as well with nonlinear coefficients of their own."""
     others = " or ".join(separation.effects[1:])
-    if separation.apart_before >= _APART:
+    if separation.apart_before >= _APART and not as_good:
         return (
             f"A look-alike, {others}, would leave a similar pattern in the residuals, but at the size found the "
             f"readings tell them apart: the patterns differ by {separation.apart_before:.0f} standard uncertainties."
@@ -153,9 +159,17 @@ def _unexplained(diagnosis: Diagnosis) -> Iterator[str]:
             f"The residuals depend on {_covariate(best)}: this takes up {100 * best.share:.0f} % of their sum of "
             f"squares (p {probability(best.p_value)})."
         )
+    look = diagnosis.looks[-1]
+    if still_fails(diagnosis.looks, len(diagnosis.looks) > 1):
+        text = f"The readings scatter {np.sqrt(look.fit.joint.reduced_chi_square):.1f} times as much as declared"
+        repeats = look.noise.from_repeats
+        text = f"{text}, repeats by {quantity(repeats, 'm')}." if repeats is not None else f"{text}."
+        suspect = _suspect(diagnosis) if not left else None
+        yield f"{text} {_likeliest(diagnosis, suspect)}" if suspect is not None else text
     tried = [r.candidate.name for look in diagnosis.looks[:-1] if (r := look.winner()) is not None]
     if tried:
-        yield f"Even with {', '.join(tried)} in the model structure remains, so that none of these can be trusted."
+        remains = "structure" if left else "most of it"
+        yield f"Even with {', '.join(tried)} in the model {remains} remains, so that none of these can be trusted."
 
 
 def _covariate(structure: Structure) -> str:
@@ -176,7 +190,7 @@ def _noise(diagnosis: Diagnosis) -> Iterator[str]:
         return
     if diagnosis.verdict in ("adequate", "outliers", "missing_effect") and joint.p_value < _TOO_LARGE:
         text = f"The readings scatter {ratio:.2f} times as much as declared, which chance does not explain."
-        if noise.from_repeats is not None and _noisy(look):
+        if noise.from_repeats is not None and look.noisy:
             repeats = quantity(noise.from_repeats, "m")
             text += f" Repeats scatter as much ({repeats}): the declared uncertainty is too small."
         elif again:
