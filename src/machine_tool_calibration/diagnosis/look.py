@@ -89,13 +89,19 @@ class Look:
         return self.noise.from_repeats is not None and self.noise.from_repeats > _AS_MUCH * scatter
 
     def winner(
-        self, first: Collection[str] = (), last: Collection[str] = (), *, granted: bool = False
+        self,
+        first: Collection[str] = (),
+        last: Collection[str] = (),
+        *,
+        level: float = LEVEL,
+        granted: bool = False,
     ) -> Ranked | None:
         """The most probable effect that is significant, possible, and predicts readings that were held out.
 
         Args:
             first: effects that are taken before all others.
             last: effects that are taken only if there is no other.
+            level: family error.
             granted: whether the first ones are significant for another reason than this look.
         """
         if self.fit.joint.reduced_chi_square < ROUNDING:
@@ -105,7 +111,7 @@ class Look:
         order = sorted(range(len(names)), key=lambda k: (names[k] not in first, names[k] in last, rules.tier(names[k])))
         for k in order:
             r = self.ranked[k]
-            significant = r.family_p_value <= LEVEL or (granted and names[k] in first)
+            significant = r.family_p_value <= level or (granted and names[k] in first)
             if r.rank and r.possible and significant and self._predicts(k):
                 return r
         return None

@@ -12,7 +12,7 @@ from scipy import stats
 from machine_tool_calibration.diagnosis.candidates import Candidate, effect_candidates
 from machine_tool_calibration.diagnosis.look import Look, look_at
 from machine_tool_calibration.diagnosis.pairs import Pair
-from machine_tool_calibration.diagnosis.rules import LEVEL, PAIR_LEVEL, ROUNDS, rules_of
+from machine_tool_calibration.diagnosis.rules import LATER_LEVEL, LEVEL, PAIR_LEVEL, ROUNDS, rules_of
 from machine_tool_calibration.diagnosis.structure import structure_candidates
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import ModelError
@@ -157,7 +157,7 @@ def _each_beside_the_other(task: _Task, found: Found) -> Found | None:
     fit = fit_models([task.model_of(task.session, [second])]).fits[0]
     left = [c for c in task.candidates if c.effect is not second]
     beside = look_at(fit, left, task.structures, task.rng, task.sets, pairs=False).of(first)
-    if beside.family_p_value > LEVEL:
+    if beside.family_p_value > LATER_LEVEL:
         return None
     shown = replace(
         alone,
@@ -239,7 +239,8 @@ def _one_after_the_other(
         pairs = not looks and not rules.side_by_side
         looks.append(start or look_at(fit, left, task.structures, task.rng, task.sets, pairs=pairs))
         start = None
-        winner = looks[-1].winner(first, last, granted=granted and not accepted)
+        level = LATER_LEVEL if accepted and not rules.side_by_side else LEVEL
+        winner = looks[-1].winner(first, last, level=level, granted=granted and not accepted)
         rounds = sum(rules.tier(effect.id) == len(rules.order) for effect in accepted)
         if winner is None or rounds == ROUNDS:
             return Found(tuple(looks), tuple(accepted), excluded)

@@ -4,10 +4,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["ALONE_LEVEL", "LEVEL", "PAIR_LEVEL", "ROUNDING", "ROUNDS", "STRUCTURE_LEVEL", "Rules", "rules_of"]
+__all__ = [
+    "ALONE_LEVEL",
+    "LATER_LEVEL",
+    "LEVEL",
+    "PAIR_LEVEL",
+    "ROUNDING",
+    "ROUNDS",
+    "STRUCTURE_LEVEL",
+    "Rules",
+    "rules_of",
+]
 
 # Family errors of a round: together at most one false alarm in twenty sessions in which nothing is missing.
 LEVEL, STRUCTURE_LEVEL = 0.03, 0.02
+# That of a further effect, where one is in the model already and the map is put right: a needless one spoils it again.
+LATER_LEVEL = 0.01
 # That of two effects which are significant only together.
 PAIR_LEVEL = 0.005
 # Chance of a single effect, not paid for the search, where structure shows already that something is missing.

@@ -37,6 +37,9 @@ def verdict_words(diagnosis: Diagnosis, changes: Mapping[str, Consequence], advi
         yield _found(diagnosis, name, changes.get(name), advice)
     if diagnosis.verdict == "unexplained":
         yield from _unexplained(diagnosis)
+    if diagnosis.outliers and diagnosis.verdict != "outliers":
+        n = len(diagnosis.outliers)
+        yield f"{'One reading was' if n == 1 else f'{n} readings were'} set aside before, as outliers: see below."
     yield from _reversed(diagnosis)
     yield from _noise(diagnosis)
 

@@ -90,7 +90,7 @@ def draw_fit(comparison: Comparison) -> Figure:
         right.plot(expected, normal, ls="", marker=".", ms=3, color=COLORS[0])
         right.plot(expected[[0, -1]], expected[[0, -1]], color="0.6", lw=0.8, zorder=0)
     right.set(xlabel="expected of normal noise", ylabel="residual over its declared uncertainty")
-    right.set_title(f"Studentized residuals: scatter {comparison.overall.ratio:.2g} × declared")
+    right.set_title(f"Studentized residuals,\nscatter {comparison.overall.ratio:.2g} × declared")
     grids(figure)
     return figure
 

@@ -43,8 +43,9 @@ def draw_probing(description: Probing, content: Mapping[str, Any]) -> Figure:
         content: the error map of a result, as in its document or with arrays.
     """
     from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    figure = Figure(figsize=(13, 11), layout="constrained")
+    figure = Figure(figsize=(13, 11), layout=ConstrainedLayoutEngine(w_pad=0.25))  # panels of equal scales move inside
     panels = figure.subplots(2, 2)
     draw_workpiece(panels[0, 0], description, content)
     _draw_uncertainty(panels[0, 1], description, content)
@@ -126,7 +127,7 @@ def draw_table(panel: Axes, content: Mapping[str, Any]) -> None:
     panel.set_xlabel("C, deg")
     panel.set_ylabel("EXC and EYC, µm")
     seen = "" if np.isfinite(ecc).any() else " (ECC is not determined)"
-    panel.set_title(f"C against its first index{seen}")
+    panel.set_title(f"C, relative to its first angle{seen}")
     panel.grid(color="0.9")
     panel.legend(loc="best", fontsize="small")
 
