@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from machine_tool_calibration.effects.effect import Effect
     from machine_tool_calibration.methods.axis_tables import AxisTables
-    from machine_tool_calibration.model.result import ErrorMap
+    from machine_tool_calibration.methods.error_states import ErrorStates
     from machine_tool_calibration.session.controller_tables.preview import Left
 
 __all__ = ["command"]
@@ -66,7 +66,8 @@ def command(
 
     MEASUREMENT is a session folder or a recording; several of one machine are fitted together. The files say sign,
     units, reference point and squareness convention. The preview reads the written files as the controller does and
-    compares the errors before and after: a wrong sign would double them.
+    compares the errors before and after: a wrong sign would double them. What the model holds and the format cannot,
+    such as backlash in most of them, is in the errors before and after, and named.
 
     \b
     mtcal export session --format linuxcnc        x.comp, y.comp, …, compensation.ini; positioning errors only
@@ -83,9 +84,12 @@ def command(
     if from_history and (len(measurements) > 1 or effects):
         raise click.UsageError("--from-history is for one session, without --effect.")
     chosen = _Chosen(model, effects, from_history, read_effects(effects_file) if effects_file else [])
-    tables, error_map, models, source = _identified(measurements, chosen, topic_names(topics))
-    files = write_tables(form, tables, source)
-    left = preview(error_map, read_tables(form, files, tables))
+    found = _identified(measurements, chosen, topic_names(topics))
+    tables, states, models = found.tables, found.states, found.models
+    files = write_tables(form, tables, found.source)
+    held = read_tables(form, files, tables)
+    left = preview(states.error_map, held, states.directions)
+    absent = _absent(tables, held, states.effects)
     folder = output or Path(f"compensation_{form}")
     _save(folder, files)
     if as_json:
@@ -99,12 +103,13 @@ def command(
                 "tables": [table.name for table in tables.tables],
                 "squareness": list(tables.squareness),
                 "not_determined": tables.left_out,
+                "not_in_tables": absent,
                 "preview": left,
                 "worse": left[-1].worse,
             }
         )
     else:
-        _show(console(), folder, files, left)
+        _show(console(), folder, files, left, absent)
         for entry in tables.left_out:
             note(f"not determined: {entry.name}: {entry.why}")
     if left[-1].worse:
@@ -121,11 +126,20 @@ class _Chosen:
     own: list[Effect]
 
 
-def _identified(
-    paths: tuple[Path, ...], chosen: _Chosen, topics: dict[str, str]
-) -> tuple[AxisTables, ErrorMap, tuple[str, ...], str]:
-    """Tables, error map and names of the models of one measurement or of several together, and what they are called."""
+@dataclass(frozen=True)
+class _Found:
+    """What was identified of one measurement or of several together, and what they are called."""
+
+    tables: AxisTables
+    states: ErrorStates
+    models: tuple[str, ...]
+    source: str
+
+
+def _identified(paths: tuple[Path, ...], chosen: _Chosen, topics: dict[str, str]) -> _Found:
+    from machine_tool_calibration.effects.catalogue import find_effects
     from machine_tool_calibration.methods.axis_tables import axis_tables, joint_axis_tables
+    from machine_tool_calibration.methods.error_states import error_states
     from machine_tool_calibration.methods.identify import identify
     from machine_tool_calibration.methods.joint import identify_sessions
     from machine_tool_calibration.session.open import open_measurement
@@ -137,7 +151,8 @@ def _identified(
         labels = [f"{name}#{k + 1}" if names.count(name) > 1 else name for k, name in enumerate(names)]
         joint = identify_sessions(sessions, labels, model=chosen.model, effects=chosen.effects, own=chosen.own)
         note(joint.agreement.statement)
-        return joint_axis_tables(joint), joint.error_map, joint.model_names, source
+        states = error_states(joint.error_map, joint.stated.fits, find_effects(chosen.effects, chosen.own))
+        return _Found(joint_axis_tables(joint), states, joint.model_names, source)
     session, model, effects = sessions[0], chosen.model, chosen.effects
     if chosen.from_history:
         entry, session, _ = current_model(session, paths[0])
@@ -147,7 +162,16 @@ def _identified(
     if model is None and session.method == "tracking_interferometer":
         model = "rigid_body"  # its default has no tables
     result = identify(session, model=model, effects=effects, own=chosen.own)
-    return axis_tables(result), result.error_map, (result.model_name,), source
+    states = error_states(result.error_map, [result.fit], find_effects(effects, chosen.own))
+    return _Found(axis_tables(result), states, (result.model_name,), source)
+
+
+def _absent(tables: AxisTables, held: AxisTables, effects: Sequence[str]) -> list[str]:
+    """What is in the model, displaces the tool, and is not in the files: effects first, then error motions."""
+    taken = {f"backlash_{axis.lower()}" for axis in held.backlash}
+    named = {*(table.name for table in held.tables), *held.squareness}
+    known = [*(table.name for table in tables.tables), *tables.squareness]
+    return [*(e for e in effects if e not in taken), *(name for name in known if name not in named)]
 
 
 def _save(folder: Path, files: dict[str, str]) -> None:
@@ -159,7 +183,7 @@ def _save(folder: Path, files: dict[str, str]) -> None:
         (folder / name).write_text(text, encoding="utf-8")
 
 
-def _show(out: Console, folder: Path, files: dict[str, str], left: Sequence[Left]) -> None:
+def _show(out: Console, folder: Path, files: dict[str, str], left: Sequence[Left], absent: Sequence[str]) -> None:
     from rich.table import Table
 
     for name in files:
@@ -177,3 +201,8 @@ def _show(out: Console, folder: Path, files: dict[str, str], left: Sequence[Left
         "Compensated: what the tables leave of the errors that were identified. What was not identified comes on top: "
         "U, and what the machine does not repeat."
     )
+    if absent:
+        out.print(
+            f"In the model and not in these files: {', '.join(absent)}. What they do to the position is in the errors "
+            "above, before and after."
+        )

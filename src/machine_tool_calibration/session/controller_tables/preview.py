@@ -41,7 +41,7 @@ class Left:
         return self.rms_after > self.rms_before
 
 
-def preview(error_map: ErrorMap, compensation: AxisTables) -> tuple[Left, ...]:
+def preview(error_map: ErrorMap, compensation: AxisTables, directions: Array | None = None) -> tuple[Left, ...]:
     """Errors before and after, without what a shift and a turn of the whole would explain.
 
     The workpiece's origin and direction are set on the machine, and the data of most methods leave them open.
@@ -49,9 +49,11 @@ def preview(error_map: ErrorMap, compensation: AxisTables) -> tuple[Left, ...]:
     Args:
         error_map: the measured errors.
         compensation: the deviations that the controller takes away, read back from the files.
+        directions: (n, 3) signs of the last moves at the map's points, for what the files say of backlash; without
+            them the errors are the mean of both directions.
     """
     known = np.isfinite(error_map.error)
-    predicted = compensation.field(error_map.points)
+    predicted = compensation.field(error_map.points, directions)
     before = _without_motion(error_map.points, np.where(known, error_map.error, 0.0), known)
     after = _without_motion(error_map.points, np.where(known, error_map.error - predicted, 0.0), known)
     spread = np.where(known, error_map.uncertainty, 0.0)
