@@ -143,3 +143,16 @@ def test_pressure_in_hectopascals(session_folder) -> None:
     scale(folder, "air_pressure", 0.01)
     assert "air_pressure is" in message(folder.path)
     assert message(folder.path).endswith("Pa; these look like hectopascals")
+
+
+def test_humidity_in_percent(session_folder) -> None:
+    folder = session_folder("tracking_2d")
+    header, *rows = folder.lines()
+    for first, shown in (("0.6818", None), ("1.01", None), ("68.18", "68.18")):
+        folder.write_lines([f"{header},relative_humidity", f"{rows[0]},{first}", *(f"{row},0.5" for row in rows[1:])])
+        if shown is None:
+            assert "relative_humidity" in read_session(folder.path).readings.columns
+            continue
+        assert message(folder.path) == (
+            f"observations.csv row 0 (line 2): relative_humidity is {shown}; these look like percent; it is from 0 to 1"
+        )

@@ -1,4 +1,4 @@
-"""Magnitudes that no machine tool has: millimetres, degrees, kelvin or hectopascals by mistake."""
+"""Magnitudes that no machine tool has: millimetres, degrees, kelvin, hectopascals or percent by mistake."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ _FARTHEST_STATION = 200.0  # m
 _THOUSAND = 100.0  # a ratio beyond this is taken for 1000
 _MICROMETRES_FROM = 3e4  # m: a machine's travel in millimetres is not as large
 _MILLIMETRES = "these look like millimetres; lengths are in metres"
+_SATURATED = 1.05  # relative humidity, with a sensor's own error
 _DEGREES = "these look like degrees; angles are in radians"
 
 
@@ -153,6 +154,10 @@ def _environment(session: Session, place: Place) -> None:
         if name == "air_pressure" and reach < 2000.0:
             unit = "hectopascals" if reach > 200 else "kilopascals"
             raise SessionError(f"{where}: air_pressure is {values[row]:g} Pa; these look like {unit}")
+        if name == "relative_humidity" and reach > _SATURATED:
+            raise SessionError(
+                f"{where}: relative_humidity is {values[row]:g}; these look like percent; it is from 0 to 1"
+            )
 
 
 def _reach(session: Session, axis: str) -> float | None:
