@@ -117,6 +117,8 @@ def test_the_page_names_the_entry_point_group_and_all_keys(blocks: Blocks) -> No
     from machine_tool_calibration.effects.formula import _Definition
 
     assert list(tomllib.loads(blocks.toml[0])["project"]["entry-points"]) == [registry.ENTRY_POINT_GROUP]
+    # the folder of the page also holds the measurement and the pictures: setuptools would take these for packages
+    assert tomllib.loads(blocks.toml[0])["tool"]["setuptools"]["py-modules"] == ["my_effects"]
     text = PAGE.read_text(encoding="utf-8")
     for key in set(_Definition.model_fields) - {"title", "source"}:
         assert f"`{key}`" in text
