@@ -194,9 +194,14 @@ def test_the_program_on_the_page_hears_a_map_that_was_latched_before(bench):
     sender = operator._node.create_publisher(PointCloud2, "error_map", LATCHED)
     sender.publish(message_of("sensor_msgs/msg/PointCloud2", sections()["error_map"][0].examples[0]))
     program = re.findall(r"^```python\n(.*?)^```", PAGES["subscribing"], re.M | re.S)[0]
-    process = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True, env=os.environ)
+    process = subprocess.Popen(
+        [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ
+    )
     try:
         assert process.stdout.readline() == "1 points in frame machine\n"
+        process.terminate()
+        assert process.communicate(timeout=60) == ("", "")
+        assert process.returncode == 0
     finally:
         process.kill()
         process.communicate()
