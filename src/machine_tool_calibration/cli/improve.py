@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from machine_tool_calibration.cli.diagnosing import bar, model_options, own_effects, saved, search_options, show_table
-from machine_tool_calibration.cli.output import console, json_option, write_json
+from machine_tool_calibration.cli.improve_kept import Kept, draw, keep
+from machine_tool_calibration.cli.output import console, json_option, note, write_json
+from machine_tool_calibration.errors import CalibrationError
 
 if TYPE_CHECKING:
     from machine_tool_calibration.diagnosis.report import TextTable
@@ -52,10 +53,9 @@ def command(
     mtcal improve measurements/cube
     mtcal improve measurements/cube --effect backlash_y
     """
-    from machine_tool_calibration.methods.improve import entries, improve
+    from machine_tool_calibration.methods.improve import improve
     from machine_tool_calibration.methods.improve_document import improvement_document
-    from machine_tool_calibration.plots.improve import save_improvement
-    from machine_tool_calibration.session.history_file import fingerprint, history_path, read_history, update_history
+    from machine_tool_calibration.session.history_file import history_path, read_history
     from machine_tool_calibration.session.open import open_measurement
 
     session = open_measurement(measurement)
@@ -67,16 +67,23 @@ def command(
         done = improve(
             session, model=model, effects=effects, own=own_effects(files), seed=seed, sets=sets, progress=progress
         )
-    if as_json:
-        write_json(improvement_document(done))
-    else:
-        show_improvement(done)
-    if history:
-        made = datetime.now(UTC).isoformat(timespec="seconds")
-        update_history(kept, lambda old: old.grown(entries(done, fingerprint(session), made, "improve")))
+    # What is to be kept is written before anything is printed: the reader of the output may go away.
+    told = keep(done, session, kept) if history else Kept()
     if output is None:
         output = Path("mtcal_output") / f"improve_{measurement.absolute().name}"
-    saved([*save_improvement(done, output), *([kept] if history else [])])
+    drawn, why = draw(done, output)
+    try:
+        if as_json:
+            write_json(improvement_document(done))
+        else:
+            show_improvement(done)
+    finally:
+        saved([*drawn, *told.written])
+        if told.words:
+            note(told.words)
+    failed = [text for text in (why, told.failure) if text]
+    if failed:
+        raise CalibrationError("; ".join(failed))
 
 
 def show_improvement(done: Improvement) -> None:

@@ -1,0 +1,97 @@
+"""`mtcal improve` keeps what it found whatever happens to its output, and says of its files what is true."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from machine_tool_calibration.cli.main import run
+from machine_tool_calibration.session.history_file import read_history
+from machine_tool_calibration.session.writer import write_session
+from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
+
+Shown = pytest.CaptureFixture[str]
+PICTURES = {"improve.png", "improve.csv", "residuals.csv"}
+
+
+@pytest.fixture(scope="module")
+def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("kept") / "cube"
+    spec = SimulationSpec(plan=PRESETS["tracking_2d"], seed=77, effects=(FlawSpec(id="backlash_y", size=1.5e-6),))
+    write_session(simulate(spec).session, folder)
+    return folder
+
+
+@pytest.fixture
+def cube(original: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(original, tmp_path / "cube"))
+
+
+def improve(cube: Path, output: Path) -> list[str]:
+    return ["improve", str(cube), "--sets", "199", "-o", str(output)]
+
+
+def test_a_closed_pipe_loses_nothing(cube: Path, tmp_path: Path) -> None:
+    read, write = os.pipe()
+    os.close(read)
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", "machine_tool_calibration", *improve(cube, tmp_path / "out")],
+            stdout=write, stderr=subprocess.PIPE, text=True, timeout=120, check=False,
+        )  # fmt: skip
+    finally:
+        os.close(write)
+    assert done.returncode != 0
+    assert read_history(cube / "history.yaml").current == 2
+    assert {file.name for file in (tmp_path / "out").iterdir()} == PICTURES
+    assert f"{cube / 'history.yaml'}" in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_what_was_not_written_is_not_said_to_be(cube: Path, tmp_path: Path, capsys: Shown) -> None:
+    history = cube / "history.yaml"
+    assert run(improve(cube, tmp_path / "out")) == 0
+    wrote = next(line for line in capsys.readouterr().err.splitlines() if line.startswith("wrote"))
+    assert str(history) in wrote
+    content = history.read_bytes()
+    assert run(improve(cube, tmp_path / "out")) == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert all(str(history) not in line for line in lines if line.startswith("wrote"))
+    assert f"{history} holds these models already: unchanged, model 2 is the current one" in lines
+    assert history.read_bytes() == content
+    assert run(["history", str(cube), "--undo"]) == 0
+    capsys.readouterr()
+    assert run(improve(cube, tmp_path / "out")) == 0
+    shown = capsys.readouterr().err
+    assert str(history) in shown
+    assert "no new model in the history; model 2 is the current one now" in shown
+    assert len(read_history(history).models) == 2
+
+
+def test_a_history_that_cannot_be_written_costs_no_pictures(cube: Path, tmp_path: Path, capsys: Shown) -> None:
+    (cube / "history.yaml.part").mkdir()  # a folder that is read-only stops no superuser
+    assert run(improve(cube, tmp_path / "out")) == 1
+    shown = capsys.readouterr()
+    assert shown.out.startswith("Added backlash_y")
+    assert {file.name for file in (tmp_path / "out").iterdir()} == PICTURES
+    wrote, failure = shown.err.splitlines()
+    assert wrote.startswith("wrote ")
+    assert "history.yaml" not in wrote
+    assert failure.startswith(f"mtcal: {cube / 'history.yaml'}: cannot be written: ")
+    assert "--no-history" in failure
+    assert not (cube / "history.yaml").exists()
+
+
+def test_pictures_that_cannot_be_written_cost_no_history(cube: Path, tmp_path: Path, capsys: Shown) -> None:
+    (tmp_path / "out" / "improve.png").mkdir(parents=True)
+    assert run(improve(cube, tmp_path / "out")) == 1
+    shown = capsys.readouterr()
+    assert shown.out.startswith("Added backlash_y")
+    assert "cannot be written" in shown.err
+    assert "-o names another folder" in shown.err
+    assert read_history(cube / "history.yaml").current == 2
