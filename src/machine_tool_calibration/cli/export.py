@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from machine_tool_calibration.cli.current_model import current_model
+from machine_tool_calibration.cli.export_warnings import bad_fit, unused_model
 from machine_tool_calibration.cli.info import topic_names, topic_option
 from machine_tool_calibration.cli.output import console, json_option, note, write_json
 from machine_tool_calibration.errors import CalibrationError
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from machine_tool_calibration.effects.effect import Effect
     from machine_tool_calibration.methods.axis_tables import AxisTables
     from machine_tool_calibration.methods.error_states import ErrorStates
+    from machine_tool_calibration.model.fit import JointFit
     from machine_tool_calibration.session.controller_tables.preview import Left
 
 __all__ = ["command"]
@@ -100,6 +102,8 @@ def command(
                 "folder": folder,
                 "files": list(files),
                 "model": models[0] if len(models) == 1 else list(models),
+                "reduced_chi_square": found.fit.reduced_chi_square,
+                "p_value": found.fit.p_value,
                 "tables": [table.name for table in tables.tables],
                 "squareness": list(tables.squareness),
                 "not_determined": tables.left_out,
@@ -112,6 +116,8 @@ def command(
         _show(console(), folder, files, left, absent)
         for entry in tables.left_out:
             note(f"not determined: {entry.name}: {entry.why}")
+    for text in found.warnings:
+        note(text)
     if left[-1].worse:
         note("warning: the errors would grow; do not load these files")
 
@@ -128,12 +134,14 @@ class _Chosen:
 
 @dataclass(frozen=True)
 class _Found:
-    """What was identified of one measurement or of several together, and what they are called."""
+    """What was identified of one measurement or of several together, what they are called, and what to say of it."""
 
     tables: AxisTables
     states: ErrorStates
     models: tuple[str, ...]
     source: str
+    fit: JointFit
+    warnings: tuple[str, ...]
 
 
 def _identified(paths: tuple[Path, ...], chosen: _Chosen, topics: dict[str, str]) -> _Found:
@@ -152,7 +160,11 @@ def _identified(paths: tuple[Path, ...], chosen: _Chosen, topics: dict[str, str]
         joint = identify_sessions(sessions, labels, model=chosen.model, effects=chosen.effects, own=chosen.own)
         note(joint.agreement.statement)
         states = error_states(joint.error_map, joint.stated.fits, find_effects(chosen.effects, chosen.own))
-        return _Found(joint_axis_tables(joint), states, joint.model_names, source)
+        said = [bad_fit(joint.fit, joint.error_map.content)]
+        for opened, path in zip(sessions, paths, strict=True):
+            said.append(unused_model(opened, path, chosen.effects, None, effects_only=True))
+        warnings = tuple(text for text in said if text)
+        return _Found(joint_axis_tables(joint), states, joint.model_names, source, joint.fit, warnings)
     session, model, effects = sessions[0], chosen.model, chosen.effects
     if chosen.from_history:
         entry, session, _ = current_model(session, paths[0])
@@ -163,7 +175,12 @@ def _identified(paths: tuple[Path, ...], chosen: _Chosen, topics: dict[str, str]
         model = "rigid_body"  # its default has no tables
     result = identify(session, model=model, effects=effects, own=chosen.own)
     states = error_states(result.error_map, [result.fit], find_effects(effects, chosen.own))
-    return _Found(axis_tables(result), states, (result.model_name,), source)
+    fit = result.fit.joint
+    said = [bad_fit(fit, result.error_map.content)]
+    if not chosen.from_history:
+        said.append(unused_model(session, paths[0], effects, fit))
+    warnings = tuple(text for text in said if text)
+    return _Found(axis_tables(result), states, (result.model_name,), source, fit, warnings)
 
 
 def _absent(tables: AxisTables, held: AxisTables, effects: Sequence[str]) -> list[str]:
