@@ -29,8 +29,10 @@ def figures(document: dict[str, Any]) -> list[tuple[str, str]]:
     error, uncertainty = _array(error_map.get("position_error")), _array(error_map.get("position_error_u"))
     if error.size:
         rows.append(("points of the map", _points(error_map.get("points"), len(error))))
-        rows.append(("error of position", f"{_rms(error):.2f} µm RMS, {_largest(error):.2f} µm at most"))
-    if uncertainty.size:
+        known = np.isfinite(error).any()
+        text = f"{_rms(error):.2f} µm RMS, {_largest(error):.2f} µm at most" if known else "not determined"
+        rows.append(("error of position", text + (_lost(error) if known else "")))
+    if np.isfinite(uncertainty).any():
         rows.append(
             (
                 "its uncertainty U (k = 2)",
@@ -43,6 +45,12 @@ def figures(document: dict[str, Any]) -> list[tuple[str, str]]:
         names = ", ".join(entry["name"] for entry in missing[:6])
         rows.append(("not determined", f"{names}{' …' if len(missing) > 6 else ''}"))
     return rows
+
+
+def _lost(error: np.ndarray) -> str:
+    """Directions in which no point has a value."""
+    lost = [axis for axis, known in zip("xyz", np.isfinite(error).any(axis=0), strict=False) if not known]
+    return f"; not determined along {', '.join(lost)}" if lost else ""
 
 
 def _points(points: Any, count: int) -> str:
@@ -85,8 +93,9 @@ def _array(value: Any) -> np.ndarray:
 
 
 def _rms(vectors: np.ndarray) -> float:
-    """Root mean square length of vectors, micrometres."""
-    return float(np.sqrt(np.mean(np.nansum(vectors**2, axis=1)))) * 1e6
+    """Root mean square length of the vectors of which anything is known, micrometres."""
+    known = vectors[np.isfinite(vectors).any(axis=1)]
+    return float(np.sqrt(np.mean(np.nansum(known**2, axis=1)))) * 1e6
 
 
 def _largest(vectors: np.ndarray) -> float:

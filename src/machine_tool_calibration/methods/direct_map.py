@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.machine.tables import MachineTable
 from machine_tool_calibration.methods.direct_datum import SetupDatum
 from machine_tool_calibration.methods.direct_steps import plate_steps
@@ -18,9 +18,16 @@ from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.model.terms import Term
 
-__all__ = ["direct_map"]
+__all__ = ["direct_map", "sensed_axes"]
 
 _LOOSE = 1e-9
+# Component of a unit direction below which a reading does not sense an axis: a beam that is a little off it.
+_ACROSS = 1e-2
+
+
+def sensed_axes(direction: Array) -> BoolArray:
+    """(3,) which machine axes any of the unit directions (n, 3) has a component along."""
+    return np.asarray(np.abs(direction).max(axis=0, initial=0.0) > _ACROSS)
 
 
 def direct_map(
@@ -34,7 +41,8 @@ def direct_map(
     """The contract's content for `direct`.
 
     What the setups' unknowns leave open is taken out of the position errors by least squares over the points, so that
-    neither the errors nor their uncertainties hinge on a single node.
+    neither the errors nor their uncertainties hinge on a single node. A direction that no reading senses is NaN
+    everywhere: a term or an effect may move it, but nothing was measured there.
 
     Args:
         observations: the readings.
@@ -49,6 +57,9 @@ def direct_map(
     for term in effects:
         size = len(term.parameters)
         fields.append(np.zeros((size, n, 3)) if term.field is None else term.field)
+    # What is not sensed has no part in the map's least squares, and tells no states of an effect apart.
+    sensed = sensed_axes(observations.direction)
+    fields = [one * sensed for one in fields]
     field = np.concatenate(fields)
     first = _states(observations.position, np.concatenate([np.zeros((0, n, 3)), *fields[1:]]))
     points, field = observations.position[first], field[:, first]
@@ -61,6 +72,7 @@ def direct_map(
     parts = flat.reshape(len(field), len(points), 3)
     covariance = np.einsum("knd,kl,lne->nde", parts, fit.covariance[mine, mine], parts, optimize=True)
     loose = np.linalg.norm(flat.T @ fit.solution.loose_directions()[fit.places][mine], axis=1).reshape(-1, 3) > _LOOSE
+    loose |= ~sensed
     error = np.where(loose, np.nan, error)
     uncertainty = np.where(loose, np.nan, np.sqrt(np.einsum("nii->ni", covariance).clip(0.0)))
     covariance = np.where(loose.any(axis=1)[:, None, None], np.nan, covariance)
@@ -105,8 +117,8 @@ def _words(setups: SetupDatum, reduced: bool) -> str:
 def _common(tables: Array, setups: SetupDatum, points: Array, direction: Array) -> Array:
     """(3 n, q) displacements of all points that the setups' unknowns leave open, of unit size.
 
-    Beside what the tables can follow, these are shift and turn of everything; with offsets, a shift along the
-    direction that was read, if there is only one.
+    Directions that no reading senses are left out. Beside what the tables can follow, these are shift and turn of
+    everything; with offsets, a shift along the direction that was read, if there is only one.
     """
     n = len(points)
     parts = [tables]
@@ -114,9 +126,10 @@ def _common(tables: Array, setups: SetupDatum, points: Array, direction: Array) 
         arm = points - points.mean(axis=0)
         shifts = np.tile(np.eye(3), (n, 1))
         turns = np.stack([np.cross(np.eye(3)[j], arm) for j in range(3)], axis=-1).reshape(3 * n, 3)
-        parts += [shifts, turns]
+        seen = np.tile(sensed_axes(direction), n)[:, None]
+        parts += [shifts * seen, turns * seen]
     elif setups.kind == "offset" and np.allclose(np.abs(direction @ direction[0]), 1.0, atol=1e-9):
-        parts.append(np.tile(direction[0], n)[:, None])
+        parts.append(np.tile(direction[0] * sensed_axes(direction), n)[:, None])
     common = np.concatenate(parts, axis=1)
     size = np.linalg.norm(common, axis=0)
     return np.asarray(common[:, size > 1e-9] / size[size > 1e-9])

@@ -11,6 +11,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.machine.error_motions import parse_motion
 from machine_tool_calibration.machine.tables import MachineTable
+from machine_tool_calibration.methods.direct_map import sensed_axes
 from machine_tool_calibration.methods.joint_between import between_nodes
 from machine_tool_calibration.methods.joint_model import CommonModels, tables_of
 from machine_tool_calibration.methods.joint_spread import StatedAngles
@@ -33,7 +34,8 @@ def joint_map(joint: JointFit, common: CommonModels, angles: StatedAngles | None
 
     What all readings together leave open is taken out of the position errors by least squares over the points. Where a
     component depends on a table beyond its nodes, which a session reached that cannot tell it there, it has no value;
-    where it depends on one between its nodes, what straight lines may be wrong by is in its uncertainty.
+    where it depends on one between its nodes, what straight lines may be wrong by is in its uncertainty. A direction
+    of the machine that no reading of any session senses has no value either.
 
     Args:
         joint: the fit.
@@ -53,6 +55,7 @@ def joint_map(joint: JointFit, common: CommonModels, angles: StatedAngles | None
     field = map_field(common.tables, points)
     flat = field.reshape(len(field), 3 * n)
     beyond, lost = _beyond(common.tables, points)
+    beyond |= ~_sensed(common)
     inside = ~beyond.reshape(-1)
     fixed = [common.fixed[label] for table in common.tables for label in table.labels]
     open_ = flat.T @ np.array(fixed) if fixed else np.zeros((3 * n, 0))
@@ -78,6 +81,14 @@ def joint_map(joint: JointFit, common: CommonModels, angles: StatedAngles | None
         "datum": common.datum,
     }
     return ErrorMap(content, points, error, uncertainty, covariance, lost)
+
+
+def _sensed(common: CommonModels) -> BoolArray:
+    """(3,) machine axes along which some session senses the errors of the linear axes."""
+    names = {table.name for table in common.tables}
+    told = [m for m in common.models if any(term.name in names and term.columns.any() for term in m.terms)]
+    directions = [m.observations.direction for m in told]
+    return sensed_axes(np.concatenate([np.zeros((0, 3)), *directions]))
 
 
 def _beyond(tables: Sequence[MachineTable], points: Array) -> tuple[BoolArray, tuple[NotDetermined, ...]]:

@@ -113,6 +113,8 @@ def _curve(panel: Axes, name: str, table: Mapping[str, Any]) -> None:
 def draw_map(content: Mapping[str, Any]) -> Figure:
     """Position errors as magnified arrows in the plane that the points fill most.
 
+    A direction that is determined nowhere is drawn as without error, and named in the title.
+
     Args:
         content: `error_map` of the result.
     """
@@ -122,6 +124,9 @@ def draw_map(content: Mapping[str, Any]) -> Figure:
     i, j = sorted(np.argsort(-np.ptp(points, axis=0))[:2].tolist())
     figure = Figure(figsize=(8, 7.5), layout="constrained")
     panel = figure.subplots()
+    lost = np.asarray(~np.isfinite(error).any(axis=0))
+    if not lost.all():
+        error = np.where(lost, 0.0, error)
     shown = np.isfinite(error[:, [i, j]]).all(axis=1)
     size = np.hypot(error[shown, i], error[shown, j])
     largest = float(size.max(initial=0.0))
@@ -138,7 +143,9 @@ def draw_map(content: Mapping[str, Any]) -> Figure:
     panel.set_xlabel(f"{'XYZ'[i]} / mm")
     panel.set_ylabel(f"{'XYZ'[j]} / mm")
     rms = 1e6 * float(np.sqrt(np.mean(size**2))) if shown.any() else 0.0
-    panel.set_title(f"Position error: largest arrow {1e6 * largest:.2f} µm, RMS {rms:.2f} µm")
+    nowhere = ", ".join("xyz"[k] for k in (i, j) if lost[k])
+    words = f"\nnot determined along {nowhere}" if nowhere else ""
+    panel.set_title(f"Position error: largest arrow {1e6 * largest:.2f} µm, RMS {rms:.2f} µm{words}")
     return figure
 
 

@@ -55,20 +55,22 @@ class _Map:
 def draw_map(content: Mapping[str, Any], title: str = "Measured positions") -> Figure:
     """Nominal and measured positions, with ellipses of expanded uncertainty (k = 2).
 
-    A plane is one panel; a volume is drawn layer by layer, with the error across the layer as the colour.
+    A plane is one panel; a volume is drawn layer by layer, with the error across the layer as the colour. A direction
+    that is determined nowhere is drawn as without error, and named in the title.
 
     Args:
         content: `points`, `position_error` and `position_error_u` of a result's error map (document or arrays).
         title: begins the title.
     """
     whole = _Map(*(np.array(content[key], dtype=float) for key in ("points", "position_error", "position_error_u")))
+    whole, unknown = _known(whole)
     flat = whole.error.shape[1] == 2
     layers = [("", whole)] if flat else _layers(whole)
     scale = _magnification(layers[0][1], whole)
     columns = {1: 1, 2: 2, 4: 2}.get(len(layers), 3)
     rows = -(-len(layers) // columns)
     size = (7.2, 7.4) if columns == 1 else (4.6 * columns, 4.7 * rows + 0.6)
-    figure = new_figure(*size, f"{title}, errors magnified {spaced(scale)} times{_figures(whole)}")
+    figure = new_figure(*size, f"{title}, errors magnified {spaced(scale)} times{_figures(whole)}{unknown}")
     panels = np.atleast_1d(figure.subplots(rows, columns, sharex=True, sharey=True)).reshape(-1)
     limit = 0.0 if flat else 1e6 * float(np.nanmax(np.abs(whole.error[:, 2]), initial=0.0))
     drawn = _Drawing(scale, _larger(whole, scale), limit, float(np.nanmax(np.abs(whole.error[:, :2]), initial=0.0)))
@@ -79,6 +81,16 @@ def draw_map(content: Mapping[str, Any], title: str = "Measured positions") -> F
         panel.set_axis_off()
     _finish(figure, list(panels), len(layers), columns, limit)
     return figure
+
+
+def _known(whole: _Map) -> tuple[_Map, str]:
+    """The map with zeros in the directions that are determined nowhere, and these in words for the title."""
+    lost = np.asarray(~np.isfinite(whole.error).any(axis=0))
+    if lost.all() or not lost.any():
+        return whole, ""
+    names = ", ".join(name for name, gone in zip("xyz", lost, strict=False) if gone)
+    filled = (np.where(lost, 0.0, values) for values in (whole.error, whole.uncertainty))
+    return _Map(whole.points, *filled), f"\nnot determined along {names}"
 
 
 def _layers(whole: _Map) -> list[tuple[str, _Map]]:

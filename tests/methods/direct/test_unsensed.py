@@ -1,0 +1,125 @@
+"""A direction that no reading senses has no error and no uncertainty, whatever the model moves there."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from types import SimpleNamespace
+
+import matplotlib
+import numpy as np
+import pytest
+
+from machine_tool_calibration.diagnosis.consequence import map_change
+from machine_tool_calibration.maps import error_map_from_points
+from machine_tool_calibration.methods.axis_tables import axis_tables
+from machine_tool_calibration.methods.direct_map import sensed_axes
+from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.methods.joint import identify_sessions
+from machine_tool_calibration.plots import direct as pictures
+from machine_tool_calibration.plots.error_map import draw_map
+from machine_tool_calibration.plots.pictures import draw_common
+from machine_tool_calibration.session.controller_tables.preview import preview
+
+matplotlib.use("agg")
+NODES = np.linspace(0.0, 0.4, 5)
+
+
+def _run(direct: SimpleNamespace, axis: int, terms: list[str], columns: dict[str, list[float]] | None = None):
+    """There and back along one axis, read along it."""
+    at = np.zeros((10, 3))
+    at[:, axis] = np.concatenate([NODES, NODES[::-1]])
+    reading = 1e-5 * at[:, axis] + 1e-6 * np.sin(20 * at[:, axis])
+    return direct.written(at, np.tile(np.eye(3)[axis], (10, 1)), reading, terms=terms, columns=columns)
+
+
+def _plate(direct: SimpleNamespace, both: bool = True):
+    """A grid in x and y, read along x and, if asked for, along y."""
+    x, y = (part.ravel() for part in np.meshgrid(NODES, NODES))
+    at = np.column_stack([x, y, 0 * x])
+    g = np.tile([1.0, 0.0, 0.0], (25, 1))
+    reading = 2e-5 * x
+    if both:
+        at, g = np.concatenate([at, at]), np.concatenate([g, np.tile([0.0, 1.0, 0.0], (25, 1))])
+        reading = np.concatenate([reading, 1e-5 * y])
+    return direct.written(at, g, reading, datum="rigid", terms=["EXX", "EYY", "EZX"] if both else ["EXX"])
+
+
+def test_a_run_of_one_axis(direct: SimpleNamespace) -> None:
+    result = identify(_run(direct, 0, ["EXX", "EYX"]))
+    error_map = result.error_map
+    for values in (error_map.error, error_map.uncertainty):
+        assert np.isfinite(values[:, 0]).all()
+        assert np.isnan(values[:, 1:]).all()
+    content = json.loads(json.dumps(result.document(), allow_nan=False))["error_map"]
+    for name in ("position_error", "position_error_u"):
+        assert all(row[0] is not None and row[1:] == [None, None] for row in content[name])
+
+
+def test_a_plate_tells_its_plane_only(direct: SimpleNamespace) -> None:
+    error_map = identify(_plate(direct)).error_map
+    assert np.isfinite(error_map.error[:, :2]).all() and np.isnan(error_map.error[:, 2]).all()
+    # read along x alone, there is no y either
+    assert np.isnan(identify(_plate(direct, both=False)).error_map.uncertainty[:, 1:]).all()
+
+
+def test_the_datum_is_taken_from_what_was_sensed(direct: SimpleNamespace) -> None:
+    """EAX lifts the points at a distance in y: no reading saw it, so it must not turn the errors along y."""
+    rng = np.random.default_rng(3)
+    at = np.column_stack([*(part.ravel() for part in np.meshgrid(NODES, NODES)), rng.uniform(0.0, 0.3, 25)])
+    at = np.concatenate([at, at])
+    g = np.repeat(np.eye(3)[:2], 25, axis=0)
+    roll = 1e-4 * at[:, 0] ** 2
+    reading = np.where(g[:, 1] > 0, -roll * at[:, 2], 0.0)
+    session = direct.written(at, g, reading, datum="rigid", terms=["EAX"], sigma=1e-9, chain="w-b-X-Y-Z-t")
+    error_map = identify(session).error_map
+    half = error_map.points.shape[0]
+    arm = error_map.points - error_map.points.mean(axis=0)
+    seen = np.tile([1.0, 1.0, 0.0], half)
+    motion = [np.tile(np.eye(3)[j], half) * seen for j in range(3)]
+    motion += [np.cross(np.eye(3)[j], arm).ravel() * seen for j in range(3)]
+    left = np.array(motion) @ np.nan_to_num(error_map.error).ravel()
+    assert np.abs(left).max() < 1e-12
+
+
+def test_an_effect_across_the_beam_determines_nothing(direct: SimpleNamespace) -> None:
+    side = [1.0] * 5 + [-1.0] * 5
+    session = _run(direct, 0, ["EXX"], {"dir_x": side, "dir_y": side})
+    plain = identify(session).error_map
+    both = identify(session, effects=["backlash_x"]).error_map
+    assert np.isnan(both.error[:, 1:]).all() and np.isfinite(both.error[:, 0]).all()
+    assert map_change(plain, both) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_beam_a_little_off_the_axis_senses_no_other() -> None:
+    assert sensed_axes(np.array([[1.0, 1e-3, 0.0]])).tolist() == [True, False, False]
+    assert sensed_axes(np.array([[0.8, 0.6, 0.0], [0.0, 0.0, -1.0]])).tolist() == [True, True, True]
+    assert sensed_axes(np.zeros((0, 3))).tolist() == [False, False, False]
+
+
+def test_several_sessions_share_what_any_of_them_senses(direct: SimpleNamespace) -> None:
+    x, y = _run(direct, 0, ["EXX"]), _run(direct, 1, ["EYY"])
+    together = identify_sessions([x, y], ["x", "y"]).error_map
+    assert np.isfinite(together.error[:, :2]).all() and np.isnan(together.error[:, 2]).all()
+    assert np.isnan(together.uncertainty[:, 2]).all()
+
+
+def test_subscribers_and_controllers_get_what_was_measured(direct: SimpleNamespace) -> None:
+    result = identify(_run(direct, 0, ["EXX"]))
+    found = result.error_map
+    held = error_map_from_points(found.points, found.error, found.uncertainty)
+    assert held.determined == (True, False, False)
+    error, uncertainty = held([0.1, 0.0, 0.0])
+    assert np.isfinite([error[0], uncertainty[0]]).all() and np.isnan([*error[1:], *uncertainty[1:]]).all()
+    corrected = held.compensated([0.1, 0.0, 0.0])
+    assert corrected[0] != 0.1 and corrected[1:].tolist() == [0.0, 0.0]
+    shown = {row.name for row in preview(found, axis_tables(result))}
+    assert "x" in shown and not shown & {"y", "z"}
+
+
+def test_pictures_name_the_direction(direct: SimpleNamespace, tmp_path: Path) -> None:
+    document = identify(_plate(direct, both=False)).document()
+    assert "not determined along y" in pictures.draw_map(document["error_map"]).axes[0].get_title()
+    figure = draw_map(document["error_map"])
+    assert "not determined along y, z" in figure.get_suptitle() and "largest error" in figure.get_suptitle()
+    assert draw_common(document, tmp_path)
