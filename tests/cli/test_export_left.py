@@ -81,6 +81,15 @@ def test_a_map_that_holds_the_effects_itself(run_of_x: Path, tmp_path: Path, cap
     assert lost["preview"][0]["rms_after"] == pytest.approx(HALF, rel=0.05)
 
 
+def test_every_point_may_be_reached_from_both_sides(tmp_path: Path, capsys: Shown) -> None:
+    session = simulated(tmp_path / "s", "step_diagonal", "backlash_x", size=HALF)
+    document = exported([session], "isg", "backlash_x", tmp_path / "o", capsys)
+    assert document["not_in_tables"] == ["backlash_x"]
+    x, y = document["preview"][:2]
+    assert x["rms_after"] == pytest.approx(HALF, rel=0.15)
+    assert y["rms_after"] < 1e-8
+
+
 def test_sessions_together(run_of_x: Path, tmp_path: Path, capsys: Shown) -> None:
     document = exported([run_of_x, run_of_x], "isg", "backlash_x", tmp_path / "o", capsys)
     assert document["not_in_tables"] == ["backlash_x"]

@@ -44,6 +44,9 @@ class ErrorStates:
 def error_states(error_map: ErrorMap, fits: Sequence[Fit], effects: Sequence[Effect]) -> ErrorStates:
     """Errors of the map with those of the effects, as in the readings that are nearest to each of its points.
 
+    Where the direction of approach matters, each point has the nearest readings of every direction that occurred: it
+    may be reached from either side, whether it was in the measurement or not.
+
     Args:
         error_map: of the fits together.
         fits: of each session.
@@ -62,7 +65,8 @@ def error_states(error_map: ErrorMap, fits: Sequence[Fit], effects: Sequence[Eff
         readings = _mapped(fits[0], names)
         if len(readings) == len(error_map.points):
             return ErrorStates(error_map, approach[readings], names)
-    rows, readings = _nearest(error_map.points, np.concatenate([o.position for o in observed]))
+    approach = approach * [any(f"dir_{axis}" in effect.needs for effect in acting) for axis in "xyz"]
+    rows, readings = _nearest(error_map.points, np.concatenate([o.position for o in observed]), approach)
     state = np.round(np.concatenate([added, approach], axis=1)[readings] / _SAME)
     first = np.sort(np.unique(np.column_stack([rows, state]), axis=0, return_index=True)[1])
     rows, readings = rows[first], readings[first]
@@ -137,11 +141,18 @@ def _mapped(fit: Fit, effects: Sequence[str]) -> IntArray:
     return np.asarray(np.sort(np.unique(key, axis=0, return_index=True)[1]))
 
 
-def _nearest(points: Array, places: Array) -> tuple[IntArray, IntArray]:
-    """Pairs of a point and a reading that is as near to it as any."""
-    tree = cKDTree(places)
-    distance, _ = tree.query(points)
-    near = tree.query_ball_point(points, distance * (1.0 + 1e-9) + _PLACE)
-    found: list[list[int]] = np.asarray(near, dtype=object).tolist()
-    rows = np.repeat(np.arange(len(points)), [len(mine) for mine in found])
-    return rows, np.concatenate([np.asarray(mine, dtype=np.int64) for mine in found])
+def _nearest(points: Array, places: Array, approach: Array) -> tuple[IntArray, IntArray]:
+    """Pairs of a point and a reading that is as near to it as any with the same directions of approach."""
+    signs, group = np.unique(approach, axis=0, return_inverse=True)
+    known = (signs != 0.0) | (approach == 0.0).all(axis=0)
+    used = np.flatnonzero(known.all(axis=1)) if known.all(axis=1).any() else np.arange(len(signs))
+    rows, readings = [], []
+    for k in used:
+        mine = np.flatnonzero(group.ravel() == k)
+        tree = cKDTree(places[mine])
+        distance, _ = tree.query(points)
+        near = tree.query_ball_point(points, distance * (1.0 + 1e-9) + _PLACE)
+        found: list[list[int]] = np.asarray(near, dtype=object).tolist()
+        rows.append(np.repeat(np.arange(len(points)), [len(own) for own in found]))
+        readings += [mine[own] for own in found]
+    return np.concatenate(rows), np.concatenate(readings)
