@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from machine_tool_calibration.cli.main import run
+from machine_tool_calibration.cli.main import BROKEN_PIPE, run
 from machine_tool_calibration.session.history_file import read_history
 from machine_tool_calibration.session.writer import write_session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
@@ -46,7 +46,7 @@ def test_a_closed_pipe_loses_nothing(cube: Path, tmp_path: Path) -> None:
         )  # fmt: skip
     finally:
         os.close(write)
-    assert done.returncode != 0
+    assert done.returncode == BROKEN_PIPE
     assert read_history(cube / "history.yaml").current == 2
     assert {file.name for file in (tmp_path / "out").iterdir()} == PICTURES
     assert f"{cube / 'history.yaml'}" in done.stderr

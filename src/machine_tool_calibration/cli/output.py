@@ -90,10 +90,15 @@ def error_console() -> Console:
 def _console(*, stderr: bool) -> Console:
     from rich.console import Console  # here, because the import costs 0.1 s that `--help` does not need
 
+    class Screen(Console):
+        def on_broken_pipe(self) -> None:
+            # rich would exit with status 1, as for a wrong input; `mtcal` has a status of its own for a closed pipe.
+            raise BrokenPipeError
+
     stream = sys.stderr if stderr else sys.stdout
     # Tables keep their width in a file or a pipe, where rich would assume 80 columns.
     width = None if stream.isatty() or "COLUMNS" in os.environ else 120
-    return Console(file=stream, width=width, highlight=False)
+    return Screen(file=stream, width=width, highlight=False)
 
 
 def note(text: str) -> None:
