@@ -34,6 +34,17 @@ def test_every_procedure_can_be_foretold(file: Path) -> None:
     assert not {entry.effect for entry in found.visible} & set(found.absorbed)
 
 
+def test_a_run_of_one_axis_promises_that_axis_alone(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["plan", "direct_iso230_2", "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)["uncertainties"]["position_error_u"]
+    assert all(row[0] > 0 and row[1:] == [None, None] for row in rows)
+    assert run(["plan", "direct_iso230_2"]) == 0
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("position error")]
+    typical = 2e6 * np.sqrt(np.mean([row[0] ** 2 for row in rows]))
+    assert line.split()[2] == f"{typical:.3g}"
+    assert line.endswith(f"{2 * len(rows)} of {3 * len(rows)}")
+
+
 def test_promised_uncertainty_and_detectable_size_of_a_tracking_interferometer() -> None:
     found = forecast(read_procedure(ROOT / "config" / "procedures" / "tracking_2d.yaml"))
     promised = {entry.effect: entry for entry in found.visible}["backlash_y"]
