@@ -149,10 +149,10 @@ class AxisSimulator(Node):
         arrival = self._start + nanoseconds(self._motion.arrival)
         held = self._start + nanoseconds(self._motion.end)
         self._simulated_now = held
+        self._publish_clock()  # first: what others do on hearing of the arrival belongs to this time
         for stamp in (arrival, held) if held > arrival else (arrival,):
             self._publish_truth(stamp)
         self._set_report(Level.OK, "arrived", state="arrived", arrived=arrival, held=held)
-        self._publish_clock()
         for stamp in (arrival, held) if held > arrival else (arrival,):
             self._publish_state(stamp)
 

@@ -105,6 +105,7 @@ class Recorder(Node):
                 self._add(name, topic.type, Qos(depth=20000 if topic.latched else 1000, durability=durability))
 
     def _discover(self) -> None:
+        self.taps.follow_clock()
         wanted = {self.resolve_topic_name(name) for name in self._wanted}
         for name, types in self.get_topic_names_and_types():
             if name in self._ignored or name in self._refused:

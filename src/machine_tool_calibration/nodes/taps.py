@@ -29,6 +29,8 @@ _MOST_AT_ONCE = 2000  # messages of one topic, so that no topic keeps the others
 _NO_NUMBER = 2**64 - 1
 # What any publisher of a clock can give; a lost tick costs no more than its step.
 _CLOCK = Qos(depth=1000, reliability="best_effort")
+# ns that a message may be taken later than a tick that came after it
+_OVERTAKEN = 1_000_000_000
 
 
 @dataclass(frozen=True)
@@ -160,6 +162,19 @@ class Taps:
             tap.request, tap.subscription = best, self._subscribe(topic, tap.type, best)
         return True
 
+    def follow_clock(self) -> None:
+        """Ask for every tick, as soon as it is known that all who publish the clock can give that."""
+        if self._clock is None or self._clock.request.reliability == "reliable":
+            return
+        topic, kind = self._clock.topic, self._clock.type
+        offered = [offered_qos(info.qos_profile) for info in self._node.get_publishers_info_by_topic(topic)]
+        if offered and all(profile.reliability == "reliable" for profile in offered):
+            request = replace(_CLOCK, reliability="reliable")
+            self._take(self._clock, last := [])
+            self._ticks.extend(sorted(last, key=lambda tick: tick.received))
+            self._hidden.destroy_subscription(self._clock.subscription)
+            self._clock = Tap(topic, kind, request, self._subscribe(topic, kind, request))
+
     def take(self) -> list[Taken]:
         """All that has come, in the order of its coming."""
         taken: list[Taken] = []
@@ -177,12 +192,15 @@ class Taps:
         dated = []
         for message in taken:
             while self._ticks and (self._ticks[0].received <= message.received or not self._simulated):
-                self._simulated = from_message(deserialize_message(self._ticks.popleft().data, Clock).clock)
+                self._tick()
             dated.append(replace(message, simulated=self._simulated))
-        if not taken:
-            while len(self._ticks) > 1:
-                self._ticks.popleft()
+        # A message that came while others were being taken is still to be dated by the ticks of that moment.
+        while len(self._ticks) > 1 and self._ticks[1].received < self._ticks[-1].received - _OVERTAKEN:
+            self._tick()
         return dated
+
+    def _tick(self) -> None:
+        self._simulated = from_message(deserialize_message(self._ticks.popleft().data, Clock).clock)
 
     def close(self) -> None:
         """Unsubscribe."""
