@@ -12,19 +12,9 @@ import pytest
 from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.session.history_file import read_history
 from machine_tool_calibration.session.open import open_measurement
-from machine_tool_calibration.session.writer import write_session
-from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
 SETS = ["--sets", "199"]
 Run = pytest.CaptureFixture[str]
-
-
-@pytest.fixture(scope="module")
-def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("improve") / "cube"
-    spec = SimulationSpec(plan=PRESETS["tracking_2d"], seed=77, effects=(FlawSpec(id="backlash_y", size=1.5e-6),))
-    write_session(simulate(spec).session, folder)
-    return folder
 
 
 @pytest.fixture

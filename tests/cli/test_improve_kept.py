@@ -12,19 +12,9 @@ import pytest
 
 from machine_tool_calibration.cli.main import BROKEN_PIPE, run
 from machine_tool_calibration.session.history_file import read_history
-from machine_tool_calibration.session.writer import write_session
-from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
 Shown = pytest.CaptureFixture[str]
 PICTURES = {"improve.png", "improve.csv", "residuals.csv"}
-
-
-@pytest.fixture(scope="module")
-def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("kept") / "cube"
-    spec = SimulationSpec(plan=PRESETS["tracking_2d"], seed=77, effects=(FlawSpec(id="backlash_y", size=1.5e-6),))
-    write_session(simulate(spec).session, folder)
-    return folder
 
 
 @pytest.fixture

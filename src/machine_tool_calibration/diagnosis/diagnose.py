@@ -52,10 +52,7 @@ class Diagnosis:
     def ranked(self) -> tuple[Ranked, ...]:
         """Candidates best first: those accepted, in their order, then the others as the first look ranked them."""
         rules = rules_of(self.session.method)
-        first = [
-            next(r for r in look.ranked if r.candidate.name == name)
-            for look, name in zip(self.looks, self.accepted, strict=False)
-        ]
+        first = [look.of(name) for look, name in zip(self.looks, self.accepted, strict=False)]
         # What is looked for before all others is not held against them.
         first = [
             replace(r, probability=against_chance(r)) if rules.tier(r.candidate.name) < len(rules.order) else r

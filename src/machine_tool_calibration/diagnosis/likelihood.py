@@ -166,7 +166,6 @@ def scan(reduced: Reduced, blocks: Sequence[slice], data: Data, ratios: list[tup
         first += basis.shape[1]
     own = joined.T @ reduced.gram[:k, :k] @ joined
     cross = joined.T @ reduced.gram[:k, k:]
-    spread = reduced.gram[k:, k:]
     own_data = joined.T @ data.products[:k]
     spread_data = data.products[k:]
     b = len(data.squares)
@@ -177,21 +176,16 @@ def scan(reduced: Reduced, blocks: Sequence[slice], data: Data, ratios: list[tup
     best = np.full((len(blocks), b), -np.inf)
     chosen = np.zeros((len(blocks), b), dtype=np.int64)
     for index, ratio in enumerate(ratios):
-        root = np.sqrt(np.array(ratio))[reduced.family] if families else np.zeros(0)
-        used = root > 0
-        if used.any():
-            s = root[used]
-            core = np.eye(len(s)) + spread[np.ix_(used, used)] * np.outer(s, s)
-            lower = np.linalg.cholesky(core)
-            logdet = 2 * float(np.log(np.diag(lower)).sum())
+        used, s, lower = _core(reduced, ratio)
+        if len(used):
             shrink = np.linalg.solve(lower, s[:, None] * np.column_stack([cross[:, used].T, spread_data[used]]))
             left, right = shrink[:, : len(own)], shrink[:, len(own) :]
             weighted, product_ = own - left.T @ left, own_data - left.T @ right
             squares = data.squares - np.einsum("ub,ub->b", right, right)
         else:
-            logdet, weighted, product_, squares = 0.0, own, own_data, data.squares
+            weighted, product_, squares = own, own_data, data.squares
         squares = np.maximum(squares, 1e-300)
-        price = logdet + _unusual(reduced, ratio)
+        price = _price(reduced, ratio, lower)
         value = -n * np.log(squares / n) - price
         better = value > null
         null[better], null_variance[better] = value[better], squares[better] / n
@@ -247,16 +241,22 @@ def simulate(reduced: Reduced, ratio: Array, variance: float, count: int, rng: n
 
 def spread_price(reduced: Reduced, ratio: tuple[float, ...]) -> float:
     """What spread of these variances costs a likelihood: twice its logarithm, beside the sum of squares."""
+    return _price(reduced, ratio, _core(reduced, ratio)[2])
+
+
+def _price(reduced: Reduced, ratio: tuple[float, ...], lower: Array) -> float:
+    """Its determinant's part and the prior's."""
+    return 2 * float(np.log(np.diag(lower)).sum()) + sum(ratio) / reduced.usual
+
+
+def _core(reduced: Reduced, ratio: tuple[float, ...]) -> tuple[IntArray, Array, Array]:
+    """Spread columns whose variance is not zero, the roots of these variances, and the factor of what they add."""
     root = np.sqrt(np.array(ratio))[reduced.family] if len(ratio) else np.zeros(0)
-    used = reduced.n_candidates + np.flatnonzero(root > 0)
-    s = root[root > 0]
-    core = np.eye(len(s)) + reduced.gram[np.ix_(used, used)] * np.outer(s, s)
-    return float(np.linalg.slogdet(core)[1]) + _unusual(reduced, ratio)
-
-
-def _unusual(reduced: Reduced, ratio: tuple[float, ...]) -> float:
-    """The prior's part of it."""
-    return sum(ratio) / reduced.usual
+    used = np.flatnonzero(root > 0)
+    s = np.asarray(root[used])
+    place = reduced.n_candidates + used
+    lower = np.linalg.cholesky(np.eye(len(s)) + reduced.gram[np.ix_(place, place)] * np.outer(s, s))
+    return used.astype(np.int64), s, np.asarray(lower)
 
 
 def weighted_products(
@@ -268,13 +268,9 @@ def weighted_products(
         (k, k) of the columns, (k,) with the data, and the data's squared norm.
     """
     k = reduced.n_candidates
-    root = np.sqrt(np.array(ratio))[reduced.family] if len(ratio) else np.zeros(0)
     inner, right, squares = reduced.gram[block, block], data.products[block, 0], float(data.squares[0])
-    used = np.flatnonzero(root > 0)
+    used, s, lower = _core(reduced, ratio)
     if len(used):
-        s = root[used]
-        core = np.eye(len(s)) + reduced.gram[k:, k:][np.ix_(used, used)] * np.outer(s, s)
-        lower = np.linalg.cholesky(core)
         left = np.linalg.solve(lower, s[:, None] * reduced.gram[k + used, block])
         own = np.linalg.solve(lower, s * data.products[k + used, 0])
         inner, right, squares = inner - left.T @ left, right - left.T @ own, squares - float(own @ own)

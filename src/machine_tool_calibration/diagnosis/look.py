@@ -19,7 +19,6 @@ from machine_tool_calibration.diagnosis.ranking import Ranked, alias_groups, ran
 from machine_tool_calibration.diagnosis.rules import ALONE_LEVEL, LEVEL, ROUNDING, STRUCTURE_LEVEL, rules_of
 from machine_tool_calibration.diagnosis.significance import search
 from machine_tool_calibration.diagnosis.spread import run_spreads
-from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.model.fit import Fit, screen
 
 __all__ = ["Absorbed", "Look", "Structure", "look_at"]
@@ -78,9 +77,9 @@ class Look:
     validation: CrossValidation | None
     detectable: dict[str, dict[str, float]]
 
-    def of(self, effect: Effect) -> Ranked:
-        """What was found of an effect."""
-        return next(r for r in self.ranked if r.candidate.effect is effect)
+    def of(self, effect: str) -> Ranked:
+        """What was found of the effect of an id."""
+        return next(r for r in self.ranked if r.candidate.name == effect)
 
     @property
     def noisy(self) -> bool:

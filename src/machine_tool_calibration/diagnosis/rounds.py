@@ -151,12 +151,12 @@ def _each_beside_the_other(task: _Task, found: Found) -> Found | None:
     """The same with the first effect as it shows beside the second, where it does not show alone; None if not there."""
     first, second = found.accepted[:2]
     look = found.looks[0]
-    alone = look.of(first)
+    alone = look.of(first.id)
     if alone.family_p_value <= LEVEL:
         return found
     fit = fit_models([task.model_of(task.session, [second])]).fits[0]
     left = [c for c in task.candidates if c.effect is not second]
-    beside = look_at(fit, left, task.structures, task.rng, task.sets, pairs=False).of(first)
+    beside = look_at(fit, left, task.structures, task.rng, task.sets, pairs=False).of(first.id)
     if beside.family_p_value > LATER_LEVEL:
         return None
     shown = replace(
@@ -177,7 +177,7 @@ def _stands(found: Found) -> bool:
 def left_over(found: Found) -> bool:
     """Whether so much is left that the accepted effects, if there are any, are not the cause."""
     look = found.looks[-1]
-    if still_fails(found.looks, bool(found.accepted)):
+    if still_fails(found.looks):
         return True
     first, last = found.looks[0].fit.solution.chi_square, look.fit.solution.chi_square
     left = look.structure[0].share * last if look.structure else 0.0
@@ -187,15 +187,14 @@ def left_over(found: Found) -> bool:
     return left > most * (first - last + left)
 
 
-def still_fails(looks: Sequence[Look], accepted: bool) -> bool:
+def still_fails(looks: Sequence[Look]) -> bool:
     """Whether the model fails by much more than any spread that is usual, and what was found hardly changes that.
 
     Repeats that scatter as much as all readings speak for a declared uncertainty that is too small instead. Deviations
     that are read directly scatter as the part or the axis does, which nobody declares.
 
     Args:
-        looks: at the first model and after every effect found.
-        accepted: whether there are any.
+        looks: at the first model and after every effect found, if there are any.
     """
     first, last = looks[0].fit, looks[-1].fit
     joint = last.joint
@@ -204,7 +203,7 @@ def still_fails(looks: Sequence[Look], accepted: bool) -> bool:
     if joint.reduced_chi_square < _GROSS or joint.p_value > _GROSS_LEVEL:
         return False
     excess = first.solution.chi_square - first.solution.degrees_of_freedom
-    return not accepted or first.solution.chi_square - last.solution.chi_square < _MOST_OF_IT * excess
+    return first.solution.chi_square - last.solution.chi_square < _MOST_OF_IT * excess
 
 
 def _one_after_the_other(
@@ -282,7 +281,7 @@ def _contradicted(found: Found) -> bool:
 
 def _gain(found: Found) -> float:
     """By how much the information criterion fell with the accepted effects."""
-    gains = [look.of(effect).bic_gain for look, effect in zip(found.looks, found.accepted, strict=False)]
+    gains = [look.of(effect.id).bic_gain for look, effect in zip(found.looks, found.accepted, strict=False)]
     pair = found.looks[0].pair
     if pair is not None:
         # Each of two may hide the other until it is in the model.

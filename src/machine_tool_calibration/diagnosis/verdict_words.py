@@ -111,7 +111,7 @@ def _title(diagnosis: Diagnosis, name: str) -> str:
 
 def _found(diagnosis: Diagnosis, name: str, change: Consequence | None, advice: Advice) -> str:
     k = diagnosis.accepted.index(name)
-    ranked = next(r for r in diagnosis.looks[k].ranked if r.candidate.name == name)
+    ranked = diagnosis.looks[k].of(name)
     effect = ranked.candidate.effect
     words = [f"{name}: {effect.formula}." if effect is not None else f"{name}."]
     if change is not None:
@@ -163,7 +163,7 @@ def _unexplained(diagnosis: Diagnosis) -> Iterator[str]:
             f"squares (p {probability(best.p_value)})."
         )
     look = diagnosis.looks[-1]
-    if still_fails(diagnosis.looks, len(diagnosis.looks) > 1):
+    if still_fails(diagnosis.looks):
         text = f"The readings scatter {np.sqrt(look.fit.joint.reduced_chi_square):.1f} times as much as declared"
         repeats = look.noise.from_repeats
         text = f"{text}, repeats by {quantity(repeats, 'm')}." if repeats is not None else f"{text}."

@@ -170,8 +170,7 @@ class Taps:
         offered = [offered_qos(info.qos_profile) for info in self._node.get_publishers_info_by_topic(topic)]
         if offered and all(profile.reliability == "reliable" for profile in offered):
             request = replace(_CLOCK, reliability="reliable")
-            self._take(self._clock, last := [])
-            self._ticks.extend(sorted(last, key=lambda tick: tick.received))
+            self._hear_clock(self._clock)
             self._hidden.destroy_subscription(self._clock.subscription)
             self._clock = Tap(topic, kind, request, self._subscribe(topic, kind, request))
 
@@ -186,9 +185,7 @@ class Taps:
     def _dated(self, taken: list[Taken]) -> list[Taken]:
         """The messages with the simulated time at which each was received, however late they are taken."""
         assert self._clock is not None
-        ticks: list[Taken] = []
-        self._take(self._clock, ticks)  # after the messages, so that no tick before one of them is missing
-        self._ticks.extend(sorted(ticks, key=lambda tick: tick.received))
+        self._hear_clock(self._clock)  # after the messages, so that no tick before one of them is missing
         dated = []
         for message in taken:
             while self._ticks and (self._ticks[0].received <= message.received or not self._simulated):
@@ -198,6 +195,11 @@ class Taps:
         while len(self._ticks) > 1 and self._ticks[1].received < self._ticks[-1].received - _OVERTAKEN:
             self._tick()
         return dated
+
+    def _hear_clock(self, clock: Tap) -> None:
+        ticks: list[Taken] = []
+        self._take(clock, ticks)
+        self._ticks.extend(sorted(ticks, key=lambda tick: tick.received))
 
     def _tick(self) -> None:
         self._simulated = from_message(deserialize_message(self._ticks.popleft().data, Clock).clock)
