@@ -24,15 +24,17 @@ class Projected:
         squares: (k + 1,) squared norms before anything was projected off.
         after_points: (k + 1,) squared norms once the points' own unknowns have taken their share.
         response: (m, k) change of the model's shared unknowns per unit of each column that it absorbs.
+        names: (k,) of the columns, where they have names.
     """
 
     gram: Array
     squares: Array
     after_points: Array
     response: Array
+    names: tuple[str, ...] = ()
 
 
-def project(total: Array, squares: Array, covariance: Array, k: int) -> Projected:
+def project(total: Array, squares: Array, covariance: Array, k: int, names: tuple[str, ...] = ()) -> Projected:
     """Project the model off the last k columns and the residual.
 
     Args:
@@ -40,6 +42,7 @@ def project(total: Array, squares: Array, covariance: Array, k: int) -> Projecte
         squares: (m + k + 1,) squared norms of the columns before the points were eliminated.
         covariance: (m, m) of the model's shared unknowns under its datum.
         k: number of further columns.
+        names: of these.
     """
     m = len(total) - k - 1
     cross = total[:m, m:].copy()
@@ -48,4 +51,4 @@ def project(total: Array, squares: Array, covariance: Array, k: int) -> Projecte
     cross[:, -1] = 0.0
     response = covariance @ cross
     gram = total[m:, m:] - cross.T @ response
-    return Projected((gram + gram.T) / 2, squares[m:], np.diag(total)[m:].copy(), response[:, :k])
+    return Projected((gram + gram.T) / 2, squares[m:], np.diag(total)[m:].copy(), response[:, :k], names)

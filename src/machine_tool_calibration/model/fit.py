@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,7 +17,10 @@ from machine_tool_calibration.estimation.solve import Solution, gram, solve
 from machine_tool_calibration.model.model import Assembly, MethodModel, assemble
 from machine_tool_calibration.model.terms import Parameter, Term
 
-__all__ = ["Fit", "JointFit", "fit_models", "screen"]
+__all__ = ["Fit", "JointFit", "fit_models", "screen", "screen_joint"]
+
+# Before the name of a column that is screened: it must not be taken for an unknown of the model.
+_FURTHER = "\0further "
 
 
 @dataclass(frozen=True)
@@ -144,15 +147,50 @@ def fit_models(models: Sequence[MethodModel], labels: Sequence[str] | None = Non
 
 
 def screen(fit: Fit, columns: Array) -> Projected:
-    """What a fitted model leaves of further columns (one session).
+    """What a fitted model leaves of further columns of one session's readings.
 
     Args:
-        fit: of a single session.
-        columns: (k, n) change of each reading per unit of each further unknown.
+        fit: one session's share in a fit.
+        columns: (k, n) change of each of its readings per unit of each further unknown.
     """
-    k = len(columns)
-    names = tuple(Parameter(f"further column {j}", "1") for j in range(k))
-    assembly = assemble([fit.model.with_terms([Term("further", names, columns)])])
-    theta = np.concatenate([fit.solution.theta, np.zeros(k)])
-    total, squares = gram(assembly.problem, theta, fit.solution.local)
-    return project(total, squares, fit.solution.covariance, k)
+    names = tuple(Parameter(f"column {j}", "1") for j in range(len(columns)))
+    own = [Term("columns", names, columns)]
+    return screen_joint(fit.joint, [own if k == fit.index else [] for k in range(len(fit.joint.assembly.models))])
+
+
+def screen_joint(joint: JointFit, terms: Sequence[Sequence[Term]]) -> Projected:
+    """What a fitted model of one or several sessions leaves of further columns.
+
+    Args:
+        joint: the fit.
+        terms: for each session its further terms. Unknowns of the machine (`Parameter.shared`) that have the same name
+            in several sessions are one column over the readings of all these, every other one is a column of its
+            session alone. A name may also be one of the model's unknowns: it is a further column all the same.
+
+    Returns:
+        What is left, in the order in which the names appear first; its names carry the label of the session where an
+        unknown is not shared.
+
+    Raises:
+        ModelError: a session has a name twice.
+    """
+    old = joint.assembly
+    added = [tuple(replace(t, parameters=_further(t.parameters)) for t in own) for own in terms]
+    pairs = zip(old.models, added, strict=True)
+    wide = assemble([model.with_terms(own) for model, own in pairs], old.labels)
+    m = len(old.parameters)
+    known = np.empty(m, dtype=np.int64)
+    for before, after in zip(old.places, wide.places, strict=True):
+        known[before] = after[: len(before)]
+    new = np.setdiff1d(np.arange(len(wide.parameters)), known)
+    theta = np.zeros(len(wide.parameters))
+    theta[known] = joint.solution.theta
+    total, squares = gram(wide.problem, theta, joint.solution.local)
+    order = np.concatenate([known, new, [len(theta)]])
+    names = tuple(wide.parameters[k].name.replace(_FURTHER, "", 1) for k in new)
+    return project(total[np.ix_(order, order)], squares[order], joint.solution.covariance, len(new), names)
+
+
+def _further(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
+    """Unknowns under names that no model has."""
+    return tuple(replace(p, name=f"{_FURTHER}{p.name}") for p in parameters)

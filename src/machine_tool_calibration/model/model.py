@@ -145,12 +145,14 @@ class Assembly:
         problem: for the solver; its parts are in the order of the models.
         parameters: (m,) the shared unknowns, with the names under which they are published.
         places: for each model, the place of each of its parameters in the shared vector.
+        labels: names of the sessions; None for a single one without a name.
     """
 
     models: tuple[MethodModel, ...]
     problem: Problem
     parameters: tuple[Parameter, ...]
     places: tuple[IntArray, ...]
+    labels: tuple[str, ...] | None = None
 
 
 def assemble(models: Sequence[MethodModel], labels: Sequence[str] | None = None) -> Assembly:
@@ -198,7 +200,7 @@ def assemble(models: Sequence[MethodModel], labels: Sequence[str] | None = None)
         for model, where in zip(models, places, strict=True)
     ]
     problem = Problem(parts, m, np.array(constraints).reshape(len(constraints), m), np.array(values), priors)
-    return Assembly(tuple(models), problem, tuple(parameters), tuple(places))
+    return Assembly(tuple(models), problem, tuple(parameters), tuple(places), None if labels is None else tuple(labels))
 
 
 def _row(names: Mapping[str, int], weights: Mapping[str, float], size: int) -> Array:
