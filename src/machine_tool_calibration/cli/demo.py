@@ -190,8 +190,8 @@ def _reveal(story: _Story) -> str:
         return "Nothing was hidden." + ("" if not found else " What was added is a false alarm.")
     said = f"Hidden was {story.hidden.id}, of size {_hidden_size(story.hidden)}."
     alike = {story.hidden.id}
-    for look in story.improvement.diagnosis.looks:
-        alike |= {name for group in look.groups if story.hidden.id in group for name in group}
+    groups = story.improvement.diagnosis.look.groups
+    alike |= {name for group in groups if story.hidden.id in group for name in group}
     if story.hidden.id in found:
         return f"{said} It was found."
     if alike & set(found):

@@ -37,8 +37,9 @@ def command(
 ) -> None:
     """Say which physical effect the model lacks, how large it is, and what to measure to be sure.
 
-    SESSION is a session folder or a recording. Every effect of the catalogue (`mtcal effects`) is tried, with a
-    threshold that pays for the search and allows for small irreproducibility between setups. The answer names
+    SESSION is a session folder or a recording. Every effect of the catalogue (`mtcal effects`) is tried,
+    alone and together with others, beside what does not reproduce between runs and mountings; the answer is the
+    probability that it is missing. It names
     look-alikes that this measurement cannot tell apart, effects that would not show in it, the smallest size that it
     would have found, structure that no effect explains, and readings that do not belong to the rest.
 

@@ -120,7 +120,7 @@ def _steps(done: Improvement) -> TextTable:
     from machine_tool_calibration.diagnosis.report import TextTable
 
     rows = []
-    chance = {r.candidate.name: r.family_p_value for r in done.diagnosis.ranked}
+    chance = {f.name: f.probability for f in done.diagnosis.ranked}
     for step in done.steps:
         own = [p for p in step.parameters if p.name.split(".")[0] == step.change]
         rows.append(
@@ -136,9 +136,19 @@ def _steps(done: Improvement) -> TextTable:
                 micrometres(done.left_at_tool(step)),
             )
         )
-    heads = ("model", "size ± U", "p", "residual", "chi²/ν", "map moves", "map", "U of map", "left at the tool point")
+    heads = (
+        "model",
+        "size ± U",
+        "probability",
+        "residual",
+        "chi²/ν",
+        "map moves",
+        "map",
+        "U of map",
+        "left at the tool point",
+    )
     note = (
-        "p: that chance would do as well, paid for the search; µm RMS; chi²/ν: reduced chi-square; map: length of the "
+        "probability: that it is missing; µm RMS; chi²/ν: reduced chi-square; map: length of the "
         "errors; U (k = 2) as `mtcal identify` publishes it; left at the tool point: U with the real scatter of the "
         "readings, what they see there and the model does not explain, and how far the map is off the last one"
     )

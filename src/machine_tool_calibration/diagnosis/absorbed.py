@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from machine_tool_calibration.estimation.projection import Projected
-from machine_tool_calibration.model.fit import Fit
+from machine_tool_calibration.model.fit import JointFit
 
 __all__ = ["absorbed_by"]
 
 
-def absorbed_by(fit: Fit, projected: Projected, columns: slice) -> str:
+def absorbed_by(fit: JointFit, projected: Projected, columns: slice) -> str:
     """Names of the unknowns that change most when the effect's columns are added to the readings.
 
     Args:
@@ -20,12 +20,12 @@ def absorbed_by(fit: Fit, projected: Projected, columns: slice) -> str:
     """
     raw = np.maximum(projected.squares[columns], 1e-300)
     left = projected.after_points[columns]
-    if (left < 0.5 * raw).all() and fit.part.dimension:
+    if (left < 0.5 * raw).all() and any(part.dimension for part in fit.assembly.problem.parts):
         return "the points' own unknowns"
     change = np.abs(projected.response[:, columns]) / np.sqrt(raw)
     weight = (change / np.sqrt(np.maximum(np.diag(fit.solution.covariance), 1e-300))[:, None]).max(axis=1)
     names: dict[str, float] = {}
-    for name, value in zip((p.name for p in fit.model.parameters), weight[fit.places], strict=True):
+    for name, value in zip((p.name for p in fit.assembly.parameters), weight, strict=True):
         family = name.split("(")[0]
         names[family] = max(names.get(family, 0.0), float(value))
     best = sorted(names, key=lambda name: -names[name])[:3]

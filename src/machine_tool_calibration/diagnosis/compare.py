@@ -15,7 +15,6 @@ from machine_tool_calibration.diagnosis.comparison import Approach, Comparison, 
 from machine_tool_calibration.diagnosis.covariates import bins, covariates, sensed, telling
 from machine_tool_calibration.diagnosis.leverage import leverage
 from machine_tool_calibration.diagnosis.noise import noise_of
-from machine_tool_calibration.diagnosis.spread import run_spreads
 from machine_tool_calibration.diagnosis.sums import residual_sums
 from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.effects.effect import Effect
@@ -99,7 +98,7 @@ class _Look:
             fit.joint.reduced_chi_square,
             self.dof,
             fit.joint.p_value,
-            noise_of(fit, run_spreads(self.observations)),
+            noise_of(fit),
         )
         return Comparison(
             fit=fit,

@@ -9,12 +9,11 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
-from machine_tool_calibration.diagnosis.ranking import Ranked
-from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.diagnosis.findings import Finding
+from machine_tool_calibration.diagnosis.pool import Pool
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.reduction import single_blas
-from machine_tool_calibration.model.effect_terms import add_effects
-from machine_tool_calibration.model.fit import Fit, fit_models
+from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.result import ErrorMap, Estimate
 
 __all__ = ["Consequence", "before_and_after", "consequences", "effect_estimates", "map_change", "map_rms", "rms"]
@@ -66,84 +65,83 @@ def consequences(diagnosis: Diagnosis, most: int = _MOST) -> dict[str, Consequen
         By id; without a candidate that cannot be fitted.
     """
     out = {}
-    accepted = diagnosis.accepted
-    maps = [look.fit.model.error_map(look.fit) for look in diagnosis.looks[: len(accepted) + 1]]
-    final = diagnosis.looks[len(accepted)].fit
+    accepted, fits = diagnosis.accepted, diagnosis.fits
+    maps = [diagnosis.map_of(fit) for fit in fits]
     for k, name in enumerate(accepted):
-        before, after = diagnosis.looks[k].fit, diagnosis.looks[k + 1].fit
-        out[name] = _consequence(name, before, after, final, maps[k], maps[k + 1])
-    others = [r for r in diagnosis.ranked if r.rank and r.candidate.name not in accepted][:most]
-    first = diagnosis.looks[0].fit
-    for r in others:
-        fit = _added(first, r)
+        out[name] = _consequence(name, fits[k], fits[k + 1], fits[-1], maps[k], maps[k + 1])
+    others = [f for f in diagnosis.ranked if f.rank and f.name not in accepted][:most]
+    for f in others:
+        fit = _added(diagnosis, f)
         if fit is not None:
-            name = r.candidate.name
-            out[name] = _consequence(name, first, fit, fit, maps[0], fit.model.error_map(fit))
+            out[f.name] = _consequence(f.name, fits[0], fit, fit, maps[0], diagnosis.map_of(fit))
     return out
 
 
-def before_and_after(diagnosis: Diagnosis, ranked: Ranked, changes: Mapping[str, Consequence]) -> tuple[float, float]:
+def before_and_after(diagnosis: Diagnosis, found: Finding, changes: Mapping[str, Consequence]) -> tuple[float, float]:
     """RMS residual without and with a candidate, m: of a full fit where there is one, else of the screening."""
-    name = ranked.candidate.name
-    if name in changes:
-        return changes[name].rms_before, changes[name].rms_after
-    k = diagnosis.accepted.index(name) if name in diagnosis.accepted else 0
-    return rms(diagnosis.looks[k].fit.residuals), ranked.rms_after
+    if found.name in changes:
+        return changes[found.name].rms_before, changes[found.name].rms_after
+    return rms(Pool(diagnosis.fits[0]).residuals), found.rms_after
 
 
-def _added(fit: Fit, ranked: Ranked) -> Fit | None:
-    effect = ranked.candidate.effect
-    if not isinstance(effect, Effect):
+def _added(diagnosis: Diagnosis, found: Finding) -> JointFit | None:
+    if found.candidate.effect is None:
         return None
     try:
-        return fit_models([add_effects(fit.model, [effect])]).fits[0]
+        return diagnosis.fit_with([found.candidate.effect])
     except ModelError:
         return None
 
 
 def _consequence(
-    name: str, before: Fit, after: Fit, final: Fit, map_before: ErrorMap, map_after: ErrorMap
+    name: str, before: JointFit, after: JointFit, final: JointFit, map_before: ErrorMap, map_after: ErrorMap
 ) -> Consequence:
     signal, uncertainty = _signal(final, name)
+    old, new = Pool(before).residuals, Pool(after).residuals
     told = rms(uncertainty) < _TOLD * rms(signal)
     return Consequence(
         effect=name,
         parameters=effect_estimates(final, [name]),
         signal_rms=rms(signal) if told else None,
         signal_largest=float(np.abs(signal).max(initial=0.0)) if told else None,
-        rms_before=rms(before.residuals),
-        rms_after=rms(after.residuals),
+        rms_before=rms(old),
+        rms_after=rms(new),
         map_change_rms=map_change(map_before, map_after),
-        explained=before.residuals - after.residuals,
+        explained=old - new,
     )
 
 
-def effect_estimates(fit: Fit, effects: Sequence[str]) -> tuple[Estimate, ...]:
+def effect_estimates(fit: JointFit, effects: Sequence[str]) -> tuple[Estimate, ...]:
     """Coefficients of effects in a fit that the data determines, as `identify` publishes them."""
-    uncertainty = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+    published = fit.published
+    uncertainty = np.sqrt(np.maximum(np.diag(published.covariance), 0.0))
+    found = zip(fit.assembly.parameters, published.theta, uncertainty, published.is_determined(), strict=True)
     return tuple(
         Estimate(p.name, float(p.reference + value), float(u), p.unit)
-        for p, value, u, good in zip(fit.model.parameters, fit.theta, uncertainty, fit.determined, strict=True)
-        if good and p.name.split(".")[0] in effects and "." in p.name
+        for p, value, u, good in found
+        if good and "." in p.name and p.name.rpartition("/")[2].split(".")[0] in effects
     )
 
 
-def _signal(fit: Fit, name: str) -> tuple[Array, Array]:
+def _signal(joint: JointFit, name: str) -> tuple[Array, Array]:
     """(n,) what an effect of the model changes in the readings, and its standard uncertainty, m."""
-    n = len(fit.model.observations)
-    first = len(fit.model.own)
-    for term in fit.model.terms:
-        place = slice(first, first + len(term.parameters))
-        first += len(term.parameters)
-        if term.name != name or not term.parameters[0].name.startswith(f"{name}."):
-            continue
-        # Unknowns that count from a reference are nonlinear coefficients, whose share the other columns hold already.
-        linear = np.array([p.reference == 0.0 for p in term.parameters])
-        columns = term.columns[linear]
-        inner = fit.covariance[place, place][np.ix_(linear, linear)]
-        variance = np.einsum("kn,kl,ln->n", columns, inner, columns)
-        return fit.theta[place][linear] @ columns, np.sqrt(np.maximum(variance, 0.0))
-    return np.zeros(n), np.zeros(n)
+    value, variance = [], []
+    for fit in joint.fits:
+        own, square = np.zeros(len(fit.model.observations)), np.zeros(len(fit.model.observations))
+        first = len(fit.model.own)
+        for term in fit.model.terms:
+            place = slice(first, first + len(term.parameters))
+            first += len(term.parameters)
+            if term.name != name or not term.parameters[0].name.startswith(f"{name}."):
+                continue
+            # Unknowns that count from a reference are nonlinear coefficients, whose share the other columns hold.
+            linear = np.array([p.reference == 0.0 for p in term.parameters])
+            columns = term.columns[linear]
+            inner = fit.covariance[place, place][np.ix_(linear, linear)]
+            own, square = fit.theta[place][linear] @ columns, np.einsum("kn,kl,ln->n", columns, inner, columns)
+        value.append(own)
+        variance.append(square)
+    return np.concatenate(value), np.sqrt(np.maximum(np.concatenate(variance), 0.0))
 
 
 def map_change(before: ErrorMap, after: ErrorMap) -> float | None:

@@ -15,16 +15,18 @@ from machine_tool_calibration.diagnosis.consequence import (
     rms,
 )
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
-from machine_tool_calibration.diagnosis.look import Look, Structure
-from machine_tool_calibration.diagnosis.ranking import Ranked
-from machine_tool_calibration.model.result import plain
+from machine_tool_calibration.diagnosis.findings import Finding
+from machine_tool_calibration.diagnosis.look import Structure
+from machine_tool_calibration.diagnosis.pool import Pool
+from machine_tool_calibration.model.fit import JointFit
+from machine_tool_calibration.model.result import plain, spread_document
 from machine_tool_calibration.planning.advice import Advice, Separation, Visibility, alias_groups_of
 from machine_tool_calibration.planning.what_to_measure import what_to_measure
 
-__all__ = ["diagnosis_document", "named_probability", "smallest_sizes"]
+__all__ = ["diagnosis_document", "smallest_sizes"]
 
-# Chance of the structure that is left where its own p-value has vanished.
-_SMALLEST = 1e-300
+# Probability from which a set of effects is told.
+_TOLD = 0.01
 # Multiple of the largest size that occurs beyond which an effect counts as not detectable.
 _BEYOND = 10.0
 
@@ -34,13 +36,14 @@ def diagnosis_document(
 ) -> dict[str, Any]:
     """The diagnosis as the contract's JSON document; what is not known is null.
 
-    Beyond the contract: `accepted` (effects named as the cause, in the order in which they were found), and in every
-    candidate `plausible`, `p_value_alone` (not paid for the search) and `explained_rms`; `detectable`, `excluded`,
+    Beyond the contract: `accepted` (effects named as the cause, the surest first), `likely` (those that are not sure
+    enough), `refused` (probable effects that are not added, with the reason), `sets` (sets of effects with their
+    probabilities), `probabilities` of nothing and of an unknown structure, `spread` (what does not reproduce),
+    `false_alarm_rate` (of this search where nothing is missing), and in every candidate `plausible`, `p_value_alone`
+    (not paid for the search), `explained_rms` and `predicts` (readings that were left out); `detectable`, `excluded`,
     `structure_left` (after the accepted effects) and `visible_by` (what would show an effect that hardly shows).
-    The noise is judged with the accepted effects in the model.
 
-    With the verdict `unexplained` no effect is the cause: `accepted` is empty, and a candidate's probability is that it
-    accounts for everything that was found, which the structure that remains speaks against.
+    With the verdict `unexplained` no effect is the cause: `accepted` is empty.
 
     Args:
         diagnosis: what was found.
@@ -49,7 +52,7 @@ def diagnosis_document(
     """
     advice = what_to_measure(diagnosis) if advice is None else advice
     changes = consequences(diagnosis) if changes is None else changes
-    first, last = diagnosis.looks[0], diagnosis.looks[len(diagnosis.accepted)]
+    look, noise = diagnosis.look, diagnosis.noise
     document = {
         "format": "mtcal-diagnosis/1",
         "method": diagnosis.session.method,
@@ -57,86 +60,66 @@ def diagnosis_document(
         "accepted": list(diagnosis.accepted),
         "observations": len(diagnosis.session.readings) + len(diagnosis.outliers),
         "noise": {
-            "declared": last.noise.declared,
-            "from_repeats": last.noise.from_repeats,
-            "repeats_degrees_of_freedom": last.noise.repeats,
-            "chi_square_p_value": last.noise.chi_square_p,
-            "lack_of_fit_p_value": last.noise.lack_of_fit_p,
+            "declared": noise.declared,
+            "from_repeats": noise.from_repeats,
+            "repeats_degrees_of_freedom": noise.repeats,
+            "chi_square_p_value": noise.chi_square_p,
+            "lack_of_fit_p_value": noise.lack_of_fit_p,
         },
+        "spread": [spread_document(size) for size in diagnosis.fits[-1].stated.sizes],
+        "probabilities": {"nothing": look.nothing, "unknown_structure": look.unknown},
+        "likely": list(diagnosis.likely),
+        "refused": [{"effect": name, "why": why} for name, why in diagnosis.refused.items()],
+        "sets": [{"effects": list(names), "probability": p} for names, p in look.sets if p >= _TOLD],
+        "false_alarm_rate": look.false_alarms,
         "fit": {
-            "before": _fit(first),
-            "after": _fit(last),
+            "before": _fit(diagnosis.fits[0]),
+            "after": _fit(diagnosis.fits[-1]),
         },
-        "candidates": [_candidate(diagnosis, r, look, changes) for r, look in _ranked(diagnosis) if r.rank],
+        "candidates": [_candidate(diagnosis, f, changes) for f in diagnosis.ranked if f.rank],
         "alias_groups": [list(group) for group, _ in alias_groups_of(diagnosis)],
         "separate_by": [_separation(s) for s in advice.separations],
-        "absorbed": [{"effect": a.effect, "by": a.by} for a in first.absorbed],
-        "structure": [_structure(s) for s in first.structure],
-        "structure_left": [_structure(s) for s in diagnosis.looks[-1].structure],
+        "absorbed": [{"effect": a.effect, "by": a.by} for a in look.absorbed],
+        "structure": [_structure(s) for s in look.structure],
+        "structure_left": [_structure(s) for s in look.left],
         "outliers": [
             {"row": o.row, "studentized": o.studentized, "deviation": o.deviation}
             for o in sorted(diagnosis.outliers, key=lambda o: o.row)
         ],
-        "detectable": list(_detectable(last)),
+        "detectable": list(_detectable(diagnosis)),
         "visible_by": [_visibility(v) for v in advice.visibilities],
         "excluded": [{"effect": name, "why": why} for name, why in diagnosis.excluded.items()],
     }
     return dict(plain(document))
 
 
-def named_probability(diagnosis: Diagnosis, ranked: Ranked) -> float:
-    """Probability that a candidate accounts for what the model lacks.
-
-    Where structure remains that no effect explains, or the readings still contradict the model, the candidate's weight
-    is multiplied with the largest probability that chance made it, from its p-value (Sellke, Bayarri and Berger 2001).
-    """
-    look = diagnosis.looks[-1]
-    if diagnosis.verdict != "unexplained":
-        return ranked.probability
-    p = min([s.p_value for s in look.structure] or [look.fit.joint.p_value])
-    p = min(max(p, _SMALLEST), 1.0 / np.e)
-    factor = -np.e * p * float(np.log(p))
-    return ranked.probability * factor / (1.0 + factor)
-
-
-def _ranked(diagnosis: Diagnosis) -> Iterator[tuple[Ranked, Look]]:
-    """Candidates best first, each with the look that it was ranked in."""
-    for k, r in enumerate(diagnosis.ranked):
-        yield r, diagnosis.looks[k if k < len(diagnosis.accepted) else 0]
-
-
-def _candidate(diagnosis: Diagnosis, ranked: Ranked, look: Look, changes: Mapping[str, Consequence]) -> dict[str, Any]:
-    name = ranked.candidate.name
-    change = changes.get(name)
-    before, after = before_and_after(diagnosis, ranked, changes)
+def _candidate(diagnosis: Diagnosis, found: Finding, changes: Mapping[str, Consequence]) -> dict[str, Any]:
+    change = changes.get(found.name)
+    before, after = before_and_after(diagnosis, found, changes)
+    predicted = diagnosis.predicted.get(found.name, ())
     return {
-        "effect": name,
-        "probability": named_probability(diagnosis, ranked),
-        "p_value": ranked.family_p_value,
-        "p_value_alone": ranked.p_value,
-        "delta_bic": -ranked.bic_gain,
+        "effect": found.name,
+        "probability": found.probability,
+        "p_value": found.family_p_value,
+        "p_value_alone": found.p_value,
+        "delta_bic": -found.bic_gain,
         "rms_before": before,
         "rms_after": after,
         "explained_rms": float(np.sqrt(max(before**2 - after**2, 0.0))),
-        "cross_validated_gain": _gain(look, ranked),
-        "parameters": _parameters(ranked, change),
+        "cross_validated_gain": min((p.gain for p in predicted), default=None),
+        "predicts": [
+            {"left_out": p.what, "gain": p.gain, "parts": list(p.log_gains), "speaks_against": p.speaks_against}
+            for p in predicted
+        ],
+        "parameters": _parameters(found, change),
         "map_change_rms": None if change is None else change.map_change_rms,
-        "plausible": ranked.plausible,
+        "plausible": found.plausible,
     }
 
 
-def _gain(look: Look, ranked: Ranked) -> float | None:
-    """Share of the loss on held-out readings that a candidate takes away; None for those that were not held out."""
-    if look.validation is None:
-        return None
-    validated = [r.candidate.name for r in look.ranked if r.rank][: len(look.validation.candidate)]
-    name = ranked.candidate.name
-    return look.validation.gain(validated.index(name)) if name in validated else None
-
-
-def _parameters(ranked: Ranked, change: Consequence | None) -> list[dict[str, Any]]:
+def _parameters(ranked: Finding, change: Consequence | None) -> list[dict[str, Any]]:
     """The coefficients of a full fit where there is one, otherwise those of the screening."""
-    name = ranked.candidate.name
+    name = ranked.name
     if change is not None:
         return [
             {"name": p.name, "value": p.value, "standard_uncertainty": p.standard_uncertainty, "unit": p.unit}
@@ -160,12 +143,11 @@ def _parameters(ranked: Ranked, change: Consequence | None) -> list[dict[str, An
     return out
 
 
-def _fit(look: Look) -> dict[str, Any]:
-    joint = look.fit.joint
-    added = [term.name for term in look.fit.model.terms if effect_estimates(look.fit, [term.name])]
+def _fit(joint: JointFit) -> dict[str, Any]:
+    names = dict.fromkeys(term.name for model in joint.assembly.models for term in model.terms)
     return {
-        "effects": added,
-        "rms_residual": rms(look.fit.residuals),
+        "effects": [name for name in names if effect_estimates(joint, [name])],
+        "rms_residual": rms(Pool(joint).residuals),
         "reduced_chi_square": joint.reduced_chi_square,
         "degrees_of_freedom": joint.solution.degrees_of_freedom,
         "p_value": joint.p_value,
@@ -206,23 +188,21 @@ def _structure(structure: Structure) -> dict[str, Any]:
     }
 
 
-def _detectable(look: Look) -> Iterator[dict[str, Any]]:
+def _detectable(diagnosis: Diagnosis) -> Iterator[dict[str, Any]]:
     """Smallest size of each effect that this measurement would have found with a power of 80 %."""
-    for r in look.ranked:
-        name = r.candidate.name
-        smallest = smallest_sizes(look, r)
+    for f in diagnosis.look.findings:
+        smallest = smallest_sizes(f)
         if smallest:
-            units = {size.coefficient.name: size.coefficient.unit for size in r.sizes}
+            units = {size.coefficient.name: size.coefficient.unit for size in f.sizes}
             yield {
-                "effect": name,
+                "effect": f.name,
                 "smallest": [
-                    {"name": f"{name}.{key}", "value": value, "unit": units[key]} for key, value in smallest.items()
+                    {"name": f"{f.name}.{key}", "value": value, "unit": units[key]} for key, value in smallest.items()
                 ],
             }
 
 
-def smallest_sizes(look: Look, ranked: Ranked) -> dict[str, float | None]:
+def smallest_sizes(found: Finding) -> dict[str, float | None]:
     """Smallest detectable size of each coefficient; None where it is beyond all that occurs, as if it were absorbed."""
-    found = look.detectable.get(ranked.candidate.name, {})
-    limits = {s.coefficient.name: max(abs(s.coefficient.low), abs(s.coefficient.high)) for s in ranked.sizes}
-    return {key: value if value <= _BEYOND * limits[key] else None for key, value in found.items()}
+    limits = {s.coefficient.name: max(abs(s.coefficient.low), abs(s.coefficient.high)) for s in found.sizes}
+    return {key: value if value <= _BEYOND * limits[key] else None for key, value in found.detectable.items()}

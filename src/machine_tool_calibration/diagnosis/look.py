@@ -1,34 +1,34 @@
-"""One look at what a fitted model leaves: effects, structure, and what could not have been seen."""
+"""One look at what a fitted model leaves: how probable every effect is, what looks alike, what could not be seen."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.absorbed import absorbed_by
-from machine_tool_calibration.diagnosis.candidates import Candidate, stack
-from machine_tool_calibration.diagnosis.crossvalidation import CrossValidation, cross_validate
-from machine_tool_calibration.diagnosis.likelihood import observed, reduce
+from machine_tool_calibration.diagnosis.candidates import Candidate
+from machine_tool_calibration.diagnosis.chance import Chance, chance_of
+from machine_tool_calibration.diagnosis.evidence import Block, Gram
+from machine_tool_calibration.diagnosis.findings import Finding, alias_groups, basis_of, finding_of
 from machine_tool_calibration.diagnosis.noise import Noise, noise_of
-from machine_tool_calibration.diagnosis.pairs import Pair, best_pair
-from machine_tool_calibration.diagnosis.power import detectable_sizes
-from machine_tool_calibration.diagnosis.ranking import Ranked, alias_groups, rank_candidates
-from machine_tool_calibration.diagnosis.rules import ALONE_LEVEL, LEVEL, ROUNDING, STRUCTURE_LEVEL, rules_of
-from machine_tool_calibration.diagnosis.significance import search
-from machine_tool_calibration.diagnosis.spread import run_spreads
-from machine_tool_calibration.model.fit import Fit, screen
+from machine_tool_calibration.diagnosis.pool import Pool
+from machine_tool_calibration.diagnosis.posterior import Posterior, search
+from machine_tool_calibration.diagnosis.priors import ACCEPTED, EFFECT, STRUCTURE, THE_SAME
+from machine_tool_calibration.estimation.projection import Projected
+from machine_tool_calibration.model.fit import JointFit
 
 __all__ = ["Absorbed", "Look", "Structure", "look_at"]
 
-# Chance at which places that differ more than their repeats, without any pattern, speak for something missing.
-_LACK_LEVEL = 0.001
-# Share of the whole scatter from which that of repeats is as much.
-_AS_MUCH = 0.9
-# How many of the best effects are held against readings that were left out.
-_VALIDATED = 8
+# Chance below which a structure is told of, and below which places that differ more than their repeats are.
+_TOLD, _LACK = 0.02, 0.001
+# Reduced chi-square below which the residuals are rounding, whatever they look like.
+_ROUNDING = 1e-6
+# Share of its squared norm outside the model below which an effect is absorbed: 1 % of the norm; and below which what
+# is left of a combination of columns is rounding.
+_ABSORBED, _ROUNDED = 1e-4, 1e-7
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,14 @@ class Absorbed:
 
 @dataclass(frozen=True)
 class Structure:
-    """How the residuals depend on a covariate."""
+    """How the residuals depend on a covariate.
+
+    Attributes:
+        covariate: its name.
+        shape: of the dependence.
+        p_value: chance of it, paid for the search.
+        share: of the weighted sum of squares that it takes up.
+    """
 
     covariate: str
     shape: str
@@ -55,171 +62,284 @@ class Look:
 
     Attributes:
         fit: of the model.
-        noise: what is known of the readings' noise.
-        ranked: effects that are not in the model, best first.
-        groups: effects that this data cannot tell apart.
-        pair: the two effects that explain most together, if that was asked.
+        noise: what is known of each session's noise.
+        findings: effects that are not in the model, the most probable first; absorbed ones last.
+        groups: effects that this data cannot tell apart, the most probable first.
         absorbed: effects that would not show.
-        structure: what the residuals depend on, most significant first.
-        structure_gains: by how much the information criterion falls with each significant structure, by covariate.
-        validation: of the best effects, in their order.
-        detectable: smallest size of each effect found with a power of 80 %, by coefficient.
+        structure: what the residuals depend on, the most significant first.
+        unknown: probability that a structure without a cause is in them.
+        accepted: ids of the effects that are missing more likely than not, the surest first.
+        left: structure that is left beside these.
+        nothing: probability that nothing is missing.
+        false_alarms: share of data sets without any effect in which one would have been accepted.
+        sets: ids of the effects of every set that matters, with its probability; structures without a cause are
+            `unknown`.
     """
 
-    fit: Fit
-    noise: Noise
-    ranked: tuple[Ranked, ...]
+    fit: JointFit
+    noise: tuple[Noise, ...]
+    findings: tuple[Finding, ...]
     groups: tuple[tuple[str, ...], ...]
-    pair: Pair | None
     absorbed: tuple[Absorbed, ...]
     structure: tuple[Structure, ...]
-    structure_gains: dict[str, float]
-    validation: CrossValidation | None
-    detectable: dict[str, dict[str, float]]
+    unknown: float
+    accepted: tuple[str, ...]
+    left: tuple[Structure, ...]
+    nothing: float
+    false_alarms: float
+    sets: tuple[tuple[tuple[str, ...], float], ...]
 
-    def of(self, effect: str) -> Ranked:
+    def of(self, effect: str) -> Finding:
         """What was found of the effect of an id."""
-        return next(r for r in self.ranked if r.candidate.name == effect)
+        return next(f for f in self.findings if f.name == effect)
 
-    @property
-    def noisy(self) -> bool:
-        """Whether repeats scatter as much as everything else: then the declared uncertainty is too small."""
-        scatter = float(np.sqrt(self.fit.joint.reduced_chi_square)) * self.noise.declared
-        return self.noise.from_repeats is not None and self.noise.from_repeats > _AS_MUCH * scatter
 
-    def winner(
-        self,
-        first: Collection[str] = (),
-        last: Collection[str] = (),
-        *,
-        level: float = LEVEL,
-        granted: bool = False,
-    ) -> Ranked | None:
-        """The most probable effect that is significant, possible, and predicts readings that were held out.
+@dataclass(frozen=True)
+class _Columns:
+    """Everything that is looked for, outside the model."""
 
-        Args:
-            first: effects that are taken before all others.
-            last: effects that are taken only if there is no other.
-            level: family error.
-            granted: whether the first ones are significant for another reason than this look.
-        """
-        if self.fit.joint.reduced_chi_square < ROUNDING:
-            return None
-        rules = rules_of(self.fit.model.observations.session.method)
-        names = [r.candidate.name for r in self.ranked]
-        order = sorted(range(len(names)), key=lambda k: (names[k] not in first, names[k] in last, rules.tier(names[k])))
-        for k in order:
-            r = self.ranked[k]
-            significant = r.family_p_value <= level or (granted and names[k] in first)
-            if r.rank and r.possible and significant and self._predicts(k):
-                return r
-        return None
-
-    def suspect(self) -> Ranked | None:
-        """The most probable effect that would be significant if it were looked for alone, of a size that occurs."""
-        for k, r in enumerate(self.ranked):
-            if r.rank and r.possible and r.plausible and r.p_value <= ALONE_LEVEL and self._predicts(k):
-                return r
-        return None
-
-    def _predicts(self, k: int) -> bool:
-        """Whether readings that were held out speak for a candidate, or nothing is known of that."""
-        return self.validation is None or k >= _VALIDATED or self.validation.agrees(k)
+    pool: Pool
+    candidates: list[Candidate]
+    effects: int
+    gram: Gram
+    blocks: list[Block]
+    shaped: list[tuple[int, int]]
+    projected: Projected
+    before: Array
+    seen: list[bool]
 
 
 def look_at(
-    fit: Fit,
+    fit: JointFit,
     candidates: Sequence[Candidate],
     structures: Sequence[Candidate],
     rng: np.random.Generator,
     sets: int,
     *,
-    pairs: bool,
+    side_by_side: bool,
 ) -> Look:
-    """Test all candidates and structures on what a fit leaves.
+    """The posterior over everything that may be missing, and what is read off it.
 
     Args:
-        fit: of a single session.
+        fit: of one or several sessions.
         candidates: effects that are not in the model.
         structures: functions of the covariates.
         rng: source of random numbers.
         sets: simulated data sets in which nothing is missing.
-        pairs: whether to look for two effects together.
+        side_by_side: whether many effects are expected at once.
     """
-    observations = fit.model.observations
-    n = len(observations)
-    spread = run_spreads(observations)
-    columns, places = stack([*candidates, *structures], n)
-    projected = screen(fit, np.concatenate([columns, spread.columns]))
-    # A constant of a run is its datum: an effect counts by how it varies within the runs.
-    within = _within_runs(columns / observations.session.sigma, observations.run)
-    projected = replace(projected, squares=np.concatenate([within, projected.squares[len(columns) :]]))
-    usual = rules_of(observations.session.method).usual_spread
-    reduced = reduce(projected, spread.family, fit.solution.degrees_of_freedom, usual)
-    data = observed(projected.gram)
-    split = len(candidates)
-    found = search(reduced, places[:split], data, rng, sets=sets, level=LEVEL)
-    ranked = rank_candidates(candidates, places[:split], found, reduced, data, observations, n)
-    shapes = search(reduced, places[split:], data, rng, sets=sets, level=STRUCTURE_LEVEL)
-    seen = rank_candidates(structures, places[split:], shapes, reduced, data, observations, n)
-    noise = noise_of(fit, spread)
-    structure = _structure(fit, seen, noise)
-    absorbed = tuple(Absorbed(r.candidate.name, absorbed_by(fit, projected, r.place)) for r in ranked if not r.rank)
-    variance = float(found.likelihoods.null_variance[0])
-    top = [r.columns for r in ranked[:_VALIDATED] if r.rank]
+    columns = _columns(Pool(fit), candidates, structures)
+    visible = max(sum(columns.seen[: columns.effects]), 1)
+    prior = np.full(len(columns.candidates), STRUCTURE)
+    prior[: columns.effects] = min(EFFECT, 1.0 / visible)
+    log_odds = np.log(prior / (1.0 - prior))
+    among = [k for k, seen in enumerate(columns.seen) if seen and k < columns.effects]
+    found = search(columns.gram, columns.blocks, log_odds, side_by_side=side_by_side, pairs_among=among)
+    chance = _chance(columns, log_odds, found, rng, sets)
+    findings = _findings(columns, found, chance)
+    groups = alias_groups(findings, columns.gram, found, {c.name: k for k, c in enumerate(columns.candidates)})
+    unknown = range(columns.effects, len(columns.candidates))
+    still = fit.reduced_chi_square >= _ROUNDING
+    accepted = _accepted(findings, groups, found, columns) if still else ()
     return Look(
         fit=fit,
-        noise=noise,
-        ranked=ranked,
-        groups=alias_groups(ranked, reduced),
-        pair=best_pair(ranked, reduced, data, found.likelihoods, rng.spawn(1)[0], sets) if pairs else None,
-        absorbed=absorbed,
-        structure=structure,
-        structure_gains=_best_by_covariate(seen),
-        validation=cross_validate(fit, top, penalty=variance * float(np.log(n))),
-        detectable=detectable_sizes(ranked, found.threshold, variance),
+        noise=tuple(noise_of(own) for own in fit.fits),
+        findings=findings,
+        groups=groups,
+        absorbed=_absorbed(columns),
+        structure=_structure(columns, found, chance, ()) if still else (),
+        unknown=found.of_any(unknown) if still else 0.0,
+        accepted=accepted,
+        left=_structure(columns, found, chance, accepted) if still else (),
+        nothing=next((float(p) for s, p in zip(found.sets, found.probability, strict=True) if not s), 0.0),
+        false_alarms=chance.false_alarms,
+        sets=_named_sets(columns, found),
     )
 
 
-def _structure(fit: Fit, seen: Sequence[Ranked], noise: Noise) -> tuple[Structure, ...]:
-    """Significant structures, the most significant first, with the share of the sum of squares that each explains."""
-    if fit.joint.reduced_chi_square < ROUNDING:
-        return ()
-    observations = fit.model.observations
-    squares = fit.solution.chi_square * observations.session.sigma**2
-    found = []
-    for r in sorted(seen, key=lambda r: (r.family_p_value, -r.statistic)):
-        if r.rank and r.family_p_value <= STRUCTURE_LEVEL:
-            covariate, shape = r.candidate.name.split(": ", 1)
-            if r.shape:
-                shape = f"{shape} {r.shape[0]:.3g} s"
-            found.append(
-                Structure(covariate, shape, r.family_p_value, 1.0 - r.rms_after**2 * len(observations) / squares)
+def _columns(pool: Pool, candidates: Sequence[Candidate], structures: Sequence[Candidate]) -> _Columns:
+    every = [*candidates, *structures]
+    spread, family, _ = pool.spread()
+    stacked = [s.columns for c in every for s in c.shapes]
+    columns = np.concatenate([np.zeros((0, len(pool))), *stacked, spread])
+    projected = pool.screen(columns)
+    k = len(columns) - len(spread)
+    inner = projected.gram[:k, :k]
+    gram = Gram(
+        inner=inner,
+        spread=projected.gram[k:-1, k:-1],
+        cross=projected.gram[k:-1, :k],
+        data=projected.gram[:k, -1:].copy(),
+        spread_data=projected.gram[k:-1, -1:].copy(),
+        squares=np.array([pool.fit.solution.chi_square]),
+        family=family,
+        freedom=pool.fit.solution.degrees_of_freedom,
+    )
+    before = np.maximum(pool.within_runs(columns[:k]), np.finfo(float).tiny)
+    blocks, shaped, seen, first = [], [], [], 0
+    for c, candidate in enumerate(every):
+        own = []
+        for j, s in enumerate(candidate.shapes):
+            place = slice(first, first + len(s.columns))
+            first = place.stop
+            scale = np.sqrt(before[place])
+            share = np.linalg.eigvalsh(inner[place, place] / np.outer(scale, scale))
+            if share[-1] > _ABSORBED:
+                own.append((_block(c, candidate, j, place, before[place]), (c, j)))
+        seen.append(bool(own))
+        blocks += [block for block, _ in own]
+        shaped += [at for _, at in own]
+    whole = _Columns(
+        pool, every, len(candidates), gram, blocks, shaped, projected, np.append(before, projected.squares[k:-1]), seen
+    )
+    return _without_repeated(whole)
+
+
+def _block(index: int, candidate: Candidate, shape: int, place: slice, squares: Array) -> Block:
+    """Limits are those of the effect's coefficients; a structure's may be a hundred standard uncertainties."""
+    share = -float(np.log(candidate.count))
+    named = candidate.shapes[shape].coefficients
+    if candidate.effect is None:
+        unit = 50.0 / np.sqrt(squares / max(candidate.shapes[shape].columns.shape[1], 1))
+        never = np.full(len(unit), np.inf)
+        return Block(index, place, unit, -never, never, share, _ROUNDED * float((squares * unit**2).max()))
+    low, high = np.array([c.low for c in named]), np.array([c.high for c in named])
+    unit = np.maximum(np.abs(low), np.abs(high)) / 2.0
+    return Block(index, place, unit, low, high, share, _ROUNDED * float((squares * unit**2).max()))
+
+
+def _without_repeated(columns: _Columns) -> _Columns:
+    """Without structures that lie in the span of an effect: they are that effect."""
+    gram, effects = columns.gram.inner, columns.effects
+    bases = [basis_of(gram, block.place) for block in columns.blocks]
+    mine = [k for k, block in enumerate(columns.blocks) if block.candidate < effects]
+    others = [k for k, block in enumerate(columns.blocks) if block.candidate >= effects]
+    if not mine or not others:
+        return columns
+    # Columns of all structures in their own orthonormal directions, side by side.
+    ends = np.cumsum([0, *(bases[k].shape[1] for k in others)])
+    joined = np.concatenate([gram[:, columns.blocks[k].place] @ bases[k] for k in others], axis=1)
+    repeated = np.zeros(len(others), dtype=bool)
+    for k in mine:
+        taken = np.sum((bases[k].T @ joined[columns.blocks[k].place]) ** 2, axis=0)
+        for j, o in enumerate(others):
+            rank = bases[o].shape[1]
+            if bases[k].shape[1] >= rank and taken[ends[j] : ends[j + 1]].sum() >= THE_SAME**2 * rank:
+                repeated[j] = True
+    gone = {o for j, o in enumerate(others) if repeated[j]}
+    kept = [k for k in range(len(columns.blocks)) if k not in gone]
+    alive = {columns.blocks[k].candidate for k in kept}
+    return _Columns(
+        columns.pool,
+        columns.candidates,
+        effects,
+        columns.gram,
+        [columns.blocks[k] for k in kept],
+        [columns.shaped[k] for k in kept],
+        columns.projected,
+        columns.before,
+        [k in alive for k in range(len(columns.candidates))],
+    )
+
+
+def _chance(columns: _Columns, log_odds: Array, found: Posterior, rng: np.random.Generator, sets: int) -> Chance:
+    odds = np.where(columns.seen, log_odds, -np.inf)
+    tried = [metric for share, metric in sorted(found.weights, key=lambda entry: -entry[0]) if share > 0.01]
+    variance = found.left / max(columns.gram.freedom, 1)
+    return chance_of(columns.gram, columns.before, columns.blocks, odds, tried, variance, sets, rng)
+
+
+def _findings(columns: _Columns, found: Posterior, chance: Chance) -> tuple[Finding, ...]:
+    out = []
+    for k, candidate in enumerate(columns.candidates[: columns.effects]):
+        point = found.best[k].point if k in found.best else found.single.best[k]
+        at = None if point is None else columns.blocks[point.block]
+        shape = candidate.shapes[columns.shaped[point.block][1]] if point is not None else candidate.shapes[0]
+        factor = found.log_factor(k)
+        out.append(
+            finding_of(
+                candidate,
+                shape,
+                None if at is None else at.place,
+                columns.gram,
+                found.metric,
+                probability=found.of(k),
+                p_value=chance.alone(k, factor) if at is not None else 1.0,
+                family_p_value=chance.paid(k, factor) if at is not None else 1.0,
+                log_odds=float(chance.log_odds[k]),
+                readings=len(columns.pool),
+                sigma=float(np.sqrt(np.mean(columns.pool.sigma**2))),
             )
-    lacks = noise.lack_of_fit_p is not None and noise.lack_of_fit_p < _LACK_LEVEL
-    if not found and lacks and noise.from_repeats is not None and noise.lack_of_fit_p is not None:
-        share = 1.0 - min((noise.from_repeats / noise.declared) ** 2 / fit.joint.reduced_chi_square, 1.0)
-        found = [Structure("place", "repeats agree with each other and not with the model", noise.lack_of_fit_p, share)]
-    return tuple(found)
+        )
+    # Candidates with the same columns keep the catalogue's order, whatever the last bits say.
+    return tuple(sorted(out, key=lambda f: (not f.rank, -round(f.probability, 9), f.p_value)))
 
 
-def _best_by_covariate(seen: Sequence[Ranked]) -> dict[str, float]:
-    out: dict[str, float] = {}
-    for r in seen:
-        if r.rank and r.family_p_value <= STRUCTURE_LEVEL:
-            # No effect that depends on the time makes a step or a wave in it.
-            name = r.candidate.name if r.shape else r.candidate.name.split(": ", 1)[0]
-            out[name] = max(out.get(name, -np.inf), r.bic_gain)
-    return out
+def _accepted(
+    findings: Sequence[Finding], groups: Sequence[tuple[str, ...]], found: Posterior, columns: _Columns
+) -> tuple[str, ...]:
+    """Effects that are in more likely than not; of a group of which some member is, its most probable one."""
+    place = {candidate.name: k for k, candidate in enumerate(columns.candidates[: columns.effects])}
+    sure = [f.name for f in findings if f.probability > ACCEPTED]
+    for group in groups:
+        if not set(group) & set(sure) and found.of_any([place[name] for name in group]) > ACCEPTED:
+            sure.append(group[0])
+    return tuple(sorted(sure, key=lambda name: -found.log_factor(place[name])))
 
 
-def _within_runs(columns: Array, run: IntArray) -> Array:
-    """(k,) squared norms of columns, the mean of every run taken out."""
-    count = int(run.max()) + 1
-    means = np.stack(
-        [columns[:, run == r].mean(axis=1) if (run == r).any() else 0 * columns[:, 0] for r in range(count)], 1
-    )
-    # A column that is constant in every run keeps its norm: there is nothing that it could be judged by.
-    within = np.sum((columns - means[:, run]) ** 2, axis=1)
-    whole = np.sum(columns**2, axis=1)
-    return np.asarray(np.where(within > 1e-6 * whole, within, np.maximum(whole, np.finfo(float).tiny)))
+def _absorbed(columns: _Columns) -> tuple[Absorbed, ...]:
+    out, first = [], 0
+    for k, candidate in enumerate(columns.candidates[: columns.effects]):
+        place = slice(first, first + len(candidate.shapes[0].columns))
+        first += sum(len(s.columns) for s in candidate.shapes)
+        if not columns.seen[k]:
+            out.append(Absorbed(candidate.name, absorbed_by(columns.pool.fit, columns.projected, place)))
+    return tuple(out)
+
+
+def _structure(columns: _Columns, found: Posterior, chance: Chance, accepted: Collection[str]) -> tuple[Structure, ...]:
+    """Significant structures beside the accepted effects, the most significant first."""
+    place = {candidate.name: k for k, candidate in enumerate(columns.candidates)}
+    beside, squares = found.beside([place[name] for name in accepted], columns.gram, columns.blocks)
+    out = []
+    for k in range(columns.effects, len(columns.candidates)):
+        point = beside.best[k]
+        if point is None:
+            continue
+        p = chance.paid(k, float(beside.log_factors[k, 0]))
+        # Paid for by the structures' prior against all others: what no effect says.
+        if p <= _TOLD:
+            c, j = columns.shaped[point.block]
+            covariate, shape = _words(columns.candidates[c], j)
+            out.append((p, -float(beside.log_factors[k, 0]), Structure(covariate, shape, p, squares[k])))
+    told = [structure for _, _, structure in sorted(out, key=lambda entry: entry[:2])]
+    return tuple(told) if told or accepted else _of_places(columns.pool.fit)
+
+
+def _words(candidate: Candidate, shape: int) -> tuple[str, str]:
+    covariate, words = candidate.name.rsplit(": ", 1)
+    nonlinear = candidate.shapes[shape].shape
+    if not nonlinear:
+        return covariate, words
+    return covariate, f"{words} {nonlinear[0]:.3g}{' s' if covariate.endswith('time') else ' readings'}"
+
+
+def _of_places(fit: JointFit) -> tuple[Structure, ...]:
+    """Places that differ more than their repeats, without any pattern."""
+    out = []
+    for own in fit.fits:
+        noise = noise_of(own)
+        p, repeats = noise.lack_of_fit_p, noise.from_repeats
+        if p is not None and p < _LACK and repeats is not None:
+            share = max(1.0 - (repeats / noise.declared) ** 2 / fit.reduced_chi_square, 0.0)
+            out.append(Structure("place", "places differ more than their repeats", p, share))
+    return tuple(out)
+
+
+def _named_sets(columns: _Columns, found: Posterior) -> tuple[tuple[tuple[str, ...], float], ...]:
+    total: dict[tuple[str, ...], float] = {}
+    for members, p in zip(found.sets, found.probability, strict=True):
+        names = {columns.candidates[k].name if k < columns.effects else "unknown" for k in members}
+        key = tuple(sorted(names))
+        total[key] = total.get(key, 0.0) + float(p)
+    return tuple(sorted(total.items(), key=lambda entry: -entry[1]))

@@ -8,9 +8,9 @@ import numpy as np
 from scipy import stats
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.diagnosis.spread import Spread
 from machine_tool_calibration.model.fit import Fit, screen
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.reproducibility import reproducibility
 
 __all__ = ["Noise", "noise_of", "same_place"]
 
@@ -53,12 +53,13 @@ def same_place(observations: Observations) -> IntArray:
     return np.asarray(np.unique(np.stack(keys), axis=1, return_inverse=True)[1].reshape(-1))
 
 
-def noise_of(fit: Fit, spread: Spread) -> Noise:
+def noise_of(fit: Fit) -> Noise:
     """Compare residuals with the declared uncertainty and with repeats.
 
+    What does not reproduce from run to run is neither noise nor a lack of fit.
+
     Args:
-        fit: of a single session.
-        spread: slopes and bows of its runs: what they can do is neither noise nor a lack of fit.
+        fit: one session's share in a fit.
     """
     place = same_place(fit.model.observations)
     count = np.bincount(place)
@@ -68,10 +69,11 @@ def noise_of(fit: Fit, spread: Spread) -> Noise:
         return Noise(declared, None, free, fit.joint.p_value, None)
     several = np.flatnonzero(count > 1)
     indicators = (place[None, :] == several[:, None]) * declared
-    projected = screen(fit, np.concatenate([spread.columns, indicators]))
+    spread = [family.columns() * declared for family in reproducibility(fit.model.observations)]
+    projected = screen(fit, np.concatenate([*spread, indicators]))
     scale = np.sqrt(np.maximum(projected.squares[:-1], np.finfo(float).tiny))
     inner, right = projected.gram[:-1, :-1] / np.outer(scale, scale), projected.gram[:-1, -1] / scale
-    total, k = float(projected.gram[-1, -1]), len(spread.columns)
+    total, k = float(projected.gram[-1, -1]), sum(len(columns) for columns in spread)
     explained_spread, rank_spread = _explained(inner[:k, :k], right[:k])
     explained_all, rank_all = _explained(inner, right)
     dof = fit.solution.degrees_of_freedom - rank_all

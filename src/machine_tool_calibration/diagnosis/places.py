@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from machine_tool_calibration.diagnosis.noise import Noise, noise_of, same_place
-from machine_tool_calibration.diagnosis.spread import run_spreads
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.session.session import Session
 
@@ -39,7 +38,7 @@ def mean_places(fit: Fit) -> tuple[Session, Noise] | None:
     count = np.bincount(place)
     if count.max() < 2:
         return None
-    noise = noise_of(fit, run_spreads(observations))
+    noise = noise_of(fit)
     if noise.lack_of_fit_p is None or noise.lack_of_fit_p > _DIFFER:
         return None
     first = np.unique(place, return_index=True)[1]

@@ -9,7 +9,9 @@ import numpy as np
 
 from machine_tool_calibration.diagnosis.consequence import Consequence, before_and_after, rms
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
-from machine_tool_calibration.diagnosis.document import named_probability, smallest_sizes
+from machine_tool_calibration.diagnosis.document import smallest_sizes
+from machine_tool_calibration.diagnosis.findings import Finding
+from machine_tool_calibration.diagnosis.pool import Pool
 from machine_tool_calibration.diagnosis.quantities import (
     duration,
     micrometres,
@@ -18,7 +20,6 @@ from machine_tool_calibration.diagnosis.quantities import (
     range_of,
     sizes_in_words,
 )
-from machine_tool_calibration.diagnosis.ranking import Ranked
 from machine_tool_calibration.diagnosis.report_model import coefficients_table, hidden_table, in_map_table
 from machine_tool_calibration.diagnosis.text_table import TextTable
 from machine_tool_calibration.diagnosis.verdict_words import verdict_words
@@ -76,20 +77,21 @@ def _candidates(diagnosis: Diagnosis, changes: Mapping[str, Consequence], shown:
         for name in group:
             letters.setdefault(name, chr(ord("A") + k % 26))
     accepted = diagnosis.accepted
-    ranked = [r for r in diagnosis.ranked if r.rank]
+    ranked = [f for f in diagnosis.ranked if f.rank]
     rows = []
     for r in ranked[: len(accepted) + shown] if shown else ranked:
-        name = r.candidate.name
+        name = r.name
         change = changes.get(name)
         _, after = before_and_after(diagnosis, r, changes)
         rows.append(
             (
                 f"{'✓ ' if name in accepted else ''}{name}",
                 letters.get(name, ""),
-                probability(named_probability(diagnosis, r)),
+                probability(r.probability),
                 probability(r.family_p_value),
                 _sizes(r, change),
                 "" if r.plausible else "no",
+                _held_out(diagnosis, name),
                 micrometres(after),
                 micrometres(None if change is None else change.map_change_rms),
             )
@@ -98,10 +100,11 @@ def _candidates(diagnosis: Diagnosis, changes: Mapping[str, Consequence], shown:
     if diagnosis.verdict == "unexplained":
         title = "Effects looked for: none of them is named as the cause"
     left = len(ranked) - len(rows)
-    before = micrometres(rms(diagnosis.looks[0].fit.residuals))
+    before = micrometres(rms(Pool(diagnosis.fits[0]).residuals))
     note = (
         "alike: the same letter, look-alikes; p: chance of doing as well, paid for the whole search; size ± U (k = 2); "
-        f"residual and map: RMS with it in the model; without any the residual is {before} µm"
+        "left out: share by which the error of predicting readings that were left out falls, the worst of setups, "
+        f"blocks of places and cycles; residual and map: RMS with it in the model; without any the residual is {before} µm"
     )
     if accepted:
         note = f"✓ found; {note}; the others as they were before anything was added"
@@ -109,14 +112,20 @@ def _candidates(diagnosis: Diagnosis, changes: Mapping[str, Consequence], shown:
         note += "; plausible: no, if such a size does not occur"
     if left:
         note += f"; {left} less probable {'one is' if left == 1 else 'ones are'} left out"
-    heads = ("effect", "alike", "probability", "p", "size", "plausible", "residual / µm", "map moves / µm")
+    heads = ("effect", "alike", "probability", "p", "size", "plausible", "left out", "residual / µm", "map moves / µm")
     return TextTable(title, heads, tuple(rows), note)
 
 
-def _sizes(ranked: Ranked, change: Consequence | None) -> str:
+def _held_out(diagnosis: Diagnosis, name: str) -> str:
+    """How an effect does on readings that were left out; empty where that was not asked."""
+    gains = [p.gain for p in diagnosis.predicted.get(name, ())]
+    return f"{100 * min(gains):+.0f} %" if gains else ""
+
+
+def _sizes(ranked: Finding, change: Consequence | None) -> str:
     if change is not None and change.parameters:
         return sizes_in_words(change.parameters)
-    name = ranked.candidate.name
+    name = ranked.name
     sizes = [
         Estimate(f"{name}.{s.coefficient.name}", s.value, s.standard_uncertainty, s.coefficient.unit)
         for s in ranked.sizes
@@ -138,7 +147,7 @@ def _outliers(diagnosis: Diagnosis) -> TextTable:
 
 
 def _structure(diagnosis: Diagnosis) -> TextTable:
-    left = diagnosis.looks[-1].structure
+    left = diagnosis.look.left
     rows = tuple((s.covariate, s.shape, probability(s.p_value), f"{100 * s.share:.0f} %") for s in left[:_SHOWN])
     title = "What the residuals still depend on"
     note = f"{len(left) - _SHOWN} more" if len(left) > _SHOWN else ""
@@ -183,19 +192,18 @@ def _next(advice: Advice) -> TextTable:
 
 
 def _detectable(diagnosis: Diagnosis) -> TextTable:
-    look = diagnosis.looks[len(diagnosis.accepted)]
     rows = []
-    for r in look.ranked:
-        sizes = smallest_sizes(look, r)
+    for found in diagnosis.look.findings:
+        sizes = smallest_sizes(found)
         if sizes:
-            rows.append((r.candidate.name, *_smallest(r, sizes)))
+            rows.append((found.name, *_smallest(found, sizes)))
     rows.sort()
     title = "Smallest size that this measurement would have found (80 % power)"
     note = "what each coefficient is, `mtcal effects ID` says" if rows else ""
     return TextTable(title, ("effect", "smallest size", "sizes that occur"), tuple(rows), note)
 
 
-def _smallest(ranked: Ranked, sizes: Mapping[str, float | None]) -> tuple[str, str]:
+def _smallest(ranked: Finding, sizes: Mapping[str, float | None]) -> tuple[str, str]:
     known = {s.coefficient.name: s.coefficient for s in ranked.sizes}
     first = known[next(iter(sizes))]
     seen = {name: value for name, value in sizes.items() if value is not None}

@@ -20,7 +20,7 @@ _NOT_THE_MACHINES = ("workpiece_thermal", "table_thermal_growth")
 
 def coefficients_table(diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> TextTable:
     """Every coefficient of the effects found: what it is, and its size."""
-    observations = diagnosis.looks[0].fit.model.observations
+    observations = diagnosis.fits[0].fits[0].model.observations
     known = _effects(diagnosis)
     rows = []
     for name in diagnosis.accepted:
@@ -57,7 +57,7 @@ def _rows(diagnosis: Diagnosis, of_map: bool) -> tuple[tuple[str, ...], ...]:
 
 def _absorbed(diagnosis: Diagnosis, of_map: bool) -> list[Absorbed]:
     known, method = _effects(diagnosis), diagnosis.session.method
-    return [a for a in diagnosis.looks[0].absorbed if _of_the_map(a, known.get(a.effect), method) == of_map]
+    return [a for a in diagnosis.look.absorbed if _of_the_map(a, known.get(a.effect), method) == of_map]
 
 
 def _of_the_map(absorbed: Absorbed, effect: Effect | None, method: str) -> bool:
@@ -83,4 +83,4 @@ def _words(absorbed: Absorbed, of_map: bool, diagnosis: Diagnosis) -> str:
 
 def _effects(diagnosis: Diagnosis) -> dict[str, Effect]:
     """All effects that were looked for."""
-    return {r.candidate.name: r.candidate.effect for r in diagnosis.looks[0].ranked if r.candidate.effect is not None}
+    return {f.name: f.candidate.effect for f in diagnosis.look.findings if f.candidate.effect is not None}

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+from scipy import signal
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.diagnosis.candidates import Block, Candidate
+from machine_tool_calibration.diagnosis.candidates import Candidate, Shaped
+from machine_tool_calibration.diagnosis.pool import Pool
 from machine_tool_calibration.model.observations import Observations
 
 __all__ = ["structure_candidates"]
@@ -16,20 +20,32 @@ _SIGNS = ("dir_x", "dir_y", "dir_z", "dir_c")
 _ANGLES = ("c", "azimuth", "elevation")
 # Fewer readings than this show neither a step nor a wave.
 _ENOUGH = 40
-# Moments at which a step is tried, and numbers of periods over the whole session.
+# Moments at which a step is tried.
 _MOMENTS = 24
-_PERIODS = tuple(range(3, 25))
+# Frequencies of the periodogram for each independent one, its largest peaks that are looked at, and the fewest periods
+# over the whole session: slower waves are smooth functions.
+_OVERSAMPLED, _PEAKS, _FEWEST = 4, 8, 2.5
+_MOST_FREQUENCIES = 20000
 
 
-def structure_candidates(observations: Observations) -> list[Candidate]:
-    """Smooth functions of every covariate that varies, periodic ones of angles.
+def structure_candidates(pool: Pool) -> list[Candidate]:
+    """Functions of every covariate that varies, of each session for itself; see `_of_session`."""
+    out = []
+    for k, (observations, piece) in enumerate(zip(pool.observations, pool.pieces, strict=True)):
+        for candidate in _of_session(observations, pool.residuals[piece] / pool.sigma[piece]):
+            shapes = tuple(Shaped(s.shape, pool.only(s.columns, piece)) for s in candidate.shapes)
+            out.append(replace(candidate, name=pool.label(k) + candidate.name, shapes=shapes))
+    return out
+
+
+def _of_session(observations: Observations, residual: Array) -> list[Candidate]:
+    """Smooth functions of every covariate that varies, periodic ones of angles, steps and waves in time.
 
     A function of time, temperature or direction of approach is also tried as a displacement along each machine axis;
     products of two axis positions show where the machine does not move as rigid bodies, those of a direction of
     approach and a position where lost motion is not the same everywhere.
     """
     out = []
-    n = len(observations)
     for name, values in _covariates(observations).items():
         scaled = _scaled(values)
         if scaled is None:
@@ -42,16 +58,16 @@ def structure_candidates(observations: Observations) -> list[Candidate]:
             if name in _ANGLES or name == "normal":
                 functions["periodic"] = np.array([w(k * values) for k in _ORDERS for w in (np.sin, np.cos)])
         for shape, columns in functions.items():
-            out.append(Candidate(f"{name}: {shape}", (Block((), columns),), 0, n))
+            out.append(Candidate(f"{name}: {shape}", (Shaped((), columns),)))
             if name in _SIGNS or name == "time" or name.startswith("temperature"):
                 for j, axis in enumerate("xyz"):
                     along = observations.direction[:, j]
                     if np.ptp(along) > 1e-6:
                         label = f"{name}: {shape}, as a displacement along {axis}"
-                        out.append(Candidate(label, (Block((), columns * along),), 0, n))
+                        out.append(Candidate(label, (Shaped((), columns * along),)))
     out += _products(observations)
     out += _lost_motions(observations)
-    out += _events(observations)
+    out += _events(observations, residual)
     return out
 
 
@@ -70,7 +86,7 @@ def _products(observations: Observations) -> list[Candidate]:
         )
         columns = columns[np.abs(columns).max(axis=1) > 1e-9]
         name = f"{'xyz'[a]} and {'xyz'[b]}: product, as a displacement"
-        out.append(Candidate(name, (Block((), columns),), 0, len(observations)))
+        out.append(Candidate(name, (Shaped((), columns),)))
     return out
 
 
@@ -87,22 +103,51 @@ def _lost_motions(observations: Observations) -> list[Candidate]:
                 degree = min(_DEGREE, len(np.unique(np.round(scaled, 9))) - 1)
                 shapes = np.polynomial.legendre.legvander(scaled, degree)[:, 1:].T
                 name = f"dir_{axis} and {other}: lost motion of {axis.upper()} that varies along {other}"
-                out.append(Candidate(name, (Block((), shapes * along),), 0, len(observations)))
+                out.append(Candidate(name, (Shaped((), shapes * along),)))
     return out
 
 
-def _events(observations: Observations) -> list[Candidate]:
-    """What comes suddenly, and what comes and goes; the nonlinear coefficient is the moment or the period, s."""
-    time = observations.readings.columns.get("time", np.arange(len(observations), dtype=float))
-    scaled = _scaled(time)
-    if scaled is None or len(time) < _ENOUGH:
+def _events(observations: Observations, residual: Array) -> list[Candidate]:
+    """What comes suddenly, and what comes and goes; the nonlinear coefficient is the moment or the period, s.
+
+    Where no time was recorded, the order of the readings serves, and both are counts of readings.
+    """
+    name, time = "time", observations.readings.columns.get("time")
+    if time is None or not np.isfinite(time).all() or np.ptp(time) <= 0:
+        name, time = "order", np.arange(len(observations), dtype=float)
+    if len(time) < _ENOUGH:
         return []
     moments = np.quantile(time, (np.arange(_MOMENTS) + 1.0) / (_MOMENTS + 1.0))
-    steps = tuple(Block((float(m),), (time > m).astype(float)[None]) for m in np.unique(moments))
-    turns, duration = np.pi * (scaled + 1.0), float(np.ptp(time))
-    waves = tuple(Block((duration / k,), np.array([np.sin(k * turns), np.cos(k * turns)])) for k in _PERIODS)
-    n = len(observations)
-    return [Candidate("time: a step at", steps, 1, n), Candidate("time: a wave with a period of", waves, 1, n)]
+    steps = tuple(Shaped((float(m),), (time > m).astype(float)[None]) for m in np.unique(moments))
+    found = [Candidate(f"{name}: a step at", steps)]
+    periods = _periods(time, residual)
+    if periods:
+        phases = [2.0 * np.pi * (time - time[0]) / period for period in periods]
+        waves = tuple(
+            Shaped((period,), np.array([np.sin(w), np.cos(w)])) for period, w in zip(periods, phases, strict=True)
+        )
+        found.append(Candidate(f"{name}: a wave with a period of", waves, equally=len(time) // 2))
+    return found
+
+
+def _periods(time: Array, residual: Array) -> list[float]:
+    """Periods of the largest peaks of the periodogram (Lomb 1976, Scargle 1982).
+
+    From the session's length down to two readings'. Only these are looked at more closely: at all others less is to be explained.
+    """
+    length = float(np.ptp(time))
+    highest = len(time) / (2.0 * length)
+    lowest = _FEWEST / length
+    count = int(min(_OVERSAMPLED * (highest - lowest) * length, _MOST_FREQUENCIES))
+    if count < 3 or not residual.any():
+        return []
+    frequency = np.linspace(lowest, highest, count)
+    power = signal.lombscargle(time - time[0], residual - residual.mean(), 2.0 * np.pi * frequency)
+    # The ends may be peaks as well.
+    peaks = signal.find_peaks(np.concatenate([[0.0], power, [0.0]]))[0] - 1
+    best = peaks[np.argsort(-power[peaks])][:_PEAKS]
+    step = float(frequency[1] - frequency[0])
+    return [float(1.0 / (frequency[k] + shift)) for k in best for shift in (-0.5 * step, 0.0, 0.5 * step)]
 
 
 def _covariates(observations: Observations) -> dict[str, Array]:

@@ -8,14 +8,14 @@ import numpy as np
 
 from machine_tool_calibration.diagnosis.consequence import Consequence, rms
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
-from machine_tool_calibration.diagnosis.look import Look, Structure
+from machine_tool_calibration.diagnosis.look import Structure
+from machine_tool_calibration.diagnosis.pool import Pool
 from machine_tool_calibration.diagnosis.quantities import probability, quantity, sizes_in_words
-from machine_tool_calibration.diagnosis.ranking import Ranked
-from machine_tool_calibration.diagnosis.rounds import still_fails
+from machine_tool_calibration.model.stated import FamilySize
 from machine_tool_calibration.planning.advice import Advice, Separation
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["mounted_more_than_once", "verdict_words"]
+__all__ = ["mounted_more_than_once", "spread_words", "verdict_words"]
 
 # Chance below which residuals count as larger than declared.
 _TOO_LARGE = 0.01
@@ -24,10 +24,11 @@ _MANY = 3
 _APART = 6.0
 # Chance below which a backlash of the impossible sign is no accident.
 _REVERSED = 1e-6
-# Difference of the information criterion from which one effect does clearly better than another.
-_CLEARLY = 6.0
 # Scatter of repeats over that of all, below which places differ more than their repeats.
 _SHARED = 0.7
+# Probability from which what does not reproduce is told with a size.
+_SURE = 0.9
+_FAMILIES = {"run": "runs", "mounting": "mountings", "pass": "passes over the axis"}
 
 
 def verdict_words(diagnosis: Diagnosis, changes: Mapping[str, Consequence], advice: Advice) -> Iterator[str]:
@@ -35,30 +36,45 @@ def verdict_words(diagnosis: Diagnosis, changes: Mapping[str, Consequence], advi
     yield _verdict(diagnosis)
     for name in diagnosis.accepted:
         yield _found(diagnosis, name, changes.get(name), advice)
+    for name, why in diagnosis.refused.items():
+        p = probability(diagnosis.look.of(name).probability)
+        yield f"{_title(diagnosis, name)} is probable ({p}) and not added: {why}."
     if diagnosis.verdict == "unexplained":
         yield from _unexplained(diagnosis)
     if diagnosis.outliers and diagnosis.verdict != "outliers":
         n = len(diagnosis.outliers)
         yield f"{'One reading was' if n == 1 else f'{n} readings were'} set aside before, as outliers: see below."
+    yield from spread_words(diagnosis.fits[-1].stated.sizes)
     yield from _reversed(diagnosis)
     yield from _noise(diagnosis)
 
 
+def spread_words(sizes: tuple[FamilySize, ...]) -> Iterator[str]:
+    """What does not reproduce, if it is there more likely than not."""
+    for size in sizes:
+        if size.probability > _SURE and size.size > 0:
+            yield (
+                f"The {_FAMILIES.get(size.name, size.name)} differ among themselves by {quantity(size.size, 'm')} RMS "
+                f"({quantity(size.low, 'm')} to {quantity(size.high, 'm')} with 95 %), beside the scatter of the "
+                "readings; the uncertainties contain it."
+            )
+
+
 def _reversed(diagnosis: Diagnosis) -> Iterator[str]:
     """Backlash that comes out negative and is certain: the sign of a column is wrong, not the machine."""
-    for r in diagnosis.looks[-1].ranked:
-        if r.rank and not r.possible and r.p_value < _REVERSED and r.candidate.name.startswith("backlash_"):
-            axis = r.candidate.name[-1]
+    for f in diagnosis.look.findings:
+        certain = any(s.value < -_APART * s.standard_uncertainty for s in f.sizes)
+        if f.rank and certain and f.name.startswith("backlash_"):
+            axis = f.name[-1]
             yield (
-                f"{r.candidate.name} would come out negative, which no backlash is: the sign of dir_{axis}, or that of "
+                f"{f.name} would come out negative, which no backlash is: the sign of dir_{axis}, or that of "
                 "the deviations, looks reversed."
             )
 
 
 def _verdict(diagnosis: Diagnosis) -> str:
-    first = diagnosis.looks[0].fit
-    declared = quantity(diagnosis.noise.declared, "m")
-    residual = f"{quantity(rms(first.residuals), 'm')} RMS (declared uncertainty {declared})"
+    look, declared = diagnosis.look, quantity(diagnosis.noise.declared, "m")
+    residual = f"{quantity(rms(Pool(diagnosis.fits[0]).residuals), 'm')} RMS (declared uncertainty {declared})"
     if diagnosis.verdict == "missing_effect":
         names = [_title(diagnosis, name) for name in diagnosis.accepted]
         what = names[0] if len(names) == 1 else f"{len(names)} effects: {', '.join(names)}"
@@ -72,47 +88,29 @@ def _verdict(diagnosis: Diagnosis) -> str:
             f"{many} not belong to the rest: single, large deviations that do not repeat, as a chip or a broken beam "
             f"makes them. Without them nothing is missing that this measurement could show; the residual is {residual}."
         )
-    suspect = _suspect(diagnosis)
-    if suspect is not None:
-        return (
-            f"No effect stands out from what chance and small differences between the setups can do: the residual is "
-            f"{residual}. {_likeliest(diagnosis, suspect)}"
-        )
-    look = diagnosis.looks[0]
-    if diagnosis.session.method == "direct" and look.fit.joint.p_value < _TOO_LARGE:
+    if diagnosis.likely:
+        return f"No effect is sure: the residual is {residual}. {_likeliest(diagnosis)}"
+    if diagnosis.session.method == "direct" and look.fit.p_value < _TOO_LARGE:
         return f"No effect and no pattern stands out from the scatter of the deviations: the residual is {residual}."
-    return f"Nothing is missing that this measurement could show: the residual is {residual}."
+    return (
+        f"Nothing is missing that this measurement could show (probability {probability(look.nothing)}): the residual "
+        f"is {residual}."
+    )
 
 
-def _likeliest(diagnosis: Diagnosis, suspect: Ranked) -> str:
-    groups = [group for group in diagnosis.looks[0].groups if suspect.candidate.name in group]
-    names = " or ".join(groups[0]) if groups else suspect.candidate.name
-    return f"The likeliest would be {names}; chance does as well with a probability {_of(suspect.family_p_value)}."
-
-
-def _suspect(diagnosis: Diagnosis) -> Ranked | None:
-    """The likeliest effect, where the residuals are larger than chance explains and repeats do not explain them."""
-    look = diagnosis.looks[0]
-    likeliest = look.ranked[0] if look.ranked and look.ranked[0].rank else None
-    too_large = look.fit.joint.p_value < _TOO_LARGE and diagnosis.session.method != "direct"
-    return likeliest if too_large and not look.noisy else None
-
-
-def _of(p: float) -> str:
-    """A probability after its noun: of 0.02, or below 1e-6."""
-    text = probability(p)
-    return f"below {text[1:].strip()}" if text.startswith("<") else f"of {text}"
+def _likeliest(diagnosis: Diagnosis) -> str:
+    found = [f"{name} ({probability(diagnosis.look.of(name).probability)})" for name in diagnosis.likely]
+    return f"Likely, with the probability that it is missing: {', '.join(found)}."
 
 
 def _title(diagnosis: Diagnosis, name: str) -> str:
-    effect = next((r.candidate.effect for r in diagnosis.ranked if r.candidate.name == name), None)
+    effect = diagnosis.look.of(name).candidate.effect
     return f"{effect.title} ({name})" if effect is not None else name
 
 
 def _found(diagnosis: Diagnosis, name: str, change: Consequence | None, advice: Advice) -> str:
-    k = diagnosis.accepted.index(name)
-    ranked = diagnosis.looks[k].of(name)
-    effect = ranked.candidate.effect
+    found = diagnosis.look.of(name)
+    effect = found.candidate.effect
     words = [f"{name}: {effect.formula}." if effect is not None else f"{name}."]
     if change is not None:
         if 0 < len(change.parameters) <= _MANY:
@@ -131,14 +129,17 @@ def _found(diagnosis: Diagnosis, name: str, change: Consequence | None, advice: 
             f"With it in the model the residual falls from {quantity(change.rms_before, 'm')} to "
             f"{quantity(change.rms_after, 'm')} RMS{moved}."
         )
-    words.append(f"Chance would do as well with a probability {_of(ranked.family_p_value)}.")
-    if not ranked.plausible:
+    words.append(f"The probability that it is missing is {probability(found.probability)}.")
+    predicted = diagnosis.predicted.get(name, ())
+    if predicted:
+        shares = ", ".join(f"{p.what} {100 * p.gain:+.0f} %" for p in predicted)
+        words.append(f"Readings that were left out are predicted better with it (mean square error less by: {shares}).")
+    if not found.plausible:
         words.append("Such a size does not usually occur: look for another cause as well.")
     separation = next((s for s in advice.separations if s.effects[0] == name), None)
     if separation is not None:
-        gains = {r.candidate.name: r.bic_gain for r in diagnosis.looks[k].ranked}
-        as_good = any(gains.get(other, -np.inf) > ranked.bic_gain - _CLEARLY for other in separation.effects[1:])
-        words.append(_lookalike(separation, as_good))
+        rivals = [diagnosis.look.of(other).probability for other in separation.effects[1:]]
+        words.append(_lookalike(separation, max(rivals, default=0.0) > 0.1 * found.probability))
     return " ".join(words)
 
 
@@ -155,24 +156,19 @@ def _lookalike(separation: Separation, as_good: bool) -> str:
 
 
 def _unexplained(diagnosis: Diagnosis) -> Iterator[str]:
-    left = diagnosis.looks[-1].structure
+    left = diagnosis.look.structure
     if left:
         best = left[0]
         yield (
             f"The residuals depend on {_covariate(best)}: this takes up {100 * best.share:.0f} % of their sum of "
             f"squares (p {probability(best.p_value)})."
         )
-    look = diagnosis.looks[-1]
-    if still_fails(diagnosis.looks):
-        text = f"The readings scatter {np.sqrt(look.fit.joint.reduced_chi_square):.1f} times as much as declared"
-        repeats = look.noise.from_repeats
-        text = f"{text}, repeats by {quantity(repeats, 'm')}." if repeats is not None else f"{text}."
-        suspect = _suspect(diagnosis) if not left else None
-        yield f"{text} {_likeliest(diagnosis, suspect)}" if suspect is not None else text
-    tried = [r.candidate.name for look in diagnosis.looks[:-1] if (r := look.winner()) is not None]
-    if tried:
-        remains = "structure" if left else "most of it"
-        yield f"Even with {', '.join(tried)} in the model {remains} remains, so that none of these can be trusted."
+    if diagnosis.contradicted:
+        fit, repeats = diagnosis.fits[-1], diagnosis.noise.from_repeats
+        text = f"The readings scatter {np.sqrt(fit.reduced_chi_square):.1f} times as much as declared"
+        yield f"{text}, repeats by {quantity(repeats, 'm')}." if repeats is not None else f"{text}."
+    if diagnosis.likely:
+        yield f"{_likeliest(diagnosis)} None of these accounts for what is left."
 
 
 def _covariate(structure: Structure) -> str:
@@ -183,53 +179,47 @@ def _covariate(structure: Structure) -> str:
 
 
 def _noise(diagnosis: Diagnosis) -> Iterator[str]:
-    look = diagnosis.looks[len(diagnosis.accepted)]
-    noise = look.noise
-    joint = look.fit.joint
+    noise, joint = diagnosis.noise, diagnosis.fits[-1]
     ratio = float(np.sqrt(joint.reduced_chi_square))
     again = mounted_more_than_once(diagnosis.session)
     if diagnosis.session.method == "direct":
-        yield from _scatter(diagnosis, look)
+        yield from _scatter(diagnosis)
         return
     if diagnosis.verdict in ("adequate", "outliers", "missing_effect") and joint.p_value < _TOO_LARGE:
         text = f"The readings scatter {ratio:.2f} times as much as declared, which chance does not explain."
-        if noise.from_repeats is not None and look.noisy:
+        if noise.from_repeats is not None and diagnosis.noisy:
             repeats = quantity(noise.from_repeats, "m")
             text += f" Repeats scatter as much ({repeats}): the declared uncertainty is too small."
         elif again:
-            text += " The rest is the model, in a way that no effect and no covariate shows."
+            text += " The rest is what does not reproduce, or the model in a way that no effect and no covariate shows."
         else:
             text += (
                 " Whether that is the model or the reproducibility of the setups cannot be told: none was measured "
                 "again after being mounted again."
             )
         yield text
-    elif diagnosis.verdict in ("missing_effect", "unexplained") and not again:
-        yield (
-            "No setup was measured again after being mounted again; small slopes and bows from setup to setup are "
-            "allowed for, but a larger irreproducibility cannot be told from the model."
-        )
 
 
-def _scatter(diagnosis: Diagnosis, look: Look) -> Iterator[str]:
+def _scatter(diagnosis: Diagnosis) -> Iterator[str]:
     """Scatter of direct deviations: a part's or an axis's own, which no instrument declares."""
-    declared = look.noise.declared
-    found = float(np.sqrt(look.fit.joint.reduced_chi_square)) * declared
+    noise, fit = diagnosis.noise, diagnosis.fits[-1]
+    declared = noise.declared
+    found = float(np.sqrt(fit.reduced_chi_square)) * declared
     both = f"scatter {quantity(found, 'm')}, declared {quantity(declared, 'm')}"
-    if look.fit.joint.p_value < _TOO_LARGE:
+    if fit.p_value < _TOO_LARGE:
         yield f"The deviations scatter more about the model than was declared ({both}): sizes and tests use it."
-    elif look.fit.joint.p_value > 1.0 - _TOO_LARGE:
+    elif fit.p_value > 1.0 - _TOO_LARGE:
         yield f"The deviations scatter less about the model than was declared ({both}): tests use what they scatter."
     else:
         yield f"The deviations scatter about the model as was declared ({both})."
-    repeats = look.noise.from_repeats
+    repeats = noise.from_repeats
     if repeats is not None and repeats < _SHARED * found and diagnosis.verdict != "unexplained":
         yield (
             f"Repeats of one place agree within {quantity(repeats, 'm')}, places differ from each other by more, "
             "without a pattern: that is the scatter of the part, or of the machine from place to place."
         )
-    if diagnosis.verdict == "missing_effect" and diagnosis.looks[-1].structure:
-        best = diagnosis.looks[-1].structure[0]
+    if diagnosis.verdict == "missing_effect" and diagnosis.look.left:
+        best = diagnosis.look.left[0]
         yield (
             f"What is left still depends on {_covariate(best)}: {100 * best.share:.0f} % of its sum of squares (p "
             f"{probability(best.p_value)}), which no single effect of the catalogue explains. The effects that were "

@@ -14,7 +14,7 @@ from machine_tool_calibration.estimation.normal import Normal, solve_normal
 from machine_tool_calibration.estimation.problem import Part, Problem
 from machine_tool_calibration.estimation.reduction import gram, over_chunks, single_blas
 
-__all__ = ["Solution", "gram", "over_chunks", "solve", "solve_normal"]
+__all__ = ["Solution", "gram", "local_steps", "over_chunks", "solve", "solve_normal"]
 
 _MAX_STEPS = 40
 # Gain of a step that ends the iteration, weighted sum of squares: the step was a hundredth of an uncertainty,
@@ -176,6 +176,14 @@ def solve(problem: Problem, theta: Array | None = None, local: Sequence[Array] |
             normal = base.normal(damping)
             return base.solution(normal, base.after(normal.step), base.normal(0.0), count)
     raise ModelError(f"the fit does not converge in {_MAX_STEPS} steps; check positions of stations and targets")
+
+
+def local_steps(problem: Problem, theta: Array, local: Sequence[Array], step: Array) -> tuple[Array, ...]:
+    """Per part, (d, n_points) the points' own unknowns after a step of the shared ones from the solution."""
+    return tuple(
+        _step_points(part, theta, own, step)[0] if part.dimension else own
+        for part, own in zip(problem.parts, local, strict=True)
+    )
 
 
 def _step_points(part: Part, theta: Array, local: Array, step: Array) -> tuple[Array, BoolArray]:

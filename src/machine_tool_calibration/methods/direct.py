@@ -37,9 +37,6 @@ __all__ = ["MODELS", "DirectModel", "build", "build_direct"]
 
 MODELS = ("rigid_body",)
 
-# Chance below which the readings scatter more than declared.
-_CHANCE = 0.01
-
 
 @dataclass(frozen=True)
 class DirectModel(MethodModel):
@@ -59,15 +56,6 @@ class DirectModel(MethodModel):
     def own(self) -> tuple[Parameter, ...]:
         """What each setup leaves open."""
         return self.setups.parameters
-
-    def scatter_factor(self, reduced_chi_square: float, p_value: float) -> float:
-        """A part or an axis scatters more than the instrument that measures it: then the scatter counts.
-
-        What is declared is the instrument's uncertainty; how well a machine error is known from a drilled hole or from
-        a single positioning depends on how well these repeat (the Birge ratio). Less scatter than declared makes
-        nothing better: the instrument may be off by the same amount everywhere.
-        """
-        return float(np.sqrt(reduced_chi_square)) if reduced_chi_square > 1.0 and p_value < _CHANCE else 1.0
 
     def part(self, own_index: IntArray, dense_index: IntArray) -> Part:
         """Every setup is a block."""

@@ -84,7 +84,7 @@ class Step:
     @property
     def parameters(self) -> tuple[Estimate, ...]:
         """Coefficients of the effects in the model."""
-        return effect_estimates(self.result.fit, self.result.effects)
+        return effect_estimates(self.result.fit.joint, self.result.effects)
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class Improvement:
     """A model made better.
 
     Attributes:
-        diagnosis: of the first model; its last look is at the last one.
+        diagnosis: of the first model.
         steps: the first model, then one for every change.
     """
 
@@ -118,7 +118,7 @@ def improve(
     effects: Sequence[str] = (),
     own: Sequence[Effect] = (),
     seed: int = 1,
-    sets: int = 399,
+    sets: int = 199,
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> Improvement:
     """Find the missing effects, add them one after the other, and identify with each.

@@ -17,7 +17,7 @@ from machine_tool_calibration.methods.joint_agreement import Agreement, agreemen
 from machine_tool_calibration.methods.joint_effects import with_effects
 from machine_tool_calibration.methods.joint_map import joint_map
 from machine_tool_calibration.methods.joint_model import CommonModels, common_models
-from machine_tool_calibration.methods.joint_spread import StatedAngles, settled, stated
+from machine_tool_calibration.methods.joint_spread import StatedAngles, random_of, settled, stated
 from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import ErrorMap, Estimate, Rejected, plain
@@ -59,14 +59,9 @@ class JointResult:
     observations: tuple[int, ...]
 
     @property
-    def stated(self) -> JointFit:
-        """The fit with the values that are published."""
-        return self.fit if self.angles is None else self.angles.fit
-
-    @property
     def parameters(self) -> list[Estimate]:
         """The unknowns that the data determines; those of an instrument carry the session's label."""
-        solution = self.stated.solution
+        solution = self.fit.published
         sigma = np.sqrt(np.diag(solution.covariance).clip(0.0))
         return [
             Estimate(p.name, float(p.reference + value), float(u), p.unit)
@@ -188,7 +183,7 @@ def identify_sessions(
         ModelError: as for `joint_models`; a session that contradicts itself; or too few readings.
     """
     common, names = joint_models(sessions, labels, model=model, effects=find_effects(effects, own))
-    joint = fit_models(common.models, labels)
+    joint = fit_models(common.models, labels, random_of(common.angles))
     angles = stated(joint, common.angles)
     agreed = agreement(joint, common, labels, _spread(common))
     if angles is not None:

@@ -42,10 +42,9 @@ def joint_map(joint: JointFit, common: CommonModels, angles: StatedAngles | None
         common: its models.
         angles: the mean over all sizes of small angular errors, where there are any.
     """
-    joint = joint if angles is None else angles.fit
     place = {parameter.name: k for k, parameter in enumerate(joint.assembly.parameters)}
     index = np.array([place[label] for table in common.tables for label in table.labels], dtype=np.int64)
-    solution = joint.solution
+    solution = joint.published
     content: dict[str, Any] = {"tables": _tables(common.tables, joint, index)}
     content |= _rotary(joint)
     if angles is not None:
@@ -136,9 +135,9 @@ def _points(joint: JointFit, common: CommonModels) -> Array:
 
 
 def _tables(tables: Sequence[MachineTable], joint: JointFit, index: IntArray) -> dict[str, Any]:
-    good = joint.solution.is_determined()[index]
-    value = np.where(good, joint.solution.theta[index], np.nan)
-    sigma = np.where(good, np.sqrt(np.diag(joint.solution.covariance)[index].clip(0.0)), np.nan)
+    good = joint.published.is_determined()[index]
+    value = np.where(good, joint.published.theta[index], np.nan)
+    sigma = np.where(good, np.sqrt(np.diag(joint.published.covariance)[index].clip(0.0)), np.nan)
     out: dict[str, Any] = {}
     first = 0
     for table in tables:
@@ -154,13 +153,13 @@ def _tables(tables: Sequence[MachineTable], joint: JointFit, index: IntArray) ->
 def _rotary(joint: JointFit) -> dict[str, Any]:
     """Error motions of rotary axes, where a session measured them."""
     out: dict[str, Any] = {}
-    good = joint.solution.is_determined()
-    sigma = np.sqrt(np.diag(joint.solution.covariance).clip(0.0))
+    good = joint.published.is_determined()
+    sigma = np.sqrt(np.diag(joint.published.covariance).clip(0.0))
     for index, parameter in enumerate(joint.assembly.parameters):
         name, _, rest = parameter.name.partition("(")
         if parameter.shared and rest and len(name) == 3 and name[2] in "ABC":
             entry = out.setdefault(name, {"nodes": [], "value": [], "value_u": []})
             entry["nodes"].append(float(rest[:-1]))
-            entry["value"].append(joint.solution.theta[index] if good[index] else np.nan)
+            entry["value"].append(joint.published.theta[index] if good[index] else np.nan)
             entry["value_u"].append(sigma[index] if good[index] else np.nan)
     return {"rotary": out} if out else {}

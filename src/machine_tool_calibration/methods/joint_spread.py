@@ -14,8 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.estimation.solve import gram
+from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.machine.tables import MachineTable
 from machine_tool_calibration.methods.step_diagonal.model import StepDiagonalModel
 from machine_tool_calibration.methods.step_diagonal.spread import (
@@ -23,14 +22,14 @@ from machine_tool_calibration.methods.step_diagonal.spread import (
     NONE,
     SMALLEST,
     AngularPosterior,
+    SmallAngles,
     angular_priors,
     mean_shape,
-    normal_posterior,
 )
 from machine_tool_calibration.model.fit import JointFit, fit_models
-from machine_tool_calibration.model.model import MethodModel, NotDetermined, assemble
+from machine_tool_calibration.model.model import MethodModel, NotDetermined
 
-__all__ = ["StatedAngles", "angles_of", "expected", "in_words", "settled", "stated", "without_spread"]
+__all__ = ["StatedAngles", "angles_of", "expected", "in_words", "random_of", "settled", "stated", "without_spread"]
 
 # Share of the variance expected of an angle, over all its nodes, that must go before the readings tell it.
 _TOLD = 0.5
@@ -40,16 +39,14 @@ _LIKELY = 0.5
 
 @dataclass(frozen=True)
 class StatedAngles:
-    """Unknowns of all sessions as they are published: the mean over all sizes and shapes of the angular errors.
+    """Angular errors of all sessions as they are published: the mean over all their sizes and shapes.
 
     Attributes:
-        fit: the fit, with these values and their covariance in place of its own.
         size: root mean square of the angular errors over all that is possible, rad.
         probability: that they are not zero.
         untold: those of which the readings say little more than the size.
     """
 
-    fit: JointFit
     size: float
     probability: float
     untold: tuple[NotDetermined, ...]
@@ -114,25 +111,30 @@ def settled(
     """
     if not angles:
         return tuple(models)
-    told = _posterior(fit_models(models, labels), angles)[0]
+    told = _posterior(fit_models(models, labels, random_of(angles)))
     return _with_priors(models, angles, {t.name: c for t, c in zip(angles, told.priors, strict=True)})
 
 
-def stated(fit: JointFit, angles: Sequence[MachineTable]) -> StatedAngles | None:
-    """What is published of a fit: the mean over all that is possible for the angular errors; None without any."""
+def random_of(angles: Sequence[MachineTable]) -> SmallAngles | None:
+    """These angular errors as unknowns that are random functions; None without any."""
     if not angles:
         return None
-    told, order = _posterior(fit, angles)
-    solution = fit.solution
-    theta, covariance = solution.theta.copy(), np.empty_like(solution.covariance)
-    theta[order] = told.theta
-    covariance[np.ix_(order, order)] = told.covariance
-    variance = np.diag(told.covariance)[-sum(len(table.nodes) for table in angles) :]
-    untold, first = [], 0
+    return SmallAngles(
+        tuple(label for table in angles for label in table.labels),
+        tuple((table.nodes, _zero(table)) for table in angles),
+    )
+
+
+def stated(fit: JointFit, angles: Sequence[MachineTable]) -> StatedAngles | None:
+    """What is published of the angular errors: the mean over all that is possible; None without any."""
+    if not angles:
+        return None
+    told = _posterior(fit)
+    place = {parameter.name: k for k, parameter in enumerate(fit.assembly.parameters)}
+    variance = np.diag(fit.published.covariance)
+    untold = []
     for table, prior in zip(angles, told.priors, strict=True):
-        mine = slice(first, first + len(table.nodes))
-        first = mine.stop
-        if variance[mine].sum() > _TOLD * np.trace(prior):
+        if variance[[place[label] for label in table.labels]].sum() > _TOLD * np.trace(prior):
             untold.append(
                 NotDetermined(
                     table.name,
@@ -140,8 +142,13 @@ def stated(fit: JointFit, angles: Sequence[MachineTable]) -> StatedAngles | None
                     "function",
                 )
             )
-    stated_fit = JointFit(fit.assembly, replace(solution, theta=theta, covariance=covariance))
-    return StatedAngles(stated_fit, told.size, told.probability, tuple(untold))
+    return StatedAngles(told.size, told.probability, tuple(untold))
+
+
+def _posterior(fit: JointFit) -> AngularPosterior:
+    told = fit.stated.random
+    assert isinstance(told, AngularPosterior)
+    return told
 
 
 def _zero(table: MachineTable) -> int:
@@ -163,30 +170,3 @@ def _with_priors(
         told = angular_priors([table.labels for table in mine], [covariances[table.name] for table in mine])
         out.append(replace(model, priors=kept + told))
     return tuple(out)
-
-
-def _posterior(fit: JointFit, angles: Sequence[MachineTable]) -> tuple[AngularPosterior, IntArray]:
-    """What all readings say of the angles and all else, and the place of each of its unknowns among the fit's."""
-    labels = {label for table in angles for label in table.labels}
-    models = [
-        replace(model, priors=tuple(prior for prior in model.priors if not labels & set(prior.weights)))
-        for model in fit.assembly.models
-    ]
-    problem = assemble(models, None if len(models) == 1 else [str(k) for k in range(len(models))]).problem
-    place = {parameter.name: k for k, parameter in enumerate(fit.assembly.parameters)}
-    last = np.array([place[label] for table in angles for label in table.labels], dtype=np.int64)
-    others = np.setdiff1d(np.arange(problem.size), last)
-    order = np.concatenate([others, last])
-    theta = fit.solution.theta
-    total, squares = gram(problem, theta, fit.solution.local)
-    matrix = total[np.ix_(order, order)]
-    # The others count from the fit's values, the angles from zero.
-    right = total[order, -1] + matrix[:, len(others) :] @ theta[last]
-    conditions = problem.constraints[:, others]
-    kept = np.abs(conditions).max(axis=1, initial=0.0) > 0.0
-    goal = (problem.constraint_values - conditions @ theta[others])[kept]
-    nodes = [(table.nodes, _zero(table)) for table in angles]
-    found = normal_posterior(nodes, matrix, right, conditions[kept], goal, squares[others])
-    moved = found.theta.copy()
-    moved[: len(others)] += theta[others]
-    return replace(found, theta=moved), order

@@ -65,18 +65,20 @@ def responses(fit: Fit, point: IntArray, n_points: int) -> Responses:
     weight = fit.model.sigma**-2
     total = np.bincount(point, weight, n_points)
     touched = total > 0
-    dense = fit.model.dense()
-    mean = np.zeros((n_points, len(dense)))
-    np.add.at(mean, point, (dense * weight).T)
+    stated = fit.joint.stated
+    columns = stated.columns(fit)
+    mean = np.zeros((n_points, len(columns)))
+    np.add.at(mean, point, (columns * weight).T)
     mean /= np.where(touched, total, 1.0)[:, None]
-    values, vectors = np.linalg.eigh(fit.covariance)
+    values, vectors = np.linalg.eigh(stated.scatter**2 * stated.covariance(fit))
     half = mean @ (vectors * np.sqrt(np.maximum(values, 0.0)))
-    free = np.where(fit.determined[:, None], 0.0, fit.undetermined)
+    free = np.zeros((len(columns), fit.undetermined.shape[1]))
+    free[: len(fit.theta)] = np.where(fit.determined[:, None], 0.0, fit.undetermined)
     # Beside what a point would do if the unknowns on which it depends changed one by one.
     scale = np.abs(mean) @ np.abs(free).max(axis=1, initial=0.0)
     loose = (mean @ free) / np.where(scale > 0, scale, 1.0)[:, None]
-    own = 1.0 / np.where(touched, total, np.inf)
-    return Responses(fit.solution.local[fit.index][0], own, half, loose, touched)
+    own = stated.scatter**2 / np.where(touched, total, np.inf)
+    return Responses(stated.solution.local[fit.index][0], own, half, loose, touched)
 
 
 def workpiece_errors(found: Responses) -> Errors:

@@ -46,7 +46,8 @@ class _Network:
 def free_map(model: TrackingModel, fit: Fit) -> ErrorMap:
     """Every target's position error, from its own unknowns."""
     d, own = model.dimension, fit.places[: len(model.own)]
-    local, theta = fit.solution.local[fit.index], fit.solution.theta
+    stated = fit.joint.stated
+    local, theta = stated.solution.local[fit.index], stated.solution.theta
     nominal, stations = model.targets[:, :d].T, model.stations[:, :d]
     where, at = nominal, stations
     if model.follows:
@@ -54,7 +55,9 @@ def free_map(model: TrackingModel, fit: Fit) -> ErrorMap:
         where, at = nominal + local, stations + theta[own].reshape(-1, d + 1)[:, :d]
     theta_motion = np.zeros((len(theta), model.motion.count))
     theta_motion[own] = model.motion.of_stations(at)
-    result = points_in_inner_datum(fit.part, fit.solution, fit.index, model.motion.of_targets(where), theta_motion)
+    result = points_in_inner_datum(
+        stated.parts[fit.index], stated.solution, fit.index, model.motion.of_targets(where), theta_motion
+    )
     good, error, unknown = result.determined, result.value.T, result.theta[own]
     if model.follows and good.any():
         places = np.vstack([where.T[~good], at])
@@ -64,10 +67,9 @@ def free_map(model: TrackingModel, fit: Fit) -> ErrorMap:
         unknown = theta[own].reshape(-1, d + 1).copy()
         unknown[:, :d] = others[-len(at) :] - stations
     why = {int(k): _why_lost(model, fit, int(k)) for k in np.flatnonzero(~good)}
-    own_u = np.sqrt(np.diag(result.theta_covariance)[own])
-    return _published(
-        model, fit, _Network(error, result.covariance.transpose(2, 0, 1), good, unknown.reshape(-1), own_u, why)
-    )
+    own_u = stated.scatter * np.sqrt(np.diag(result.theta_covariance)[own])
+    covariance = stated.scatter**2 * result.covariance.transpose(2, 0, 1)
+    return _published(model, fit, _Network(error, covariance, good, unknown.reshape(-1), own_u, why))
 
 
 def _why_lost(model: TrackingModel, fit: Fit, target: int) -> str:

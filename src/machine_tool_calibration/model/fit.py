@@ -11,10 +11,11 @@ from scipy import stats
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.estimation.problem import Part
+from machine_tool_calibration.estimation.problem import Part, Problem
 from machine_tool_calibration.estimation.projection import Projected, project
 from machine_tool_calibration.estimation.solve import Solution, gram, solve
 from machine_tool_calibration.model.model import Assembly, MethodModel, assemble
+from machine_tool_calibration.model.stated import RandomUnknowns, Stated, state
 from machine_tool_calibration.model.terms import Parameter, Term
 
 __all__ = ["Fit", "JointFit", "fit_models", "screen", "screen_joint"]
@@ -29,11 +30,37 @@ class JointFit:
 
     Attributes:
         assembly: the models and their problem.
-        solution: where the sum of squares is least.
+        solution: where the sum of squares is least, every reading for itself.
+        random: unknowns that are small random functions; None without any.
     """
 
     assembly: Assembly
     solution: Solution
+    random: RandomUnknowns | None = None
+
+    @cached_property
+    def stated(self) -> Stated:
+        """What is published: with what does not reproduce, and with the scatter of the readings."""
+        return state(self)
+
+    @cached_property
+    def published(self) -> Solution:
+        """The shared unknowns as they are published: their mean and their covariance."""
+        m, stated = len(self.solution.theta), self.stated
+        covariance = stated.scatter**2 * stated.solution.covariance[:m, :m]
+        return replace(self.solution, theta=stated.solution.theta[:m], covariance=covariance)
+
+    @cached_property
+    def stripped(self) -> Problem:
+        """The problem without what is expected of unknowns that are random functions."""
+        if self.random is None:
+            return self.assembly.problem
+        names = set(self.random.names)
+        models = [
+            replace(model, priors=tuple(prior for prior in model.priors if not names & set(prior.weights)))
+            for model in self.assembly.models
+        ]
+        return assemble(models, self.assembly.labels).problem
 
     @property
     def fits(self) -> tuple[Fit, ...]:
@@ -78,29 +105,20 @@ class Fit:
         """Place of each of the model's parameters in the shared vector."""
         return self.joint.assembly.places[self.index]
 
-    @cached_property
-    def _stated(self) -> tuple[Array, Array]:
-        theta, covariance = self.solution.theta[self.places], self.solution.covariance[np.ix_(self.places, self.places)]
-        if len(self.joint.assembly.models) > 1:
-            return theta, covariance
-        return self.model.stated(theta, covariance)
-
     @property
     def theta(self) -> Array:
-        """Values of the model's shared unknowns, without their references, as the model states them."""
-        return self._stated[0]
+        """Values of the model's shared unknowns, without their references, as they are published."""
+        return self.joint.published.theta[self.places]
 
     @property
     def covariance(self) -> Array:
-        """Their covariance, from the declared uncertainty, or from the scatter where the method says so."""
-        return np.asarray(self.scatter_factor**2 * self._stated[1])
+        """Their covariance, as it is published."""
+        return self.joint.published.covariance[np.ix_(self.places, self.places)]
 
-    @cached_property
+    @property
     def scatter_factor(self) -> float:
-        """Published uncertainties over those that follow from the declared one; 1 where several sessions are fitted."""
-        if len(self.joint.assembly.models) > 1:
-            return 1.0
-        return self.model.scatter_factor(self.joint.reduced_chi_square, self.joint.p_value)
+        """Published uncertainties over those that follow from the declared one."""
+        return self.joint.stated.scatter
 
     @property
     def determined(self) -> BoolArray:
@@ -131,8 +149,15 @@ class Fit:
         return self.model.observations.readings.displacement - self.residuals
 
 
-def fit_models(models: Sequence[MethodModel], labels: Sequence[str] | None = None) -> JointFit:
+def fit_models(
+    models: Sequence[MethodModel], labels: Sequence[str] | None = None, random: RandomUnknowns | None = None
+) -> JointFit:
     """Fit models of one machine together.
+
+    Args:
+        models: one for each session.
+        labels: names of the sessions; needed for more than one.
+        random: unknowns that are small random functions; those of the model if there is only one.
 
     Raises:
         ModelError: there are no more readings than unknowns, or the fit does not converge.
@@ -143,7 +168,9 @@ def fit_models(models: Sequence[MethodModel], labels: Sequence[str] | None = Non
         n = assembly.problem.n_readings
         unknowns = n - solution.degrees_of_freedom
         raise ModelError(f"too few readings: {n} for {unknowns} unknowns; more targets, stations or repeats are needed")
-    return JointFit(assembly, solution)
+    if random is None and len(models) == 1:
+        random = models[0].random
+    return JointFit(assembly, solution, random)
 
 
 def screen(fit: Fit, columns: Array) -> Projected:

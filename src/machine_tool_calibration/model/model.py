@@ -18,6 +18,7 @@ from machine_tool_calibration.model.terms import Parameter, Term
 if TYPE_CHECKING:
     from machine_tool_calibration.model.fit import Fit
     from machine_tool_calibration.model.result import ErrorMap
+    from machine_tool_calibration.model.stated import RandomUnknowns
 
 __all__ = ["Assembly", "Constraint", "MethodModel", "NotDetermined", "Prior", "assemble"]
 
@@ -88,16 +89,10 @@ class MethodModel(ABC):
         """
         return self
 
-    def stated(self, theta: Array, covariance: Array) -> tuple[Array, Array]:
-        """What is published of the unknowns of this model, fitted by itself.
-
-        Those of the fit; a model in which the fit holds for one of several assumptions may take the mean over them.
-
-        Args:
-            theta: (m,) the fit's.
-            covariance: (m, m) theirs.
-        """
-        return theta, covariance
+    @property
+    def random(self) -> RandomUnknowns | None:
+        """Unknowns that are small random functions, and what is expected of them; None without any."""
+        return None
 
     def dense(self) -> Array:
         """(K, n) columns of the terms' unknowns."""
@@ -113,15 +108,6 @@ class MethodModel(ABC):
     def declared(self) -> frozenset[str]:
         """Unknowns that what was declared decides rather than the readings: they are not published as results."""
         return frozenset()
-
-    def scatter_factor(self, reduced_chi_square: float, p_value: float) -> float:
-        """By how much published uncertainties exceed those from the declared one: 1, as what was declared is believed.
-
-        Args:
-            reduced_chi_square: of the fit of this model alone.
-            p_value: chance of a larger one if the declared uncertainty is right.
-        """
-        return 1.0
 
     def why_not_determined(self, name: str) -> str | None:
         """Why the readings do not determine an unknown, where the method can say it better than the algebra."""

@@ -11,8 +11,9 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import NotDetermined
+from machine_tool_calibration.model.stated import FamilySize
 
-__all__ = ["ErrorMap", "Estimate", "Rejected", "Result", "plain"]
+__all__ = ["ErrorMap", "Estimate", "Rejected", "Result", "plain", "spread_document"]
 
 
 @dataclass(frozen=True)
@@ -136,9 +137,21 @@ class Result:
                 for e in self.parameters
             ],
             "not_determined": [{"name": n.name, "why": n.why} for n in self.not_determined],
+            "spread": [spread_document(size) for size in joint.stated.sizes],
+            "scatter_factor": joint.stated.scatter,
             "datum": self.fit.model.datum,
             "error_map": plain(self.error_map.content),
         }
+
+
+def spread_document(size: FamilySize) -> dict[str, Any]:
+    """How much of a family of runs or mountings does not reproduce: RMS, with an interval of 95 %, m."""
+    return {
+        "family": size.name,
+        "size": size.size,
+        "interval": [size.low, size.high],
+        "probability": size.probability,
+    }
 
 
 def _whole_terms(fit: Fit) -> dict[str, str]:

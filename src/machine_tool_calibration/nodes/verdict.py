@@ -45,7 +45,7 @@ def verdict_message(stamp: int, done: Diagnosed) -> DiagnosticArray:
     level = Level.OK if done.found.verdict == "adequate" else Level.WARN
     message = DiagnosticArray(status=[status("verdict", level, in_words(done), dict(_verdict(done.content)))])
     message.header.stamp = to_message(stamp)
-    titles = {r.candidate.name: r.candidate.effect.title for r in done.found.ranked if r.candidate.effect is not None}
+    titles = {r.name: r.candidate.effect.title for r in done.found.ranked if r.candidate.effect is not None}
     for rank, candidate in enumerate(done.content["candidates"], start=1):
         name = candidate["effect"]
         level = Level.WARN if name in done.found.accepted else Level.OK

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
@@ -81,20 +80,11 @@ class Advice:
     visibilities: tuple[Visibility, ...] = ()
 
 
-def alias_groups_of(diagnosis: Diagnosis) -> list[tuple[tuple[str, ...], tuple[str, ...]]]:
-    """Groups of effects that this data cannot tell apart, and the accepted effects beside which they are alike.
-
-    First the groups of the accepted effects, as they were when each was found; then the rest, with all accepted.
-    """
-    out: list[tuple[tuple[str, ...], tuple[str, ...]]] = []
+def alias_groups_of(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
+    """Groups of effects that this data cannot tell apart, those of the accepted effects first and led by them."""
     accepted = diagnosis.accepted
-    for k, name in enumerate(accepted):
-        out += [(_led(group, name), accepted[:k]) for group in diagnosis.looks[k].groups if name in group]
-    seen = {frozenset(group) for group, _ in out}
-    last = diagnosis.looks[len(accepted)]
-    out += [(group, accepted) for group in last.groups if frozenset(group) not in seen]
-    return out
-
-
-def _led(group: Sequence[str], name: str) -> tuple[str, ...]:
-    return (name, *(other for other in group if other != name))
+    groups = [
+        tuple(sorted(group, key=lambda name: accepted.index(name) if name in accepted else len(accepted)))
+        for group in diagnosis.look.groups
+    ]
+    return sorted(groups, key=lambda group: group[0] not in accepted)

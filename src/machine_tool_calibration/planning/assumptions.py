@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
-from machine_tool_calibration.diagnosis.ranking import Ranked
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.model.observations import Observations
@@ -15,26 +14,19 @@ __all__ = ["assumed_effects", "present_effects"]
 
 
 def assumed_effects(diagnosis: Diagnosis) -> dict[str, Assumed]:
-    """Every candidate with the coefficients of the look that it was found in, or of the last one."""
+    """Every candidate with the coefficients that were found."""
     out: dict[str, Assumed] = {}
-    for look in (diagnosis.looks[0], diagnosis.looks[len(diagnosis.accepted)]):
-        for r in look.ranked:
-            out[r.candidate.name] = _as_found(r)
-    for look, name in zip(diagnosis.looks, diagnosis.accepted, strict=False):
-        out[name] = next(_as_found(r) for r in look.ranked if r.candidate.name == name)
+    for found in diagnosis.look.findings:
+        effect = found.candidate.effect
+        assert effect is not None
+        names = [size.coefficient.name for size in found.sizes]
+        out[found.name] = Assumed(effect, found.shape, dict(zip(names, found.signal.tolist(), strict=False)))
     return out
-
-
-def _as_found(ranked: Ranked) -> Assumed:
-    effect = ranked.candidate.effect
-    assert effect is not None
-    names = [size.coefficient.name for size in ranked.sizes]
-    return Assumed(effect, ranked.shape, dict(zip(names, ranked.signal.tolist(), strict=False)))
 
 
 def present_effects(diagnosis: Diagnosis, own: Sequence[Effect]) -> list[Assumed]:
     """Effects that were in the model from the start, as it holds them."""
-    fit = diagnosis.looks[0].fit
+    fit = diagnosis.fits[0].fits[0]
     known = catalogue(own)
     values = {p.name: float(p.reference + v) for p, v in zip(fit.model.parameters, fit.theta, strict=True)}
     out = []

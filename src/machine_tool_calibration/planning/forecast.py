@@ -10,7 +10,9 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray
 from machine_tool_calibration.diagnosis.candidates import effect_candidates
-from machine_tool_calibration.diagnosis.power import noncentrality
+from machine_tool_calibration.diagnosis.findings import smallest_signal
+from machine_tool_calibration.diagnosis.pool import Pool
+from machine_tool_calibration.diagnosis.priors import EFFECT
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.methods.identify import identify
@@ -21,9 +23,8 @@ from machine_tool_calibration.procedure.description import Procedure
 
 __all__ = ["Forecast", "Visible", "forecast"]
 
-# Share of a column's squared norm that the model must leave for the effect to be seen, and family error of the search.
+# Share of a column's squared norm that the model must leave for the effect to be seen.
 _SEEN = 1e-4
-_LEVEL = 0.05
 _POWER = 0.8
 
 
@@ -109,23 +110,20 @@ def forecast(
     planned = planned_session(procedure, warming)
     result = identify(planned.session, model=model)
     fit = result.fit
-    candidates, excluded = effect_candidates(fit.model.observations, list(catalogue(own).values()))
-    needed = {}
+    candidates, excluded = effect_candidates(Pool(fit.joint), list(catalogue(own).values()))
+    needed = float(np.log(max(len(candidates), 1.0 / EFFECT)))
     visible, absorbed = [], []
     for candidate in candidates:
         effect = candidate.effect
         assert effect is not None
         best: Visible | None = None
-        for block in candidate.blocks:
+        for block in candidate.shapes:
             inner, seen = _outside(fit, block.columns)
-            rank = int(seen.sum())
-            if not rank:
-                continue
-            if rank not in needed:
-                needed[rank] = noncentrality(rank, _LEVEL / len(candidates), _POWER)
-            named = effect.coefficients_for(fit.model.observations, block.shape)
+            named = block.coefficients
+            strength = inner * np.array([max(abs(c.low), abs(c.high)) / 2.0 for c in named]) ** 2
             for k in np.flatnonzero(seen):
-                size = float(np.sqrt(needed[rank] / inner[k]))
+                signal = smallest_signal(strength[seen], float(strength[k]), needed + np.log(candidate.count), _POWER)
+                size = float(signal / np.sqrt(inner[k]))
                 reading = size * float(np.abs(block.columns[k]).max())
                 if best is None or best.reading is None or reading < best.reading:
                     best = Visible(effect.id, named[k].name, size, named[k].unit, reading)

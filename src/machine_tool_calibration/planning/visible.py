@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
-from machine_tool_calibration.diagnosis.power import noncentrality
+from machine_tool_calibration.diagnosis.findings import smallest_signal
+from machine_tool_calibration.diagnosis.priors import EFFECT
 from machine_tool_calibration.planning.advice import Visibility
 from machine_tool_calibration.planning.option import Option
 from machine_tool_calibration.planning.sensing import Assumed, Sensed
@@ -18,7 +19,6 @@ __all__ = ["visibilities"]
 _HARDLY = 0.1
 # A measurement is worth proposing for an effect if it shows one this much smaller.
 _WORTH = 0.5
-_LEVEL = 0.03
 _MANY = 3
 
 
@@ -26,15 +26,15 @@ def visibilities(
     diagnosis: Diagnosis, now: Sensed, seen: Sequence[tuple[Option, Sensed]], assumed: Mapping[str, Assumed]
 ) -> list[Visibility]:
     """For effects that hardly show or not at all: the measurement that shows the smallest size of them."""
-    look = diagnosis.looks[len(diagnosis.accepted)]
-    searched = max(sum(1 for r in look.ranked if r.rank), 1)
-    variance = max(look.fit.joint.reduced_chi_square, 1e-12)
+    fit = diagnosis.fits[-1]
+    variance = max(fit.reduced_chi_square, 1e-12)
+    observations = fit.assembly.models[0].observations
     out = []
-    for r in look.ranked:
-        name = r.candidate.name
+    for r in diagnosis.look.findings:
+        name = r.name
         if name not in now.place or (r.rank and now.share(name) > _HARDLY):
             continue
-        coefficients = assumed[name].effect.coefficients_for(look.fit.model.observations, assumed[name].shape)
+        coefficients = assumed[name].effect.coefficients_for(observations, assumed[name].shape)
         before = now.information(name)
         if len(coefficients) > _MANY:
             continue
@@ -50,8 +50,10 @@ def visibilities(
         if best is None:
             continue
         information, option, k = best
-        needed = noncentrality(max(r.rank, 1), _LEVEL / searched) * variance
-        smallest = look.detectable.get(name, {}).get(coefficients[k].name)
+        limit = max(abs(coefficients[k].low), abs(coefficients[k].high)) / 2.0
+        strength = np.array([information * limit**2 / variance])
+        needed = smallest_signal(strength, float(strength[0]), -np.log(EFFECT)) ** 2 * variance
+        smallest = r.detectable.get(coefficients[k].name)
         if smallest is not None and before[k] > 0:
             needed = smallest**2 * float(before[k])
         after_size = float(np.sqrt(needed / information))

@@ -75,7 +75,8 @@ def what_to_measure(
         if found is not None:
             seen.append((option, found))
     separations = []
-    for group, given in groups:
+    for group in groups:
+        given = [name for name in diagnosis.accepted if name not in group]
         separation = _separation(group, now.beside(given), [(o, s.beside(given)) for o, s in seen])
         if separation is not None:
             separations.append(_cheaper(separation, session, given, tried))

@@ -13,7 +13,7 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.consequence import Consequence, before_and_after
 from machine_tool_calibration.diagnosis.covariates import bins, covariates, telling
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
-from machine_tool_calibration.diagnosis.document import named_probability
+from machine_tool_calibration.diagnosis.pool import Pool
 from machine_tool_calibration.plots.residuals import axis_label, color, grids
 
 if TYPE_CHECKING:
@@ -72,13 +72,13 @@ def _ranking(panel: Axes, diagnosis: Diagnosis, changes: Mapping[str, Consequenc
 
 def _added(panel: Axes, diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> None:
     """Added-variable plot: a slope of one through the points if the effect is the cause."""
-    name = next((r.candidate.name for r in diagnosis.ranked if r.candidate.name in changes), None)
+    name = next((r.name for r in diagnosis.ranked if r.name in changes), None)
     if name is None:
         panel.set_axis_off()
         return
     explained = 1e6 * changes[name].explained
-    residuals = 1e6 * diagnosis.looks[0].fit.residuals
-    setup = diagnosis.looks[0].fit.model.observations.readings.setup
+    residuals = 1e6 * Pool(diagnosis.fits[0]).residuals
+    setup = diagnosis.fits[0].fits[0].model.observations.readings.setup
     used = np.unique(setup)
     for k in used:
         mine = setup == k
@@ -95,7 +95,7 @@ def _added(panel: Axes, diagnosis: Diagnosis, changes: Mapping[str, Consequence]
 
 def _over(panel: Axes, diagnosis: Diagnosis) -> None:
     """Residuals over what they depend on most, before and after."""
-    first, last = diagnosis.looks[0].fit, diagnosis.looks[len(diagnosis.accepted)].fit
+    first, last = diagnosis.fits[0].fits[0], diagnosis.fits[-1].fits[0]
     name, values = _covariate(diagnosis)
     label, factor = axis_label(name)
     shown = [("before", first, "tab:red")]
@@ -123,14 +123,14 @@ def _covariate(diagnosis: Diagnosis) -> tuple[str, Array]:
     The covariate, among those through which the first accepted effect acts, that what was taken out follows best;
     without one, that of the structure found first; else the one that the residuals follow; else the order.
     """
-    first, last = diagnosis.looks[0], diagnosis.looks[len(diagnosis.accepted)].fit
-    known = covariates(first.fit.model.observations)
+    first, last = diagnosis.fits[0].fits[0], diagnosis.fits[-1].fits[0]
+    known = covariates(first.model.observations)
     known = {name: values for name, values in known.items() if np.isfinite(values).all()}
     if not diagnosis.accepted:
-        for structure in first.structure:
+        for structure in diagnosis.look.structure:
             if structure.covariate in known:
                 return structure.covariate, known[structure.covariate]
-    what = first.fit.residuals - last.residuals if diagnosis.accepted else first.fit.residuals
+    what = first.residuals - last.residuals if diagnosis.accepted else first.residuals
     own = _acts_through(diagnosis, known)
     best = telling({name: known[name] for name in own} if own else known, what)
     name = best[0][0] if best else own[0] if own else "order"
@@ -140,7 +140,7 @@ def _covariate(diagnosis: Diagnosis) -> tuple[str, Array]:
 def _acts_through(diagnosis: Diagnosis, known: Iterable[str]) -> list[str]:
     """Covariates through which the first accepted effect acts, as it states itself."""
     first = diagnosis.accepted[0] if diagnosis.accepted else None
-    effect = next((r.candidate.effect for r in diagnosis.ranked if r.candidate.name == first), None)
+    effect = next((r.candidate.effect for r in diagnosis.ranked if r.name == first), None)
     if effect is None:
         return []
     stated = effect.covariates or effect.needs
@@ -155,12 +155,12 @@ def candidate_table(diagnosis: Diagnosis, changes: Mapping[str, Consequence]) ->
     for r in diagnosis.ranked:
         if not r.rank:
             continue
-        change = changes.get(r.candidate.name)
+        change = changes.get(r.name)
         before, after = before_and_after(diagnosis, r, changes)
         rows.append(
             {
-                "effect": r.candidate.name,
-                "probability": named_probability(diagnosis, r),
+                "effect": r.name,
+                "probability": r.probability,
                 "p_value": r.family_p_value,
                 "delta_bic": -r.bic_gain,
                 "plausible": r.plausible,

@@ -17,11 +17,15 @@ from machine_tool_calibration.machine.tables import MachineTable
 from machine_tool_calibration.methods.rigid_body import map_field
 from machine_tool_calibration.methods.step_diagonal.geometry import Run
 from machine_tool_calibration.methods.step_diagonal.profiles import Profiles, eq17
-from machine_tool_calibration.methods.step_diagonal.spread import AngularPosterior, angular_posterior, angular_priors
+from machine_tool_calibration.methods.step_diagonal.spread import (
+    AngularPosterior,
+    SmallAngles,
+    angular_posterior,
+    angular_priors,
+)
 from machine_tool_calibration.methods.step_diagonal.terms import Angle
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import MethodModel, NotDetermined
-from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.model.terms import Parameter, Term
 
@@ -40,14 +44,10 @@ class Spread:
     Attributes:
         angles: the nine angular error motions.
         posterior: what the readings say of them; None before the model is settled.
-        unknowns: names of the unknowns of the posterior, in its order.
-        observations: the readings that it is drawn from; None where others tell the angles too.
     """
 
     angles: tuple[Angle, ...]
     posterior: AngularPosterior | None = None
-    unknowns: tuple[str, ...] = ()
-    observations: Observations | None = None
 
     @property
     def size(self) -> float:
@@ -131,24 +131,16 @@ class StepDiagonalModel(MethodModel):
             self.observations.readings.displacement - self.nominal,
             self.sigma,
         )
-        unknowns = (*names, *(label for labels in self.spread.names for label in labels))
-        spread = Spread(self.spread.angles, posterior, unknowns, self.observations)
+        spread = Spread(self.spread.angles, posterior)
         return replace(self, spread=spread, priors=angular_priors(spread.names, posterior.priors))
 
-    def stated(self, theta: Array, covariance: Array) -> tuple[Array, Array]:
-        """With small angles, the mean over all their sizes and shapes that are possible, and the covariance over them.
-
-        A fit has one size; its covariance does not hold that the size is uncertain.
-        """
-        names = [p.name for p in self.parameters]
-        spread = self.spread
-        if spread is None or spread.posterior is None or spread.observations is not self.observations:
-            return theta, covariance
-        if len(names) != len(spread.unknowns) or set(names) != set(spread.unknowns):
-            return theta, covariance
-        place = {name: k for k, name in enumerate(spread.unknowns)}
-        index = np.array([place[name] for name in names], dtype=np.int64)
-        return spread.posterior.theta[index], spread.posterior.covariance[np.ix_(index, index)]
+    @property
+    def random(self) -> SmallAngles | None:
+        """Small angles: what is published is the mean over all their sizes and shapes that are possible."""
+        if self.spread is None or self.spread.posterior is None:
+            return None
+        names = tuple(label for labels in self.spread.names for label in labels)
+        return SmallAngles(names, tuple((angle.table.nodes, 0) for angle in self.spread.angles))
 
     def _mapped(self) -> tuple[tuple[MachineTable, ...], list[str]]:
         """Error motions that make up the position errors, and the names of their unknowns."""
@@ -257,9 +249,10 @@ class StepDiagonalModel(MethodModel):
         for kind in ("positioning", "straightness", "squareness"):
             content[kind] = _paired({f.name: (f.value, f.uncertainty) for f in figures if f.kind == kind})
         content |= self._angular(fit)
-        if self.spread is not None and self.spread.posterior is not None:
-            content["angular_size"] = self.spread.posterior.size
-            content["angular_probability"] = self.spread.posterior.probability
+        told = fit.joint.stated.random
+        if told is not None:
+            content["angular_size"] = told.size
+            content["angular_probability"] = told.probability
         content["datum"] = self.datum
         corner = np.array([nodes[0] for nodes in self.blocks])
         points = np.concatenate(

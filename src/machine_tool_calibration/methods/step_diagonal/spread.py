@@ -28,8 +28,7 @@ usual guideways between 0.74 and 1.34, and 1.7 for angles that are hardly more t
 map's error is that of the model without them.
 
 A fit needs one size: it takes the mean covariance of the random functions over all sizes and shapes. Residuals, the
-search for missing effects and fits of several sessions together are based on it; what is published of a single session
-is the mean over all (`StepDiagonalModel.stated`).
+search for missing effects are based on it; what is published is the mean over all (`SmallAngles`).
 """
 
 from __future__ import annotations
@@ -51,6 +50,7 @@ __all__ = [
     "NONE",
     "SMALLEST",
     "AngularPosterior",
+    "SmallAngles",
     "angular_posterior",
     "angular_priors",
     "coarse_nodes",
@@ -89,6 +89,25 @@ class AngularPosterior:
     priors: tuple[Array, ...]
     theta: Array
     covariance: Array
+
+
+@dataclass(frozen=True)
+class SmallAngles:
+    """Angular errors as unknowns that are random functions, for what is published of a fit.
+
+    Attributes:
+        names: of their unknowns, error after error.
+        nodes: for each error its nodes, m, and the index of the one at which it is zero.
+    """
+
+    names: tuple[str, ...]
+    nodes: tuple[tuple[Array, int], ...]
+
+    def posterior(
+        self, matrix: Array, right: Array, constraints: Array, values: Array, squares: Array
+    ) -> AngularPosterior:
+        """The mean over all sizes and shapes; see `normal_posterior`."""
+        return normal_posterior(self.nodes, matrix, right, constraints, values, squares)
 
 
 def coarse_nodes(blocks: Array) -> Array:

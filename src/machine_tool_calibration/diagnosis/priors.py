@@ -1,0 +1,49 @@
+"""What a diagnosis believes before it sees the readings, and the few numbers by which it decides.
+
+They are the only ones: verdicts, look-alikes and what could have been found are read off the posterior.
+"""
+
+from __future__ import annotations
+
+__all__ = [
+    "ACCEPTED",
+    "ALIKE",
+    "CONTRADICTED",
+    "EFFECT",
+    "GROSS",
+    "LIKELY",
+    "SCALE_STEP",
+    "SMALLEST_SIGNAL",
+    "STRUCTURE",
+    "THE_SAME",
+]
+
+EFFECT = 0.05
+"""Prior probability that one effect of the catalogue is missing: with the twenty or so that a plan can show, that
+something is missing and that nothing is are about even."""
+
+STRUCTURE = 0.003
+"""The same of a structure without a cause, of which many are tried: together they are as probable as one or two
+effects."""
+
+ACCEPTED = 0.5
+"""Posterior probability from which an effect is named as missing: it is in the model more likely than not."""
+
+LIKELY = 0.2
+"""Posterior probability from which an effect is called likely: what one would look at next."""
+
+SCALE_STEP, SMALLEST_SIGNAL = 5.0, 2.0
+"""The size of an effect is normal about zero with a standard deviation that is half of what is plausible, or smaller by
+steps of this factor, all equally probable, down to where its signal is this many standard uncertainties: the prior
+spans the sizes that occur, so that an effect with wide limits is not at a disadvantage."""
+
+ALIKE = 0.9
+"""Cosine between the signals of two effects outside the model from which they are look-alikes."""
+
+THE_SAME = 0.98
+"""Cosine from which a structure lies in the span of an effect, and is that effect: it would only share its
+probability."""
+
+GROSS, CONTRADICTED = 2.0, 1e-9
+"""Weighted mean square from which the readings contradict the best model, and the chance of that: more than what does
+not reproduce and a wrong declaration usually come to."""

@@ -1,0 +1,154 @@
+"""How large what does not reproduce is: variance components from inner products alone.
+
+y = J theta + sum over families f of tau_f U_f a_f + noise, a_f ~ N(0, sigma^2): the columns U_f are smooth functions of
+time of every run and of every mounting, tau_f their size in units of the noise. J has been projected off (restricted
+likelihood, Patterson and Thompson 1971), so that what remains is a small matrix, whatever the number of readings. The
+sizes are not chosen but averaged over: a grid carries their posterior, and the variance of the noise is integrated out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from scipy.special import logsumexp
+
+from machine_tool_calibration.arrays import Array, IntArray
+
+__all__ = ["DECLARED_WORTH", "Components", "Folded", "components", "fold", "log_prior", "ratio_grid"]
+
+DECLARED_WORTH = 20.0
+"""Readings that the declared uncertainty is worth as knowledge of the noise: a misfit of many readings outweighs it."""
+
+# Half of the prior of a size is at zero: that keeps the power to find effects. The other half is half-Cauchy with this
+# scale: its long tail makes large spreads harmless; with a light one every spread looks like a missing effect.
+_NONE = 0.5
+_SCALE = 0.2
+# Sizes tried, in units of the noise, where there are two families, and where there is one.
+_COARSE = (0.15, 0.4, 1.0, 2.5, 6.0)
+_FINE = tuple(np.geomspace(0.05, 16.0, 16).tolist())
+
+
+def ratio_grid(families: int) -> list[tuple[float, ...]]:
+    """Sizes that are tried: every combination of a few for each family."""
+    if families == 0:
+        return [()]
+    if families == 1:
+        return [(0.0,), *((value,) for value in _FINE)]
+    return list(product((0.0, *_COARSE), repeat=families))
+
+
+def log_prior(ratios: Sequence[tuple[float, ...]]) -> Array:
+    """(t,) logarithm of the prior weight of each combination of sizes of a grid."""
+    if not ratios or not ratios[0]:
+        return np.zeros(len(ratios))
+    out = np.zeros(len(ratios))
+    for column in np.array(ratios).T:
+        values = np.unique(column[column > 0])
+        # A half-Cauchy density on a logarithmic grid.
+        density = values / (1.0 + (values / _SCALE) ** 2)
+        weight = dict(zip(values.tolist(), ((1.0 - _NONE) * density / density.sum()).tolist(), strict=True))
+        weight[0.0] = _NONE
+        out += np.log([weight[value] for value in column.tolist()])
+    return out
+
+
+@dataclass(frozen=True)
+class Folded:
+    """What one combination of sizes makes of the inner products.
+
+    Attributes:
+        log_determinant: of I + tau^2 U^T U.
+        half: (u', k) such that X^T V^-1 y = X^T y - half_X^T half_y.
+    """
+
+    log_determinant: float
+    half: Array
+
+
+def fold(inner: Array, cross: Array, family: IntArray, ratio: tuple[float, ...]) -> Folded:
+    """Take spread of given sizes into the metric.
+
+    Args:
+        inner: (u, u) inner products of the spread's columns.
+        cross: (u, k) their inner products with anything else.
+        family: (u,) family of each column.
+        ratio: size of each family, in units of the noise.
+    """
+    tau = np.array(ratio)[family] if len(ratio) else np.zeros(len(family))
+    used = np.flatnonzero(tau > 0)
+    if not len(used):
+        return Folded(0.0, np.zeros((0, cross.shape[1])))
+    s = tau[used]
+    lower = np.linalg.cholesky(np.eye(len(used)) + inner[np.ix_(used, used)] * np.outer(s, s))
+    half = np.linalg.solve(lower, s[:, None] * cross[used])
+    return Folded(2.0 * float(np.log(np.diag(lower)).sum()), half)
+
+
+@dataclass(frozen=True)
+class Components:
+    """Posterior of the sizes.
+
+    Attributes:
+        ratios: combinations of sizes, in units of the noise.
+        log_weights: (t,) logarithm of the posterior probability of each, summing to 1.
+        squares: (t,) weighted sum of squared residuals that is left with each.
+        freedom: degrees of freedom of the readings beside the model's unknowns.
+    """
+
+    ratios: tuple[tuple[float, ...], ...]
+    log_weights: Array
+    squares: Array
+    freedom: int
+
+    @property
+    def weights(self) -> Array:
+        """(t,) posterior probabilities."""
+        return np.exp(self.log_weights)
+
+    @property
+    def mean_squares(self) -> float:
+        """Posterior mean of the sum of squares that is left."""
+        return float(self.weights @ self.squares)
+
+    def quantile(self, family: int, probability: float) -> float:
+        """Size of a family, in units of the noise, that is not exceeded with a probability."""
+        column = np.array(self.ratios)[:, family]
+        values = np.unique(column)
+        mass = np.array([self.weights[column == value].sum() for value in values])
+        total = np.cumsum(mass)
+        k = int(np.searchsorted(total, probability))
+        if k == 0:
+            return float(values[0])
+        if k >= len(values):
+            return float(values[-1])
+        share = (probability - total[k - 1]) / max(float(mass[k]), 1e-300)
+        # Between grid points the size is spread evenly in its logarithm; the first interval begins at half its end.
+        low = values[k - 1] if values[k - 1] > 0 else values[k] / 2.0
+        return float(low * (values[k] / low) ** share)
+
+    def probability(self, family: int) -> float:
+        """That a family is not zero."""
+        return float(self.weights[np.array(self.ratios)[:, family] > 0].sum())
+
+
+def components(gram: Array, family: IntArray, freedom: int) -> Components:
+    """Posterior of the sizes of all families.
+
+    Args:
+        gram: (u + 1, u + 1) inner products of [spread columns, residual] with the model's unknowns projected off,
+            weighted by the declared uncertainty.
+        family: (u,) family of each column, from 0; at most two.
+        freedom: degrees of freedom of the readings beside the model's unknowns.
+    """
+    ratios = ratio_grid(int(family.max(initial=-1)) + 1)
+    logs, squares = np.empty(len(ratios)), np.empty(len(ratios))
+    for k, ratio in enumerate(ratios):
+        folded = fold(gram[:-1, :-1], gram[:-1, -1:], family, ratio)
+        squares[k] = max(float(gram[-1, -1] - np.sum(folded.half**2)), 0.0)
+        logs[k] = -0.5 * folded.log_determinant
+    logs -= 0.5 * (freedom + DECLARED_WORTH) * np.log(DECLARED_WORTH + squares)
+    logs += log_prior(ratios)
+    return Components(tuple(ratios), logs - logsumexp(logs), squares, freedom)

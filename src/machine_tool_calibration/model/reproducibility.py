@@ -1,0 +1,151 @@
+"""What does not reproduce: every run and every mounting of an instrument has a smooth function of time of its own.
+
+Repeats within a run show the repeatability, not the reproducibility: on a real machine the runs of an instrument differ
+by slopes and bows that are no physical effect of the machine. They are random, alike in size, and part of every fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.model.observations import Observations
+
+__all__ = ["Family", "reproducibility"]
+
+# Legendre polynomials of degree 0 to 3 over the group's time, and their weights: what is slow is larger.
+_WEIGHTS = np.array([1.0, 1.0, 0.7, 0.5])
+# Readings of a group for each degree, so that a short run is not all spread.
+_FOR_A_DEGREE = 3
+# Fewer groups than this tell nothing of a spread between them where the readings are deviations of the machine itself:
+# their slopes and bows are the part's or the machine's own.
+_SEVERAL = 4
+# A grid: so many rows at most, with so many readings each.
+_MOST_ROWS, _IN_A_ROW = 60, 6
+_STILL = 1e-6  # m
+
+
+@dataclass(frozen=True)
+class Family:
+    """Groups of readings that have a random function each, all of one size.
+
+    Attributes:
+        name: run, mounting, pass, or rows of equal x.
+        group: (n,) index of the group of each reading, from 0; -1 for a reading of none.
+        shapes: (d, n) values of the group's d functions, of a size of about 1.
+    """
+
+    name: str
+    group: IntArray
+    shapes: Array
+
+    @property
+    def count(self) -> int:
+        """Number of groups."""
+        return int(self.group.max(initial=-1)) + 1
+
+    def columns(self) -> Array:
+        """(count d, n) the functions of every group, group after group."""
+        d, n = self.shapes.shape
+        out = np.zeros((self.count, d, n))
+        there = np.flatnonzero(self.group >= 0)
+        out[self.group[there], :, there] = self.shapes[:, there].T
+        return out.reshape(-1, n)
+
+
+def reproducibility(observations: Observations) -> tuple[Family, ...]:
+    """Families of what does not reproduce: at most two.
+
+    Runs (a setup in one repeat, for one target) and mountings (a stretch of consecutive readings of one setup), which
+    are one family where they are the same. Of direct deviations the passes over a single axis, or the rows and columns
+    of a grid of holes that were drilled one after the other; runs otherwise.
+    """
+    if observations.session.method == "direct":
+        return tuple(_of_direct(observations))[:2]
+    time = _time(observations)
+    readings = observations.readings
+    keys = [readings.setup, readings.repeat]
+    if observations.session.method == "rotary_axis" and "target" in readings.labels:
+        keys.append(np.unique(readings.labels["target"], return_inverse=True)[1].reshape(-1))
+    run = _numbered(np.unique(np.stack(keys), axis=1, return_inverse=True)[1].reshape(-1))
+    mounting = np.cumsum(np.r_[0, np.diff(readings.setup) != 0])[: len(readings)]
+    families = [Family("run", run, _smooth(time, run))]
+    if not np.array_equal(run, _numbered(mounting)):
+        families.append(Family("mounting", mounting, _smooth(time, mounting)))
+    return tuple(family for family in families if family.shapes.any())
+
+
+def _time(observations: Observations) -> Array:
+    """Time, or the order of the readings where no time was recorded."""
+    readings = observations.readings
+    time = readings.columns.get("time")
+    if time is None or not np.isfinite(time).all() or np.ptp(time) == 0:
+        return np.arange(len(readings), dtype=float)
+    return time
+
+
+def _numbered(group: IntArray) -> IntArray:
+    """Groups numbered in the order of their first readings."""
+    _, first, inverse = np.unique(group, return_index=True, return_inverse=True)
+    place = np.empty(len(first), dtype=np.int64)
+    place[np.argsort(first)] = np.arange(len(first))
+    return np.asarray(place[inverse.reshape(-1)])
+
+
+def _smooth(time: Array, group: IntArray) -> Array:
+    """(4, n) weighted Legendre polynomials over each group's time."""
+    out = np.zeros((len(_WEIGHTS), len(time)))
+    count = int(group.max(initial=-1)) + 1
+    size = np.bincount(group[group >= 0], minlength=count)
+    low, high = np.full(count, np.inf), np.full(count, -np.inf)
+    np.minimum.at(low, group, time)
+    np.maximum.at(high, group, time)
+    half = (high - low) / 2.0
+    flat = half <= 0
+    scaled = np.where(flat[group], 0.0, (time - low[group]) / np.where(flat, 1.0, half)[group] - 1.0)
+    series = np.polynomial.legendre.legvander(scaled, len(_WEIGHTS) - 1).T * _WEIGHTS[:, None]
+    for degree in range(len(_WEIGHTS)):
+        told = (size >= max(_FOR_A_DEGREE * degree, 2)) & (~flat | (degree == 0))
+        out[degree] = np.where(told[group], series[degree], 0.0)
+    return out
+
+
+def _of_direct(observations: Observations) -> Iterator[Family]:
+    """Passes of a single axis; rows and columns of a grid; otherwise runs."""
+    position = observations.position
+    moved = [j for j in range(3) if np.ptp(position[:, j]) > _STILL] if len(position) else []
+    if len(moved) >= 2:
+        yield from _rows(observations, moved)
+        return
+    group = _passes(observations, moved[0]) if moved else observations.run
+    group = _numbered(group)
+    if int(group.max(initial=-1)) + 1 >= _SEVERAL:
+        yield Family("pass", group, _smooth(_time(observations), group))
+
+
+def _rows(observations: Observations, moved: list[int]) -> Iterator[Family]:
+    """Offsets of whole rows and columns of a grid, along and across them."""
+    for j in moved:
+        row = np.unique(np.round(observations.position[:, j] / _STILL), return_inverse=True)[1].reshape(-1)
+        count = np.bincount(row)
+        if _SEVERAL <= len(count) <= _MOST_ROWS and np.median(count) >= _IN_A_ROW:
+            yield Family(f"rows of equal {'xyz'[j]}", row, observations.direction[:, moved].T.copy())
+
+
+def _passes(observations: Observations, axis: int) -> IntArray:
+    """(n,) which pass over the axis a reading belongs to: a pass ends where the axis turns, or a run ends."""
+    position, readings = observations.position[:, axis], observations.readings
+    step = np.diff(position)
+    sign = np.where(np.abs(step) > _STILL, np.sign(step), 0.0)
+    turned = np.zeros(len(readings), dtype=bool)
+    last = 0.0
+    for k, s in enumerate(sign):
+        # The second of two readings at a turning point begins the way back.
+        ahead = s if s != 0.0 else (sign[k + 1] if k + 1 < len(sign) else last)
+        turned[k + 1] = last != 0.0 and ahead == -last
+        last = ahead or last
+    again = np.r_[False, (np.diff(readings.setup) != 0) | (np.diff(readings.repeat) != 0)]
+    return np.asarray(np.cumsum(turned | again))

@@ -1,0 +1,287 @@
+"""What is published of a fit: its unknowns with all that does not reproduce in their uncertainty.
+
+A fit by least squares takes all readings for independent. What is published is of the marginal model: every run and
+every mounting has a random function of time (`model.reproducibility`) whose size the readings tell, the declared
+uncertainty is corrected where the readings contradict it, and unknowns that are random functions themselves (small
+angular errors) have the mean over the sizes that are possible. The values are those of the marginal model, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from scipy import stats
+
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.estimation.normal import solve_normal
+from machine_tool_calibration.estimation.problem import Part, Problem
+from machine_tool_calibration.estimation.projection import project
+from machine_tool_calibration.estimation.reduction import gram, single_blas
+from machine_tool_calibration.estimation.solve import Solution, local_steps
+from machine_tool_calibration.estimation.variance_components import Components, components
+from machine_tool_calibration.estimation.widened import WidenedPart
+from machine_tool_calibration.model.reproducibility import Family, reproducibility
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.model.fit import Fit, JointFit
+
+__all__ = ["FamilySize", "RandomPosterior", "RandomUnknowns", "Stated", "state"]
+
+# Probability of the sizes that are averaged over, and how many at most: the rest changes nothing that is published.
+_COVERED, _MOST = 0.99, 8
+# Chance below which the readings scatter more than declared: then their scatter counts.
+_CONTRADICTED = 0.01
+# Share of a function's squares outside the model below which the model takes it up: a run's constant, mostly.
+_SEEN = 1e-3
+
+
+class RandomPosterior(Protocol):
+    """What the readings say of unknowns that are random functions.
+
+    Attributes:
+        size: root mean square of the size, in their unit.
+        probability: that they are not zero.
+        theta: (m,) mean of all unknowns, the random ones last and counted from zero.
+        covariance: (m, m).
+    """
+
+    size: float
+    probability: float
+    theta: Array
+    covariance: Array
+
+
+class RandomUnknowns(Protocol):
+    """Unknowns of a model that are small random functions, and what is expected of them."""
+
+    names: tuple[str, ...]
+
+    def posterior(
+        self, matrix: Array, right: Array, constraints: Array, values: Array, squares: Array
+    ) -> RandomPosterior:
+        """From the normal equations of all unknowns, these last and without what is expected of them."""
+
+
+@dataclass(frozen=True)
+class FamilySize:
+    """How much of a family does not reproduce.
+
+    Attributes:
+        name: run, mounting, …
+        size: root mean square over the readings, m: the posterior's median.
+        low: end of the interval of 95 %, m.
+        high: its other end, m.
+        probability: that it is not zero.
+    """
+
+    name: str
+    size: float
+    low: float
+    high: float
+    probability: float
+
+
+@dataclass(frozen=True)
+class Stated:
+    """A fit as it is published.
+
+    Attributes:
+        parts: of the problem, with the coefficients of what does not reproduce.
+        solution: mean of all unknowns and their covariance over the square of `scatter`; the coefficients of what does
+            not reproduce come last.
+        scatter: standard uncertainties over those from the declared uncertainty, at least 1.
+        sizes: of what does not reproduce.
+        random: of unknowns that are random functions; None without any.
+        functions: per session, (k, n) columns of the coefficients of what does not reproduce.
+        squares: weighted sum of squared residuals that is left beside what does not reproduce.
+    """
+
+    parts: tuple[Part, ...]
+    solution: Solution
+    scatter: float
+    sizes: tuple[FamilySize, ...]
+    random: RandomPosterior | None
+    functions: tuple[Array, ...]
+    squares: float
+
+    def contradicts(self, ratio: float, chance: float) -> bool:
+        """Whether what is left is so many times as large as declared, and chance does not explain it."""
+        freedom = self.solution.degrees_of_freedom
+        return self.squares > ratio * freedom and float(stats.chi2.sf(self.squares, freedom)) < chance
+
+    def columns(self, fit: Fit) -> Array:
+        """(K + k, n) of a session whose unknowns are those of its terms: their columns, then these functions."""
+        return np.concatenate([fit.model.dense(), self.functions[fit.index]])
+
+    def covariance(self, fit: Fit) -> Array:
+        """(K + k, K + k) covariance of the unknowns of these columns, from the declared uncertainty."""
+        first = len(self.solution.theta) - sum(len(f) for f in self.functions)
+        first += sum(len(f) for f in self.functions[: fit.index])
+        index = np.append(fit.places, np.arange(first, first + len(self.functions[fit.index])))
+        return np.asarray(self.solution.covariance[np.ix_(index, index)])
+
+
+@single_blas()
+def state(joint: JointFit) -> Stated:
+    """The fit with what does not reproduce in it.
+
+    Args:
+        joint: of one or several sessions.
+    """
+    problem, solution = joint.stripped, joint.solution
+    families = [reproducibility(model.observations) for model in joint.assembly.models]
+    parts, place, names = _widened(problem, families)
+    m, u = problem.size, len(place)
+    if not u and joint.random is None:
+        scatter = _scatter(solution.chi_square, solution.degrees_of_freedom)
+        none = tuple(np.zeros((0, part.n_readings)) for part in parts)
+        return Stated(tuple(problem.parts), solution, scatter, (), None, none, solution.chi_square)
+    wide = Problem(
+        parts,
+        m + u,
+        np.pad(problem.constraints, ((0, 0), (0, u))),
+        problem.constraint_values,
+        problem.priors and replace(problem.priors, columns=np.pad(problem.priors.columns, ((0, 0), (0, u)))),
+    )
+    theta = np.concatenate([solution.theta, np.zeros(u)])
+    total, squares = gram(wide, theta, solution.local)
+    projected = project(total, squares, solution.covariance, u).gram
+    projected[-1, -1] = solution.chi_square
+    freedom = solution.degrees_of_freedom
+    found = components(projected, place, freedom)
+    chosen = np.argsort(-found.log_weights)
+    chosen = chosen[: min(int(np.searchsorted(np.cumsum(found.weights[chosen]), _COVERED)) + 1, _MOST)]
+    weights = found.weights[chosen] / found.weights[chosen].sum()
+    tried = [_at(joint, problem, total, squares, place, found.ratios[k]) for k in chosen]
+    mean = np.sum([w * t.step for w, t in zip(weights, tried, strict=True)], axis=0)
+    left = float(weights @ found.squares[chosen])
+    scatter = _scatter(left, freedom)
+    between = [np.outer(t.step - mean, t.step - mean) for t in tried]
+    covariance = np.sum([w * t.covariance for w, t in zip(weights, tried, strict=True)], axis=0)
+    covariance += np.tensordot(weights, between, axes=1) / scatter**2
+    stated = replace(
+        solution,
+        theta=theta + mean,
+        covariance=covariance,
+        undetermined=np.pad(solution.undetermined, ((0, u), (0, 0))),
+        determined=np.pad(solution.determined, (0, u), constant_values=True),
+        local=local_steps(wide, theta, solution.local, mean),
+    )
+    seen = np.diag(projected)[:-1] > _SEEN * squares[m:-1]
+    sizes = _sizes(joint, found, np.where(seen, squares[m:-1], 0.0), place, names, scatter)
+    functions = tuple(
+        np.concatenate([np.zeros((0, part.n_readings)), *(f.columns() * model.sigma for f in own if f.name in names)])
+        for part, own, model in zip(parts, families, joint.assembly.models, strict=True)
+    )
+    return Stated(tuple(parts), stated, scatter, sizes, tried[int(np.argmax(weights))].random, functions, left)
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """Mean and covariance of all unknowns for one size of what does not reproduce."""
+
+    step: Array
+    covariance: Array
+    random: RandomPosterior | None
+
+
+def _widened(problem: Problem, families: Sequence[tuple[Family, ...]]) -> tuple[list[Part], IntArray, tuple[str, ...]]:
+    """Parts with the random functions, the family of each coefficient, and the families' names."""
+    names = tuple(dict.fromkeys(family.name for own in families for family in own))[:2]
+    parts, place, first = [], [np.zeros(0, dtype=np.int64)], problem.size
+    for part, own in zip(problem.parts, families, strict=True):
+        own = tuple(family for family in own if family.name in names)
+        if own:
+            part = WidenedPart(part, [(family.group, family.shapes) for family in own], first)
+            first += part.count
+            place += [np.full(f.count * len(f.shapes), names.index(f.name), dtype=np.int64) for f in own]
+        parts.append(part)
+    return parts, np.concatenate(place), names
+
+
+def _at(
+    joint: JointFit, problem: Problem, total: Array, squares: Array, family: IntArray, ratio: tuple[float, ...]
+) -> _Tried:
+    """Mean and covariance if what does not reproduce has a given size."""
+    m, u = problem.size, len(family)
+    tau = np.array(ratio)[family] if ratio else np.zeros(u)
+    used = m + np.flatnonzero(tau > 0)
+    inner = total[np.ix_(used, used)] + np.diag(tau[used - m] ** -2.0)
+    cross = total[used, :m]
+    carried = np.linalg.solve(inner, np.column_stack([cross, total[used, -1], np.eye(len(used))]))
+    matrix = total[:m, :m] - cross.T @ carried[:, :m]
+    # At the solution the residual has nothing left along the model.
+    right = -cross.T @ carried[:, m]
+    theta = joint.solution.theta
+    random = None
+    if joint.random is None:
+        distance = problem.constraint_values - problem.constraints @ theta
+        normal = solve_normal(matrix, right, problem.constraints, distance, squares[:m])
+        step, covariance = normal.step, normal.covariance
+    else:
+        random, step, covariance = _with_random(joint, joint.random, problem, total[:m, -1], matrix, right, squares)
+    full, both = np.zeros(m + u), np.zeros((m + u, m + u))
+    full[:m], both[:m, :m] = step, covariance
+    response = carried[:, :m]
+    full[used] = carried[:, m] - response @ step
+    both[used, :m] = -response @ covariance
+    both[:m, used] = both[used, :m].T
+    both[np.ix_(used, used)] = carried[:, m + 1 :] + response @ covariance @ response.T
+    return _Tried(full, both, random)
+
+
+def _with_random(
+    joint: JointFit,
+    random: RandomUnknowns,
+    problem: Problem,
+    pull: Array,
+    matrix: Array,
+    right: Array,
+    squares: Array,
+) -> tuple[RandomPosterior, Array, Array]:
+    """The posterior of random unknowns, step and covariance of all; the others count from the fit's values."""
+    place = {parameter.name: k for k, parameter in enumerate(joint.assembly.parameters)}
+    last = np.array([place[name] for name in random.names], dtype=np.int64)
+    others = np.setdiff1d(np.arange(problem.size), last)
+    order = np.concatenate([others, last])
+    theta = joint.solution.theta
+    inner = matrix[np.ix_(order, order)]
+    held = right[order] + inner[:, len(others) :] @ theta[last]
+    # What is expected of the random unknowns was in the fit and is not in this problem.
+    held[len(others) :] += pull[last]
+    conditions = problem.constraints[:, others]
+    kept = np.abs(conditions).max(axis=1, initial=0.0) > 0.0
+    goal = (problem.constraint_values - conditions @ theta[others])[kept]
+    found = random.posterior(inner, held, conditions[kept], goal, squares[others])
+    step, covariance = np.zeros(problem.size), np.zeros((problem.size, problem.size))
+    step[order] = found.theta
+    step[last] -= theta[last]
+    covariance[np.ix_(order, order)] = found.covariance
+    return found, step, covariance
+
+
+def _scatter(chi_square: float, freedom: int) -> float:
+    """By how much standard uncertainties exceed those from the declared one.
+
+    By the readings' scatter where it contradicts what was declared. Less scatter than declared makes nothing better: an instrument may be off by the same amount everywhere.
+    """
+    if freedom < 3 or chi_square <= freedom or stats.chi2.sf(chi_square, freedom) > _CONTRADICTED:
+        return 1.0
+    return float(np.sqrt(chi_square / (freedom - 2)))
+
+
+def _sizes(
+    joint: JointFit, found: Components, seen: Array, place: IntArray, names: tuple[str, ...], scatter: float
+) -> tuple[FamilySize, ...]:
+    """Sizes in metres, of that part of the functions which the model does not take up."""
+    sigma = np.concatenate([model.sigma for model in joint.assembly.models])
+    unit = scatter * float(np.sqrt(np.mean(sigma**2)))
+    out = []
+    for k, name in enumerate(names):
+        factor = unit * float(np.sqrt(seen[place == k].sum() / len(sigma)))
+        low, middle, high = (factor * found.quantile(k, q) for q in (0.025, 0.5, 0.975))
+        out.append(FamilySize(name, middle, low, high, found.probability(k)))
+    return tuple(out)
