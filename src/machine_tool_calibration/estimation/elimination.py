@@ -10,11 +10,12 @@ The arrays have the points last, so that one NumPy call works on all points of a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.estimation.null_vector import null_vector
 
 __all__ = [
     "Rows",
@@ -48,6 +49,12 @@ class Rows:
     block: Array
     dense: Array
 
+    def pick(self, points: IntArray) -> Rows:
+        """Some of the points."""
+        return Rows(
+            self.residual[:, points], self.local[:, :, points], self.block[:, :, points], self.dense[:, :, points]
+        )
+
 
 def cholesky(matrix: Array) -> tuple[Array, Array]:
     """Cholesky factors of many small symmetric matrices.
@@ -56,26 +63,31 @@ def cholesky(matrix: Array) -> tuple[Array, Array]:
         matrix: (d, d, n), n positive semidefinite matrices.
 
     Returns:
-        (d, d, n) lower factors in which the column of a pivot that vanishes is left out (its diagonal
-        is infinite), and (d, n) whether each unknown is determined.
+        (d, d, n) lower factors with the reciprocals of their diagonal, in which the column of a pivot that vanishes is
+        left out (the reciprocal is 0), and (d, n) whether each unknown is determined.
     """
     d, _, n = matrix.shape
     factor = np.zeros_like(matrix)
-    determined = np.ones((d, n), dtype=bool)
+    determined = np.empty((d, n), dtype=bool)
     limit = _PIVOT * np.maximum(np.trace(matrix), np.finfo(float).tiny)
+    scratch = np.empty(n)
     for j in range(d):
         pivot = matrix[j, j].copy()
         for k in range(j):
-            pivot -= factor[j, k] ** 2
-        good = pivot > limit
-        determined[j] = good
-        root = np.sqrt(np.where(good, pivot, 1.0))
-        factor[j, j] = np.where(good, root, np.inf)
+            pivot -= np.multiply(factor[j, k], factor[j, k], out=scratch)
+        good = np.greater(pivot, limit, out=determined[j])
+        sound = bool(good.all())
+        if not sound:
+            pivot[~good] = 1.0
+        reciprocal = np.divide(1.0, np.sqrt(pivot, out=pivot), out=factor[j, j])
+        if not sound:
+            reciprocal[~good] = 0.0
         for i in range(j + 1, d):
-            entry = matrix[i, j].copy()
+            entry = factor[i, j]
+            entry[...] = matrix[i, j]
             for k in range(j):
-                entry -= factor[i, k] * factor[j, k]
-            factor[i, j] = np.where(good, entry / root, 0.0)
+                entry -= np.multiply(factor[i, k], factor[j, k], out=scratch)
+            entry *= reciprocal
     return factor, determined
 
 
@@ -84,7 +96,7 @@ def forward(factor: Array, columns: Array) -> Array:
     for i in range(factor.shape[0]):
         for k in range(i):
             columns[:, i] -= factor[i, k] * columns[:, k]
-        columns[:, i] /= factor[i, i]
+        columns[:, i] *= factor[i, i]
     return columns
 
 
@@ -94,7 +106,7 @@ def backward(factor: Array, columns: Array) -> Array:
     for i in reversed(range(d)):
         for k in range(i + 1, d):
             columns[:, i] -= factor[k, i] * columns[:, k]
-        columns[:, i] /= factor[i, i]
+        columns[:, i] *= factor[i, i]
     return columns
 
 
@@ -104,11 +116,11 @@ def inverse(matrix: Array) -> Array:
     factor, _ = cholesky(matrix)
     root = np.zeros((d, d, n))
     for j in range(d):
-        root[j, j] = 1.0 / factor[j, j]
+        root[j, j] = factor[j, j]
         for i in range(j + 1, d):
             for k in range(j, i):
                 root[i, j] -= factor[i, k] * root[k, j]
-            root[i, j] /= factor[i, i]
+            root[i, j] *= factor[i, i]
     out = np.empty((d, d, n))
     for a in range(d):
         for b in range(a + 1):
@@ -168,6 +180,39 @@ def reduced_gram(rows: Rows, place: IntArray) -> Array:
     Returns:
         (B p + K + 1) square, symmetric.
     """
+    d, slots, n = rows.local.shape
+    if d == 0 or slots != d + 1:
+        return _gram_by_factors(rows, place)
+    vector, sound = null_vector(rows.local, _PIVOT)
+    columns = _combined(rows, place, vector)
+    gram = columns @ columns.T
+    others = np.flatnonzero(~sound)
+    if len(others):
+        gram += _gram_by_factors(rows.pick(others), place)
+    return np.asarray(gram)
+
+
+def _combined(rows: Rows, place: IntArray, vector: Array) -> Array:
+    """(B p + K + 1, n) the readings' columns, combined by one vector (S, n) for each point."""
+    p, slots, n = rows.block.shape
+    dense, first = len(rows.dense), p * (int(place.max()) + 1)
+    out = np.empty((first + dense + 1, n))
+    empty = set(place.tolist())
+    for s in range(slots):
+        target = out[place[s] * p : (place[s] + 1) * p]
+        if place[s] in empty:
+            np.multiply(rows.block[:, s], vector[s], out=target)
+            empty.remove(int(place[s]))
+        else:
+            target += rows.block[:, s] * vector[s]
+    for k in range(dense):
+        np.einsum("sn,sn->n", rows.dense[k], vector, out=out[first + k])
+    np.einsum("sn,sn->n", rows.residual, vector, out=out[-1])
+    return out
+
+
+def _gram_by_factors(rows: Rows, place: IntArray) -> Array:
+    """The same for any number of slots: the Gram matrix less that of what the points' own unknowns take."""
     p, slots, n = rows.block.shape
     dense, first = len(rows.dense), p * (int(place.max()) + 1)
     size = first + dense + 1
@@ -183,8 +228,10 @@ def reduced_gram(rows: Rows, place: IntArray) -> Array:
         gram[own, tail] += block @ shared[:, s].T
         gram[tail, own] = gram[own, tail].T
     if rows.local.shape[0]:
+        # The points' few columns are made orthonormal rather than the many that are projected off them.
         factor, _ = cholesky(local_normal(rows))
-        seen = forward(factor, local_columns(rows, place)).reshape(size, -1)
+        unit = forward(factor, rows.local.transpose(1, 0, 2).copy()).transpose(1, 0, 2)
+        seen = local_columns(replace(rows, local=unit), place).reshape(size, -1)
         gram -= seen @ seen.T
     return gram
 
