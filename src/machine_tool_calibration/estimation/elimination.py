@@ -31,6 +31,9 @@ __all__ = [
 
 # A pivot this small beside the others means that the readings do not fix this unknown of the point.
 _PIVOT = 1e-10
+# Numbers of an intermediate result that stay in the cache, and points fewer than which NumPy's overhead grows large.
+_SCRATCH = 1 << 18
+_LEAST_POINTS = 1024
 
 
 @dataclass(frozen=True)
@@ -49,7 +52,7 @@ class Rows:
     block: Array
     dense: Array
 
-    def pick(self, points: IntArray) -> Rows:
+    def pick(self, points: slice | IntArray) -> Rows:
         """Some of the points."""
         return Rows(
             self.residual[:, points], self.local[:, :, points], self.block[:, :, points], self.dense[:, :, points]
@@ -181,7 +184,14 @@ def reduced_gram(rows: Rows, place: IntArray) -> Array:
         (B p + K + 1) square, symmetric.
     """
     d, slots, n = rows.local.shape
-    if d == 0 or slots != d + 1:
+    by_vector = slots == d + 1
+    size = len(rows.block) * (int(place.max()) + 1) + len(rows.dense) + 1
+    most = max(_LEAST_POINTS, _SCRATCH // (size * (1 if by_vector else max(d, 1))))
+    if n > most:
+        return sum(
+            (reduced_gram(rows.pick(slice(a, a + most)), place) for a in range(0, n, most)), np.zeros((size, size))
+        )
+    if d == 0 or not by_vector:
         return _gram_by_factors(rows, place)
     vector, sound = null_vector(rows.local, _PIVOT)
     columns = _combined(rows, place, vector)
