@@ -79,9 +79,14 @@ def _check_doubled(session: Session, place: Place) -> None:
     # Where the clock does not tell readings apart, equal ones may be different ones.
     if time is None or len(np.unique(time)) < _TOLD_BY_TIME * len(readings):
         return
+    # Only readings at the same time can be the same; what is missing in both is equal in both.
+    at_once = pd.Series(np.where(np.isnan(time), 0.0, time)).duplicated(keep=False).to_numpy()
+    if not at_once.any():
+        return
+    readings = readings.select(at_once)
     table = pd.DataFrame({"setup": readings.setup, "repeat": readings.repeat, "displacement": readings.displacement})
     table = pd.concat([table, pd.DataFrame({**readings.columns, **readings.labels}).add_prefix("column ")], axis=1)
-    table = table.fillna(0.0)  # what is missing in both is equal in both
+    table = table.fillna(0.0)
     again = np.flatnonzero(table.duplicated().to_numpy() & np.isfinite(readings.displacement))
     if not len(again):
         return
