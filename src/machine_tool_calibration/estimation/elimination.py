@@ -157,16 +157,14 @@ def local_columns(rows: Rows, place: IntArray) -> Array:
     d, slots, n = rows.local.shape
     p, dense, blocks = len(rows.block), len(rows.dense), int(place.max()) + 1
     out = np.empty((blocks * p + dense + 1, d, n))
-    scratch = np.empty((d, n))
-    empty = [True] * blocks
+    empty = set(range(blocks))
     for s in range(slots):
-        for q in range(p):
-            target = out[place[s] * p + q]
-            if empty[place[s]]:
-                np.multiply(rows.local[:, s], rows.block[q, s], out=target)
-            else:
-                target += np.multiply(rows.local[:, s], rows.block[q, s], out=scratch)
-        empty[place[s]] = False
+        block, target = rows.block[:, s, None], out[place[s] * p : (place[s] + 1) * p]
+        if place[s] in empty:
+            np.multiply(block, rows.local[:, s], out=target)
+            empty.remove(int(place[s]))
+        else:
+            target += block * rows.local[:, s]
     for k in range(dense):
         np.einsum("dsn,sn->dn", rows.local, rows.dense[k], out=out[blocks * p + k])
     np.einsum("dsn,sn->dn", rows.local, rows.residual, out=out[-1])
@@ -209,12 +207,12 @@ def _combined(rows: Rows, place: IntArray, vector: Array) -> Array:
     out = np.empty((first + dense + 1, n))
     empty = set(place.tolist())
     for s in range(slots):
-        target = out[place[s] * p : (place[s] + 1) * p]
+        block, target = rows.block[:, s], out[place[s] * p : (place[s] + 1) * p]
         if place[s] in empty:
-            np.multiply(rows.block[:, s], vector[s], out=target)
+            np.multiply(block, vector[s], out=target)
             empty.remove(int(place[s]))
         else:
-            target += rows.block[:, s] * vector[s]
+            target += block * vector[s]
     for k in range(dense):
         np.einsum("sn,sn->n", rows.dense[k], vector, out=out[first + k])
     np.einsum("sn,sn->n", rows.residual, vector, out=out[-1])

@@ -187,7 +187,9 @@ def build(session: Session, model: str = "free") -> TrackingModel:
     everywhere = session.readings.position()[:, :d]
     first, point = distinct_places(everywhere)
     targets = everywhere[first]
-    readings, point = session.readings.select(read), point[read]
+    readings = session.readings
+    if not read.all():
+        readings, point = readings.select(read), point[read]
     position = readings.position()
     stations = np.array([setup.position for setup in description.setups])
     if d == 2:

@@ -76,14 +76,15 @@ def _check_doubled(session: Session, place: Place) -> None:
     """The same reading twice, to the last column: a line that was copied, not a reading that was repeated."""
     readings = session.readings
     time = readings.columns.get("time")
-    # Where the clock does not tell readings apart, equal ones may be different ones.
-    if time is None or len(np.unique(time)) < _TOLD_BY_TIME * len(readings):
+    if time is None:
         return
     # Only readings at the same time can be the same; what is missing in both is equal in both.
-    at_once = pd.Series(np.where(np.isnan(time), 0.0, time)).duplicated(keep=False).to_numpy()
-    if not at_once.any():
+    times = pd.Series(np.where(np.isnan(time), 0.0, time))
+    again = times.duplicated().to_numpy()
+    # Where the clock does not tell readings apart, equal ones may be different ones.
+    if not again.any() or np.count_nonzero(~again) < _TOLD_BY_TIME * len(readings):
         return
-    readings = readings.select(at_once)
+    readings = readings.select(times.duplicated(keep=False).to_numpy())
     table = pd.DataFrame({"setup": readings.setup, "repeat": readings.repeat, "displacement": readings.displacement})
     table = pd.concat([table, pd.DataFrame({**readings.columns, **readings.labels}).add_prefix("column ")], axis=1)
     table = table.fillna(0.0)

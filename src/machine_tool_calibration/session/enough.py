@@ -91,7 +91,7 @@ def _tracking(session: Session, dimension: int, measured: BoolArray, place: Plac
         what = "there are fewer than three targets" if len(points) < 3 else "all targets lie on a line"
         raise SessionError(f"{place.readings}: {what}; {_method(session)} needs targets spread over a plane")
     stations = session.readings.setup[measured]
-    pairs = np.unique(index * len(session.setup_ids) + stations)
+    pairs = np.flatnonzero(np.bincount(index * len(session.setup_ids) + stations))
     redundant = np.clip(np.bincount(pairs // len(session.setup_ids)) - dimension, 0, None).sum()
     count = len(np.unique(stations))
     unknown = (dimension + 1) * count - (3 if dimension == 2 else 6)
