@@ -31,6 +31,8 @@ __all__ = [
 
 # A pivot this small beside the others means that the readings do not fix this unknown of the point.
 _PIVOT = 1e-10
+# Dividing by a small pivot enlarges the rounding of those after it by the trace over the pivot.
+_ROUNDING = 16 * np.finfo(float).eps
 # Numbers of an intermediate result that stay in the cache, and points fewer than which NumPy's overhead grows large.
 _SCRATCH = 1 << 18
 _LEAST_POINTS = 1024
@@ -72,7 +74,9 @@ def cholesky(matrix: Array) -> tuple[Array, Array]:
     d, _, n = matrix.shape
     factor = np.zeros_like(matrix)
     determined = np.empty((d, n), dtype=bool)
-    limit = _PIVOT * np.maximum(np.trace(matrix), np.finfo(float).tiny)
+    trace = np.maximum(np.trace(matrix), np.finfo(float).tiny)
+    limit = _PIVOT * trace
+    weak = _ROUNDING / _PIVOT * trace
     scratch = np.empty(n)
     for j in range(d):
         pivot = matrix[j, j].copy()
@@ -80,6 +84,9 @@ def cholesky(matrix: Array) -> tuple[Array, Array]:
             pivot -= np.multiply(factor[j, k], factor[j, k], out=scratch)
         good = np.greater(pivot, limit, out=determined[j])
         sound = bool(good.all())
+        small = np.flatnonzero(good & (pivot < weak))
+        if len(small):
+            limit[small] = np.maximum(limit[small], _ROUNDING * trace[small] ** 2 / pivot[small])
         if not sound:
             pivot[~good] = 1.0
         reciprocal = np.divide(1.0, np.sqrt(pivot, out=pivot), out=factor[j, j])
