@@ -28,10 +28,10 @@ def null_vector(local: Array, least: float) -> tuple[Array, BoolArray]:
         (d + 1, n) the vectors, 0 for points that are not sound, and (n,) which are sound.
     """
     d, slots, n = local.shape
-    minors = {(s,): local[0, s] for s in range(slots)}
+    minors: dict[tuple[int, ...], Array] = {(s,): local[0, s] for s in range(slots)}
     scratch = np.empty(n)
     for a in range(1, d):
-        larger = {}
+        larger: dict[tuple[int, ...], Array] = {}
         for chosen in combinations(range(slots), a + 1):
             # Along the last row; its common sign changes no vector.
             value = larger[chosen] = local[a, chosen[0]] * minors[chosen[1:]]

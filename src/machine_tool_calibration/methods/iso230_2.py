@@ -134,7 +134,7 @@ def _statistics(index: IntArray, deviation: Array, mine: BoolArray, m: int) -> t
     bins = (m * np.arange(draws)[:, None] + index).reshape(-1)
 
     def total(values: Array) -> Array:
-        return np.bincount(bins, values.reshape(-1), minlength=draws * m).reshape(*own.shape[:-1], m)
+        return np.asarray(np.bincount(bins, values.reshape(-1), minlength=draws * m), float).reshape(*own.shape[:-1], m)
 
     count = np.bincount(index, minlength=m)
     with np.errstate(invalid="ignore", divide="ignore"):

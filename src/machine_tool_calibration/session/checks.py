@@ -80,9 +80,9 @@ def _check_doubled(session: Session, place: Place) -> None:
         return
     # Only readings at the same time can be the same; what is missing in both is equal in both.
     times = pd.Series(np.where(np.isnan(time), 0.0, time))
-    again = times.duplicated().to_numpy()
+    repeated = times.duplicated().to_numpy()
     # Where the clock does not tell readings apart, equal ones may be different ones.
-    if not again.any() or np.count_nonzero(~again) < _TOLD_BY_TIME * len(readings):
+    if not repeated.any() or np.count_nonzero(~repeated) < _TOLD_BY_TIME * len(readings):
         return
     readings = readings.select(times.duplicated(keep=False).to_numpy())
     table = pd.DataFrame({"setup": readings.setup, "repeat": readings.repeat, "displacement": readings.displacement})
