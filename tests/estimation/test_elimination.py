@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from machine_tool_calibration.estimation.elimination import cholesky, inverse
+from machine_tool_calibration.estimation.elimination import Rows, cholesky, inverse, reduced_gram
 from machine_tool_calibration.estimation.problem import PriorRows, Problem
 from machine_tool_calibration.estimation.solve import solve
 
@@ -147,6 +147,43 @@ def test_inverse_of_small_matrices(d):
     matrix = np.einsum("abn,cbn->acn", root, root)
     product = np.einsum("abn,bcn->acn", matrix, inverse(matrix))
     assert np.abs(product - np.eye(d)[:, :, None]).max() < 1e-9
+
+
+@pytest.mark.parametrize("lift", [3e-5, 1e-4, 1e-3])
+def test_two_readings_fix_no_point_in_space_however_they_lie(lift):
+    """Seen along the last axis the two directions lie almost on one line: rounding must not pass for a third one."""
+    rng = np.random.default_rng(4)
+    along, across, height = rng.normal(size=(3, 1000))
+    one = np.array([along, across, height])
+    other = np.array([along, across * (1.0 + lift), -height])
+    directions = np.stack([one, other]) / np.linalg.norm([one, other], axis=1)[:, None]
+    matrix = np.einsum("san,sbn->abn", directions, directions)
+    _, determined = cholesky(matrix)
+    assert not determined.all(axis=0).any()
+
+
+@pytest.mark.parametrize("d", [1, 2, 3])
+@pytest.mark.parametrize("blocks", [[0, 1, 2, 3], [0, 0, 1, 1]])
+def test_one_reading_more_than_unknowns(d, blocks):
+    """The Gram matrix by null vectors is that of the columns with the local ones projected off, by dense algebra."""
+    rng = np.random.default_rng(d)
+    slots, n, place = d + 1, 40, np.array(blocks)[: d + 1]
+    local, block, dense, residual = (rng.normal(size=(k, slots, n)) for k in (d, 2, 1, 1))
+    # A reading that is missing, two that are missing, and directions that lie on one line.
+    for values in (local, block, dense, residual):
+        values[:, 0, 0] = values[:, :2, 1] = 0.0
+    local[:, :, 2] = local[:, :1, 2]
+    gram = reduced_gram(Rows(residual[0], local, block, dense), place)
+    expected = np.zeros_like(gram)
+    for k in range(n):
+        columns = np.zeros((slots, len(gram)))
+        for s in range(slots):
+            columns[s, 2 * place[s] : 2 * place[s] + 2] = block[:, s, k]
+        columns[:, -2], columns[:, -1] = dense[0, :, k], residual[0, :, k]
+        g = local[:, :, k].T
+        left = columns - g @ np.linalg.pinv(g, rcond=1e-9) @ columns
+        expected += left.T @ left
+    assert np.allclose(gram, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
 
 
 def test_a_direction_that_no_reading_senses_has_no_pivot():

@@ -89,7 +89,7 @@ def _if_right(document: dict[str, Any]) -> str:
 
 
 def _array(value: Any) -> np.ndarray:
-    return np.array([[np.nan if v is None else v for v in row] for row in value]) if value else np.zeros((0, 3))
+    return np.array(value, dtype=float) if value else np.zeros((0, 3))
 
 
 def _rms(vectors: np.ndarray) -> float:

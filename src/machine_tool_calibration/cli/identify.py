@@ -60,10 +60,14 @@ def command(
     mtcal identify session --from-history
     mtcal identify tracking grid_plate --json
     """
-    from machine_tool_calibration.effects.formula import read_effects
     from machine_tool_calibration.session.open import open_measurement
 
-    own = read_effects(effects_file) if effects_file else []
+    own: list[Effect] = []
+    if effects_file:
+        # The library of units that it loads takes as long as a small fit.
+        from machine_tool_calibration.effects.formula import read_effects
+
+        own = read_effects(effects_file)
     opened = [open_measurement(path) for path in sessions]
     if from_history:
         if len(opened) > 1 or effects or model or formulation:

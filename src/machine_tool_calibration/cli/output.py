@@ -69,7 +69,27 @@ def plain(value: Any) -> Any:
 
 def to_json(document: Any) -> str:
     """The document as JSON text that any parser accepts."""
-    return json.dumps(plain(document), allow_nan=False, ensure_ascii=False, indent=1)
+    return _text(document, "")
+
+
+def _text(value: Any, margin: str) -> str:
+    """Objects and lists of objects over several lines; numbers, of which a map has many, one after the other."""
+    inner = margin + " "
+    if isinstance(value, Mapping) and value:
+        entries = [f"{inner}{_compact(str(key))}: {_text(entry, inner)}" for key, entry in value.items()]
+        return "{\n" + ",\n".join(entries) + f"\n{margin}}}"
+    if isinstance(value, list | tuple) and value and isinstance(value[0], Mapping):
+        return "[\n" + ",\n".join(inner + _text(entry, inner) for entry in value) + f"\n{margin}]"
+    if value is None or isinstance(value, bool | int | float | str | list | tuple | Mapping):
+        return _compact(value)
+    return _text(plain(value), margin)
+
+
+def _compact(value: Any) -> str:
+    try:
+        return json.dumps(value, allow_nan=False, ensure_ascii=False)
+    except (TypeError, ValueError):
+        return json.dumps(plain(value), allow_nan=False, ensure_ascii=False)
 
 
 def write_json(document: Any) -> None:

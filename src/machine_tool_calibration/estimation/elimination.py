@@ -10,11 +10,12 @@ The arrays have the points last, so that one NumPy call works on all points of a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.estimation.null_vector import null_vector
 
 __all__ = [
     "Rows",
@@ -30,6 +31,11 @@ __all__ = [
 
 # A pivot this small beside the others means that the readings do not fix this unknown of the point.
 _PIVOT = 1e-10
+# Dividing by a small pivot enlarges the rounding of those after it by the trace over the pivot.
+_ROUNDING = 16 * np.finfo(float).eps
+# Numbers of an intermediate result that stay in the cache, and points fewer than which NumPy's overhead grows large.
+_SCRATCH = 1 << 18
+_LEAST_POINTS = 1024
 
 
 @dataclass(frozen=True)
@@ -48,6 +54,12 @@ class Rows:
     block: Array
     dense: Array
 
+    def pick(self, points: slice | IntArray) -> Rows:
+        """Some of the points."""
+        return Rows(
+            self.residual[:, points], self.local[:, :, points], self.block[:, :, points], self.dense[:, :, points]
+        )
+
 
 def cholesky(matrix: Array) -> tuple[Array, Array]:
     """Cholesky factors of many small symmetric matrices.
@@ -56,26 +68,36 @@ def cholesky(matrix: Array) -> tuple[Array, Array]:
         matrix: (d, d, n), n positive semidefinite matrices.
 
     Returns:
-        (d, d, n) lower factors in which the column of a pivot that vanishes is left out (its diagonal
-        is infinite), and (d, n) whether each unknown is determined.
+        (d, d, n) lower factors with the reciprocals of their diagonal, in which the column of a pivot that vanishes is
+        left out (the reciprocal is 0), and (d, n) whether each unknown is determined.
     """
     d, _, n = matrix.shape
     factor = np.zeros_like(matrix)
-    determined = np.ones((d, n), dtype=bool)
-    limit = _PIVOT * np.maximum(np.trace(matrix), np.finfo(float).tiny)
+    determined = np.empty((d, n), dtype=bool)
+    trace = np.maximum(np.trace(matrix), np.finfo(float).tiny)
+    limit = _PIVOT * trace
+    weak = _ROUNDING / _PIVOT * trace
+    scratch = np.empty(n)
     for j in range(d):
         pivot = matrix[j, j].copy()
         for k in range(j):
-            pivot -= factor[j, k] ** 2
-        good = pivot > limit
-        determined[j] = good
-        root = np.sqrt(np.where(good, pivot, 1.0))
-        factor[j, j] = np.where(good, root, np.inf)
+            pivot -= np.multiply(factor[j, k], factor[j, k], out=scratch)
+        good = np.greater(pivot, limit, out=determined[j])
+        sound = bool(good.all())
+        small = np.flatnonzero(good & (pivot < weak))
+        if len(small):
+            limit[small] = np.maximum(limit[small], _ROUNDING * trace[small] ** 2 / pivot[small])
+        if not sound:
+            pivot[~good] = 1.0
+        reciprocal = np.divide(1.0, np.sqrt(pivot, out=pivot), out=factor[j, j])
+        if not sound:
+            reciprocal[~good] = 0.0
         for i in range(j + 1, d):
-            entry = matrix[i, j].copy()
+            entry = factor[i, j]
+            entry[...] = matrix[i, j]
             for k in range(j):
-                entry -= factor[i, k] * factor[j, k]
-            factor[i, j] = np.where(good, entry / root, 0.0)
+                entry -= np.multiply(factor[i, k], factor[j, k], out=scratch)
+            entry *= reciprocal
     return factor, determined
 
 
@@ -84,7 +106,7 @@ def forward(factor: Array, columns: Array) -> Array:
     for i in range(factor.shape[0]):
         for k in range(i):
             columns[:, i] -= factor[i, k] * columns[:, k]
-        columns[:, i] /= factor[i, i]
+        columns[:, i] *= factor[i, i]
     return columns
 
 
@@ -94,7 +116,7 @@ def backward(factor: Array, columns: Array) -> Array:
     for i in reversed(range(d)):
         for k in range(i + 1, d):
             columns[:, i] -= factor[k, i] * columns[:, k]
-        columns[:, i] /= factor[i, i]
+        columns[:, i] *= factor[i, i]
     return columns
 
 
@@ -104,11 +126,11 @@ def inverse(matrix: Array) -> Array:
     factor, _ = cholesky(matrix)
     root = np.zeros((d, d, n))
     for j in range(d):
-        root[j, j] = 1.0 / factor[j, j]
+        root[j, j] = factor[j, j]
         for i in range(j + 1, d):
             for k in range(j, i):
                 root[i, j] -= factor[i, k] * root[k, j]
-            root[i, j] /= factor[i, i]
+            root[i, j] *= factor[i, i]
     out = np.empty((d, d, n))
     for a in range(d):
         for b in range(a + 1):
@@ -142,16 +164,14 @@ def local_columns(rows: Rows, place: IntArray) -> Array:
     d, slots, n = rows.local.shape
     p, dense, blocks = len(rows.block), len(rows.dense), int(place.max()) + 1
     out = np.empty((blocks * p + dense + 1, d, n))
-    scratch = np.empty((d, n))
-    empty = [True] * blocks
+    empty = set(range(blocks))
     for s in range(slots):
-        for q in range(p):
-            target = out[place[s] * p + q]
-            if empty[place[s]]:
-                np.multiply(rows.local[:, s], rows.block[q, s], out=target)
-            else:
-                target += np.multiply(rows.local[:, s], rows.block[q, s], out=scratch)
-        empty[place[s]] = False
+        block, target = rows.block[:, s, None], out[place[s] * p : (place[s] + 1) * p]
+        if place[s] in empty:
+            np.multiply(block, rows.local[:, s], out=target)
+            empty.remove(int(place[s]))
+        else:
+            target += block * rows.local[:, s]
     for k in range(dense):
         np.einsum("dsn,sn->dn", rows.local, rows.dense[k], out=out[blocks * p + k])
     np.einsum("dsn,sn->dn", rows.local, rows.residual, out=out[-1])
@@ -168,6 +188,46 @@ def reduced_gram(rows: Rows, place: IntArray) -> Array:
     Returns:
         (B p + K + 1) square, symmetric.
     """
+    d, slots, n = rows.local.shape
+    by_vector = slots == d + 1
+    size = len(rows.block) * (int(place.max()) + 1) + len(rows.dense) + 1
+    most = max(_LEAST_POINTS, _SCRATCH // (size * (1 if by_vector else max(d, 1))))
+    if n > most:
+        return sum(
+            (reduced_gram(rows.pick(slice(a, a + most)), place) for a in range(0, n, most)), np.zeros((size, size))
+        )
+    if d == 0 or not by_vector:
+        return _gram_by_factors(rows, place)
+    vector, sound = null_vector(rows.local, _PIVOT)
+    columns = _combined(rows, place, vector)
+    gram = columns @ columns.T
+    others = np.flatnonzero(~sound)
+    if len(others):
+        gram += _gram_by_factors(rows.pick(others), place)
+    return np.asarray(gram)
+
+
+def _combined(rows: Rows, place: IntArray, vector: Array) -> Array:
+    """(B p + K + 1, n) the readings' columns, combined by one vector (S, n) for each point."""
+    p, slots, n = rows.block.shape
+    dense, first = len(rows.dense), p * (int(place.max()) + 1)
+    out = np.empty((first + dense + 1, n))
+    empty = set(place.tolist())
+    for s in range(slots):
+        block, target = rows.block[:, s], out[place[s] * p : (place[s] + 1) * p]
+        if place[s] in empty:
+            np.multiply(block, vector[s], out=target)
+            empty.remove(int(place[s]))
+        else:
+            target += block * vector[s]
+    for k in range(dense):
+        np.einsum("sn,sn->n", rows.dense[k], vector, out=out[first + k])
+    np.einsum("sn,sn->n", rows.residual, vector, out=out[-1])
+    return out
+
+
+def _gram_by_factors(rows: Rows, place: IntArray) -> Array:
+    """The same for any number of slots: the Gram matrix less that of what the points' own unknowns take."""
     p, slots, n = rows.block.shape
     dense, first = len(rows.dense), p * (int(place.max()) + 1)
     size = first + dense + 1
@@ -183,8 +243,10 @@ def reduced_gram(rows: Rows, place: IntArray) -> Array:
         gram[own, tail] += block @ shared[:, s].T
         gram[tail, own] = gram[own, tail].T
     if rows.local.shape[0]:
+        # The points' few columns are made orthonormal rather than the many that are projected off them.
         factor, _ = cholesky(local_normal(rows))
-        seen = forward(factor, local_columns(rows, place)).reshape(size, -1)
+        unit = forward(factor, rows.local.transpose(1, 0, 2).copy()).transpose(1, 0, 2)
+        seen = local_columns(replace(rows, local=unit), place).reshape(size, -1)
         gram -= seen @ seen.T
     return gram
 

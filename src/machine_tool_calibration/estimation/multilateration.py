@@ -82,15 +82,19 @@ class MultilaterationPart(Part):
         station = self._station[:, layout.block] + unknown[:, :d].T
         where = self._target[:, points] + local[:, points]
         line = where[:, None] - station[:, :, None]
-        residual = unknown[:, d, None] * weight
-        residual += self._path[group][:, chunk]
+        path = self._path[group][:, chunk]
         if self._beam is None:
-            length = np.sqrt(np.einsum("dsn,dsn->sn", line, line))
-            residual -= length * weight
+            length = np.einsum("dsn,dsn->sn", line, line)
+            np.sqrt(length, out=length)
             columns = line
             columns *= weight / length
+            residual = np.subtract(unknown[:, d, None], length, out=length)
+            residual *= weight
+            residual += path
         else:
             columns = self._beam[group][:, :, chunk]
+            residual = unknown[:, d, None] * weight
+            residual += path
             residual -= np.einsum("dsn,dsn->sn", line, columns)
         dense = self._dense[group][:, :, chunk]
         if len(self.dense_index):

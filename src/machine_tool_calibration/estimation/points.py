@@ -133,13 +133,16 @@ class _Work:
             self.determined[points] &= self.fixed(seen, index, normal_inverse)
         out = np.zeros((self.m + 2 * self.t + 1, self.t))
         if self.t:
-            c = self.motion(points) * self.determined[points]
-            flat = _product(normal_inverse, c).transpose(1, 0, 2).reshape(self.t, -1)
-            own = c.transpose(1, 0, 2).reshape(self.t, -1)
-            # Two blocks may share an unknown.
-            np.add.at(out, index, seen.reshape(len(index), -1) @ flat.T)
-            out[self.m : -1] = np.concatenate([own @ own.T, own @ flat.T])
-            out[-1] = own @ self.local[:, points].reshape(-1)
+            c = self.motion(points)
+            if not self.determined[points].all():
+                c = c * self.determined[points]
+            answer = _product(normal_inverse, c)
+            for a in range(self.d):
+                # Two blocks may share an unknown.
+                np.add.at(out, index, seen[:, a] @ answer[a].T)
+                out[self.m : self.m + self.t] += c[a] @ c[a].T
+                out[self.m + self.t : -1] += c[a] @ answer[a].T
+                out[-1] += c[a] @ self.local[a, points]
         return out
 
     def fixed(self, seen: Array, index: IntArray, normal_inverse: Array) -> BoolArray:
@@ -166,9 +169,18 @@ class _Work:
         if self.t:
             # The point's own noise moves the datum, too.
             share = _gram(np.tensordot(self.datum_half, self.motion(points), axes=(0, 1)))
-            left -= 2.0 * self.determined[points] * share
+            share *= 2.0
+            if not self.determined[points].all():
+                share *= self.determined[points]
+            left -= share
         half = _product(left, own)
-        cov = own + 0.5 * (half + half.transpose(1, 0, 2))
+        half *= 0.5
+        cov = np.empty_like(half)
+        for a in range(d):
+            for b in range(a + 1):
+                np.add(half[a, b], half[b, a], out=cov[a, b])
+                cov[a, b] += own[a, b]
+                cov[b, a] = cov[a, b]
         self.covariance[:, :, points] = cov
         return cov[0, 0, :0]
 

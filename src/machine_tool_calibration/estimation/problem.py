@@ -19,8 +19,12 @@ from machine_tool_calibration.estimation.layout import Group
 
 __all__ = ["CHUNK", "FunctionPart", "LinearPart", "Part", "PriorRows", "Problem"]
 
-# Points of one chunk: few enough to stay in the cache, enough to make NumPy's overhead small.
-CHUNK = 4096
+# Points of one chunk with few columns, as of a tracking interferometer at four stations: few enough to stay in the
+# cache, enough to make NumPy's overhead small.
+CHUNK = 8192
+# Numbers in the columns of such a chunk; where there are more columns, fewer points.
+_NUMBERS = 32 * CHUNK
+_FEWEST = 1024
 
 
 class Part(ABC):
@@ -55,11 +59,13 @@ class Part(ABC):
             local: (d, n_points) the points' own unknowns.
         """
 
-    def chunks(self, size: int = CHUNK) -> list[tuple[int, slice]]:
-        """All points in chunks of at most `size` that stay in the cache."""
+    def chunks(self) -> list[tuple[int, slice]]:
+        """All points in chunks that stay in the cache."""
+        columns = self.dimension + self.block_index.shape[1] + len(self.dense_index) + 1
         out = []
         for index, group in enumerate(self.groups):
-            n = group.rows.shape[1]
+            slots, n = group.rows.shape
+            size = min(max(_NUMBERS // (columns * slots), _FEWEST), CHUNK)
             out += [(index, slice(a, min(a + size, n))) for a in range(0, n, size)]
         return out
 

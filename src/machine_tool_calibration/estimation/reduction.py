@@ -13,7 +13,7 @@ import threadpoolctl
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.estimation.elimination import raw_squares, reduced_gram
-from machine_tool_calibration.estimation.problem import CHUNK, Part, Problem
+from machine_tool_calibration.estimation.problem import Part, Problem
 
 __all__ = ["gram", "over_chunks", "single_blas"]
 
@@ -43,9 +43,9 @@ def single_blas() -> Iterator[None]:
         yield
 
 
-def over_chunks(part: Part, work: Callable[[int, slice], Array], size: int = CHUNK) -> list[Array]:
+def over_chunks(part: Part, work: Callable[[int, slice], Array]) -> list[Array]:
     """Results of every chunk, in order, by two threads with single-threaded BLAS."""
-    chunks = part.chunks(size)
+    chunks = part.chunks()
     if len(chunks) <= 2:
         return [work(*chunk) for chunk in chunks]
     with single_blas():

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.machine.error_motions import squareness_field
@@ -125,7 +125,7 @@ def _without_gross(columns: Array, reading: Array) -> BoolArray:
     for _ in range(10):
         weights = np.linalg.lstsq(columns[:, good].T, reading[good], rcond=_ROUNDING)[0]
         size = np.abs(reading - weights @ columns)
-        bulk = float(np.median(size[good])) / stats.norm.ppf(0.75)
+        bulk = float(np.median(size[good])) / special.ndtri(0.75)
         # The worst first: it may have pulled the others.
         order = np.argsort(-size)
         limit = max(_GROSS * bulk, 0.3 * float(size[order[0]]))
@@ -161,7 +161,7 @@ def _fitted(
         more = before[0] - squares
         extra = rank - before[1]
         ratio = more / extra / variance if extra > 0 and variance > 0 else 0.0
-        out |= {"f": ratio, "p_value": float(stats.f.sf(ratio, extra, freedom)) if extra > 0 else 1.0}
+        out |= {"f": ratio, "p_value": float(special.fdtrc(extra, freedom, ratio)) if extra > 0 else 1.0}
     place = sum(len(step.columns) for step in used[:-1])
     covariance = (vectors[keep] / values[keep][:, None]).T @ (vectors[keep] / values[keep][:, None]) * variance
     names = list(used[-1].names)
@@ -184,7 +184,7 @@ def _fitted(
                 "value": value if told else None,
                 "standard_uncertainty": u if told else None,
                 "unit": unit,
-                "p_value": float(2 * stats.t.sf(abs(value) / u, freedom)) if told and u > 0 and freedom else None,
+                "p_value": float(2 * special.stdtr(freedom, -abs(value) / u)) if told and u > 0 and freedom else None,
             }
         )
     return out, (squares, rank)

@@ -84,10 +84,6 @@ def positioning(position: Array, direction: Array, deviation: Array) -> Position
     m = len(target)
     up_mean, up_s, up_n = _statistics(index.reshape(-1), deviation, direction > 0, m)
     down_mean, down_s, down_n = _statistics(index.reshape(-1), deviation, direction < 0, m)
-    reversal = up_mean - down_mean
-    mean = (up_mean + down_mean) / 2
-    repeatability = np.max(np.stack([2 * up_s + 2 * down_s + np.abs(reversal), 4 * up_s, 4 * down_s]), axis=0)
-    means = np.concatenate([up_mean, down_mean])
     return Positioning(
         position=target,
         mean_up=up_mean,
@@ -96,34 +92,54 @@ def positioning(position: Array, direction: Array, deviation: Array) -> Position
         s_down=down_s,
         count_up=up_n,
         count_down=down_n,
-        reversal=reversal,
-        repeatability=repeatability,
-        B=float(np.max(np.abs(reversal))),
-        B_mean=float(np.mean(reversal)),
-        R_up=float(np.max(4 * up_s)),
-        R_down=float(np.max(4 * down_s)),
-        R=float(np.max(repeatability)),
-        E_up=float(np.ptp(up_mean)),
-        E_down=float(np.ptp(down_mean)),
-        E=float(np.ptp(means)),
-        M=float(np.ptp(mean)),
-        A_up=_accuracy(up_mean, up_s),
-        A_down=_accuracy(down_mean, down_s),
-        A=_accuracy(means, np.concatenate([up_s, down_s])),
+        reversal=up_mean - down_mean,
+        repeatability=_repeatability(up_mean, up_s, down_mean, down_s),
+        **{name: float(value) for name, value in _of_axis(up_mean, up_s, down_mean, down_s).items()},
     )
 
 
-def _accuracy(mean: Array, s: Array) -> float:
-    return float(np.max(mean + 2 * s) - np.min(mean - 2 * s))
+def _repeatability(up_mean: Array, up_s: Array, down_mean: Array, down_s: Array) -> Array:
+    both = 2 * up_s + 2 * down_s + np.abs(up_mean - down_mean)
+    return np.asarray(np.max(np.stack([both, 4 * up_s, 4 * down_s]), axis=0))
+
+
+def _of_axis(up_mean: Array, up_s: Array, down_mean: Array, down_s: Array) -> dict[str, Array]:
+    """The axis's figures by name, each (…), from means and standard deviations (…, m) at its positions."""
+    reversal = up_mean - down_mean
+    means, s = np.concatenate([up_mean, down_mean], axis=-1), np.concatenate([up_s, down_s], axis=-1)
+    return {
+        "B": np.max(np.abs(reversal), axis=-1),
+        "B_mean": np.mean(reversal, axis=-1),
+        "R_up": np.max(4 * up_s, axis=-1),
+        "R_down": np.max(4 * down_s, axis=-1),
+        "R": np.max(_repeatability(up_mean, up_s, down_mean, down_s), axis=-1),
+        "E_up": np.ptp(up_mean, axis=-1),
+        "E_down": np.ptp(down_mean, axis=-1),
+        "E": np.ptp(means, axis=-1),
+        "M": np.ptp((up_mean + down_mean) / 2, axis=-1),
+        "A_up": _accuracy(up_mean, up_s),
+        "A_down": _accuracy(down_mean, down_s),
+        "A": _accuracy(means, s),
+    }
+
+
+def _accuracy(mean: Array, s: Array) -> Array:
+    return np.asarray(np.max(mean + 2 * s, axis=-1) - np.min(mean - 2 * s, axis=-1))
 
 
 def _statistics(index: IntArray, deviation: Array, mine: BoolArray, m: int) -> tuple[Array, Array, IntArray]:
-    """Mean, standard deviation and number of the readings of one direction at each position."""
-    count = np.bincount(index[mine], minlength=m)
+    """Mean, standard deviation (…, m) and number (m,) of the deviations (…, n) of one direction at each position."""
+    own, index = deviation[..., mine], index[mine]
+    draws = int(np.prod(own.shape[:-1]))
+    bins = (m * np.arange(draws)[:, None] + index).reshape(-1)
+
+    def total(values: Array) -> Array:
+        return np.asarray(np.bincount(bins, values.reshape(-1), minlength=draws * m), float).reshape(*own.shape[:-1], m)
+
+    count = np.bincount(index, minlength=m)
     with np.errstate(invalid="ignore", divide="ignore"):
-        mean = np.bincount(index[mine], deviation[mine], minlength=m) / np.where(count > 0, count, np.nan)
-        square = np.bincount(index[mine], (deviation[mine] - mean[index[mine]]) ** 2, minlength=m)
-        s = np.sqrt(square / np.where(count > 1, count - 1, np.nan))
+        mean = total(own) / np.where(count > 0, count, np.nan)
+        s = np.sqrt(total((own - mean[..., index]) ** 2) / np.where(count > 1, count - 1, np.nan))
     return mean, s, count
 
 
@@ -157,7 +173,10 @@ def positioning_uncertainty(figures: Positioning, seed: int = 1) -> dict[str, fl
     if not position or not sum(len(p) for p in position):
         return {}
     at, sense, mean, s = (np.concatenate(parts) for parts in (position, direction, centre, spread))
-    drawn = [positioning(at, sense, mean + s * rng.standard_normal(len(s))) for _ in range(_DRAWS)]
-    names = ("B", "B_mean", "R", "E", "M", "A")
-    out = {name: 2.0 * float(np.std([getattr(d, name) for d in drawn])) for name in names}
+    drawn = mean + s * rng.standard_normal((_DRAWS, len(s)))
+    target, index = np.unique(at, return_inverse=True)
+    up_mean, up_s, _ = _statistics(index.reshape(-1), drawn, sense > 0, len(target))
+    down_mean, down_s, _ = _statistics(index.reshape(-1), drawn, sense < 0, len(target))
+    of_axis = _of_axis(up_mean, up_s, down_mean, down_s)
+    out = {name: 2.0 * float(np.std(of_axis[name])) for name in ("B", "B_mean", "R", "E", "M", "A")}
     return {name: value for name, value in out.items() if np.isfinite(value) and np.isfinite(getattr(figures, name))}

@@ -28,6 +28,7 @@ from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.model.terms import Parameter
 from machine_tool_calibration.session.description import TrackingInterferometer
+from machine_tool_calibration.session.places import distinct_places
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["MODELS", "TrackingModel", "build"]
@@ -39,8 +40,6 @@ MODELS = ("free", "rigid_body")
 _ROUGHLY = 3e-4
 # Share of a coordinate in a motion that is not sensed above which the coordinate is not measured.
 _INVOLVED = 0.03
-# Large odd numbers: products and sums wrap around in 64 bits.
-_MIX = np.array([0x1E3779B97F4A7C15, 0x3F58476D1CE4E5B9, 0x14D049BB133111EB])
 
 
 @dataclass(frozen=True)
@@ -185,8 +184,12 @@ def build(session: Session, model: str = "free") -> TrackingModel:
     d = description.dimension
     # A target whose readings were all lost is a target all the same: it keeps its place in the map.
     read = np.isfinite(session.readings.displacement)
-    targets, point = _distinct(session.readings.position()[:, :d])
-    readings, point = session.readings.select(read), point[read]
+    everywhere = session.readings.position()[:, :d]
+    first, point = distinct_places(everywhere)
+    targets = everywhere[first]
+    readings = session.readings
+    if not read.all():
+        readings, point = readings.select(read), point[read]
     position = readings.position()
     stations = np.array([setup.position for setup in description.setups])
     if d == 2:
@@ -248,17 +251,3 @@ def _known_places(model: TrackingModel) -> Iterator[Prior]:
     for k, vector in model.loose_stations:
         weights = {str(n): float(v) for n, v in zip(names[k], vector, strict=True) if v}
         yield Prior(weights, 0.0, float(model.known[k]))
-
-
-def _distinct(position: Array) -> tuple[Array, IntArray]:
-    """Distinct commanded positions, equal to the nanometre, in the order of their first reading; and which is which."""
-    keys = np.round(position * 1e9).astype(np.int64)
-    # One sort of a mixed code instead of one by rows; should two places ever mix to the same code, by rows.
-    code: IntArray = keys @ _MIX[: keys.shape[1]]
-    first, point = np.unique(code, return_index=True, return_inverse=True)[1:]
-    if not np.array_equal(keys[first][point], keys):
-        first, point = np.unique(keys, axis=0, return_index=True, return_inverse=True)[1:]
-    order = np.argsort(first)
-    place = np.empty(len(order), dtype=np.int64)
-    place[order] = np.arange(len(order))
-    return position[first[order]], place[point.reshape(-1)]

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy import optimize
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Effect
@@ -112,6 +111,9 @@ def best_shape(
         ordered = sorted(s[0] for s in grid)
         place = ordered.index(shape[0])
         low, high = ordered[max(place - 1, 0)], ordered[min(place + 1, len(ordered) - 1)]
+        # Slow to load, and few effects need it.
+        from scipy import optimize
+
         found = optimize.minimize_scalar(
             lambda value: -explained([(float(value),)])[0][0],
             bounds=(low, high),

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.errors import ModelError
@@ -75,7 +75,7 @@ class JointFit:
     @property
     def p_value(self) -> float:
         """Probability of so large a sum of squares if the model is right and the declared uncertainty too."""
-        return float(stats.chi2.sf(self.solution.chi_square, self.solution.degrees_of_freedom))
+        return float(special.chdtrc(self.solution.degrees_of_freedom, self.solution.chi_square))
 
 
 @dataclass(frozen=True)

@@ -76,12 +76,18 @@ def _check_doubled(session: Session, place: Place) -> None:
     """The same reading twice, to the last column: a line that was copied, not a reading that was repeated."""
     readings = session.readings
     time = readings.columns.get("time")
-    # Where the clock does not tell readings apart, equal ones may be different ones.
-    if time is None or len(np.unique(time)) < _TOLD_BY_TIME * len(readings):
+    if time is None:
         return
+    # Only readings at the same time can be the same; what is missing in both is equal in both.
+    times = pd.Series(np.where(np.isnan(time), 0.0, time))
+    repeated = times.duplicated().to_numpy()
+    # Where the clock does not tell readings apart, equal ones may be different ones.
+    if not repeated.any() or np.count_nonzero(~repeated) < _TOLD_BY_TIME * len(readings):
+        return
+    readings = readings.select(times.duplicated(keep=False).to_numpy())
     table = pd.DataFrame({"setup": readings.setup, "repeat": readings.repeat, "displacement": readings.displacement})
     table = pd.concat([table, pd.DataFrame({**readings.columns, **readings.labels}).add_prefix("column ")], axis=1)
-    table = table.fillna(0.0)  # what is missing in both is equal in both
+    table = table.fillna(0.0)
     again = np.flatnonzero(table.duplicated().to_numpy() & np.isfinite(readings.displacement))
     if not len(again):
         return

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.arrays import Array, BoolArray
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.description import (
     Direct,
@@ -15,6 +15,7 @@ from machine_tool_calibration.session.description import (
     TrackingInterferometer,
 )
 from machine_tool_calibration.session.place import Place
+from machine_tool_calibration.session.places import distinct_places
 from machine_tool_calibration.session.required import rotary_column
 from machine_tool_calibration.session.session import Session
 
@@ -84,12 +85,13 @@ def _stations(
 
 def _tracking(session: Session, dimension: int, measured: BoolArray, place: Place) -> None:
     positions = session.readings.position()[measured][:, :dimension]
-    points, index = _distinct(positions)
+    first, index = distinct_places(positions)
+    points = positions[first]
     if len(points) < 3 or (dimension == 3 and on_a_line(points)):
         what = "there are fewer than three targets" if len(points) < 3 else "all targets lie on a line"
         raise SessionError(f"{place.readings}: {what}; {_method(session)} needs targets spread over a plane")
     stations = session.readings.setup[measured]
-    pairs = np.unique(index * len(session.setup_ids) + stations)
+    pairs = np.flatnonzero(np.bincount(index * len(session.setup_ids) + stations))
     redundant = np.clip(np.bincount(pairs // len(session.setup_ids)) - dimension, 0, None).sum()
     count = len(np.unique(stations))
     unknown = (dimension + 1) * count - (3 if dimension == 2 else 6)
@@ -104,7 +106,7 @@ def _tracking(session: Session, dimension: int, measured: BoolArray, place: Plac
 
 def _unknown_of_axes(points: Array) -> int:
     """Values of the linear axes' error motions at the positions of targets (n, d)."""
-    positions = sum(len(_distinct(points[:, j : j + 1])[0]) for j in range(points.shape[1]))
+    positions = sum(len(distinct_places(points[:, j : j + 1])[0]) for j in range(points.shape[1]))
     return (3 if points.shape[1] == 2 else 6) * positions
 
 
@@ -114,14 +116,14 @@ def _rotary(session: Session, description: RotaryAxis, measured: BoolArray, plac
     used = [i for i, name in enumerate(ids) if np.any(readings.labels["target"][measured] == name)]
     straight = on_a_line(np.array([description.targets[i].position for i in used]))
     angle = readings.columns[rotary_column(description)][measured]
-    angles = len(_distinct(angle[:, None])[0])
+    angles = len(distinct_places(angle[:, None])[0])
     count = len(np.unique(readings.setup[measured]))
     pairs = np.unique(
         np.column_stack(
             [
                 np.unique(readings.labels["target"][measured], return_inverse=True)[1],
                 readings.setup[measured],
-                _distinct(angle[:, None])[1],
+                distinct_places(angle[:, None])[1],
             ]
         ),
         axis=0,
@@ -163,12 +165,6 @@ def _some_setup(session: Session, measured: BoolArray, needed: int, place: Place
         raise SessionError(
             f"{place.readings}: too few readings: no setup has more than {good.max()}; at least {needed} are needed"
         )
-
-
-def _distinct(points: Array) -> tuple[Array, IntArray]:
-    """Points that differ by more than a nanometre (or nanoradian), and the place of each in that list."""
-    keys, index = np.unique(np.round(points, 9) + 0.0, axis=0, return_inverse=True)
-    return keys, index.reshape(-1).astype(np.int64)
 
 
 def _count(number: int, thing: str) -> str:
