@@ -133,7 +133,8 @@ def _events(observations: Observations, residual: Array) -> list[Candidate]:
 def _periods(time: Array, residual: Array) -> list[float]:
     """Periods of the largest peaks of the periodogram (Lomb 1976, Scargle 1982).
 
-    From the session's length down to two readings'. Only these are looked at more closely: at all others less is to be explained.
+    From the session's length down to two readings'. Only these are looked at more closely: at all others less is to
+    be explained.
     """
     length = float(np.ptp(time))
     highest = len(time) / (2.0 * length)

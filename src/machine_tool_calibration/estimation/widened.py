@@ -60,7 +60,8 @@ class WidenedPart(Part):
 def _by_block(block: IntArray, blocks: int, group: IntArray, shapes: Array) -> tuple[IntArray, Array]:
     """(blocks, w) place of each block's coefficients from 0, and (w, n) columns.
 
-    The width w is d times the most groups of a block.     A block with fewer groups repeats the place of its first with columns of zero.
+    The width w is d times the most groups of a block. A block with fewer repeats the place of its first with columns
+    of zero.
     """
     d, n = shapes.shape
     there = np.flatnonzero((group >= 0) & (block >= 0))

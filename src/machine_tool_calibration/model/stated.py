@@ -266,7 +266,8 @@ def _with_random(
 def _scatter(chi_square: float, freedom: int) -> float:
     """By how much standard uncertainties exceed those from the declared one.
 
-    By the readings' scatter where it contradicts what was declared. Less scatter than declared makes nothing better: an instrument may be off by the same amount everywhere.
+    By the readings' scatter where it contradicts what was declared. Less scatter makes nothing better: an instrument
+    may be off by the same amount everywhere.
     """
     if freedom < 3 or chi_square <= freedom or stats.chi2.sf(chi_square, freedom) > _CONTRADICTED:
         return 1.0

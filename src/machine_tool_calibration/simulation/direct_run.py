@@ -21,13 +21,8 @@ __all__ = ["DirectPlan", "plan_direct"]
 
 Kind = Literal["iso230_2", "straightness", "grid_plate", "drilled_plate", "points"]
 Datum = Literal["none", "offset", "rigid"]
-_DATUM: dict[str, Datum] = {
-    "iso230_2": "none",
-    "straightness": "rigid",
-    "grid_plate": "rigid",
-    "drilled_plate": "rigid",
-    "points": "none",
-}
+_DATUM: dict[str, Datum] = {"iso230_2": "none", "straightness": "rigid", "grid_plate": "rigid",
+                            "drilled_plate": "rigid", "points": "none"}
 
 
 class DirectPlan(Plan):
@@ -130,17 +125,8 @@ def plan_direct(plan: DirectPlan, environment: Environment, rng: np.random.Gener
         time = visit * plan.interval + setup * plan.pause
     direction = {axis: last_direction(position[:, i]) for i, axis in enumerate("XYZ")}
     _approach_from_below(plan, direction, len(forth))
-    scene = Scene(
-        time,
-        setup,
-        repeat,
-        position,
-        np.zeros(len(time)),
-        direction,
-        environment(time),
-        rates=environment.rate(time),
-        ends=plan.travel(),
-    )
+    scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, environment(time),
+                  rates=environment.rate(time), ends=plan.travel())
     datum = plan.datum or _DATUM[plan.kind]
     place, turned = rng.normal(size=(2, plan.mountings, 3))
     place = plan.misplacement * place * (datum != "none")

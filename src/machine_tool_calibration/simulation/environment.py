@@ -49,6 +49,7 @@ class Drift:
             value = value + amplitude * np.sin(2.0 * np.pi * time / period + phase)
         return value
 
+
     def rate(self, time: Array) -> Array:
         """Change per second at times (n,), s."""
         value = np.full(np.shape(time), self.slope)
@@ -77,7 +78,8 @@ class Environment:
         amplitude, turns, phase = self._parts(time)
         swing = np.einsum("cw,cwn->cn", amplitude, np.sin(turns + phase[..., None]))
         return {
-            name: drift.mean + drift.slope * time + swing[row] for row, (name, drift) in enumerate(self.drifts.items())
+            name: drift.mean + drift.slope * time + swing[row]
+            for row, (name, drift) in enumerate(self.drifts.items())
         }
 
     def rate(self, time: Array) -> dict[str, Array]:

@@ -45,15 +45,8 @@ def _thermal(axis: str) -> Flaw:
         excess = scene.sensed(column) - parameters["reference"]
         return Disturbance(axis={axis: size * excess * scene.along(axis)})
 
-    return Flaw(
-        f"thermal_expansion_{axis.lower()}",
-        f"position of {axis}: size * ({column} - 20) * {axis.lower()}",
-        "1/K",
-        8e-6,
-        disturb,
-        {"reference": 20.0},
-        methods=LINEAR,
-    )
+    return Flaw(f"thermal_expansion_{axis.lower()}", f"position of {axis}: size * ({column} - 20) * {axis.lower()}",
+                "1/K", 8e-6, disturb, {"reference": 20.0}, methods=LINEAR)
 
 
 def _warmup(axis: str) -> Flaw:
@@ -62,15 +55,8 @@ def _warmup(axis: str) -> Flaw:
     def disturb(size: float, parameters: Parameters, scene: Scene) -> Disturbance:
         return Disturbance(axis={axis: size * (1.0 - np.exp(-scene.time / parameters["tau"]))})
 
-    return Flaw(
-        f"warmup_{axis.lower()}",
-        f"position of {axis}: size * (1 - exp(-time / tau))",
-        "m",
-        5e-6,
-        disturb,
-        draw=lambda rng, scene: {"tau": float(600.0 * 5.0 ** rng.uniform())},
-        methods=LINEAR,
-    )
+    return Flaw(f"warmup_{axis.lower()}", f"position of {axis}: size * (1 - exp(-time / tau))", "m", 5e-6, disturb,
+                draw=lambda rng, scene: {"tau": float(600.0 * 5.0 ** rng.uniform())}, methods=LINEAR)
 
 
 def _pitch(axis: str) -> Flaw:
@@ -80,16 +66,9 @@ def _pitch(axis: str) -> Flaw:
         phase = 2.0 * np.pi * scene.along(axis) / parameters["lead"] + parameters["phase"]
         return Disturbance(axis={axis: size * np.sin(phase)})
 
-    return Flaw(
-        f"pitch_periodic_{axis.lower()}",
-        f"position of {axis}: size * sin(2 pi {axis.lower()} / lead + phase)",
-        "m",
-        1.5e-6,
-        disturb,
-        {"lead": 0.012},
-        lambda rng, scene: {"phase": float(rng.uniform(0, 2 * np.pi))},
-        LINEAR,
-    )
+    return Flaw(f"pitch_periodic_{axis.lower()}",
+                f"position of {axis}: size * sin(2 pi {axis.lower()} / lead + phase)", "m", 1.5e-6, disturb,
+                {"lead": 0.012}, lambda rng, scene: {"phase": float(rng.uniform(0, 2 * np.pi))}, LINEAR)
 
 
 def _scale_of(size: float, _: Parameters, scene: Scene) -> Disturbance:
@@ -100,7 +79,8 @@ def _squareness(name: str) -> Flaw:
     def disturb(size: float, _: Parameters, scene: Scene) -> Disturbance:
         return Disturbance(squareness={name: size})
 
-    return Flaw(name, f"squareness {name} = size", "rad", 1e-5, disturb, methods=LINEAR)
+    return Flaw(name, f"squareness {name} = size", "rad", 1e-5, disturb,
+                methods=LINEAR)
 
 
 def shaped(name: str, size: float, parameters: Parameters, ends: Mapping[str, tuple[float, float]]) -> Table:
@@ -139,11 +119,8 @@ def _motion(name: str) -> Flaw:
     return Flaw(
         name,
         f"error motion {name} as a smooth function of {axis.lower()}, largest absolute value size"
-        + (
-            "; about: chain (rigid bodies) or zero (the carriage turns about the machine's zero)"
-            if angular and axis != "C"
-            else ""
-        ),
+        + ("; about: chain (rigid bodies) or zero (the carriage turns about the machine's zero)"
+           if angular and axis != "C" else ""),
         "rad" if angular else "m",
         2e-5 if angular else 3e-6,
         disturb,

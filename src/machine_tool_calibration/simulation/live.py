@@ -117,11 +117,8 @@ class LiveMachine:
         disturbance = self.disturbance(scene)
         place = np.broadcast_to(np.asarray(point, float), (len(scene), 3))
         axial = np.eye(3)["ABC".index(scene.axis)]
-        for growth, part in (
-            (disturbance.growth, np.ones(3)),
-            (disturbance.table_radial, 1.0 - axial),
-            (disturbance.table_axial, axial),
-        ):
+        for growth, part in ((disturbance.growth, np.ones(3)), (disturbance.table_radial, 1.0 - axial),
+                             (disturbance.table_axial, axial)):
             if growth is not None:
                 place = place + growth[:, None] * point * part
         shift = disturbance.axis.get(scene.axis, np.zeros(len(scene)))

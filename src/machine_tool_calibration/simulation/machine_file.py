@@ -97,7 +97,9 @@ def build_machine(
     sign = spec.rotation_sign or rotation_sign
     if spec.random is not None:
         sizes = spec.random if random is None or "random" in spec.model_fields_set else random
-        machine = random_machine(parsed, ends, seed if spec.seed is None else spec.seed, sizes, rotation_sign=sign)
+        machine = random_machine(
+            parsed, ends, seed if spec.seed is None else spec.seed, sizes, rotation_sign=sign
+        )
     else:
         machine = VirtualMachine(parsed, travel=ends, rotation_sign=sign)
     tables = []
@@ -112,7 +114,9 @@ def build_machine(
     line = dict(machine.average_line)
     for name, value in spec.average_line.items():
         line[name] = line.get(name, 0.0) + value
-    return VirtualMachine(parsed, machine.motions, machine.squareness, line, ends, sign, spec.tool_offset)
+    return VirtualMachine(
+        parsed, machine.motions, machine.squareness, line, ends, sign, spec.tool_offset
+    )
 
 
 def _upper(travel: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
@@ -164,11 +168,8 @@ def machine_document(machine: VirtualMachine) -> dict[str, Any]:
     motions: dict[str, Any] = {}
     for axis in machine.motions.values():
         for name, tables in merged(axis).items():
-            motions[name] = {
-                "nodes": list(tables.nodes),
-                "values": list(tables.values),
-                "interpolation": tables.interpolation,
-            }
+            motions[name] = {"nodes": list(tables.nodes), "values": list(tables.values),
+                             "interpolation": tables.interpolation}
     return {
         "chain": "-".join(["w", *machine.chain.workpiece_side, "b", *machine.chain.tool_side, "t"]),
         "travel": {axis.lower(): list(ends) for axis, ends in machine.travel.items()},

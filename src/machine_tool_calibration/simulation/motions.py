@@ -41,10 +41,8 @@ class Table:
     def __post_init__(self) -> None:
         nodes, values = np.asarray(self.nodes, float), np.asarray(self.values, float)
         if nodes.ndim != 1 or nodes.shape != values.shape or len(nodes) < 2:
-            raise ModelError(
-                f"an error motion needs as many values as nodes, at least 2; not {nodes.size} nodes "
-                f"and {values.size} values"
-            )
+            raise ModelError(f"an error motion needs as many values as nodes, at least 2; not {nodes.size} nodes "
+                             f"and {values.size} values")
         if not (np.all(np.isfinite(nodes)) and np.all(np.isfinite(values))):
             raise ModelError("an error motion's nodes and values must be finite")
         if np.any(np.diff(nodes) <= 0):

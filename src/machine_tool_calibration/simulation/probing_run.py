@@ -117,18 +117,8 @@ def plan_probing(plan: ProbingPlan, environment: Environment, rng: np.random.Gen
     direction = {axis: _approach(-normal[:, i]) for i, axis in enumerate("XY")}
     moved = np.sign(np.diff(turns, prepend=turns[0] - 1.0))
     direction["C"] = moved[setup]
-    scene = Scene(
-        time,
-        setup,
-        repeat,
-        command,
-        angle,
-        direction,
-        environment(time),
-        label,
-        rates=environment.rate(time),
-        ends=plan.travel(),
-    )
+    scene = Scene(time, setup, repeat, command, angle, direction, environment(time), label,
+                  rates=environment.rate(time), ends=plan.travel())
 
     def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
         grown = 1.0 if disturbance.growth is None else 1.0 + disturbance.growth[:, None]
@@ -140,13 +130,8 @@ def plan_probing(plan: ProbingPlan, environment: Environment, rng: np.random.Gen
         if disturbance.point is not None:
             actual = actual + disturbance.point
         touched = probed(actual, normal, surface, facing, radius, bend[label])
-        sight = Sight(
-            np.zeros(len(angle)),
-            -normal,
-            np.arctan2(normal[:, 1], normal[:, 0]),
-            np.zeros(len(angle)),
-            np.zeros(len(angle)),
-        )
+        sight = Sight(np.zeros(len(angle)), -normal, np.arctan2(normal[:, 1], normal[:, 0]),
+                      np.zeros(len(angle)), np.zeros(len(angle)))
         return touched + disturbance.added(sight)
 
     def judged(machine: VirtualMachine) -> dict[str, Any]:

@@ -20,11 +20,8 @@ from machine_tool_calibration.simulation.tracking import aim, distance
 __all__ = ["RotaryPlan", "plan_rotary"]
 
 # The targets of Zhang et al. 2015, Section 4.2; the stations are chosen around them.
-_TARGETS = {
-    "P": (-0.1058046, 0.1353414, 0.0),
-    "Q": (0.1288513, 0.0878158, 0.0399797),
-    "K": (0.0249026, -0.1108575, 0.0152662),
-}
+_TARGETS = {"P": (-0.1058046, 0.1353414, 0.0), "Q": (0.1288513, 0.0878158, 0.0399797),
+            "K": (0.0249026, -0.1108575, 0.0152662)}
 _STATIONS = ((-0.7, -0.5, 0.2), (0.8, -0.6, 0.35), (0.65, 0.75, 0.15), (-0.3, 0.35, 1.1))
 
 
@@ -106,18 +103,8 @@ def plan_rotary(plan: RotaryPlan, environment: Environment, rng: np.random.Gener
     angle = turns[step]
     run = blocks(setup, repeat, label)
     direction = np.concatenate([last_direction(angle[run == r]) for r in range(run[-1] + 1)])
-    scene = Scene(
-        time,
-        setup,
-        repeat,
-        np.zeros((len(time), 3)),
-        angle,
-        {plan.axis: direction},
-        environment(time),
-        label,
-        plan.axis,
-        rates=environment.rate(time),
-    )
+    scene = Scene(time, setup, repeat, np.zeros((len(time), 3)), angle, {plan.axis: direction}, environment(time),
+                  label, plan.axis, rates=environment.rate(time))
     axial = np.eye(3)["ABC".index(plan.axis)]
 
     def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
@@ -159,11 +146,8 @@ def plan_rotary(plan: RotaryPlan, environment: Environment, rng: np.random.Gener
             for i, name in enumerate(names)
         ],
         "setups": [
-            {
-                "id": chr(ord("A") + i) if i < 26 else f"S{i + 1}",
-                "position": p.tolist(),
-                **uncertain(plan.station_uncertainty),
-            }
+            {"id": chr(ord("A") + i) if i < 26 else f"S{i + 1}", "position": p.tolist(),
+             **uncertain(plan.station_uncertainty)}
             for i, p in enumerate(estimate)
         ],
     }
