@@ -55,7 +55,7 @@ class DiagonalPlan(Plan):
     interval: Positive = 12.0
     pause: Annotated[float, Field(ge=0)] = 108.0
     noise: Positive = 1e-7
-    chain: str = "w-X-Y-b-Z-t"
+    chain: str = "w-Y-X-b-Z-t"
 
     def travel(self) -> dict[str, tuple[float, float]]:
         """Ends of the measured volume, m."""

@@ -27,17 +27,16 @@ _LINE = re.compile(r"[XYZABC]0[ABC]")
 class VirtualMachine:
     """A machine tool with true geometric errors, named as in ISO 230-1.
 
-    The tool's position in the workpiece frame is the chain (bed first: the workpiece's side from the bed
-    outwards, then the tool's side from the bed outwards)
+    The tool's position in the workpiece frame is the chain from the workpiece to the tool, through the bed,
 
         p = x_1 d_1 + E_1 + R_1 (x_2 d_2 + E_2 + R_2 (x_3 d_3 + E_3 + R_3 offset))
 
     with an axis's position x, its direction of motion d, translation error E = (EX, EY, EZ) and rotation
     R of the vector (EA, EB, EC). To first order a rotation acts with the lever arm made of the positions
-    of the axes after it: for w-X-Y-b-Z-t (0,0,z) for X, (x,0,z) for Y, 0 for Z (Ibaraki and Hata 2010,
-    Eq. (23)); for w-C-b-Y-X-Z-t (x,0,z) for Y, (0,0,z) for X, 0 for Z (the probing paper, Eqs. (4)(5)).
-    All errors are of the tool with respect to the workpiece, for axes on either side; of two tables on top of
-    each other the lower one comes first, as Eq. (23) has it.
+    of the axes after it, towards the tool: for w-Y-X-b-Z-t (x,0,z) for Y, (0,0,z) for X, 0 for Z (Ibaraki and
+    Hata 2010, Eq. (23)), as for w-C-b-Y-X-Z-t (the probing paper, Eqs. (4)(5)); for w-X-Y-b-Z-t (0,y,z) for X,
+    (0,0,z) for Y. All errors are of the tool with respect to the workpiece, for axes on either side; of two
+    tables on top of each other the one that the work lies on comes first.
 
     Squareness turns an axis's direction of motion and nothing that it carries: C0Y turns d of Y about +Z
     (e_x = -y C0Y), B0Z turns d of Z about +Y (e_x = +z B0Z), A0Z turns d of Z about +X (e_y = -z A0Z).
@@ -77,7 +76,7 @@ class VirtualMachine:
         if self.rotation_sign not in (-1, 1):
             raise ModelError(f"rotation_sign must be 1 or -1, not {self.rotation_sign}")
         unit = {a: np.eye(3)[i] for i, a in enumerate("XYZ")}
-        order = tuple(a for a in (*reversed(self.chain.workpiece_side), *self.chain.tool_side) if a in "XYZ")
+        order = self.chain.linear
         directions = {a: rotate(unit[a], self._tilt(a)) for a in order}
         object.__setattr__(self, "_order", order)
         object.__setattr__(self, "_directions", directions)
