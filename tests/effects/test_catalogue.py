@@ -19,7 +19,8 @@ from machine_tool_calibration.methods.identify import build_model, identify
 from machine_tool_calibration.model.effect_terms import effect_term
 from machine_tool_calibration.model.fit import Fit, fit_models, screen
 from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
+from machine_tool_calibration.simulation import PRESETS, FlawSpec, RotaryPlan, SimulationSpec, simulate
+from machine_tool_calibration.simulation.plans import AnyPlan
 
 # Where each effect is put in, and how closely its columns follow the exact geometry (cosine outside the model). A
 # polynomial of degree 4 does not quite follow the simulator's smooth functions.
@@ -27,6 +28,8 @@ SHOWN = {
     "backlash_x": ("tracking_2d", 0.999),
     "backlash_y": ("tracking_3d", 0.999),
     "backlash_z": ("tracking_3d", 0.999),
+    "backlash_a": ("rotary_axis_a", 0.999),
+    "backlash_b": ("rotary_axis_b", 0.999),
     "backlash_c": ("rotary_axis_both_ways", 0.999),
     "thermal_expansion_x": ("tracking_3d", 0.999),
     "thermal_expansion_y": ("tracking_3d", 0.999),
@@ -68,6 +71,8 @@ TAKEN_UP = {
         *("EZZ", "EAZ", "EBZ", "ECZ", "A0Z", "B0Z", "C0Y"),
     ],
     "step_diagonal": ["mirror_misalignment", "pitch_periodic_x", "scale", "EXX", "A0Z", "B0Z", "C0Y"],
+    "rotary_axis_a_one_way": ["backlash_a"],
+    "rotary_axis_b_one_way": ["backlash_b"],
     "probing_cross": ["backlash_c", "scale", "C0Y"],
     "straightness": [
         "backlash_x",
@@ -90,10 +95,19 @@ NEVER = {
 }
 
 
+PLANS: dict[str, AnyPlan] = {
+    **PRESETS,
+    "rotary_axis_a": RotaryPlan(axis="A", both_ways=True),
+    "rotary_axis_b": RotaryPlan(axis="B", both_ways=True),
+    "rotary_axis_a_one_way": RotaryPlan(axis="A"),
+    "rotary_axis_b_one_way": RotaryPlan(axis="B"),
+}
+
+
 def spec(plan: str, seed: int, **more: Any) -> SimulationSpec:
     """A usual session; where the model has no error motions of its own, the machine has none either."""
     perfect = {"machine": {"random": None}} if plan == "drilled_plate" else {}
-    return SimulationSpec.model_validate({"plan": PRESETS[plan], "seed": seed, **perfect, **more})
+    return SimulationSpec.model_validate({"plan": PLANS[plan], "seed": seed, **perfect, **more})
 
 
 @cache

@@ -6,6 +6,7 @@ g the nominal direction in which the instrument senses it.
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.simulation import (
@@ -22,6 +23,8 @@ from machine_tool_calibration.simulation import (
 )
 
 PLANS = {
+    "rotary_a": RotaryPlan(axis="A", both_ways=True),
+    "rotary_b": RotaryPlan(axis="B", both_ways=True),
     "tracking_2d": TrackingPlan(dimension=2),
     "tracking_3d": TrackingPlan(dimension=3, repeats=1),
     "diagonal": DiagonalPlan(repeats=1),
@@ -248,7 +251,8 @@ def test_mirror_misalignment_is_constant_per_axis_and_sums_to_zero():
 def test_pointer_radial_error(plan):
     session, signal, _ = put_in(plan, "pointer_radial_error", 2e-6, orders=[4], weights=[1.0], phases=[0.3])
     _, beam = station_distance(session)
-    check(session, signal, 2e-6 * np.cos(4 * np.arctan2(beam[:, 1], beam[:, 0]) + 0.3))
+    level = np.hypot(beam[:, 0], beam[:, 1])  # the centre moves in the plane of azimuth
+    check(session, signal, 2e-6 * level * np.cos(4 * np.arctan2(beam[:, 1], beam[:, 0]) + 0.3))
 
 
 def test_pointer_zero_offset_is_a_cosine_error():
@@ -272,6 +276,45 @@ def test_retroreflector_form(plan, angle):
     session, signal, _ = put_in(plan, "retroreflector_form", 1e-6, orders=[3], weights=[1.0], phases=[1.0])
     _, beam = station_distance(session)
     check(session, signal, 1e-6 * np.cos(3 * angle(session, beam) + 1.0))
+
+
+def test_thermal_expansion_away_from_a_fixed_point():
+    session, signal, _ = put_in("tracking_3d", "thermal_expansion_x", 1e-5, fixed_point=0.3)
+    column, g = session.readings.columns, direction(session)[:, 0]
+    check(session, signal, 1e-5 * (column["temperature_x"] - 20) * (column["x"] - 0.3) * g)
+
+
+def on_a_table(plan, axis):
+    """Where the targets stand and in which direction each is seen; the table's own axis is `axis`."""
+    session = simulate(SimulationSpec(plan=plan, seed=11)).session
+    target = {t.id: np.array(t.position) for t in session.description.targets}
+    unit = np.eye(3)["abc".index(axis)]
+    turn = Rotation.from_rotvec(session.readings.columns[axis][:, None] * unit)
+    place = turn.apply([target[i] for i in session.readings.labels["target"]])
+    station = np.array([s.position for s in session.description.setups])[session.readings.setup]
+    line = place - station
+    return session, place, line / np.linalg.norm(line, axis=1, keepdims=True), unit
+
+
+@pytest.mark.parametrize("axis", ["a", "b", "c"])
+def test_table_thermal_growth_is_along_and_across_the_tables_own_axis(axis):
+    plan = RotaryPlan(axis=axis.upper())
+    session, place, seen, unit = on_a_table(plan, axis)
+    flaw = FlawSpec(id="table_thermal_growth", size=1.2e-5, parameters={"axial": 3.0})
+    signal = simulate(SimulationSpec(plan=plan, seed=11, effects=[flaw])).truth.signal
+    along = (place @ unit)[:, None] * unit
+    warm = session.readings.columns["temperature_table"] - 20
+    check(session, signal, 1.2e-5 * warm * np.einsum("ni,ni->n", seen, place + 2.0 * along))
+
+
+@pytest.mark.parametrize("axis", ["a", "b", "c"])
+def test_backlash_of_any_rotary_axis(axis):
+    plan = RotaryPlan(axis=axis.upper(), both_ways=True)
+    session, place, seen, unit = on_a_table(plan, axis)
+    flaw = FlawSpec(id=f"backlash_{axis}", size=1.3e-5)
+    signal = simulate(SimulationSpec(plan=plan, seed=11, effects=[flaw])).truth.signal
+    moved = -1.3e-5 * session.readings.columns[f"dir_{axis}"][:, None] * np.cross(unit, place)
+    check(session, signal, np.einsum("ni,ni->n", seen, moved))
 
 
 def test_table_thermal_growth():
@@ -330,7 +373,8 @@ def test_error_motions_of_the_rotary_axis(name):
 @pytest.mark.parametrize("effect", list(FLAWS))
 def test_every_flaw_can_be_put_into_each_of_its_methods(effect):
     for name, plan in PLANS.items():
-        if plan.method in FLAWS[effect].methods:
+        axis = FLAWS[effect].axis
+        if plan.method in FLAWS[effect].methods and axis in ("", getattr(plan, "axis", "C")):
             session, signal, _ = put_in(name, effect)
             assert np.all(np.isfinite(session.readings.displacement))
             assert np.all(np.isfinite(signal))
@@ -370,5 +414,7 @@ def test_unknown_effects_and_parameters_are_refused_in_one_line():
         choose_flaw("pitch_periodic_x", parameters={"leed": 1})
     with pytest.raises(CalibrationError, match="does not occur in probing"):
         simulate(SimulationSpec(plan=ProbingPlan(), effects=[FlawSpec(id="dead_path")]))
+    with pytest.raises(CalibrationError, match=r"one of axis A, and this plan turns C; simulate axis=A"):
+        simulate(SimulationSpec(plan=RotaryPlan(), effects=[FlawSpec(id="backlash_a")]))
     with pytest.raises(CalibrationError, match="changes no reading"):
         simulate(SimulationSpec(plan=TrackingPlan(dimension=2), effects=[FlawSpec(id="backlash_z", amplitude=1e-6)]))

@@ -8,7 +8,7 @@ from functools import cache
 from importlib.metadata import entry_points
 
 from machine_tool_calibration.effects.air import DeadPath, RefractiveIndex
-from machine_tool_calibration.effects.backlash import Backlash, BacklashC
+from machine_tool_calibration.effects.backlash import Backlash, RotaryBacklash
 from machine_tool_calibration.effects.drift import LinearDrift, StationDrift
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.effects.error_motion import ErrorMotionEffect
@@ -33,7 +33,7 @@ def _built_in() -> list[Effect]:
     axes = "xyz"
     return [
         *(Backlash(axis) for axis in axes),
-        BacklashC(),
+        *(RotaryBacklash(axis) for axis in "abc"),
         *(ThermalExpansion(axis) for axis in axes),
         *(Warmup(axis) for axis in axes),
         *(PitchPeriodic(axis) for axis in axes),

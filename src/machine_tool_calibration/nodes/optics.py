@@ -148,10 +148,10 @@ class OnTable:
         """See `Optics`; the retroreflectors turn with the table."""
         assert beam is not None
         line = target - beam.origin
-        azimuth = float(np.arctan2(line[1], line[0]))
         i, j = (("ABC".index(self._axis) + k) % 3 for k in (1, 2))
         turned = float(np.arctan2(pose.rotation[j, i], pose.rotation[i, i]))
-        return Look(line / np.linalg.norm(line), azimuth, azimuth - turned)
+        incidence = float(np.arctan2(line[j], line[i])) - turned
+        return Look(line / np.linalg.norm(line), float(np.arctan2(line[1], line[0])), incidence)
 
 
 class FlatMirror:

@@ -88,10 +88,12 @@ def _seed(rng: np.random.Generator, _: Scene | None) -> dict[str, Any]:
 
 
 def _pointer_radial(size: float, parameters: Parameters, _: Scene) -> Disturbance:
-    """The rotation centre moves along the beam as the pointer turns; across the beam it would not show."""
+    """The rotation centre moves in the plane of azimuth as the pointer turns: against the beam, as seen from above."""
 
     def along(sight: Sight) -> Array:
-        return size * _harmonics(sight.azimuth, parameters)
+        flat = np.column_stack([np.cos(sight.azimuth), np.sin(sight.azimuth), np.zeros_like(sight.azimuth)])
+        back = -size * _harmonics(sight.azimuth, parameters)[:, None] * flat
+        return np.asarray(-np.einsum("ni,ni->n", back, sight.direction))
 
     return Disturbance(reading=(along,))
 
@@ -134,7 +136,8 @@ READING_FLAWS: tuple[Flaw, ...] = (
          1e-8, _station_drift, {"vertical": 1.0}, _seed, STATIONS),
     Flaw("mirror_misalignment", "mirror normal off the beam by size, each setup its own way", "rad", 1e-3, _mirror,
          draw=_seed, methods=("step_diagonal",)),
-    Flaw("pointer_radial_error", "reading: size * sum of w cos(k azimuth + phase)", "m", 2e-6, _pointer_radial,
+    Flaw("pointer_radial_error", "rotation centre against the level beam: size * sum of w cos(k azimuth + phase)", "m",
+         2e-6, _pointer_radial,
          {"orders": [5, 3], "weights": [1.0, 0.5]}, _phases, STATIONS),
     Flaw("pointer_zero_offset", "beam turned by size: cosine error", "rad", 2e-3, _pointer_zero,
          methods=("tracking_interferometer",)),

@@ -106,6 +106,7 @@ def plan_rotary(plan: RotaryPlan, environment: Environment, rng: np.random.Gener
     scene = Scene(time, setup, repeat, np.zeros((len(time), 3)), angle, {plan.axis: direction}, environment(time),
                   label, plan.axis, rates=environment.rate(time))
     axial = np.eye(3)["ABC".index(plan.axis)]
+    first, second = (("ABC".index(plan.axis) + k) % 3 for k in (1, 2))
 
     def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
         place = target[label]
@@ -120,7 +121,8 @@ def plan_rotary(plan: RotaryPlan, environment: Environment, rng: np.random.Gener
         source = station[setup] if disturbance.station is None else station[setup] + disturbance.station
         path = distance(actual, source)
         azimuth, _ = aim(source, actual)
-        incidence = azimuth - machine.rotation_sign * angle  # the retroreflectors turn with the table
+        # the retroreflectors turn with the table
+        incidence = np.arctan2(*(actual - source)[:, [second, first]].T) - machine.rotation_sign * angle
         sight = Sight(path, (actual - source) / path[:, None], azimuth, incidence, since_first(path, run))
         return path + disturbance.added(sight)
 

@@ -142,6 +142,9 @@ def _choose(
     if spec.method not in chosen.flaw.methods:
         raise CalibrationError(f"effect {effect.id} does not occur in {spec.method}; "
                                f"it occurs in {', '.join(chosen.flaw.methods)}")
+    if chosen.flaw.axis not in ("", measurement.scene.axis):
+        raise CalibrationError(f"effect {effect.id} is one of axis {chosen.flaw.axis}, and this plan turns "
+                               f"{measurement.scene.axis}; simulate axis={chosen.flaw.axis}")
     if effect.amplitude is None:
         return chosen
     without = since_first(measurement.read(machine, Disturbance()), measurement.datum)
