@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -86,7 +88,22 @@ def tool_in_workpiece(chain: Chain, place: np.ndarray, axis: str, turn: int, ang
         along = place["XYZ".index(name)]
         # the carriage is moved first and turned there
         bed_to_tool = bed_to_tool @ transform(axis=name, along=along) @ transform(turn, angle if name == axis else 0.0)
-    return (np.linalg.inv(bed_to_work) @ bed_to_tool)[:3, 3]
+    return (np.linalg.inv(bed_to_work) @ bed_to_tool @ [*chain.tool_offset, 1.0])[:3]
+
+
+@pytest.mark.parametrize("turn", [0, 1, 2])
+@pytest.mark.parametrize("axis", ["X", "Y", "Z"])
+@pytest.mark.parametrize("text", ["w-Y-X-b-Z-t", "w-X-Y-b-Z-t", "w-b-X-Y-Z-t"])
+def test_the_offset_of_the_functional_point_is_part_of_every_arm(text, axis, turn):
+    """Abbe: a tool that reaches out of the spindle, composed exactly."""
+    chain = replace(Chain.parse(text), tool_offset=(0.07, -0.03, -0.2))
+    angle = 1e-5
+    there = tool_in_workpiece(chain, PLACE[0], axis, turn, angle)
+    back = tool_in_workpiece(chain, PLACE[0], axis, turn, -angle)
+    bare = lever_arm(Chain.parse(text), axis, PLACE)[0]
+    assert lever_arm(chain, axis, PLACE)[0] == pytest.approx(bare + chain.tool_offset)
+    expected = np.cross(np.eye(3)[turn], lever_arm(chain, axis, PLACE)[0])
+    assert (there - back) / (2 * angle) == pytest.approx(expected, abs=1e-9)
 
 
 @pytest.mark.parametrize("turn", [0, 1, 2])

@@ -6,6 +6,7 @@ g the nominal direction in which the instrument senses it.
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from machine_tool_calibration.errors import CalibrationError
@@ -13,6 +14,7 @@ from machine_tool_calibration.simulation import (
     FLAWS,
     DiagonalPlan,
     DirectPlan,
+    Drift,
     FlawSpec,
     ProbingPlan,
     RotaryPlan,
@@ -276,6 +278,95 @@ def test_retroreflector_form(plan, angle):
     session, signal, _ = put_in(plan, "retroreflector_form", 1e-6, orders=[3], weights=[1.0], phases=[1.0])
     _, beam = station_distance(session)
     check(session, signal, 1e-6 * np.cos(3 * angle(session, beam) + 1.0))
+
+
+@pytest.mark.parametrize(("plan", "axis"), MOVING)
+def test_lost_motion_varies_along_the_axis(plan, axis):
+    session, signal, _ = put_in(plan, f"lost_motion_{axis}", 2e-6, where=0.0)
+    low, high = session.description.machine.travel[axis]
+    column, g = session.readings.columns, direction(session)[:, "xyz".index(axis)]
+    play = 2e-6 * np.cos(0.5 * np.pi * (column[axis] - low) / (high - low)) ** 2
+    check(session, signal, -play * column[f"dir_{axis}"] * g)
+
+
+@pytest.mark.parametrize(("name", "plan", "error"), [
+    ("EYX", "tracking_2d", lambda x, y, z: (0, 1, 0)),
+    ("EZY", "tracking_3d", lambda x, y, z: (0, 0, 1)),
+    ("ECY", "tracking_2d", lambda x, y, z: (0, x, 0)),
+    ("EBY", "tracking_3d", lambda x, y, z: (z, 0, -x)),
+    ("EAX", "tracking_3d", lambda x, y, z: (0, -z, 0)),
+])
+def test_reversal_of_straightness_and_angles(name, plan, error):
+    session, signal, _ = put_in(plan, f"reversal_{name}", 3e-6)
+    column = session.readings.columns
+    e = np.column_stack(np.broadcast_arrays(*error(*session.readings.position().T), np.zeros(len(signal)))[:3])
+    check(session, signal, -3e-6 * column[f"dir_{name[-1].lower()}"] * np.einsum("ni,ni->n", direction(session), e))
+
+
+def test_an_angle_that_reverses_turns_the_mirror():
+    """EAZ has no lever arm in w-Y-X-b-Z-t: what shows is the mirror, which turns about the point where it is."""
+    plan = DiagonalPlan(repeats=1, diagonals=("ppp",), orders=("zxy",), linear=())
+    session = simulate(SimulationSpec(plan=plan, seed=11)).session
+    flaw = FlawSpec(id="reversal_EAZ", size=1e-5)
+    signal = simulate(SimulationSpec(plan=plan, seed=11, effects=[flaw])).truth.signal
+    moved = session.readings.position() - session.readings.position()[0]
+    across = np.cross(moved[-1] / np.linalg.norm(moved[-1]), moved)[:, 0]  # the beam times the way
+    np.testing.assert_allclose(signal, -1e-5 * session.readings.columns["dir_z"] * across, atol=2e-9)
+    assert np.abs(signal).max() > 5e-8
+
+
+@pytest.mark.parametrize("plan", ["tracking_2d", "probing", "plate"])
+def test_squareness_that_drifts(plan):
+    session, signal, _ = put_in(plan, "squareness_drift_C0Y", 5e-9)
+    column = session.readings.columns
+    check(session, signal, -5e-9 * column["time"] * column["y"] * direction(session)[:, 0])
+
+
+def test_squareness_with_the_temperature():
+    session, signal, _ = put_in("tracking_3d", "squareness_thermal_A0Z", 1e-5)
+    column = session.readings.columns
+    warm = 0.5 * (column["temperature_y"] + column["temperature_z"]) - 20
+    check(session, signal, -1e-5 * warm * column["z"] * direction(session)[:, 1])
+
+
+def test_a_structure_behind_its_sensor():
+    """Against the differential equation tau y' = T - y, y(0) = T(0), solved step by step."""
+    drift = Drift(21.0, ((0.8, 3000.0, 0.7), (0.3, 9000.0, 2.0)), 1e-4)
+    time = np.linspace(0.0, 9000.0, 4)
+    found = solve_ivp(
+        lambda t, y: (drift(t) - y) / 1200.0, (0.0, 9000.0), [float(drift(np.zeros(1))[0])], t_eval=time,
+        rtol=1e-10, atol=1e-12,
+    )
+    np.testing.assert_allclose(drift.lagged(time, 1200.0), found.y[0], atol=1e-8)
+    _, late, _ = put_in("tracking_3d", "thermal_lag_x", 1e-5, tau=1.0)
+    _, now, _ = put_in("tracking_3d", "thermal_expansion_x", 1e-5)
+    np.testing.assert_allclose(late, now, atol=2e-3 * np.abs(now).max())
+    _, slow, _ = put_in("tracking_3d", "thermal_lag_x", 1e-5, tau=3000.0)
+    assert np.abs(slow - now).max() > 0.1 * np.abs(now).max()
+
+
+@pytest.mark.parametrize("plan", ["tracking_3d", "rotary"])
+def test_axes_of_the_pointer_that_do_not_intersect(plan):
+    session, signal, _ = put_in(plan, "pointer_axis_offset", 2e-5)
+    _, beam = station_distance(session)
+    check(session, signal, -2e-5 * np.hypot(beam[:, 0], beam[:, 1]))
+
+
+def test_a_beam_beside_its_axis():
+    session, signal, _ = put_in("rotary", "pointer_axis_offset", 0.0, beam=1e-3)
+    check(session, signal, -0.5e-6 / station_distance(session)[0])
+
+
+def test_drift_of_the_rotary_tables_axis():
+    way, tilt = np.array([0.6, 0.0, 0.8]), 3.0
+    session, signal, _ = put_in("rotary", "rotary_axis_drift", 2e-9, direction=way.tolist(), tilt=tilt)
+    length, beam = station_distance(session)
+    station = np.array([s.position for s in session.description.setups])[session.readings.setup]
+    place = station + length[:, None] * beam
+    moved = way + np.cross(tilt * np.cross([0, 0, 1], way), place)
+    check(session, signal, 2e-9 * session.readings.columns["time"] * np.einsum("ni,ni->n", beam, moved))
+    session, signal, _ = put_in("probing", "rotary_axis_drift", 2e-9, direction=way.tolist(), tilt=tilt)
+    check(session, signal, 2e-9 * session.readings.columns["time"] * (normals(session) @ way))
 
 
 def test_thermal_expansion_away_from_a_fixed_point():

@@ -31,6 +31,7 @@ class PointerRadialError(HarmonicEffect):
     limit = 5e-5
     covariates = ("azimuth", "elevation")
     methods = ("tracking_interferometer", "rotary_axis")
+    instruments = ("tracking_interferometer", "laser_tracker")
 
     def angle(self, observations: Observations) -> Array:
         """The azimuth."""
@@ -53,6 +54,7 @@ class PointerZeroOffset(Effect):
     coefficients = (Coefficient("q", "1", 0.0, 2e-4, "half the square of the angle"),)
     covariates = ("path", "displacement")
     methods = ("tracking_interferometer",)
+    instruments = ("tracking_interferometer",)
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Minus the path."""

@@ -29,6 +29,7 @@ class RetroreflectorForm(HarmonicEffect):
     limit = 2e-5
     covariates = ("azimuth", "elevation", "c")
     methods = ("tracking_interferometer", "rotary_axis")
+    instruments = ("tracking_interferometer", "laser_tracker")
 
     def angle(self, observations: Observations) -> Array:
         """The angle of incidence."""

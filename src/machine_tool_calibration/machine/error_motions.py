@@ -53,7 +53,8 @@ def lever_arm(chain: Chain, axis: str, position: Array) -> Array:
 
     Whether they stand on the workpiece's or on the tool's side of the bed does not matter: for the rotation of a table
     only the tool's place relative to that table counts, not how far the tables on top of it have moved. The axis's
-    own position is not part of it: what a rotation does through that is part of the axis's translation errors.
+    own position is not part of it: what a rotation does through that is part of the axis's translation errors. The
+    offset of the functional point is at the tool's end of the chain: it is part of every arm.
 
     Args:
         chain: the machine.
@@ -65,7 +66,7 @@ def lever_arm(chain: Chain, axis: str, position: Array) -> Array:
     """
     after = chain.axes[chain.axes.index(axis) + 1 :]
     mask = np.array([1.0 if name in after else 0.0 for name in _TRANSLATIONS])
-    return np.asarray(position * mask)
+    return np.asarray(position * mask + np.asarray(chain.tool_offset))
 
 
 def motion_field(chain: Chain, motion: ErrorMotion, position: Array) -> Array:

@@ -68,7 +68,7 @@ def common_models(models: Sequence[MethodModel], labels: Sequence[str]) -> Commo
     Raises:
         ModelError: the sessions are of machines with different chains.
     """
-    chains = [Chain.parse(model.observations.session.description.machine.chain) for model in models]
+    chains = [model.observations.session.description.machine.kinematics for model in models]
     linear = [chain for chain in chains if chain.linear]
     first = next((model for model, chain in zip(models, chains, strict=True) if chain.linear), models[0])
     for model, chain, label in zip(models, chains, labels, strict=True):
@@ -96,7 +96,11 @@ def _compatible(one: Chain, other: Chain) -> bool:
 
 
 def machine_columns(table: MachineTable, observations: Observations) -> Array:
-    """(k, n) change of each reading per unit of each of a table's unknowns, also through the turning of a mirror."""
+    """(k, n) change of each reading per unit of each of a table's unknowns, also through the turning of a mirror.
+
+    The lever arms end at the functional point of the session that the readings are of.
+    """
+    table = replace(table, chain=observations.session.description.machine.kinematics)
     columns = table.columns(observations.position, observations.direction)
     turned = observations.rotation_direction
     if turned is None or table.is_squareness or not table.is_rotation:

@@ -168,7 +168,7 @@ class FlatMirror:
         if moment.setup not in self._made:
             run = diagonal_positions(self._description, moment.setup)
             ends = np.array([[run[k][axis] for axis in "xyz"] for k in (0, -1)])
-            first, last = self._site.machine.position(ends)
+            first, last = self._site.machine.functional_point(ends)
             beam = (last - first) / np.linalg.norm(last - first)
             off = self._site.mirror_tilt(moment.setup)
             effect = self._site.live.disturbance(self._site.scene(moment)).mirror

@@ -84,23 +84,33 @@ class VirtualMachine:
     def _tilt(self, axis: str) -> Array:
         return np.array([self.squareness.get(f"{r}0{axis}", 0.0) for r in "ABC"])
 
-    def position(self, command: Array, shift: Mapping[str, Array] | None = None) -> Array:
+    def position(
+        self, command: Array, shift: Mapping[str, Array] | None = None, errors: Mapping[str, Array] | None = None
+    ) -> Array:
         """Actual position of the functional point in the workpiece frame (rotary axes at zero).
 
         Args:
             command: (n, 3) commanded x, y, z, m.
             shift: how far an axis's carriage is off its command along its own motion, by letter, (n,) m
                 (backlash, thermal expansion, pitch error).
+            errors: further error motions of an axis, by letter, (n, 6) EX … EC, m and rad.
 
         Returns:
             (n, 3), m.
         """
-        return self._follow(np.atleast_2d(np.asarray(command, float)), shift)
+        return self._follow(np.atleast_2d(np.asarray(command, float)), shift, errors)
+
+    def functional_point(
+        self, command: Array, shift: Mapping[str, Array] | None = None, errors: Mapping[str, Array] | None = None
+    ) -> Array:
+        """(n, 3) `position` counted from where the functional point is with all axes at zero, m."""
+        point: Array = self.position(command, shift, errors) - np.asarray(self.tool_offset)
+        return point
 
     def position_error(self, command: Array, shift: Mapping[str, Array] | None = None) -> Array:
         """Actual minus commanded position of the functional point, (n, 3), m."""
         at = np.atleast_2d(np.asarray(command, float))
-        error: Array = self._follow(at, shift) - at - np.asarray(self.tool_offset)
+        error: Array = self.functional_point(at, shift) - at
         return error
 
     def tool_rotation(self, command: Array) -> Array:
@@ -112,22 +122,33 @@ class VirtualMachine:
                 total = total @ matrix(self.motions[axis](at[:, "XYZ".index(axis)])[:, 3:])
         return total
 
-    def carried(self, command: Array, vector: Array) -> Array:
-        """A vector fixed to the tool, (3,) or (n, 3), as turned by the angular errors, (n, 3)."""
+    def carried(self, command: Array, vector: Array, errors: Mapping[str, Array] | None = None) -> Array:
+        """A vector fixed to the tool, (3,) or (n, 3), as turned by the angular errors, (n, 3); `errors` as above."""
         at = np.atleast_2d(np.asarray(command, float))
         turned = np.broadcast_to(np.asarray(vector, float), at.shape)
         for axis in reversed(self._order):  # type: ignore[attr-defined]
-            if axis in self.motions:
-                turned = rotate(turned, self.motions[axis](at[:, "XYZ".index(axis)])[:, 3:])
+            error = self._errors(axis, at[:, "XYZ".index(axis)], errors)
+            if error is not None:
+                turned = rotate(turned, error[:, 3:])
         return turned
 
-    def _follow(self, at: Array, shift: Mapping[str, Array] | None) -> Array:
+    def _errors(self, axis: str, along: Array, errors: Mapping[str, Array] | None) -> Array | None:
+        """(n, 6) error motions of an axis at its positions; None if it has none."""
+        own = self.motions[axis](along) if axis in self.motions else None
+        more = (errors or {}).get(axis)
+        if own is None or more is None:
+            return more if own is None else own
+        return np.asarray(own + more)
+
+    def _follow(
+        self, at: Array, shift: Mapping[str, Array] | None, errors: Mapping[str, Array] | None = None
+    ) -> Array:
         order: tuple[str, ...] = self._order  # type: ignore[attr-defined]
         point: Array = np.broadcast_to(np.asarray(self.tool_offset), at.shape)
         for axis in reversed(order):
             along = at[:, "XYZ".index(axis)]
-            if axis in self.motions:
-                error = self.motions[axis](along)
+            error = self._errors(axis, along, errors)
+            if error is not None:
                 point = rotate(point, error[:, 3:]) + error[:, :3]
             if shift is not None and axis in shift:
                 along = along + shift[axis]

@@ -205,12 +205,15 @@ def _adapter() -> TypeAdapter[Any]:
 
 
 def _describe(spec: SimulationSpec, measurement: Measurement, machine: VirtualMachine, noise: float) -> Any:
+    said = dict(measurement.describe(machine))
+    if any(machine.tool_offset):
+        said["machine"] = {**said["machine"], "tool_offset": list(machine.tool_offset)}
     return _adapter().validate_python(
         {
             "format": "mtcal-session/1",
             "repeats": spec.plan.repeats,
             "standard_uncertainty": {"displacement": noise},
-            **measurement.describe(machine),
+            **said,
         }
     )
 
