@@ -195,7 +195,9 @@ class Site:
 
     def tool_rotation(self, moment: Moment) -> Array:
         """(3, 3) rotation of the tool with respect to the workpiece."""
-        return np.asarray(self.machine.tool_rotation(_linear(moment))[0])
+        if not self.chosen:
+            return np.asarray(self.machine.tool_rotation(_linear(moment))[0])
+        return np.asarray(self.live.tool_rotation(self.scene(moment))[0])
 
     def table(self, moment: Moment) -> tuple[Array, Array]:
         """Where the table's frame really is: (3,) its origin, m, and (3, 3) its rotation, in the machine frame."""

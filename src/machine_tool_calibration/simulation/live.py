@@ -111,7 +111,7 @@ class LiveMachine:
 
     def tool_rotation(self, scene: Scene) -> Array:
         """(n, 3, 3) rotation of the tool with respect to the workpiece."""
-        return self.machine.tool_rotation(scene.position)
+        return self.machine.tool_rotation(scene.position, self.disturbance(scene).errors)
 
     def on_table(self, scene: Scene, point: Array) -> Array:
         """(n, 3) where a point of the table (its target, the workpiece) really is in the machine frame, m."""

@@ -113,13 +113,14 @@ class VirtualMachine:
         error: Array = self.functional_point(at, shift) - at
         return error
 
-    def tool_rotation(self, command: Array) -> Array:
-        """(n, 3, 3) rotation of the tool (mirror, retroreflector) with respect to the workpiece."""
+    def tool_rotation(self, command: Array, errors: Mapping[str, Array] | None = None) -> Array:
+        """(n, 3, 3) rotation of the tool (mirror, retroreflector) with respect to the workpiece; `errors` as above."""
         at = np.atleast_2d(np.asarray(command, float))
         total = np.broadcast_to(np.eye(3), (len(at), 3, 3))
         for axis in self._order:  # type: ignore[attr-defined]
-            if axis in self.motions:
-                total = total @ matrix(self.motions[axis](at[:, "XYZ".index(axis)])[:, 3:])
+            error = self._errors(axis, at[:, "XYZ".index(axis)], errors)
+            if error is not None:
+                total = total @ matrix(error[:, 3:])
         return total
 
     def carried(self, command: Array, vector: Array, errors: Mapping[str, Array] | None = None) -> Array:
