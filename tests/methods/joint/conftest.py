@@ -46,4 +46,4 @@ def measured(name: str, seed: int, spec: dict[str, Any] | None = None, **outer: 
 @pytest.fixture(scope="session")
 def several() -> SimpleNamespace:
     """The functions of this file."""
-    return SimpleNamespace(machine=machine, measured=measured, nodes=np.array(NODES))
+    return SimpleNamespace(machine=machine, measured=measured, nodes=np.array(NODES), PLANS=PLANS, CHAIN=CHAIN)
