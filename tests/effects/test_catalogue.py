@@ -14,12 +14,22 @@ import pytest
 
 from machine_tool_calibration.effects.catalogue import catalogue, find_effects
 from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.effects.reversal import REVERSALS
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.identify import build_model, identify
 from machine_tool_calibration.model.effect_terms import effect_term
 from machine_tool_calibration.model.fit import Fit, fit_models, screen
 from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
+from machine_tool_calibration.simulation import (
+    PRESETS,
+    DirectPlan,
+    FlawSpec,
+    RotaryPlan,
+    SimulationSpec,
+    TrackingPlan,
+    simulate,
+)
+from machine_tool_calibration.simulation.plans import AnyPlan
 
 # Where each effect is put in, and how closely its columns follow the exact geometry (cosine outside the model). A
 # polynomial of degree 4 does not quite follow the simulator's smooth functions.
@@ -27,6 +37,8 @@ SHOWN = {
     "backlash_x": ("tracking_2d", 0.999),
     "backlash_y": ("tracking_3d", 0.999),
     "backlash_z": ("tracking_3d", 0.999),
+    "backlash_a": ("rotary_axis_a", 0.999),
+    "backlash_b": ("rotary_axis_b", 0.999),
     "backlash_c": ("rotary_axis_both_ways", 0.999),
     "thermal_expansion_x": ("tracking_3d", 0.999),
     "thermal_expansion_y": ("tracking_3d", 0.999),
@@ -45,6 +57,23 @@ SHOWN = {
     "probe_pretravel": ("probing_cross", 0.98),
     "pitch_periodic_x": ("drilled_plate", 0.98),
     "pitch_periodic_y": ("drilled_plate", 0.98),
+    "lost_motion_x": ("tracking_2d", 0.98),
+    "lost_motion_y": ("tracking_2d", 0.98),
+    "lost_motion_z": ("tracking_3d", 0.98),
+    **{f"reversal_{name}": ("tracking_2d", 0.999) for name in ("EYX", "EXY")},
+    **{f"reversal_{name}": ("tracking_3d", 0.999) for name in ("EZX", "EZY", "EXZ", "EYZ", "EAX", "EBX", "EAY", "EBY")},
+    **{f"reversal_{name}": ("tracking_3d_offset", 0.999) for name in ("ECX", "ECY", "EAZ", "EBZ", "ECZ")},
+    "squareness_drift_C0Y": ("tracking_2d", 0.999),
+    "squareness_drift_B0Z": ("tracking_3d", 0.999),
+    "squareness_drift_A0Z": ("tracking_3d", 0.999),
+    "squareness_thermal_C0Y": ("tracking_2d", 0.999),
+    "squareness_thermal_B0Z": ("tracking_3d", 0.999),
+    "squareness_thermal_A0Z": ("step_diagonal", 0.99),
+    "thermal_lag_x": ("tracking_3d", 0.98),
+    "thermal_lag_y": ("tracking_3d", 0.98),
+    "thermal_lag_z": ("tracking_3d", 0.98),
+    "pointer_axis_offset": ("tracking_3d", 0.999),
+    "rotary_axis_drift": ("rotary_axis_both_ways", 0.999),
     "scale": ("drilled_plate", 0.999),
     "C0Y": ("drilled_plate", 0.999),
     "EXX": ("drilled_plate", 0.93),
@@ -61,19 +90,22 @@ TAKEN_UP = {
     "tracking_2d": [
         *("backlash_z", "thermal_expansion_z", "warmup_z", "pitch_periodic_x", "pitch_periodic_y", "pitch_periodic_z"),
         *("scale", "pointer_zero_offset", "EXX", "EYX", "EZX", "EAX", "EBX", "ECX", "EXY", "EYY", "EZY", "EAY", "EBY"),
-        *("ECY", "C0Y"),
+        *("ECY", "C0Y", "pointer_axis_offset"),
     ],
     "tracking_3d": [
         *("pitch_periodic_x", "pitch_periodic_y", "pitch_periodic_z", "scale", "pointer_zero_offset", "EXZ", "EYZ"),
         *("EZZ", "EAZ", "EBZ", "ECZ", "A0Z", "B0Z", "C0Y"),
     ],
     "step_diagonal": ["mirror_misalignment", "pitch_periodic_x", "scale", "EXX", "A0Z", "B0Z", "C0Y"],
+    # Approached in one way only: a reversal is part of the error motions.
+    "one_way": [*(f"lost_motion_{axis}" for axis in "xyz"), *(f"reversal_{name}" for name in REVERSALS)],
+    "rotary_axis_a_one_way": ["backlash_a"],
+    "rotary_axis_b_one_way": ["backlash_b"],
     "probing_cross": ["backlash_c", "scale", "C0Y"],
     "straightness": [
         "backlash_x",
         "thermal_expansion_x",
         "warmup_x",
-        "refractive_index",
         "workpiece_thermal",
         "scale_x",
     ],
@@ -83,17 +115,46 @@ TAKEN_UP = {
 STILL_AIR = {
     "step_diagonal": ["dead_path"],
     "rotary_axis": ["dead_path", "table_thermal_growth", "refractive_index"],
+    "tracking_3d": [
+        *(f"thermal_lag_{axis}" for axis in "xyz"),
+        *(f"squareness_thermal_{name}" for name in ("C0Y", "B0Z", "A0Z")),
+    ],
 }
 # Nothing that a method has among its unknowns looks like these.
 NEVER = {
     *("linear_drift", "station_drift", "pointer_radial_error", "retroreflector_form", "probe_pretravel"),
+    *("squareness_drift_C0Y", "squareness_drift_B0Z", "squareness_drift_A0Z", "rotary_axis_drift"),
+}
+
+
+PLANS: dict[str, AnyPlan] = {
+    **PRESETS,
+    "rotary_axis_a": RotaryPlan(axis="A", both_ways=True),
+    "rotary_axis_b": RotaryPlan(axis="B", both_ways=True),
+    "rotary_axis_a_one_way": RotaryPlan(axis="A"),
+    "rotary_axis_b_one_way": RotaryPlan(axis="B"),
+    "one_way": DirectPlan(
+        kind="points",
+        points=tuple((s, s, s) for s in np.repeat(np.linspace(0.0, 0.35, 8), 6).tolist()),
+        directions=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)) * 16,
+        terms=("EXX", "EYX", "EZX"),
+    ),
+    "tracking_3d_offset": TrackingPlan(dimension=3),
+}
+
+
+MACHINES: dict[str, dict[str, Any]] = {
+    "drilled_plate": {"random": None},
+    # A long tool: every angle has a lever arm.
+    "tracking_3d_offset": {"tool_offset": (0.12, -0.08, -0.25)},
 }
 
 
 def spec(plan: str, seed: int, **more: Any) -> SimulationSpec:
     """A usual session; where the model has no error motions of its own, the machine has none either."""
-    perfect = {"machine": {"random": None}} if plan == "drilled_plate" else {}
-    return SimulationSpec.model_validate({"plan": PRESETS[plan], "seed": seed, **perfect, **more})
+    machine = MACHINES.get(plan)
+    own = {} if machine is None else {"machine": machine}
+    return SimulationSpec.model_validate({"plan": PLANS[plan], "seed": seed, **own, **more})
 
 
 @cache

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.machine.chain import Chain
@@ -38,8 +41,8 @@ EQUATIONS_4_5 = {
 
 
 @pytest.mark.parametrize("name", EQUATION_23)
-def test_workpiece_carried_by_x_and_y(name):
-    assert field("w-X-Y-b-Z-t", name) == pytest.approx(list(EQUATION_23[name]))
+def test_work_on_y_which_rides_on_x(name):
+    assert field("w-Y-X-b-Z-t", name) == pytest.approx(list(EQUATION_23[name]))
 
 
 @pytest.mark.parametrize("name", EQUATIONS_4_5)
@@ -55,15 +58,81 @@ def test_all_axes_on_the_tool_side_in_another_order():
 
 
 def test_all_axes_on_the_workpiece_side():
-    """The axis next to the bed turns the workpiece with all others."""
-    assert field("w-X-Y-Z-b-t", "ECZ") == pytest.approx([-Y, X, 0])
-    assert field("w-X-Y-Z-b-t", "ECY") == pytest.approx([0, X, 0])
-    assert field("w-X-Y-Z-b-t", "ECX") == pytest.approx([0, 0, 0])
+    """For the axis that the work lies on, the tool is displaced by all others."""
+    assert field("w-X-Y-Z-b-t", "ECX") == pytest.approx([-Y, 0, 0])
+    assert field("w-X-Y-Z-b-t", "EAX") == pytest.approx([0, -Z, Y])
+    assert field("w-X-Y-Z-b-t", "ECY") == pytest.approx([0, 0, 0])
+    assert field("w-X-Y-Z-b-t", "EAY") == pytest.approx([0, -Z, 0])
+    assert field("w-X-Y-Z-b-t", "ECZ") == pytest.approx([0, 0, 0])
+
+
+def transform(turn: int = 0, angle: float = 0.0, axis: str = "X", along: float = 0.0) -> np.ndarray:
+    """A homogeneous transform: a turn about a direction after a shift along an axis."""
+    out = np.eye(4)
+    out[:3, :3] = Rotation.from_rotvec(angle * np.eye(3)[turn]).as_matrix()
+    out[:3, 3] = out[:3, :3] @ (along * np.eye(3)["XYZ".index(axis)])
+    return out
+
+
+def tool_in_workpiece(chain: Chain, place: np.ndarray, axis: str, turn: int, angle: float) -> np.ndarray:
+    """The tool's place as seen from the workpiece, through both branches that begin at the bed.
+
+    A table carries the work the other way than the axis counts, and its turn the other way turns the tool against the
+    work. Each carriage turns about the place that it has at its axis's zero.
+    """
+    bed_to_work, bed_to_tool = np.eye(4), np.eye(4)
+    for name in reversed(chain.workpiece_side):
+        along = place["XYZ".index(name)]
+        bed_to_work = bed_to_work @ transform(turn, -angle if name == axis else 0.0, name, -along)
+    for name in chain.tool_side:
+        along = place["XYZ".index(name)]
+        # the carriage is moved first and turned there
+        bed_to_tool = bed_to_tool @ transform(axis=name, along=along) @ transform(turn, angle if name == axis else 0.0)
+    return (np.linalg.inv(bed_to_work) @ bed_to_tool @ [*chain.tool_offset, 1.0])[:3]
+
+
+@pytest.mark.parametrize("turn", [0, 1, 2])
+@pytest.mark.parametrize("axis", ["X", "Y", "Z"])
+@pytest.mark.parametrize("text", ["w-Y-X-b-Z-t", "w-X-Y-b-Z-t", "w-b-X-Y-Z-t"])
+def test_the_offset_of_the_functional_point_is_part_of_every_arm(text, axis, turn):
+    """Abbe: a tool that reaches out of the spindle, composed exactly."""
+    chain = replace(Chain.parse(text), tool_offset=(0.07, -0.03, -0.2))
+    angle = 1e-5
+    there = tool_in_workpiece(chain, PLACE[0], axis, turn, angle)
+    back = tool_in_workpiece(chain, PLACE[0], axis, turn, -angle)
+    bare = lever_arm(Chain.parse(text), axis, PLACE)[0]
+    assert lever_arm(chain, axis, PLACE)[0] == pytest.approx(bare + chain.tool_offset)
+    expected = np.cross(np.eye(3)[turn], lever_arm(chain, axis, PLACE)[0])
+    assert (there - back) / (2 * angle) == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize("turn", [0, 1, 2])
+@pytest.mark.parametrize("axis", ["X", "Y", "Z"])
+@pytest.mark.parametrize(
+    ("chain", "arms"),
+    [
+        ("w-Y-X-b-Z-t", {"X": (0, 0, Z), "Y": (X, 0, Z), "Z": (0, 0, 0)}),
+        ("w-X-Y-b-Z-t", {"X": (0, Y, Z), "Y": (0, 0, Z), "Z": (0, 0, 0)}),
+        ("w-C-b-Y-X-Z-t", {"X": (0, 0, Z), "Y": (X, 0, Z), "Z": (0, 0, 0)}),
+        ("w-Z-X-b-Y-t", {"X": (0, Y, 0), "Y": (0, 0, 0), "Z": (X, Y, 0)}),
+        ("w-X-Y-Z-b-t", {"X": (0, Y, Z), "Y": (0, 0, Z), "Z": (0, 0, 0)}),
+    ],
+)
+def test_lever_arms_are_those_of_homogeneous_transforms(chain, arms, axis, turn):
+    """Composed exactly, with tables and carriages that really move and turn; no formula of a lever arm in it."""
+    parsed = Chain.parse(chain)
+    linear = Chain(tuple(a for a in parsed.workpiece_side if a != "C"), parsed.tool_side)
+    angle = 1e-5
+    there = tool_in_workpiece(linear, PLACE[0], axis, turn, angle)
+    back = tool_in_workpiece(linear, PLACE[0], axis, turn, -angle)
+    assert lever_arm(parsed, axis, PLACE)[0] == pytest.approx(arms[axis])
+    expected = np.cross(np.eye(3)[turn], lever_arm(parsed, axis, PLACE)[0])
+    assert (there - back) / (2 * angle) == pytest.approx(expected, abs=1e-9)
 
 
 def test_lever_arm_of_many_places():
     places = np.random.default_rng(0).normal(size=(7, 3))
-    arm = lever_arm(Chain.parse("w-X-Y-b-Z-t"), "Y", places)
+    arm = lever_arm(Chain.parse("w-Y-X-b-Z-t"), "Y", places)
     assert np.array_equal(arm, places * [1, 0, 1])
 
 

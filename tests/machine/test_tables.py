@@ -51,7 +51,7 @@ def test_names_units_and_columns():
 
 
 def test_squareness_has_one_value():
-    table = MachineTable(Chain.parse("w-X-Y-b-Z-t"), "C0Y", np.empty(0))
+    table = MachineTable(Chain.parse("w-Y-X-b-Z-t"), "C0Y", np.empty(0))
     assert table.labels == ("C0Y",)
     assert table.parameters[0].unit == "rad"
     position, along = np.array([[0.1, 0.3, 0.0]]), np.array([[0.6, 0.8, 0.0]])
@@ -61,18 +61,18 @@ def test_squareness_has_one_value():
 
 @pytest.mark.parametrize(("name", "is_it"), [("EYX", True), ("EXX", False), ("ECX", False), ("C0Y", False)])
 def test_straightness(name, is_it):
-    assert MachineTable(Chain.parse("w-X-Y-b-Z-t"), name, NODES).is_straightness is is_it
+    assert MachineTable(Chain.parse("w-Y-X-b-Z-t"), name, NODES).is_straightness is is_it
 
 
 def test_all_errors_of_three_axes():
-    chain = Chain.parse("w-X-Y-b-Z-t")
+    chain = Chain.parse("w-Y-X-b-Z-t")
     names = [table.name for table in linear_axis_errors(chain, {axis: NODES for axis in "XYZ"})]
     assert len(names) == len(set(names)) == 21
     assert names[9:12] == ["C0Y", "B0Z", "A0Z"]
 
 
 def test_an_axis_that_stood_still_has_no_errors():
-    chain = Chain.parse("w-X-Y-b-Z-t")
+    chain = Chain.parse("w-Y-X-b-Z-t")
     nodes = {"X": NODES, "Y": NODES, "Z": NODES[:1]}
     names = [table.name for table in linear_axis_errors(chain, nodes)]
     assert len(names) == 13

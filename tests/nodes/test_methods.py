@@ -28,7 +28,7 @@ def diagonal():
     session["machine"]["travel"] = {axis: [0.0, 0.03] for axis in "xyz"}
     session["setups"][2]["id"] = "pnp_zxy"
     effects = [{"id": "scale", "size": 2e-5}]
-    plan = {"method": "step_diagonal", "blocks": 3, "mirror_tilt": 0.0, "repeats": 2, "chain": "w-X-Y-b-Z-t"}
+    plan = {"method": "step_diagonal", "blocks": 3, "mirror_tilt": 0.0, "repeats": 2, "chain": "w-Y-X-b-Z-t"}
     plans = [plan, {**plan, "diagonals": ["pnp"], "orders": ["zxy"], "linear": []}]
     return procedure, effects, plans
 
@@ -56,7 +56,7 @@ def direct():
     procedure["session"]["machine"]["travel"] = {"x": [-0.01, 0.41], "y": [0.0, 0.05], "z": [0.0, 0.05]}
     procedure["session"]["repeats"] = 2
     procedure["path"] = {"grid": {"x": {"first": 0.0, "last": 0.4, "count": 5}}}
-    plan = {"method": "direct", "count": 5, "repeats": 2, "chain": "w-X-Y-b-Z-t"}
+    plan = {"method": "direct", "count": 5, "repeats": 2, "chain": "w-Y-X-b-Z-t"}
     return procedure, [{"id": "pitch_periodic_x", "size": 1e-6, "parameters": {"phase": 1.0}}], [plan]
 
 

@@ -6,12 +6,15 @@ g the nominal direction in which the instrument senses it.
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.simulation import (
     FLAWS,
     DiagonalPlan,
     DirectPlan,
+    Drift,
     FlawSpec,
     ProbingPlan,
     RotaryPlan,
@@ -22,6 +25,8 @@ from machine_tool_calibration.simulation import (
 )
 
 PLANS = {
+    "rotary_a": RotaryPlan(axis="A", both_ways=True),
+    "rotary_b": RotaryPlan(axis="B", both_ways=True),
     "tracking_2d": TrackingPlan(dimension=2),
     "tracking_3d": TrackingPlan(dimension=3, repeats=1),
     "diagonal": DiagonalPlan(repeats=1),
@@ -248,7 +253,8 @@ def test_mirror_misalignment_is_constant_per_axis_and_sums_to_zero():
 def test_pointer_radial_error(plan):
     session, signal, _ = put_in(plan, "pointer_radial_error", 2e-6, orders=[4], weights=[1.0], phases=[0.3])
     _, beam = station_distance(session)
-    check(session, signal, 2e-6 * np.cos(4 * np.arctan2(beam[:, 1], beam[:, 0]) + 0.3))
+    level = np.hypot(beam[:, 0], beam[:, 1])  # the centre moves in the plane of azimuth
+    check(session, signal, 2e-6 * level * np.cos(4 * np.arctan2(beam[:, 1], beam[:, 0]) + 0.3))
 
 
 def test_pointer_zero_offset_is_a_cosine_error():
@@ -272,6 +278,134 @@ def test_retroreflector_form(plan, angle):
     session, signal, _ = put_in(plan, "retroreflector_form", 1e-6, orders=[3], weights=[1.0], phases=[1.0])
     _, beam = station_distance(session)
     check(session, signal, 1e-6 * np.cos(3 * angle(session, beam) + 1.0))
+
+
+@pytest.mark.parametrize(("plan", "axis"), MOVING)
+def test_lost_motion_varies_along_the_axis(plan, axis):
+    session, signal, _ = put_in(plan, f"lost_motion_{axis}", 2e-6, where=0.0)
+    low, high = session.description.machine.travel[axis]
+    column, g = session.readings.columns, direction(session)[:, "xyz".index(axis)]
+    play = 2e-6 * np.cos(0.5 * np.pi * (column[axis] - low) / (high - low)) ** 2
+    check(session, signal, -play * column[f"dir_{axis}"] * g)
+
+
+@pytest.mark.parametrize(("name", "plan", "error"), [
+    ("EYX", "tracking_2d", lambda x, y, z: (0, 1, 0)),
+    ("EZY", "tracking_3d", lambda x, y, z: (0, 0, 1)),
+    ("ECY", "tracking_2d", lambda x, y, z: (0, x, 0)),
+    ("EBY", "tracking_3d", lambda x, y, z: (z, 0, -x)),
+    ("EAX", "tracking_3d", lambda x, y, z: (0, -z, 0)),
+])
+def test_reversal_of_straightness_and_angles(name, plan, error):
+    session, signal, _ = put_in(plan, f"reversal_{name}", 3e-6)
+    column = session.readings.columns
+    e = np.column_stack(np.broadcast_arrays(*error(*session.readings.position().T), np.zeros(len(signal)))[:3])
+    check(session, signal, -3e-6 * column[f"dir_{name[-1].lower()}"] * np.einsum("ni,ni->n", direction(session), e))
+
+
+def test_an_angle_that_reverses_turns_the_mirror():
+    """EAZ has no lever arm in w-Y-X-b-Z-t: what shows is the mirror, which turns about the point where it is."""
+    plan = DiagonalPlan(repeats=1, diagonals=("ppp",), orders=("zxy",), linear=())
+    session = simulate(SimulationSpec(plan=plan, seed=11)).session
+    flaw = FlawSpec(id="reversal_EAZ", size=1e-5)
+    signal = simulate(SimulationSpec(plan=plan, seed=11, effects=[flaw])).truth.signal
+    moved = session.readings.position() - session.readings.position()[0]
+    across = np.cross(moved[-1] / np.linalg.norm(moved[-1]), moved)[:, 0]  # the beam times the way
+    np.testing.assert_allclose(signal, -1e-5 * session.readings.columns["dir_z"] * across, atol=2e-9)
+    assert np.abs(signal).max() > 5e-8
+
+
+@pytest.mark.parametrize("plan", ["tracking_2d", "probing", "plate"])
+def test_squareness_that_drifts(plan):
+    session, signal, _ = put_in(plan, "squareness_drift_C0Y", 5e-9)
+    column = session.readings.columns
+    check(session, signal, -5e-9 * column["time"] * column["y"] * direction(session)[:, 0])
+
+
+def test_squareness_with_the_temperature():
+    session, signal, _ = put_in("tracking_3d", "squareness_thermal_A0Z", 1e-5)
+    column = session.readings.columns
+    warm = 0.5 * (column["temperature_y"] + column["temperature_z"]) - 20
+    check(session, signal, -1e-5 * warm * column["z"] * direction(session)[:, 1])
+
+
+def test_a_structure_behind_its_sensor():
+    """Against the differential equation tau y' = T - y, y(0) = T(0), solved step by step."""
+    drift = Drift(21.0, ((0.8, 3000.0, 0.7), (0.3, 9000.0, 2.0)), 1e-4)
+    time = np.linspace(0.0, 9000.0, 4)
+    found = solve_ivp(
+        lambda t, y: (drift(t) - y) / 1200.0, (0.0, 9000.0), [float(drift(np.zeros(1))[0])], t_eval=time,
+        rtol=1e-10, atol=1e-12,
+    )
+    np.testing.assert_allclose(drift.lagged(time, 1200.0), found.y[0], atol=1e-8)
+    _, late, _ = put_in("tracking_3d", "thermal_lag_x", 1e-5, tau=1.0)
+    _, now, _ = put_in("tracking_3d", "thermal_expansion_x", 1e-5)
+    np.testing.assert_allclose(late, now, atol=2e-3 * np.abs(now).max())
+    _, slow, _ = put_in("tracking_3d", "thermal_lag_x", 1e-5, tau=3000.0)
+    assert np.abs(slow - now).max() > 0.1 * np.abs(now).max()
+
+
+@pytest.mark.parametrize("plan", ["tracking_3d", "rotary"])
+def test_axes_of_the_pointer_that_do_not_intersect(plan):
+    session, signal, _ = put_in(plan, "pointer_axis_offset", 2e-5)
+    _, beam = station_distance(session)
+    check(session, signal, -2e-5 * np.hypot(beam[:, 0], beam[:, 1]))
+
+
+def test_a_beam_beside_its_axis():
+    session, signal, _ = put_in("rotary", "pointer_axis_offset", 0.0, beam=1e-3)
+    check(session, signal, -0.5e-6 / station_distance(session)[0])
+
+
+def test_drift_of_the_rotary_tables_axis():
+    way, tilt = np.array([0.6, 0.0, 0.8]), 3.0
+    session, signal, _ = put_in("rotary", "rotary_axis_drift", 2e-9, direction=way.tolist(), tilt=tilt)
+    length, beam = station_distance(session)
+    station = np.array([s.position for s in session.description.setups])[session.readings.setup]
+    place = station + length[:, None] * beam
+    moved = way + np.cross(tilt * np.cross([0, 0, 1], way), place)
+    check(session, signal, 2e-9 * session.readings.columns["time"] * np.einsum("ni,ni->n", beam, moved))
+    session, signal, _ = put_in("probing", "rotary_axis_drift", 2e-9, direction=way.tolist(), tilt=tilt)
+    check(session, signal, 2e-9 * session.readings.columns["time"] * (normals(session) @ way))
+
+
+def test_thermal_expansion_away_from_a_fixed_point():
+    session, signal, _ = put_in("tracking_3d", "thermal_expansion_x", 1e-5, fixed_point=0.3)
+    column, g = session.readings.columns, direction(session)[:, 0]
+    check(session, signal, 1e-5 * (column["temperature_x"] - 20) * (column["x"] - 0.3) * g)
+
+
+def on_a_table(plan, axis):
+    """Where the targets stand and in which direction each is seen; the table's own axis is `axis`."""
+    session = simulate(SimulationSpec(plan=plan, seed=11)).session
+    target = {t.id: np.array(t.position) for t in session.description.targets}
+    unit = np.eye(3)["abc".index(axis)]
+    turn = Rotation.from_rotvec(session.readings.columns[axis][:, None] * unit)
+    place = turn.apply([target[i] for i in session.readings.labels["target"]])
+    station = np.array([s.position for s in session.description.setups])[session.readings.setup]
+    line = place - station
+    return session, place, line / np.linalg.norm(line, axis=1, keepdims=True), unit
+
+
+@pytest.mark.parametrize("axis", ["a", "b", "c"])
+def test_table_thermal_growth_is_along_and_across_the_tables_own_axis(axis):
+    plan = RotaryPlan(axis=axis.upper())
+    session, place, seen, unit = on_a_table(plan, axis)
+    flaw = FlawSpec(id="table_thermal_growth", size=1.2e-5, parameters={"axial": 3.0})
+    signal = simulate(SimulationSpec(plan=plan, seed=11, effects=[flaw])).truth.signal
+    along = (place @ unit)[:, None] * unit
+    warm = session.readings.columns["temperature_table"] - 20
+    check(session, signal, 1.2e-5 * warm * np.einsum("ni,ni->n", seen, place + 2.0 * along))
+
+
+@pytest.mark.parametrize("axis", ["a", "b", "c"])
+def test_backlash_of_any_rotary_axis(axis):
+    plan = RotaryPlan(axis=axis.upper(), both_ways=True)
+    session, place, seen, unit = on_a_table(plan, axis)
+    flaw = FlawSpec(id=f"backlash_{axis}", size=1.3e-5)
+    signal = simulate(SimulationSpec(plan=plan, seed=11, effects=[flaw])).truth.signal
+    moved = -1.3e-5 * session.readings.columns[f"dir_{axis}"][:, None] * np.cross(unit, place)
+    check(session, signal, np.einsum("ni,ni->n", seen, moved))
 
 
 def test_table_thermal_growth():
@@ -330,7 +464,8 @@ def test_error_motions_of_the_rotary_axis(name):
 @pytest.mark.parametrize("effect", list(FLAWS))
 def test_every_flaw_can_be_put_into_each_of_its_methods(effect):
     for name, plan in PLANS.items():
-        if plan.method in FLAWS[effect].methods:
+        axis = FLAWS[effect].axis
+        if plan.method in FLAWS[effect].methods and axis in ("", getattr(plan, "axis", "C")):
             session, signal, _ = put_in(name, effect)
             assert np.all(np.isfinite(session.readings.displacement))
             assert np.all(np.isfinite(signal))
@@ -370,5 +505,7 @@ def test_unknown_effects_and_parameters_are_refused_in_one_line():
         choose_flaw("pitch_periodic_x", parameters={"leed": 1})
     with pytest.raises(CalibrationError, match="does not occur in probing"):
         simulate(SimulationSpec(plan=ProbingPlan(), effects=[FlawSpec(id="dead_path")]))
+    with pytest.raises(CalibrationError, match=r"one of axis A, and this plan turns C; simulate axis=A"):
+        simulate(SimulationSpec(plan=RotaryPlan(), effects=[FlawSpec(id="backlash_a")]))
     with pytest.raises(CalibrationError, match="changes no reading"):
         simulate(SimulationSpec(plan=TrackingPlan(dimension=2), effects=[FlawSpec(id="backlash_z", amplitude=1e-6)]))

@@ -6,6 +6,7 @@ import pytest
 from machine_tool_calibration.simulation import Pointer, aim, distance, mirror_path, probed, sensed_path
 from machine_tool_calibration.simulation.air import deviation, refractivity, vapour_pressure
 from machine_tool_calibration.simulation.laser import across, tilted
+from machine_tool_calibration.simulation.tracking import beam_direction
 
 
 def test_pointing_uses_all_four_quadrants():
@@ -40,6 +41,16 @@ def test_radial_error_motion_adds_its_harmonics_to_the_path():
     origin, direction = Pointer(radial={3: (2e-6, -1e-6)}).beam(azimuth, np.zeros(7), np.zeros((7, 3)))
     expected = 0.5 + 2e-6 * np.cos(3 * azimuth) - 1e-6 * np.sin(3 * azimuth)
     np.testing.assert_allclose(sensed_path(target, origin, direction), expected, atol=1e-15)
+
+
+def test_radial_error_motion_is_in_the_plane_of_azimuth():
+    """A beam that rises by 60 degrees senses half of it."""
+    up, azimuth = np.full(5, np.pi / 3), np.linspace(-2, 2, 5)
+    beam = beam_direction(azimuth, up)
+    origin, direction = Pointer(radial={2: (3e-6, 0.0)}).beam(azimuth, up, np.zeros((5, 3)))
+    assert np.abs(origin[:, 2]).max() == 0.0
+    expected = 0.5 + 0.5 * 3e-6 * np.cos(2 * azimuth)
+    np.testing.assert_allclose(sensed_path(0.5 * beam, origin, direction), expected, atol=1e-15)
 
 
 def test_eccentric_beam_reads_the_same_path_from_beside_the_centre():

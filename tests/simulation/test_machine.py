@@ -30,7 +30,7 @@ def random_values(axes, angle, length, seed=0):
 
 def test_lever_arms_of_table_on_table_are_those_of_equation_23():
     e = random_values("XYZ", 1e-5, 3e-6)
-    error = machine("w-X-Y-b-Z-t", e).position_error(POINT)[0]
+    error = machine("w-Y-X-b-Z-t", e).position_error(POINT)[0]
     expected = [
         e["EXX"] + e["EXY"] + e["EXZ"] + Z * e["EBX"] + Z * e["EBY"],
         e["EYX"] + e["EYY"] + e["EYZ"] + X * e["ECY"] - Z * e["EAY"] - Z * e["EAX"],
@@ -50,12 +50,13 @@ def test_lever_arms_of_the_five_axis_machine_are_those_of_equations_4_and_5():
 @pytest.mark.parametrize(
     ("chain", "arms"),
     [
-        ("w-X-Y-b-Z-t", {"X": (0, 0, Z), "Y": (X, 0, Z), "Z": (0, 0, 0)}),
+        ("w-Y-X-b-Z-t", {"X": (0, 0, Z), "Y": (X, 0, Z), "Z": (0, 0, 0)}),
+        ("w-X-Y-b-Z-t", {"X": (0, Y, Z), "Y": (0, 0, Z), "Z": (0, 0, 0)}),
         ("w-C-b-Y-X-Z-t", {"X": (0, 0, Z), "Y": (X, 0, Z), "Z": (0, 0, 0)}),
         ("w-X-b-Y-Z-t", {"X": (0, Y, Z), "Y": (0, 0, Z), "Z": (0, 0, 0)}),
         ("w-b-X-Y-Z-t", {"X": (0, Y, Z), "Y": (0, 0, Z), "Z": (0, 0, 0)}),
         ("w-Y-b-X-Z-t", {"X": (0, 0, Z), "Y": (X, 0, Z), "Z": (0, 0, 0)}),
-        ("w-Z-X-b-Y-t", {"X": (0, Y, Z), "Y": (0, 0, 0), "Z": (0, Y, 0)}),
+        ("w-Z-X-b-Y-t", {"X": (0, Y, 0), "Y": (0, 0, 0), "Z": (X, Y, 0)}),
     ],
 )
 def test_lever_arms_follow_from_the_chain(chain, arms):

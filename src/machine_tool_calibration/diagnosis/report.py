@@ -103,8 +103,8 @@ def _candidates(diagnosis: Diagnosis, changes: Mapping[str, Consequence], shown:
     before = micrometres(rms(Pool(diagnosis.fits[0]).residuals))
     note = (
         "alike: the same letter, look-alikes; p: chance of doing as well, paid for the whole search; size ± U (k = 2); "
-        "left out: share by which the error of predicting readings left out falls, the worst of setups, "
-        f"blocks of places and cycles; residual and map: RMS with it in the model; without any the residual is {before} µm"
+        "left out: share by which the error of predicting readings left out falls, the worst of setups, blocks of places "
+        f"and cycles; residual and map: RMS with it in the model; without any the residual is {before} µm"
     )
     if accepted:
         note = f"✓ found; {note}; the others as they were before anything was added"

@@ -11,6 +11,8 @@ from machine_tool_calibration.model.observations import Observations
 
 __all__ = ["DeadPath", "RefractiveIndex"]
 
+# A beam in air whose wavelength measures.
+_BEAMS = ("laser_interferometer", "tracking_interferometer", "laser_tracker")
 _OPTICAL = ("step_diagonal", "tracking_interferometer", "rotary_axis", "direct")
 
 
@@ -31,6 +33,7 @@ class RefractiveIndex(Effect):
     needs = ("temperature_air",)
     covariates = ("temperature_air", "air_pressure", "relative_humidity", "path", "displacement")
     methods = _OPTICAL
+    instruments = _BEAMS
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Deviation of the index times path."""
@@ -49,6 +52,7 @@ class DeadPath(Effect):
     needs = ("temperature_air",)
     covariates = ("temperature_air", "air_pressure", "relative_humidity")
     methods = _OPTICAL
+    instruments = _BEAMS
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Deviation of the index."""

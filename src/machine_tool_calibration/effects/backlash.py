@@ -6,9 +6,10 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient, Effect, axis_unit
+from machine_tool_calibration.effects.rotary import axis_direction, table_axis
 from machine_tool_calibration.model.observations import Observations
 
-__all__ = ["Backlash", "BacklashC"]
+__all__ = ["Backlash", "RotaryBacklash"]
 
 
 class Backlash(Effect):
@@ -32,21 +33,33 @@ class Backlash(Effect):
         return np.asarray(-approach * (observations.direction @ axis_unit(self.axis)))[None]
 
 
-class BacklashC(Effect):
-    """Half the reversal error of a rotary table about Z."""
+class RotaryBacklash(Effect):
+    """Half the reversal error of a rotary table, against the direction of the last move (ISO 230-2)."""
 
-    id = "backlash_c"
-    title = "backlash of C"
-    formula = "angle of C: -b dir_c"
-    source = "ISO 230-2:2014, reversal error; half width b"
     kind = "position"
-    coefficients = (Coefficient("b", "rad", 0.0, 1e-3, "half width"),)
-    needs = ("c", "dir_c")
-    methods = ("rotary_axis", "probing")
+    source = "ISO 230-2:2014, reversal error; half width b"
+
+    def __init__(self, axis: str) -> None:
+        """Backlash of a, b or c."""
+        self.axis = axis
+        self.id = f"backlash_{axis}"
+        self.title = f"backlash of {axis.upper()}"
+        self.formula = f"angle of {axis.upper()}: -b dir_{axis}"
+        self.coefficients = (Coefficient("b", "rad", 0.0, 1e-3, "half width"),)
+        self.needs = (axis, f"dir_{axis}")
+        # Parts are probed on a table about Z only.
+        self.methods = ("rotary_axis", "probing") if axis == "c" else ("rotary_axis",)
+
+    def why_not(self, observations: Observations) -> str | None:
+        """Only the axis under test turns."""
+        why = super().why_not(observations)
+        if why is None and table_axis(observations) != self.axis.upper():
+            return f"the axis under test is {table_axis(observations)}"
+        return why
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
-        """The table turns about Z; what is on it moves across its radius."""
+        """The table turns about its axis; what is on it moves across its radius."""
         sign = observations.session.rotation_sign
-        moved = np.cross([0.0, 0.0, float(sign)], observations.position)
-        approach = observations.readings.column("dir_c")
+        moved = np.cross(sign * axis_direction(self.axis), observations.position)
+        approach = observations.readings.column(f"dir_{self.axis}")
         return np.asarray(-approach * np.einsum("nj,nj->n", moved, observations.table_direction))[None]

@@ -8,18 +8,24 @@ from functools import cache
 from importlib.metadata import entry_points
 
 from machine_tool_calibration.effects.air import DeadPath, RefractiveIndex
-from machine_tool_calibration.effects.backlash import Backlash, BacklashC
+from machine_tool_calibration.effects.backlash import Backlash, RotaryBacklash
 from machine_tool_calibration.effects.drift import LinearDrift, StationDrift
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.effects.error_motion import ErrorMotionEffect
 from machine_tool_calibration.effects.growth import TableThermalGrowth, WorkpieceThermal
+from machine_tool_calibration.effects.lost_motion import LostMotion
 from machine_tool_calibration.effects.mirror import MirrorMisalignment
 from machine_tool_calibration.effects.pitch_periodic import PitchPeriodic
 from machine_tool_calibration.effects.pointer import PointerRadialError, PointerZeroOffset
+from machine_tool_calibration.effects.pointer_axes import PointerAxisOffset
 from machine_tool_calibration.effects.pretravel import ProbePretravel
 from machine_tool_calibration.effects.retroreflector import RetroreflectorForm
+from machine_tool_calibration.effects.reversal import REVERSALS, Reversal
+from machine_tool_calibration.effects.rotary_drift import RotaryAxisDrift
 from machine_tool_calibration.effects.scale import AxisScale, Scale
+from machine_tool_calibration.effects.squareness_drift import SquarenessDrift, SquarenessThermal
 from machine_tool_calibration.effects.thermal_expansion import ThermalExpansion
+from machine_tool_calibration.effects.thermal_lag import ThermalLag
 from machine_tool_calibration.effects.warmup import Warmup
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.machine.error_motions import SQUARENESS
@@ -33,8 +39,11 @@ def _built_in() -> list[Effect]:
     axes = "xyz"
     return [
         *(Backlash(axis) for axis in axes),
-        BacklashC(),
+        *(RotaryBacklash(axis) for axis in "abc"),
+        *(LostMotion(axis) for axis in axes),
+        *(Reversal(name) for name in REVERSALS),
         *(ThermalExpansion(axis) for axis in axes),
+        *(ThermalLag(axis) for axis in axes),
         *(Warmup(axis) for axis in axes),
         *(PitchPeriodic(axis) for axis in axes),
         RefractiveIndex(),
@@ -44,14 +53,18 @@ def _built_in() -> list[Effect]:
         MirrorMisalignment(),
         PointerRadialError(),
         PointerZeroOffset(),
+        PointerAxisOffset(),
         RetroreflectorForm(),
         TableThermalGrowth(),
+        RotaryAxisDrift(),
         WorkpieceThermal(),
         ProbePretravel(),
         Scale(),
         *(AxisScale(axis) for axis in axes),
         *(ErrorMotionEffect(f"E{c}{axis}") for axis in "XYZ" for c in "XYZABC"),
         *(ErrorMotionEffect(name) for name in SQUARENESS),
+        *(SquarenessDrift(name) for name in SQUARENESS),
+        *(SquarenessThermal(name) for name in SQUARENESS),
     ]
 
 

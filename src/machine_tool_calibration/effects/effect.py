@@ -71,6 +71,8 @@ class Effect(ABC):
         shapes: the nonlinear ones; at most one or two.
         needs: columns of the session that it uses.
         methods: methods in which it can act; all if empty.
+        instruments: instruments that can have it; all if empty. A direct session that does not name its instrument has
+            none of these effects: nothing says that there was a beam, and slow changes of the air look like any drift.
         covariates: what the readings depend on through the effect; its columns if empty.
         setup_level: whether its coefficients belong to single setups, which then are the sample.
         contains: ids of simpler effects that are a special case of it: where they are found too, they come first.
@@ -85,6 +87,7 @@ class Effect(ABC):
     shapes: tuple[Shape, ...] = ()
     needs: tuple[str, ...] = ()
     methods: tuple[str, ...] = ()
+    instruments: tuple[str, ...] = ()
     covariates: tuple[str, ...] = ()
     setup_level: bool = False
     contains: tuple[str, ...] = ()
@@ -93,6 +96,9 @@ class Effect(ABC):
         """Why the effect cannot be looked for in these readings; None if it can."""
         if self.methods and observations.session.method not in self.methods:
             return f"does not occur with {observations.session.method.replace('_', ' ')}"
+        why = self._not_with(observations.session.instrument)
+        if why is not None:
+            return why
         for name in self.needs:
             values = observations.readings.columns.get(name)
             if values is None:
@@ -100,6 +106,14 @@ class Effect(ABC):
             if not np.isfinite(values).all():
                 return f"the column {name} has missing values"
         return None
+
+    def _not_with(self, instrument: str | None) -> str | None:
+        """Why the instrument that read cannot have it."""
+        if not self.instruments or instrument in self.instruments:
+            return None
+        if instrument is None:
+            return f"the session does not say what read (instrument: {' or '.join(self.instruments)})"
+        return f"does not occur with instrument {instrument}"
 
     def coefficients_for(self, observations: Observations, shape: tuple[float, ...] = ()) -> tuple[Coefficient, ...]:
         """The coefficients; effects with one set a setup, or as many as their shape says, say here how many."""

@@ -6,12 +6,17 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient, Effect
-from machine_tool_calibration.machine.chain import Chain
-from machine_tool_calibration.machine.error_motions import SQUARENESS, motion_field, parse_motion, squareness_field
+from machine_tool_calibration.machine.error_motions import (
+    SQUARENESS,
+    ErrorMotion,
+    motion_field,
+    parse_motion,
+    squareness_field,
+)
 from machine_tool_calibration.machine.table import interpolation
 from machine_tool_calibration.model.observations import Observations
 
-__all__ = ["ErrorMotionEffect"]
+__all__ = ["ErrorMotionEffect", "sensed_motion"]
 
 _DEGREES = 4
 # Legendre polynomials over the axis's range: what each looks like; its size is that at the upper end.
@@ -20,6 +25,26 @@ _POWERS = ("constant", "straight line", "bow, power 2", "S, power 3", "double bo
 _FEWEST, _MOST = 4, 60
 _STILL = 1e-6  # m
 _SQUARE = {"XY": "C0Y", "XZ": "B0Z", "YZ": "A0Z"}
+
+
+def sensed_motion(observations: Observations, motion: ErrorMotion) -> Array:
+    """(n,) change of each reading per unit of an error motion at its place; m per m, or m per rad.
+
+    The lever arm of a rotation is that of the chain, and a flat mirror turns with it. Where the chain gives no arm in
+    the measured plane, the carriage is taken to turn about the machine's zero.
+    """
+    field = motion_field(observations.session.description.machine.kinematics, motion, observations.position)
+    if not motion.is_rotation:
+        return np.asarray(np.einsum("nj,nj->n", field, observations.direction))
+    component = "ABC".index(motion.component)
+    turned = observations.rotation_direction
+    seen = np.abs(observations.direction).max(axis=0) > 0
+    if turned is None and np.abs(field[:, seen]).max(initial=0.0) < 1e-9:
+        arm = observations.position.copy()
+        arm[:, "XYZ".index(motion.axis)] = 0.0
+        field = np.cross(np.eye(3)[component], arm)
+    along = np.einsum("nj,nj->n", field, observations.direction)
+    return np.asarray(along if turned is None else along + turned[:, component])
 
 
 class ErrorMotionEffect(Effect):
@@ -61,7 +86,7 @@ class ErrorMotionEffect(Effect):
 
     def why_not(self, observations: Observations) -> str | None:
         """Needs the axis in the chain, and a rotary axis is not meant."""
-        chain = Chain.parse(observations.session.description.machine.chain)
+        chain = observations.session.description.machine.kinematics
         axis = self.id[2]
         if axis not in chain.linear:
             return f"the chain has no axis {axis}"
@@ -114,20 +139,7 @@ class ErrorMotionEffect(Effect):
             start = np.column_stack([np.ones(len(nodes)), (nodes - nodes.mean()) / np.ptp(nodes), np.eye(len(nodes))])
             basis = np.linalg.qr(start)[0][:, : len(nodes)] * np.sqrt(len(nodes))
             return np.asarray(basis.T[self._first(observations) :] @ table)
-        chain = Chain.parse(observations.session.description.machine.chain)
-        field = motion_field(chain, motion, position)
-        turns = observations.rotation_direction is not None
-        if (
-            motion.is_rotation
-            and not turns
-            and np.abs(field[:, np.abs(observations.direction).max(axis=0) > 0]).max(initial=0.0) < 1e-9
-        ):
-            arm = position.copy()
-            arm[:, "XYZ".index(motion.axis)] = 0.0
-            field = np.cross(np.eye(3)["ABC".index(motion.component)], arm)
-        along = np.einsum("nj,nj->n", field, observations.direction)
-        if motion.is_rotation and observations.rotation_direction is not None:
-            along = along + observations.rotation_direction[:, "ABC".index(motion.component)]
+        along = sensed_motion(observations, motion)
         axis = observations.readings.column(self.axis)
         middle, half = (axis.max() + axis.min()) / 2, (np.ptp(axis) or 1.0) / 2
         series = np.polynomial.legendre.legvander((axis - middle) / half, _DEGREES)[:, 1:]

@@ -6,6 +6,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient, Effect
+from machine_tool_calibration.effects.rotary import axis_direction, table_axis
 from machine_tool_calibration.effects.thermal_expansion import REFERENCE_TEMPERATURE
 from machine_tool_calibration.model.observations import Observations
 
@@ -13,16 +14,16 @@ __all__ = ["TableThermalGrowth", "WorkpieceThermal"]
 
 
 class TableThermalGrowth(Effect):
-    """Targets on the table move outwards and upwards with the table's temperature."""
+    """Targets on the table move away from its axis, and along it, with the table's temperature."""
 
     id = "table_thermal_growth"
     title = "thermal growth of the table"
-    formula = "target = (temperature_table - 20) (k_r radius + k_z height)"
+    formula = "target = (temperature_table - 20) (k_r radius + k_z height along the axis)"
     source = "ISO 230-3; linear expansion"
     kind = "position"
     coefficients = (
         Coefficient("k_r", "1/K", -3e-4, 3e-4, "growth outwards"),
-        Coefficient("k_z", "1/K", -1e-3, 1e-3, "growth upwards"),
+        Coefficient("k_z", "1/K", -1e-3, 1e-3, "growth along the axis"),
     )
     needs = ("temperature_table",)
     methods = ("rotary_axis",)
@@ -30,9 +31,11 @@ class TableThermalGrowth(Effect):
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Radial and axial growth, sensed through the table."""
         excess = observations.readings.column("temperature_table") - REFERENCE_TEMPERATURE
+        direction = axis_direction(table_axis(observations))
         place, sensed = observations.position, observations.table_direction
-        radial = np.einsum("nj,nj->n", place[:, :2], sensed[:, :2])
-        return np.asarray([excess * radial, excess * place[:, 2] * sensed[:, 2]])
+        axial = (place @ direction) * (sensed @ direction)
+        radial = np.einsum("nj,nj->n", place, sensed) - axial
+        return np.asarray([excess * radial, excess * axial])
 
 
 class WorkpieceThermal(Effect):

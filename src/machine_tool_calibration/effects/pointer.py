@@ -18,20 +18,29 @@ def beam_azimuth(observations: Observations) -> Array:
 
 
 class PointerRadialError(HarmonicEffect):
-    """Radial error motion of the pointer along the beam; once a turn is the station's position (ISO 230-7)."""
+    """Radial error motion of the pointer's azimuth axis; once a turn is the station's position (ISO 230-7).
+
+    The rotation centre moves across that axis, in the plane of azimuth: a beam that rises senses the cosine of it.
+    """
 
     id = "pointer_radial_error"
     title = "radial error motion of the pointer"
-    formula = "reading = sum of s_k sin(k azimuth) + c_k cos(k azimuth), k from 2"
+    formula = "reading = cos(elevation) (sum of s_k sin(k azimuth) + c_k cos(k azimuth), k from 2)"
     source = "Ibaraki et al. 2014, Table 4, u21; ISO 230-7"
     coefficients = ()
     limit = 5e-5
     covariates = ("azimuth", "elevation")
     methods = ("tracking_interferometer", "rotary_axis")
+    instruments = ("tracking_interferometer", "laser_tracker")
 
     def angle(self, observations: Observations) -> Array:
         """The azimuth."""
         return beam_azimuth(observations)
+
+    def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
+        """Sine and cosine of each order, as far as the beam lies in the plane of azimuth."""
+        level = np.hypot(observations.direction[:, 0], observations.direction[:, 1])
+        return np.asarray(level * super().columns(observations, shape))
 
 
 class PointerZeroOffset(Effect):
@@ -45,6 +54,7 @@ class PointerZeroOffset(Effect):
     coefficients = (Coefficient("q", "1", 0.0, 2e-4, "half the square of the angle"),)
     covariates = ("path", "displacement")
     methods = ("tracking_interferometer",)
+    instruments = ("tracking_interferometer",)
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Minus the path."""

@@ -7,6 +7,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.harmonics import HarmonicEffect
 from machine_tool_calibration.effects.pointer import beam_azimuth
+from machine_tool_calibration.effects.rotary import table_axis
 from machine_tool_calibration.model.observations import Observations
 
 __all__ = ["RetroreflectorForm"]
@@ -16,7 +17,8 @@ class RetroreflectorForm(HarmonicEffect):
     """Path change with the direction in which the beam meets the retroreflector.
 
     The retroreflector keeps its orientation to the machine on a spindle, and turns with a rotary table. In a plane
-    the angle of incidence is the azimuth; in space it is the angle to the spindle's axis.
+    the angle of incidence is the azimuth; in space it is the angle to the spindle's axis; on a table it is the angle
+    about the table's axis, as seen from the table.
     """
 
     id = "retroreflector_form"
@@ -27,12 +29,16 @@ class RetroreflectorForm(HarmonicEffect):
     limit = 2e-5
     covariates = ("azimuth", "elevation", "c")
     methods = ("tracking_interferometer", "rotary_axis")
+    instruments = ("tracking_interferometer", "laser_tracker")
 
     def angle(self, observations: Observations) -> Array:
         """The angle of incidence."""
         session = observations.session
         if session.method == "rotary_axis":
-            return np.asarray(beam_azimuth(observations) - session.rotation_sign * observations.readings.column("c"))
+            axis = table_axis(observations)
+            i, j = (("ABC".index(axis) + k) % 3 for k in (1, 2))
+            about = np.arctan2(observations.direction[:, j], observations.direction[:, i])
+            return np.asarray(about - session.rotation_sign * observations.readings.column(axis.lower()))
         if getattr(session.description, "dimension", 3) == 2:
             return beam_azimuth(observations)
         return np.asarray(np.arccos(np.clip(observations.direction[:, 2], -1.0, 1.0)))

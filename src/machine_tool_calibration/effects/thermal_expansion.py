@@ -15,7 +15,14 @@ REFERENCE_TEMPERATURE = 20.0
 
 
 class ThermalExpansion(Effect):
-    """The scale of a linear axis grows with its temperature, from the axis's zero (ISO 230-3)."""
+    """The scale of a linear axis grows with its temperature, from the point where it is fixed (ISO 230-3).
+
+    A scale or screw that is fixed at p0 grows away from there: e = k (T - 20) (position - p0). The product of the two
+    unknowns would be nonlinear, and p0 is no number where nothing grows; so what is fitted and published is k and
+    q = k p0, a shift of the whole axis with the temperature. Fixed at the axis's zero, q is zero. Where the
+    temperature stayed as it was, or the method's own unknowns hold every shift of the axis, q is not determined, and k
+    stands alone.
+    """
 
     kind = "position"
     source = "ISO 230-3; reference temperature of ISO 1"
@@ -25,13 +32,16 @@ class ThermalExpansion(Effect):
         self.axis = axis
         self.id = f"thermal_expansion_{axis}"
         self.title = f"thermal expansion of {axis.upper()}"
-        self.formula = f"e_{axis} = k (temperature_{axis} - 20) {axis}"
-        self.coefficients = (Coefficient("k", "1/K", -2e-4, 2e-4, "expansion coefficient"),)
+        self.formula = f"e_{axis} = (temperature_{axis} - 20) (k {axis} - q), q = k times the fixed point"
+        self.coefficients = (
+            Coefficient("k", "1/K", -2e-4, 2e-4, "expansion coefficient"),
+            Coefficient("q", "m/K", -5e-5, 5e-5, "expansion coefficient times the position of the fixed point"),
+        )
         self.needs = (axis, f"temperature_{axis}")
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
-        """Position times excess temperature, along the axis."""
+        """Position times excess temperature, and minus the excess temperature, along the axis."""
         readings = observations.readings
         excess = readings.column(f"temperature_{self.axis}") - REFERENCE_TEMPERATURE
         along = observations.direction @ axis_unit(self.axis)
-        return np.asarray(excess * readings.column(self.axis) * along)[None]
+        return np.asarray([excess * readings.column(self.axis) * along, -excess * along])

@@ -17,10 +17,13 @@ class Chain:
     Attributes:
         workpiece_side: axes from the workpiece to the bed.
         tool_side: axes from the bed to the tool.
+        tool_offset: from the point to which the axes' positions refer to the functional point, x, y, z, m; it is part
+            of every lever arm (Abbe).
     """
 
     workpiece_side: tuple[str, ...]
     tool_side: tuple[str, ...]
+    tool_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @classmethod
     def parse(cls, text: str) -> Chain:

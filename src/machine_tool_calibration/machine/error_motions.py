@@ -3,7 +3,7 @@
 Names are those of ISO 230-1: EXX EYX EZX are the translations and EAX EBX ECX the rotations of the X axis,
 likewise Y, Z and C; A0Z B0Z C0Y are the squareness errors. Rigid bodies and small errors: the position error of
 the tool in the workpiece frame is the sum over the axes of translation plus rotation times lever arm
-(Ibaraki and Hata 2010, Eq. (23) for w-X-Y-b-Z-t; the probing paper's Eqs. (4)(5) for w-C-b-Y-X-Z-t).
+(Ibaraki and Hata 2010, Eq. (23) for w-Y-X-b-Z-t; the probing paper's Eqs. (4)(5) for w-C-b-Y-X-Z-t).
 """
 
 from __future__ import annotations
@@ -49,10 +49,12 @@ def parse_motion(name: str) -> ErrorMotion:
 
 
 def lever_arm(chain: Chain, axis: str, position: Array) -> Array:
-    """Vector from the carriage of an axis to the functional point, through the axes that it carries.
+    """Lever arm of an axis's angular errors: the positions of all axes after it in the chain, towards the tool.
 
-    An axis on the tool's side carries those between it and the tool. An axis on the workpiece's side carries those
-    between it and the workpiece, and turns the workpiece against the whole tool side.
+    Whether they stand on the workpiece's or on the tool's side of the bed does not matter: for the rotation of a table
+    only the tool's place relative to that table counts, not how far the tables on top of it have moved. The axis's
+    own position is not part of it: what a rotation does through that is part of the axis's translation errors. The
+    offset of the functional point is at the tool's end of the chain: it is part of every arm.
 
     Args:
         chain: the machine.
@@ -62,12 +64,9 @@ def lever_arm(chain: Chain, axis: str, position: Array) -> Array:
     Returns:
         (n, 3) lever arm, m.
     """
-    side = chain.workpiece_side[::-1] if axis in chain.workpiece_side else chain.tool_side
-    carried = set(side[side.index(axis) + 1 :])
-    if axis in chain.workpiece_side:
-        carried |= set(chain.tool_side)
-    mask = np.array([1.0 if name in carried else 0.0 for name in _TRANSLATIONS])
-    return np.asarray(position * mask)
+    after = chain.axes[chain.axes.index(axis) + 1 :]
+    mask = np.array([1.0 if name in after else 0.0 for name in _TRANSLATIONS])
+    return np.asarray(position * mask + np.asarray(chain.tool_offset))
 
 
 def motion_field(chain: Chain, motion: ErrorMotion, position: Array) -> Array:

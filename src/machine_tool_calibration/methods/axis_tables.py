@@ -164,7 +164,7 @@ def axis_tables(result: Result) -> AxisTables:
             hint = f"{left_out[0].name}: {left_out[0].why}"
         raise ModelError(f"{session.source}: no tables of error motions: {hint}")
     return AxisTables(
-        Chain.parse(session.description.machine.chain),
+        session.description.machine.kinematics,
         tuple(found),
         squareness,
         _backlash(result.parameters),
@@ -191,7 +191,7 @@ def joint_axis_tables(joint: JointResult) -> AxisTables:
     if not found and not squareness:
         hint = f"{left_out[0].name}: {left_out[0].why}" if left_out else "the sessions have none of a linear axis"
         raise ModelError(f"{' + '.join(joint.labels)}: no tables of error motions: {hint}")
-    chains = [Chain.parse(model.observations.session.description.machine.chain) for model in common.models]
+    chains = [model.observations.session.description.machine.kinematics for model in common.models]
     return AxisTables(
         next(chain for chain in chains if chain.linear),
         tuple(found),

@@ -17,7 +17,6 @@ from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.layout import group_rows
 from machine_tool_calibration.estimation.problem import LinearPart, Part
-from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.machine.tables import MachineTable
 from machine_tool_calibration.methods.direct_datum import SetupDatum, setup_datum
 from machine_tool_calibration.methods.direct_map import direct_map
@@ -121,7 +120,7 @@ def build_direct(
         description.datum, session.setup_ids, readings.setup, position, direction, readings.displacement
     )
     asked = description.terms if terms is None else tuple(terms)
-    tables = asked_tables(Chain.parse(description.machine.chain), asked, position, nodes)
+    tables = asked_tables(description.machine.kinematics, asked, position, nodes)
     kept, machine, left = _told_apart(observations, tables, setups)
     constraints, words, fixed = _datum(kept, machine, setups, readings.setup, len(session.setup_ids))
     return DirectModel(

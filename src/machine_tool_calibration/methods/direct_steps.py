@@ -145,7 +145,7 @@ def _fitted(
     columns = np.concatenate([step.columns for step in used])[:, good]
     size = np.maximum(np.linalg.norm(columns, axis=1), 1e-300)
     left, values, vectors = np.linalg.svd((columns / size[:, None]).T, full_matrices=False)
-    keep = values > _ROUNDING * values[0]
+    keep = values > _ROUNDING * values.max(initial=0.0)
     rank = int(keep.sum())
     theta = vectors[keep].T @ ((left[:, keep].T @ reading[good]) / values[keep])
     residual = reading[good] - (columns / size[:, None]).T @ theta

@@ -106,7 +106,7 @@ def agreement(joint: JointFit, common: CommonModels, labels: Sequence[str], spre
     factor = max(1.0, spread)
     pending = list(range(len(candidates)))
     found: list[Contradiction] = []
-    smallest = 1.0
+    smallest, count = 1.0, 0
     for round_ in range(_ROUNDS):
         tests = [(k, *_test(matrix, vector, _where(start, k), size)) for k in pending]
         tests = [(k, chi, rank) for k, chi, rank in tests if rank]
@@ -143,7 +143,11 @@ def agreement(joint: JointFit, common: CommonModels, labels: Sequence[str], spre
         matrix, vector = _taken_in(matrix, vector, _where(start, chosen), size)
         pending = [k for k in pending if k != chosen and candidates[k].columns.size]
     if not found:
-        text = f"the sessions agree: of {count} comparisons the worst has p = {smallest:.2g}" if pending else ""
+        text = (
+            f"the sessions agree: of {count} comparisons the worst has p = {smallest:.2g}"
+            if count
+            else "the sessions share no error motion that could be compared"
+        )
         return Agreement(count, smallest, float(np.sqrt(factor)), (), text)
     text = "; ".join(_sentence(entry) for entry in found)
     if any(len(entry.others) == 1 for entry in found):

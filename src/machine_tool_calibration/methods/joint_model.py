@@ -68,7 +68,7 @@ def common_models(models: Sequence[MethodModel], labels: Sequence[str]) -> Commo
     Raises:
         ModelError: the sessions are of machines with different chains.
     """
-    chains = [Chain.parse(model.observations.session.description.machine.chain) for model in models]
+    chains = [model.observations.session.description.machine.kinematics for model in models]
     linear = [chain for chain in chains if chain.linear]
     first = next((model for model, chain in zip(models, chains, strict=True) if chain.linear), models[0])
     for model, chain, label in zip(models, chains, labels, strict=True):
@@ -125,12 +125,12 @@ def _shared_tables(models: Sequence[MethodModel], chain: Chain) -> tuple[Machine
         nodes = [table.nodes for table in every if table.name == name]
         if name in random:
             # Of a random function something is known everywhere, and a straight line beyond its nodes is not that.
-            nodes += [own for model in models if (own := _sensed_nodes(model, chain, name)) is not None]
+            nodes += [own for model in models if (own := _sensed_nodes(model, name)) is not None]
         out.append(MachineTable(chain, name, _union(nodes)))
     return tuple(out)
 
 
-def _sensed_nodes(model: MethodModel, chain: Chain, name: str) -> Array | None:
+def _sensed_nodes(model: MethodModel, name: str) -> Array | None:
     """Nodes for a smooth function where a session's readings depend on an error motion; None where none does."""
     if not hasattr(model, "tables"):
         return None
@@ -138,7 +138,8 @@ def _sensed_nodes(model: MethodModel, chain: Chain, name: str) -> Array | None:
     nodes = coarse_nodes(np.unique(np.round(model.observations.position[:, axis], 9)))
     if len(nodes) < 2:
         return None
-    columns = machine_columns(MachineTable(chain, name, nodes), model.observations)
+    own = model.observations.session.description.machine.kinematics
+    columns = machine_columns(MachineTable(own, name, nodes), model.observations)
     return nodes if np.abs(columns).max() > _SENSED else None
 
 
@@ -162,7 +163,9 @@ def _with_tables(model: MethodModel, tables: Sequence[MachineTable]) -> MethodMo
         return model
     model = without_spread(model)
     kept, terms = [], []
-    for table in tables:
+    # The lever arms of each session end at its own functional point.
+    chain = model.observations.session.description.machine.kinematics
+    for table in (replace(shared, chain=chain) for shared in tables):
         columns = machine_columns(table, model.observations)
         if np.abs(columns).max(initial=0.0) > _SENSED:
             kept.append(table)

@@ -21,7 +21,6 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.estimation.layout import group_points
 from machine_tool_calibration.estimation.problem import LinearPart, Part
-from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.machine.tables import MachineTable
 from machine_tool_calibration.methods.probing_conditions import LENGTH, conditions, known_weights
 from machine_tool_calibration.methods.probing_datum import Place, choose_places
@@ -123,7 +122,7 @@ def _build(session: Session) -> ProbingModel:
     )
     grids = {axis: table_nodes(description.machine, axis, position[:, j]) for j, axis in enumerate("XY")}
     nodes = {axis: extended for axis, (_, extended) in grids.items()}
-    tables = plane_tables(Chain.parse(description.machine.chain), nodes, position)
+    tables = plane_tables(description.machine.kinematics, nodes, position)
     terms = [Term(t.name, t.parameters, t.columns(position, observations.direction)) for t in tables]
     terms += _axis_c(session, where, readings.setup)
     bare = ProbingModel(

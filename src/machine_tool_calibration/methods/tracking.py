@@ -17,7 +17,6 @@ from machine_tool_calibration.estimation.layout import group_points, group_rows
 from machine_tool_calibration.estimation.multilateration import MultilaterationPart
 from machine_tool_calibration.estimation.problem import FunctionPart, Part
 from machine_tool_calibration.instruments.tracking import beam_direction
-from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.machine.tables import MachineTable, axis_nodes, linear_axis_errors
 from machine_tool_calibration.methods.rigid_body import RIGID_BODY_DATUM, machine_terms, table_datum
 from machine_tool_calibration.methods.tracking_datum import MAP_DATUM, NetworkMotion, OwnSight, carried_stations
@@ -228,7 +227,7 @@ def build(session: Session, model: str = "free") -> TrackingModel:
     free = replace(free, priors=tuple(_known_places(free)))
     if model == "free":
         return replace(free, constraints=_station_datum(free))
-    chain = Chain.parse(description.machine.chain)
+    chain = description.machine.kinematics
     nodes = {axis: axis_nodes(targets[:, j]) for j, axis in enumerate("XYZ"[:d])}
     tables, terms, left_out = machine_terms(free.observations, linear_axis_errors(chain, nodes))
     datum = f"{RIGID_BODY_DATUM}; map: {MAP_DATUM}"

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, BoolArray
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.model.effect_field import displacement_field
@@ -23,6 +23,7 @@ _STEP = 1e-4
 _ABSORBED = 1e-7
 # Share of a column's squared norm outside model and other effects below which it repeats them.
 _REPEATED = 1e-7
+_TAKEN_UP = "the model's own unknowns take it up entirely"
 
 
 def effect_term(
@@ -141,8 +142,31 @@ def _without_absorbed(model: MethodModel, effects: Sequence[Effect]) -> tuple[Me
         if left.any():
             kept.append(effect)
         else:
-            absorbed.append(NotDetermined(effect.id, "the model's own unknowns take it up entirely"))
+            absorbed.append(NotDetermined(effect.id, _TAKEN_UP))
     return replace(model, left_out=tuple(absorbed)), kept
+
+
+def _determined_columns(model: MethodModel, terms: Sequence[Term]) -> tuple[list[Term], tuple[NotDetermined, ...]]:
+    """The terms without single columns that the model takes up, such as a shift with a temperature that stood still.
+
+    Left in, such a column would make the model's own unknowns undetermined.
+    """
+    if not terms:
+        return [], ()
+    screened = screen(fit_models([model]).fits[0], np.concatenate([term.columns for term in terms]))
+    seen = np.diag(screened.gram)[:-1] > _ABSORBED * screened.squares[:-1]
+    kept, left, first = [], [], 0
+    for term in terms:
+        own = seen[first : first + len(term.columns)]
+        first += len(term.columns)
+        kept.append(term if own.all() else _with_columns(term, own))
+        left += [NotDetermined(p.name, _TAKEN_UP) for p, s in zip(term.parameters, own, strict=True) if not s]
+    return kept, tuple(left)
+
+
+def _with_columns(term: Term, keep: BoolArray) -> Term:
+    parameters = tuple(p for p, k in zip(term.parameters, keep, strict=True) if k)
+    return Term(term.name, parameters, term.columns[keep], None if term.field is None else term.field[keep])
 
 
 def _told_apart(model: MethodModel, terms: Sequence[Term]) -> tuple[list[Term], tuple[NotDetermined, ...]]:
@@ -173,9 +197,7 @@ def _told_apart(model: MethodModel, terms: Sequence[Term]) -> tuple[list[Term], 
             continue
         good = ~again
         term = terms[k]
-        parameters = tuple(p for p, g in zip(term.parameters, good, strict=True) if g)
-        field = None if term.field is None else term.field[good]
-        kept[k] = Term(term.name, parameters, term.columns[good], field)
+        kept[k] = _with_columns(term, good)
         why = "the other effects in the model say the same"
         left += [NotDetermined(p.name, why) for p, g in zip(term.parameters, good, strict=True) if not g]
         taken += [int(j) for j in own[good] if seen[j]]
@@ -207,8 +229,9 @@ def add_effects(model: MethodModel, effects: Sequence[Effect]) -> MethodModel:
     model, effects = _without_absorbed(model, effects)
     linear = [effect for effect in effects if not effect.shapes]
     curved = [effect for effect in effects if effect.shapes]
-    terms, repeated = _told_apart(model, [effect_term(effect, observations) for effect in linear])
-    base = replace(model, left_out=model.left_out + repeated).with_terms(terms)
+    terms, taken_up = _determined_columns(model, [effect_term(effect, observations) for effect in linear])
+    terms, repeated = _told_apart(model, terms)
+    base = replace(model, left_out=model.left_out + taken_up + repeated).with_terms(terms)
     shapes: dict[str, tuple[tuple[float, ...], Array]] = {}
     # One after the other, and once more each with the others at their best.
     for _ in range(2 if len(curved) > 1 else 1):

@@ -148,10 +148,10 @@ class OnTable:
         """See `Optics`; the retroreflectors turn with the table."""
         assert beam is not None
         line = target - beam.origin
-        azimuth = float(np.arctan2(line[1], line[0]))
         i, j = (("ABC".index(self._axis) + k) % 3 for k in (1, 2))
         turned = float(np.arctan2(pose.rotation[j, i], pose.rotation[i, i]))
-        return Look(line / np.linalg.norm(line), azimuth, azimuth - turned)
+        incidence = float(np.arctan2(line[j], line[i])) - turned
+        return Look(line / np.linalg.norm(line), float(np.arctan2(line[1], line[0])), incidence)
 
 
 class FlatMirror:
@@ -168,7 +168,7 @@ class FlatMirror:
         if moment.setup not in self._made:
             run = diagonal_positions(self._description, moment.setup)
             ends = np.array([[run[k][axis] for axis in "xyz"] for k in (0, -1)])
-            first, last = self._site.machine.position(ends)
+            first, last = self._site.machine.functional_point(ends)
             beam = (last - first) / np.linalg.norm(last - first)
             off = self._site.mirror_tilt(moment.setup)
             effect = self._site.live.disturbance(self._site.scene(moment)).mirror

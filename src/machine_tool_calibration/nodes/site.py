@@ -190,20 +190,23 @@ class Site:
     def functional_point(self, moment: Moment) -> Array:
         """(3,) where the functional point really is, m, workpiece frame."""
         if not self.chosen:  # the errors depend on the position alone
-            return np.asarray(self.machine.position(_linear(moment))[0])
+            return np.asarray(self.machine.functional_point(_linear(moment))[0])
         return np.asarray(self.live.functional_point(self.scene(moment))[0])
 
     def tool_rotation(self, moment: Moment) -> Array:
         """(3, 3) rotation of the tool with respect to the workpiece."""
-        return np.asarray(self.machine.tool_rotation(_linear(moment))[0])
+        if not self.chosen:
+            return np.asarray(self.machine.tool_rotation(_linear(moment))[0])
+        return np.asarray(self.live.tool_rotation(self.scene(moment))[0])
 
     def table(self, moment: Moment) -> tuple[Array, Array]:
         """Where the table's frame really is: (3,) its origin, m, and (3, 3) its rotation, in the machine frame."""
         scene = self.scene(moment)
-        shift = self.live.disturbance(scene).axis.get(scene.axis, np.zeros(1))
+        disturbance = self.live.disturbance(scene)
+        shift = disturbance.axis.get(scene.axis, np.zeros(1))
         corners = np.vstack([np.zeros(3), np.eye(3)])
         angle, shifts = np.repeat(scene.angle, 4), np.repeat(shift, 4)
-        placed = self.machine.on_table(corners, angle, scene.axis, shifts)
+        placed = disturbance.with_table(self.machine.on_table(corners, angle, scene.axis, shifts))
         return placed[0], np.asarray((placed[1:] - placed[0]).T)
 
     def station(self, description: Description, index: int) -> Array:

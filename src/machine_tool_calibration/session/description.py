@@ -6,6 +6,7 @@ One frozen record per measuring method; an unknown key is an error. SI units, an
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
@@ -18,6 +19,7 @@ __all__ = [
     "Direct",
     "DirectSetup",
     "IndexSetup",
+    "Instrument",
     "KnownLength",
     "Machine",
     "Probing",
@@ -54,6 +56,23 @@ class Record(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
+Instrument = Literal[
+    "laser_interferometer",
+    "tracking_interferometer",
+    "laser_tracker",
+    "ball_bar",
+    "grid_encoder",
+    "linear_encoder",
+    "straightedge",
+    "indicator",
+    "autocollimator",
+    "cmm",
+    "touch_probe",
+    "micro_switch",
+]
+"""What can read deviations directly."""
+
+
 class Machine(Record):
     """The machine tool's chain and travel.
 
@@ -64,6 +83,8 @@ class Machine(Record):
         rotation_sign: sense in which the workpiece turns, seen from +Z, when C is commanded
             positive: -1 clockwise (probing), +1 counter-clockwise.
         axis: the rotary axis under test (rotary_axis).
+        tool_offset: from the point to which the axes' positions refer (where the lever arms of the axes' angular
+            errors end if nothing is said) to the functional point, x, y, z, m.
     """
 
     chain: str
@@ -71,6 +92,12 @@ class Machine(Record):
     table_grid: dict[str, Annotated[tuple[Finite, ...], Field(min_length=2)]] | None = None
     rotation_sign: Literal[-1, 1] | None = None
     axis: str | None = None
+    tool_offset: Vector3 | None = None
+
+    @property
+    def kinematics(self) -> Chain:
+        """The chain, with the functional point at its end."""
+        return replace(Chain.parse(self.chain), tool_offset=self.tool_offset or (0.0, 0.0, 0.0))
 
     @model_validator(mode="after")
     def _check(self) -> Machine:
@@ -216,9 +243,16 @@ class Probing(_Base):
 
 
 class Direct(_Base):
-    """An instrument that reads deviations directly: ISO 230-2 run, grid encoder, CMM and others."""
+    """An instrument that reads deviations directly: ISO 230-2 run, grid encoder, CMM and others.
+
+    Attributes:
+        instrument: what read; effects of air and beam are looked for only where it says that there is a beam.
+        datum: what the instrument leaves open in every setup.
+        terms: the machine errors in the model.
+    """
 
     method: Literal["direct"]
+    instrument: Instrument | None = None
     datum: Literal["none", "offset", "rigid"] = "none"
     terms: tuple[str, ...] = ()
     setups: Annotated[tuple[DirectSetup, ...], Field(min_length=1)]

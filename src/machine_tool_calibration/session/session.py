@@ -14,6 +14,13 @@ from machine_tool_calibration.session.description import Description
 
 __all__ = ["Readings", "Session"]
 
+_INSTRUMENTS = {
+    "step_diagonal": "laser_interferometer",
+    "tracking_interferometer": "tracking_interferometer",
+    "rotary_axis": "laser_tracker",
+    "probing": "touch_probe",
+}
+
 
 @dataclass(frozen=True)
 class Readings:
@@ -94,6 +101,12 @@ class Session:
     def sigma(self) -> float:
         """Declared standard uncertainty of one reading, m."""
         return self.description.standard_uncertainty.displacement
+
+    @property
+    def instrument(self) -> str | None:
+        """What read; None for direct deviations whose session does not say it."""
+        own = getattr(self.description, "instrument", None)
+        return _INSTRUMENTS.get(self.method) if own is None else str(own)
 
     @property
     def rotation_sign(self) -> int:

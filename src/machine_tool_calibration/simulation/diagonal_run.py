@@ -55,7 +55,7 @@ class DiagonalPlan(Plan):
     interval: Positive = 12.0
     pause: Annotated[float, Field(ge=0)] = 108.0
     noise: Positive = 1e-7
-    chain: str = "w-X-Y-b-Z-t"
+    chain: str = "w-Y-X-b-Z-t"
 
     def travel(self) -> dict[str, tuple[float, float]]:
         """Ends of the measured volume, m."""
@@ -122,21 +122,21 @@ def plan_diagonals(plan: DiagonalPlan, environment: Environment, rng: np.random.
         for i, axis in enumerate("XYZ")
     }
     scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, environment(time),
-                  rates=environment.rate(time), ends=plan.travel())
+                  rates=environment.rate(time), lagged=environment.behind(time), ends=plan.travel())
     start = np.array([run.start for run in runs])
     end = np.array([run.positions()[-1] for run in runs])
 
     def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
-        first, last = machine.position(start), machine.position(end)
+        first, last = machine.functional_point(start), machine.functional_point(end)
         beam = tilted((last - first) / np.linalg.norm(last - first, axis=1, keepdims=True), aside)
         source = first - plan.distance * beam
-        actual = machine.position(position, disturbance.axis)
+        actual = machine.functional_point(position, disturbance.axis, disturbance.errors)
         if disturbance.point is not None:
             actual = actual + disturbance.point
         off = tilt[setup] if disturbance.mirror is None else tilt[setup] + disturbance.mirror
         normal = tilted(beam[setup], off)
         fixed = np.einsum("nji,nj->ni", machine.tool_rotation(start)[setup], normal)  # in the spindle's frame
-        path = mirror_path(source[setup], beam[setup], actual, machine.carried(position, fixed))
+        path = mirror_path(source[setup], beam[setup], actual, machine.carried(position, fixed, disturbance.errors))
         moved = path - plan.distance
         nothing = np.zeros(len(path))
         sight = Sight(moved, beam[setup], nothing, nothing, since_first(moved, block))

@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.session.description import Instrument
 from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
 from machine_tool_calibration.simulation.environment import Environment
 from machine_tool_calibration.simulation.machine import VirtualMachine
@@ -23,6 +24,8 @@ Kind = Literal["iso230_2", "straightness", "grid_plate", "drilled_plate", "point
 Datum = Literal["none", "offset", "rigid"]
 _DATUM: dict[str, Datum] = {"iso230_2": "none", "straightness": "rigid", "grid_plate": "rigid",
                             "drilled_plate": "rigid", "points": "none"}
+_INSTRUMENT: dict[str, Instrument] = {"iso230_2": "laser_interferometer", "straightness": "straightedge",
+                                      "grid_plate": "grid_encoder", "drilled_plate": "cmm"}
 
 
 class DirectPlan(Plan):
@@ -39,6 +42,7 @@ class DirectPlan(Plan):
         count: positions on the line, or along each side of the plate.
         points: functional points, m.
         directions: the direction in which each is read (unit vectors).
+        instrument: what reads; the kind's usual one if absent, none is named for `points`.
         datum: what the instrument leaves open; the kind's usual one if absent.
         misplacement: standard deviation of the part's or instrument's position, m; its orientation is off
             by twice that per 0.1 m.
@@ -56,6 +60,7 @@ class DirectPlan(Plan):
     count: Annotated[int, Field(ge=2, le=1000)] = 11
     points: Annotated[tuple[Vector3, ...], Field(min_length=1)] | None = None
     directions: Annotated[tuple[Vector3, ...], Field(min_length=1)] | None = None
+    instrument: Instrument | None = None
     datum: Datum | None = None
     misplacement: Annotated[float, Field(ge=0)] = 2e-5
     terms: tuple[str, ...] | None = None
@@ -126,14 +131,14 @@ def plan_direct(plan: DirectPlan, environment: Environment, rng: np.random.Gener
     direction = {axis: last_direction(position[:, i]) for i, axis in enumerate("XYZ")}
     _approach_from_below(plan, direction, len(forth))
     scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, environment(time),
-                  rates=environment.rate(time), ends=plan.travel())
+                  rates=environment.rate(time), lagged=environment.behind(time), ends=plan.travel())
     datum = plan.datum or _DATUM[plan.kind]
     place, turned = rng.normal(size=(2, plan.mountings, 3))
     place = plan.misplacement * place * (datum != "none")
     turned = plan.misplacement * 20.0 * turned * (datum == "rigid")
 
     def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
-        actual = machine.position(position, disturbance.axis)
+        actual = machine.functional_point(position, disturbance.axis, disturbance.errors)
         if disturbance.point is not None:
             actual = actual + disturbance.point
         if disturbance.growth is not None:
@@ -154,8 +159,10 @@ def plan_direct(plan: DirectPlan, environment: Environment, rng: np.random.Gener
         return out
 
     name = plan.axis.upper() if plan.kind in ("iso230_2", "straightness") else plan.kind
+    instrument = plan.instrument or _INSTRUMENT.get(plan.kind)
     description = {
         "method": "direct",
+        **({"instrument": instrument} if instrument else {}),
         "machine": {"chain": plan.chain, "travel": {a.lower(): list(e) for a, e in plan.travel().items()}},
         "datum": datum,
         "terms": list(plan.asked()),

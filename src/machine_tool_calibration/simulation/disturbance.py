@@ -10,6 +10,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.simulation.motions import Table
+from machine_tool_calibration.simulation.rotation import rotate
 
 __all__ = ["Disturbance", "Sight", "combine"]
 
@@ -52,6 +53,10 @@ class Disturbance:
         table_axial: relative growth along the axis.
         reading: added to the reading as a function of what the instrument looks at.
         tables: further error motions of the machine.
+        errors: further error motions of an axis at each reading, whatever its position, by axis letter: (n, 6) EX, EY,
+            EZ (m) and EA, EB, EC (rad).
+        table_shift: (n, 3) shift of the rotary table's axis, m.
+        table_tilt: (n, 3) small rotation of it about the machine's zero, rad.
         squareness: further squareness, rad.
     """
 
@@ -68,6 +73,14 @@ class Disturbance:
     reading: tuple[Callable[[Sight], Array], ...] = ()
     tables: tuple[tuple[str, Table], ...] = ()
     squareness: Mapping[str, float] = field(default_factory=dict)
+    errors: Mapping[str, Array] = field(default_factory=dict)
+    table_shift: Array | None = None
+    table_tilt: Array | None = None
+
+    def with_table(self, place: Array) -> Array:
+        """Where points (n, 3) that the table carries are when its axis has moved, m."""
+        turned = place if self.table_tilt is None else rotate(place, self.table_tilt)
+        return turned if self.table_shift is None else turned + self.table_shift
 
     def added(self, sight: Sight) -> Array:
         """(n,) the sum of what is added to the reading, m: excess of the optical path and the rest."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,6 +50,22 @@ class Drift:
         return value
 
 
+    def lagged(self, time: Array, lag: float) -> Array:
+        """What follows the quantity with a first-order lag, and was as it at time zero: lag y' = value - y.
+
+        Args:
+            time: (n,) s.
+            lag: time constant, s.
+        """
+        faded = np.exp(-time / lag)
+        value = self.mean + self.slope * (time - lag * (1.0 - faded))
+        for amplitude, period, phase in self.waves:
+            speed = 2.0 * np.pi / period * lag
+            share, late = amplitude / np.hypot(1.0, speed), np.arctan(speed)
+            steady = share * np.sin(2.0 * np.pi * time / period + phase - late)
+            value = value + steady + (amplitude * np.sin(phase) - share * np.sin(phase - late)) * faded
+        return np.asarray(value)
+
     def rate(self, time: Array) -> Array:
         """Change per second at times (n,), s."""
         value = np.full(np.shape(time), self.slope)
@@ -81,6 +97,10 @@ class Environment:
             name: drift.mean + drift.slope * time + swing[row]
             for row, (name, drift) in enumerate(self.drifts.items())
         }
+
+    def behind(self, time: Array) -> Callable[[str, float], Array]:
+        """What follows a column, by its name, with a lag in s, at times (n,)."""
+        return lambda name, lag: self.drifts[name].lagged(time, lag)
 
     def rate(self, time: Array) -> dict[str, Array]:
         """How fast every recorded column changes at times (n,), per second."""

@@ -31,6 +31,7 @@ class Flaw:
         defaults: parameters that the user may set, with their values.
         draw: (source of chance, scene or None) -> parameters that are random unless set.
         methods: the methods in which it can occur.
+        axis: letter of the rotary axis on which it occurs; empty: any.
     """
 
     id: str
@@ -41,6 +42,7 @@ class Flaw:
     defaults: Parameters = field(default_factory=dict)
     draw: Callable[[np.random.Generator, Scene | None], Parameters] | None = None
     methods: tuple[str, ...] = ALL_METHODS
+    axis: str = ""
 
     @property
     def listed(self) -> bool:

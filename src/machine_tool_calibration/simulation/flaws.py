@@ -11,12 +11,16 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.simulation.flaw import Chosen, Flaw
 from machine_tool_calibration.simulation.flaws_position import POSITION_FLAWS
 from machine_tool_calibration.simulation.flaws_reading import READING_FLAWS
+from machine_tool_calibration.simulation.flaws_reversal import REVERSAL_FLAWS
+from machine_tool_calibration.simulation.flaws_thermal import THERMAL_FLAWS
 from machine_tool_calibration.simulation.flaws_unlisted import UNLISTED_FLAWS
 from machine_tool_calibration.simulation.scene import Scene
 
 __all__ = ["FLAWS", "choose_flaw", "find_flaw"]
 
-FLAWS: Mapping[str, Flaw] = {flaw.id: flaw for flaw in (*POSITION_FLAWS, *READING_FLAWS, *UNLISTED_FLAWS)}
+FLAWS: Mapping[str, Flaw] = {
+    flaw.id: flaw for flaw in (*POSITION_FLAWS, *REVERSAL_FLAWS, *THERMAL_FLAWS, *READING_FLAWS, *UNLISTED_FLAWS)
+}
 
 
 def find_flaw(name: str) -> Flaw:

@@ -26,27 +26,29 @@ def _backlash(axis: str) -> Flaw:
     def disturb(size: float, _: Parameters, scene: Scene) -> Disturbance:
         return Disturbance(axis={axis: -size * scene.toward(axis)})
 
-    rotary = axis == "C"
+    rotary = axis in "ABC"
     return Flaw(
         f"backlash_{axis.lower()}",
         f"position of {axis}: -size * dir_{axis.lower()} (half width)",
         "rad" if rotary else "m",
         1.3e-5 if rotary else 1.5e-6,
         disturb,
-        methods=("rotary_axis", "probing") if rotary else LINEAR,
+        methods=("rotary_axis", "probing") if axis == "C" else ("rotary_axis",) if rotary else LINEAR,
+        axis=axis if rotary else "",
     )
 
 
 def _thermal(axis: str) -> Flaw:
-    """The scale or screw of an axis grows with its temperature, from the axis's zero."""
+    """The scale or screw of an axis grows with its temperature, away from where it is fixed."""
     column = f"temperature_{axis.lower()}"
 
     def disturb(size: float, parameters: Parameters, scene: Scene) -> Disturbance:
         excess = scene.sensed(column) - parameters["reference"]
-        return Disturbance(axis={axis: size * excess * scene.along(axis)})
+        return Disturbance(axis={axis: size * excess * (scene.along(axis) - parameters["fixed_point"])})
 
-    return Flaw(f"thermal_expansion_{axis.lower()}", f"position of {axis}: size * ({column} - 20) * {axis.lower()}",
-                "1/K", 8e-6, disturb, {"reference": 20.0}, methods=LINEAR)
+    return Flaw(f"thermal_expansion_{axis.lower()}",
+                f"position of {axis}: size * ({column} - 20) * ({axis.lower()} - fixed_point)",
+                "1/K", 8e-6, disturb, {"reference": 20.0, "fixed_point": 0.0}, methods=LINEAR)
 
 
 def _warmup(axis: str) -> Flaw:
@@ -127,11 +129,12 @@ def _motion(name: str) -> Flaw:
         {"shape": "random", "about": "chain"} if angular and axis != "C" else {"shape": "random"},
         draw,
         ("rotary_axis", "probing") if axis == "C" else LINEAR,
+        axis if axis == "C" else "",
     )
 
 
 POSITION_FLAWS: tuple[Flaw, ...] = (
-    *(_backlash(axis) for axis in "XYZC"),
+    *(_backlash(axis) for axis in "XYZABC"),
     *(make(axis) for make in (_thermal, _warmup, _pitch) for axis in "XYZ"),
     Flaw("scale", "position: size * (x, y, z)", "1", 1e-5, _scale_of, methods=LINEAR),
     *(_squareness(name) for name in ("A0Z", "B0Z", "C0Y")),

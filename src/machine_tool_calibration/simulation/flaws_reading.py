@@ -88,16 +88,33 @@ def _seed(rng: np.random.Generator, _: Scene | None) -> dict[str, Any]:
 
 
 def _pointer_radial(size: float, parameters: Parameters, _: Scene) -> Disturbance:
-    """The rotation centre moves along the beam as the pointer turns; across the beam it would not show."""
+    """The rotation centre moves in the plane of azimuth as the pointer turns: against the beam, as seen from above."""
 
     def along(sight: Sight) -> Array:
-        return size * _harmonics(sight.azimuth, parameters)
+        flat = np.column_stack([np.cos(sight.azimuth), np.sin(sight.azimuth), np.zeros_like(sight.azimuth)])
+        back = -size * _harmonics(sight.azimuth, parameters)[:, None] * flat
+        return np.asarray(-np.einsum("ni,ni->n", back, sight.direction))
 
     return Disturbance(reading=(along,))
 
 
 def _pointer_zero(size: float, _: Parameters, scene: Scene) -> Disturbance:
     return Disturbance(turn=np.full(len(scene), size))
+
+
+def _pointer_axes(size: float, parameters: Parameters, _: Scene) -> Disturbance:
+    """The elevation axis stands in front of the azimuth axis, and the beam leaves beside it.
+
+    Of the triangle of axis, beam and target a beam that follows reads one leg; the distance is the hypotenuse.
+    """
+
+    def path(sight: Sight) -> Array:
+        flat = np.column_stack([np.cos(sight.azimuth), np.sin(sight.azimuth), np.zeros_like(sight.azimuth)])
+        line = sight.path[:, None] * sight.direction - size * flat
+        square = np.einsum("ni,ni->n", line, line) - parameters["beam"] ** 2
+        return np.asarray(np.sqrt(square) - sight.path)
+
+    return Disturbance(reading=(path,))
 
 
 def _retroreflector(size: float, parameters: Parameters, _: Scene) -> Disturbance:
@@ -134,10 +151,13 @@ READING_FLAWS: tuple[Flaw, ...] = (
          1e-8, _station_drift, {"vertical": 1.0}, _seed, STATIONS),
     Flaw("mirror_misalignment", "mirror normal off the beam by size, each setup its own way", "rad", 1e-3, _mirror,
          draw=_seed, methods=("step_diagonal",)),
-    Flaw("pointer_radial_error", "reading: size * sum of w cos(k azimuth + phase)", "m", 2e-6, _pointer_radial,
+    Flaw("pointer_radial_error", "rotation centre against the level beam: size * sum of w cos(k azimuth + phase)", "m",
+         2e-6, _pointer_radial,
          {"orders": [5, 3], "weights": [1.0, 0.5]}, _phases, STATIONS),
     Flaw("pointer_zero_offset", "beam turned by size: cosine error", "rad", 2e-3, _pointer_zero,
          methods=("tracking_interferometer",)),
+    Flaw("pointer_axis_offset", "elevation axis in front of the azimuth axis by size, beam beside it by beam (m, where "
+         "it follows the target)", "m", 2e-5, _pointer_axes, {"beam": 0.0}, methods=STATIONS),
     Flaw("retroreflector_form", "reading: size * sum of w cos(k incidence + phase)", "m", 1e-6, _retroreflector,
          {"orders": [2, 3], "weights": [1.0, 0.5]}, _phases, STATIONS),
     Flaw("table_thermal_growth", "targets move out by size * (temperature_table - 20) * radius, and up by axial times "

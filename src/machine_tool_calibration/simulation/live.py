@@ -95,6 +95,7 @@ class LiveMachine:
             axis=axis,
             ends=self.machine.travel,
             rates=self.environment.rate(moments),
+            lagged=self.environment.behind(moments),
             start=each(start),
         )
 
@@ -105,12 +106,12 @@ class LiveMachine:
     def functional_point(self, scene: Scene) -> Array:
         """(n, 3) where the functional point really is in the workpiece frame, m."""
         disturbance = self.disturbance(scene)
-        point = self.machine.position(scene.position, disturbance.axis)
+        point = self.machine.functional_point(scene.position, disturbance.axis, disturbance.errors)
         return point if disturbance.point is None else point + disturbance.point
 
     def tool_rotation(self, scene: Scene) -> Array:
         """(n, 3, 3) rotation of the tool with respect to the workpiece."""
-        return self.machine.tool_rotation(scene.position)
+        return self.machine.tool_rotation(scene.position, self.disturbance(scene).errors)
 
     def on_table(self, scene: Scene, point: Array) -> Array:
         """(n, 3) where a point of the table (its target, the workpiece) really is in the machine frame, m."""
@@ -122,7 +123,7 @@ class LiveMachine:
             if growth is not None:
                 place = place + growth[:, None] * point * part
         shift = disturbance.axis.get(scene.axis, np.zeros(len(scene)))
-        return self.machine.on_table(place, scene.angle, scene.axis, shift)
+        return disturbance.with_table(self.machine.on_table(place, scene.angle, scene.axis, shift))
 
     def station(self, scene: Scene, station: Array) -> Array:
         """(n, 3) where a station's rotation centre really is, m."""

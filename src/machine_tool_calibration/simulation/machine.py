@@ -27,17 +27,16 @@ _LINE = re.compile(r"[XYZABC]0[ABC]")
 class VirtualMachine:
     """A machine tool with true geometric errors, named as in ISO 230-1.
 
-    The tool's position in the workpiece frame is the chain (bed first: the workpiece's side from the bed
-    outwards, then the tool's side from the bed outwards)
+    The tool's position in the workpiece frame is the chain from the workpiece to the tool, through the bed,
 
         p = x_1 d_1 + E_1 + R_1 (x_2 d_2 + E_2 + R_2 (x_3 d_3 + E_3 + R_3 offset))
 
     with an axis's position x, its direction of motion d, translation error E = (EX, EY, EZ) and rotation
     R of the vector (EA, EB, EC). To first order a rotation acts with the lever arm made of the positions
-    of the axes after it: for w-X-Y-b-Z-t (0,0,z) for X, (x,0,z) for Y, 0 for Z (Ibaraki and Hata 2010,
-    Eq. (23)); for w-C-b-Y-X-Z-t (x,0,z) for Y, (0,0,z) for X, 0 for Z (the probing paper, Eqs. (4)(5)).
-    All errors are of the tool with respect to the workpiece, for axes on either side; of two tables on top of
-    each other the lower one comes first, as Eq. (23) has it.
+    of the axes after it, towards the tool: for w-Y-X-b-Z-t (x,0,z) for Y, (0,0,z) for X, 0 for Z (Ibaraki and
+    Hata 2010, Eq. (23)), as for w-C-b-Y-X-Z-t (the probing paper, Eqs. (4)(5)); for w-X-Y-b-Z-t (0,y,z) for X,
+    (0,0,z) for Y. All errors are of the tool with respect to the workpiece, for axes on either side; of two
+    tables on top of each other the one that the work lies on comes first.
 
     Squareness turns an axis's direction of motion and nothing that it carries: C0Y turns d of Y about +Z
     (e_x = -y C0Y), B0Z turns d of Z about +Y (e_x = +z B0Z), A0Z turns d of Z about +X (e_y = -z A0Z).
@@ -77,7 +76,7 @@ class VirtualMachine:
         if self.rotation_sign not in (-1, 1):
             raise ModelError(f"rotation_sign must be 1 or -1, not {self.rotation_sign}")
         unit = {a: np.eye(3)[i] for i, a in enumerate("XYZ")}
-        order = tuple(a for a in (*reversed(self.chain.workpiece_side), *self.chain.tool_side) if a in "XYZ")
+        order = self.chain.linear
         directions = {a: rotate(unit[a], self._tilt(a)) for a in order}
         object.__setattr__(self, "_order", order)
         object.__setattr__(self, "_directions", directions)
@@ -85,50 +84,72 @@ class VirtualMachine:
     def _tilt(self, axis: str) -> Array:
         return np.array([self.squareness.get(f"{r}0{axis}", 0.0) for r in "ABC"])
 
-    def position(self, command: Array, shift: Mapping[str, Array] | None = None) -> Array:
+    def position(
+        self, command: Array, shift: Mapping[str, Array] | None = None, errors: Mapping[str, Array] | None = None
+    ) -> Array:
         """Actual position of the functional point in the workpiece frame (rotary axes at zero).
 
         Args:
             command: (n, 3) commanded x, y, z, m.
             shift: how far an axis's carriage is off its command along its own motion, by letter, (n,) m
                 (backlash, thermal expansion, pitch error).
+            errors: further error motions of an axis, by letter, (n, 6) EX … EC, m and rad.
 
         Returns:
             (n, 3), m.
         """
-        return self._follow(np.atleast_2d(np.asarray(command, float)), shift)
+        return self._follow(np.atleast_2d(np.asarray(command, float)), shift, errors)
+
+    def functional_point(
+        self, command: Array, shift: Mapping[str, Array] | None = None, errors: Mapping[str, Array] | None = None
+    ) -> Array:
+        """(n, 3) `position` counted from where the functional point is with all axes at zero, m."""
+        point: Array = self.position(command, shift, errors) - np.asarray(self.tool_offset)
+        return point
 
     def position_error(self, command: Array, shift: Mapping[str, Array] | None = None) -> Array:
         """Actual minus commanded position of the functional point, (n, 3), m."""
         at = np.atleast_2d(np.asarray(command, float))
-        error: Array = self._follow(at, shift) - at - np.asarray(self.tool_offset)
+        error: Array = self.functional_point(at, shift) - at
         return error
 
-    def tool_rotation(self, command: Array) -> Array:
-        """(n, 3, 3) rotation of the tool (mirror, retroreflector) with respect to the workpiece."""
+    def tool_rotation(self, command: Array, errors: Mapping[str, Array] | None = None) -> Array:
+        """(n, 3, 3) rotation of the tool (mirror, retroreflector) with respect to the workpiece; `errors` as above."""
         at = np.atleast_2d(np.asarray(command, float))
         total = np.broadcast_to(np.eye(3), (len(at), 3, 3))
         for axis in self._order:  # type: ignore[attr-defined]
-            if axis in self.motions:
-                total = total @ matrix(self.motions[axis](at[:, "XYZ".index(axis)])[:, 3:])
+            error = self._errors(axis, at[:, "XYZ".index(axis)], errors)
+            if error is not None:
+                total = total @ matrix(error[:, 3:])
         return total
 
-    def carried(self, command: Array, vector: Array) -> Array:
-        """A vector fixed to the tool, (3,) or (n, 3), as turned by the angular errors, (n, 3)."""
+    def carried(self, command: Array, vector: Array, errors: Mapping[str, Array] | None = None) -> Array:
+        """A vector fixed to the tool, (3,) or (n, 3), as turned by the angular errors, (n, 3); `errors` as above."""
         at = np.atleast_2d(np.asarray(command, float))
         turned = np.broadcast_to(np.asarray(vector, float), at.shape)
         for axis in reversed(self._order):  # type: ignore[attr-defined]
-            if axis in self.motions:
-                turned = rotate(turned, self.motions[axis](at[:, "XYZ".index(axis)])[:, 3:])
+            error = self._errors(axis, at[:, "XYZ".index(axis)], errors)
+            if error is not None:
+                turned = rotate(turned, error[:, 3:])
         return turned
 
-    def _follow(self, at: Array, shift: Mapping[str, Array] | None) -> Array:
+    def _errors(self, axis: str, along: Array, errors: Mapping[str, Array] | None) -> Array | None:
+        """(n, 6) error motions of an axis at its positions; None if it has none."""
+        own = self.motions[axis](along) if axis in self.motions else None
+        more = (errors or {}).get(axis)
+        if own is None or more is None:
+            return more if own is None else own
+        return np.asarray(own + more)
+
+    def _follow(
+        self, at: Array, shift: Mapping[str, Array] | None, errors: Mapping[str, Array] | None = None
+    ) -> Array:
         order: tuple[str, ...] = self._order  # type: ignore[attr-defined]
         point: Array = np.broadcast_to(np.asarray(self.tool_offset), at.shape)
         for axis in reversed(order):
             along = at[:, "XYZ".index(axis)]
-            if axis in self.motions:
-                error = self.motions[axis](along)
+            error = self._errors(axis, along, errors)
+            if error is not None:
                 point = rotate(point, error[:, 3:]) + error[:, :3]
             if shift is not None and axis in shift:
                 along = along + shift[axis]

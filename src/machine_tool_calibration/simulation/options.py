@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.session.yaml_text import load_yaml
+from machine_tool_calibration.simulation.flaws import find_flaw
 from machine_tool_calibration.simulation.machine_file import one_line, read_machine, read_record
 from machine_tool_calibration.simulation.plans import PLANS, PRESETS
 from machine_tool_calibration.simulation.plausible import refuse_implausible
@@ -98,6 +99,9 @@ def spec_from(
     else:
         raise CalibrationError("say what to simulate: a SPEC.yaml, --method or --preset")
     content: dict[str, Any] = base.model_dump(exclude_unset=True, exclude={"plan"}) if base is not None else {}
+    turning = {find_flaw(str(effect["id"])).axis for effect in effects} - {""}
+    if planned["method"] == "rotary_axis" and len(turning) == 1:
+        planned = {"axis": turning.pop()} | planned  # an effect of a table about X or Y needs one
     content |= {"plan": planned | dict(plan or {}), **(fields or {})}
     if machine is not None:
         content["machine"] = read_machine(machine)

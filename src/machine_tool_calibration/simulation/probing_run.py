@@ -118,15 +118,15 @@ def plan_probing(plan: ProbingPlan, environment: Environment, rng: np.random.Gen
     moved = np.sign(np.diff(turns, prepend=turns[0] - 1.0))
     direction["C"] = moved[setup]
     scene = Scene(time, setup, repeat, command, angle, direction, environment(time), label,
-                  rates=environment.rate(time), ends=plan.travel())
+                  rates=environment.rate(time), lagged=environment.behind(time), ends=plan.travel())
 
     def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
         grown = 1.0 if disturbance.growth is None else 1.0 + disturbance.growth[:, None]
         place = nominal[label] * grown + form[label][:, None] * outward[label]
         shift = disturbance.axis.get("C", np.zeros(len(angle)))
-        surface = machine.on_table(place, angle, "C", shift)
+        surface = disturbance.with_table(machine.on_table(place, angle, "C", shift))
         facing = machine.table_direction(outward[label], angle, "C", shift)
-        actual = centre + machine.position(command, disturbance.axis) - command
+        actual = centre + machine.functional_point(command, disturbance.axis, disturbance.errors) - command
         if disturbance.point is not None:
             actual = actual + disturbance.point
         touched = probed(actual, normal, surface, facing, radius, bend[label])

@@ -104,8 +104,9 @@ def plan_rotary(plan: RotaryPlan, environment: Environment, rng: np.random.Gener
     run = blocks(setup, repeat, label)
     direction = np.concatenate([last_direction(angle[run == r]) for r in range(run[-1] + 1)])
     scene = Scene(time, setup, repeat, np.zeros((len(time), 3)), angle, {plan.axis: direction}, environment(time),
-                  label, plan.axis, rates=environment.rate(time))
+                  label, plan.axis, rates=environment.rate(time), lagged=environment.behind(time))
     axial = np.eye(3)["ABC".index(plan.axis)]
+    first, second = (("ABC".index(plan.axis) + k) % 3 for k in (1, 2))
 
     def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
         place = target[label]
@@ -114,13 +115,14 @@ def plan_rotary(plan: RotaryPlan, environment: Environment, rng: np.random.Gener
         if disturbance.table_axial is not None:
             place = place + disturbance.table_axial[:, None] * target[label] * axial
         shift = disturbance.axis.get(plan.axis, np.zeros(len(angle)))
-        actual = machine.on_table(place, angle, plan.axis, shift)
+        actual = disturbance.with_table(machine.on_table(place, angle, plan.axis, shift))
         if disturbance.point is not None:
             actual = actual + disturbance.point
         source = station[setup] if disturbance.station is None else station[setup] + disturbance.station
         path = distance(actual, source)
         azimuth, _ = aim(source, actual)
-        incidence = azimuth - machine.rotation_sign * angle  # the retroreflectors turn with the table
+        # the retroreflectors turn with the table
+        incidence = np.arctan2(*(actual - source)[:, [second, first]].T) - machine.rotation_sign * angle
         sight = Sight(path, (actual - source) / path[:, None], azimuth, incidence, since_first(path, run))
         return path + disturbance.added(sight)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -30,6 +30,7 @@ class Scene:
         axis: letter of the rotary axis.
         ends: lower and upper end of each axis's travel by letter.
         rates: how fast environment columns change, per second.
+        lagged: a column's name and a lag, s -> (n,) what follows that column with a first-order lag.
         start: (n,) time of the first reading of that setup, s; found from the readings if absent.
     """
 
@@ -44,6 +45,7 @@ class Scene:
     axis: str = "C"
     ends: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     rates: Mapping[str, Array] = field(default_factory=dict)
+    lagged: Callable[[str, float], Array] | None = None
     start: Array | None = None
 
     def __len__(self) -> int:
@@ -58,6 +60,12 @@ class Scene:
         if column in self.environment:
             return self.environment[column]
         return np.full(len(self), _STANDARD.get(column, 20.0))
+
+    def sensed_late(self, column: str, lag: float) -> Array:
+        """(n,) what follows an environment column with a first-order lag, s."""
+        if column not in self.environment or self.lagged is None:
+            return self.sensed(column)
+        return self.lagged(column, lag)
 
     def rate(self, column: str) -> Array:
         """(n,) change of an environment column, per second; 0 where it is not known."""

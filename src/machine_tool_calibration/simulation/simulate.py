@@ -142,6 +142,9 @@ def _choose(
     if spec.method not in chosen.flaw.methods:
         raise CalibrationError(f"effect {effect.id} does not occur in {spec.method}; "
                                f"it occurs in {', '.join(chosen.flaw.methods)}")
+    if chosen.flaw.axis not in ("", measurement.scene.axis):
+        raise CalibrationError(f"effect {effect.id} is one of axis {chosen.flaw.axis}, and this plan turns "
+                               f"{measurement.scene.axis}; simulate axis={chosen.flaw.axis}")
     if effect.amplitude is None:
         return chosen
     without = since_first(measurement.read(machine, Disturbance()), measurement.datum)
@@ -202,12 +205,15 @@ def _adapter() -> TypeAdapter[Any]:
 
 
 def _describe(spec: SimulationSpec, measurement: Measurement, machine: VirtualMachine, noise: float) -> Any:
+    said = dict(measurement.describe(machine))
+    if any(machine.tool_offset):
+        said["machine"] = {**said["machine"], "tool_offset": list(machine.tool_offset)}
     return _adapter().validate_python(
         {
             "format": "mtcal-session/1",
             "repeats": spec.plan.repeats,
             "standard_uncertainty": {"displacement": noise},
-            **measurement.describe(machine),
+            **said,
         }
     )
 

@@ -63,8 +63,8 @@ class Pointer:
         zero_offset: the beam's azimuth is greater than commanded by this, rad.
         elevation_offset: likewise its elevation, rad.
         radial: radial error motion of the azimuth axis as harmonics of the azimuth: (cos, sin) parts by
-            order, m. The rotation centre moves *against* the beam, so that the path grows by
-            sum of c cos(k azimuth) + s sin(k azimuth).
+            order, m. The rotation centre moves *against* the beam as seen from above, so that the path grows by
+            (sum of c cos(k azimuth) + s sin(k azimuth)) cos(elevation).
         eccentricity: the beam passes this far beside the rotation centre, to its left, m.
     """
 
@@ -98,5 +98,6 @@ class Pointer:
         for order, (cosine, sine) in self.radial.items():
             back = back + cosine * np.cos(order * azimuth) + sine * np.sin(order * azimuth)
         left = np.stack([-direction[..., 1], direction[..., 0], np.zeros_like(direction[..., 0])], axis=-1)
-        origin = station - np.asarray(back)[..., None] * direction + self.eccentricity * left
+        flat = beam_direction(azimuth, np.zeros_like(azimuth))
+        origin = station - np.asarray(back)[..., None] * flat + self.eccentricity * left
         return origin, direction

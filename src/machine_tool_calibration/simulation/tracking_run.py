@@ -120,12 +120,12 @@ def plan_tracking(plan: TrackingPlan, environment: Environment, rng: np.random.G
     position = targets[index]
     direction = {axis: last_direction(position[:, i]) for i, axis in enumerate("XYZ")}
     scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, environment(time),
-                  rates=environment.rate(time), ends=plan.travel())
+                  rates=environment.rate(time), lagged=environment.behind(time), ends=plan.travel())
     azimuth, elevation = aim(estimate[setup], position, plan.dimension)
     pointer = plan.pointer()
 
     def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
-        actual = machine.position(position, disturbance.axis)
+        actual = machine.functional_point(position, disturbance.axis, disturbance.errors)
         if disturbance.point is not None:
             actual = actual + disturbance.point
         station = truth[setup] if disturbance.station is None else truth[setup] + disturbance.station

@@ -35,7 +35,7 @@ def written(
     datum: str = "none",
     terms: Sequence[str] = (),
     sigma: float = 1e-7,
-    chain: str = "w-X-Y-b-Z-t",
+    chain: str = "w-Y-X-b-Z-t",
     columns: Mapping[str, Sequence[float]] | None = None,
 ) -> Session:
     """A session from its readings."""

@@ -20,7 +20,7 @@ def session(
         {
             "format": "mtcal-session/1",
             "method": "direct",
-            "machine": {"chain": "w-X-Y-b-Z-t"},
+            "machine": {"chain": "w-Y-X-b-Z-t"},
             "standard_uncertainty": {"displacement": declared},
             "datum": datum,
             "terms": list(terms),

@@ -11,7 +11,7 @@ import pytest
 from machine_tool_calibration.simulation.simulate import Simulated, simulate
 from machine_tool_calibration.simulation.spec import SimulationSpec
 
-CHAIN = "w-X-Y-b-Z-t"
+CHAIN = "w-Y-X-b-Z-t"
 NODES = tuple(np.linspace(0.0, 0.4, 6).tolist())
 PLANS: dict[str, dict[str, Any]] = {
     "tracker": {"method": "tracking_interferometer", "dimension": 3, "x": NODES, "y": NODES, "z": NODES},
@@ -46,4 +46,4 @@ def measured(name: str, seed: int, spec: dict[str, Any] | None = None, **outer: 
 @pytest.fixture(scope="session")
 def several() -> SimpleNamespace:
     """The functions of this file."""
-    return SimpleNamespace(machine=machine, measured=measured, nodes=np.array(NODES))
+    return SimpleNamespace(machine=machine, measured=measured, nodes=np.array(NODES), PLANS=PLANS, CHAIN=CHAIN)

@@ -18,7 +18,7 @@ NODES = np.array([0.0, 0.1, 0.15, 0.3, 0.4])
 
 
 def test_a_parabola_is_missed_by_what_is_stated() -> None:
-    table = MachineTable(Chain.parse("w-X-Y-b-Z-t"), "EZX", NODES)
+    table = MachineTable(Chain.parse("w-Y-X-b-Z-t"), "EZX", NODES)
     points = np.column_stack([np.linspace(0.0, 0.4, 9), np.zeros((9, 2))])
     found = between_nodes([table], 5e-5 * NODES**2, 1e-30 * np.eye(5), points, {})
     missed = np.interp(points[:, 0], NODES, 5e-5 * NODES**2) - 5e-5 * points[:, 0] ** 2
@@ -42,7 +42,7 @@ def test_a_plate_where_only_step_diagonals_tell_the_straightness(several: Simple
     normalised = []
     for seed in range(12):
         machine = {
-            "seed": 300 + seed, "chain": "w-X-Y-b-Z-t", "travel": {axis: (0.0, 0.4) for axis in "XYZ"}, "random": size
+            "seed": 300 + seed, "chain": "w-Y-X-b-Z-t", "travel": {axis: (0.0, 0.4) for axis in "XYZ"}, "random": size
         }  # fmt: skip
         plan = {"method": "step_diagonal", "blocks": 8, "step": (0.05, 0.05, 0.05)}
         diagonals = simulate(SimulationSpec.model_validate({"seed": seed, "plan": plan, "machine": machine}))

@@ -12,7 +12,8 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.joint import JointResult, identify_sessions
 from machine_tool_calibration.methods.rigid_body import map_field
-from machine_tool_calibration.simulation.simulate import Simulated
+from machine_tool_calibration.simulation.simulate import Simulated, simulate
+from machine_tool_calibration.simulation.spec import SimulationSpec
 
 
 def _errors(result: JointResult, simulated: Simulated) -> np.ndarray:
@@ -97,3 +98,22 @@ def test_effect_that_acts_in_none(several: SimpleNamespace) -> None:
     session = several.measured("run", 0).session
     with pytest.raises(ModelError, match="effect mirror_misalignment acts in no session"):
         identify_sessions([session, session], ["a", "b"], effects=["mirror_misalignment"])
+
+
+def test_two_tools_of_different_reach_tell_the_yaw(several: SimpleNamespace) -> None:
+    """EXX read at the spindle and 0.2 m beside it: the difference is the yaw ECX times 0.2 m (Abbe)."""
+    sessions = []
+    for seed, reach in ((1, 0.0), (2, 0.2)):
+        machine = {**several.machine(5), "tool_offset": (0.0, reach, 0.0)}
+        plan = {**several.PLANS["run"], "chain": several.CHAIN, "terms": ("EXX", "ECX")}
+        sessions.append(simulate(SimulationSpec.model_validate({"seed": seed, "plan": plan, "machine": machine})))
+    result = identify_sessions([s.session for s in sessions], ["short", "long"])
+    found = {e.name: e for e in result.parameters}
+    truth = sessions[0].truth.machine.motion("ECX", several.nodes)
+    assert np.abs(truth).max() > 8e-6
+    for node, true in zip(several.nodes[1:], truth[1:], strict=True):
+        estimate = found[f"ECX({node:.6g})"]
+        assert abs(estimate.value - (true - truth[0])) < 4 * estimate.standard_uncertainty
+        assert estimate.standard_uncertainty < 2e-6
+    left = {entry.name for entry in identify(sessions[1].session).not_determined}
+    assert {f"{name}({node:.6g})" for name in ("EXX", "ECX") for node in several.nodes[1:]} <= left

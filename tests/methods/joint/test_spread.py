@@ -26,7 +26,7 @@ def _random(seed: int, angular: float) -> dict[str, Any]:
     """A machine with smooth errors of a machining centre and angular errors of at most this size over 400 mm."""
     size = {"positioning": 1.5e-6, "straightness": 1.5e-6, "angular": angular, "squareness": 3e-5}
     travel = {axis: (0.0, 0.4) for axis in "XYZ"}
-    return {"seed": 500 + seed, "chain": "w-X-Y-b-Z-t", "travel": travel, "random": size}
+    return {"seed": 500 + seed, "chain": "w-Y-X-b-Z-t", "travel": travel, "random": size}
 
 
 def _errors(result: JointResult, simulated: Simulated) -> tuple[np.ndarray, np.ndarray]:

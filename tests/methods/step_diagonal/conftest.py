@@ -98,7 +98,7 @@ def _written(
     step: Sequence[float],
     blocks: int,
     tilts: Sequence[Sequence[float]] | None = None,
-    chain: str = "w-X-Y-b-Z-t",
+    chain: str = "w-Y-X-b-Z-t",
 ) -> Session:
     """A session of noise-free readings n.d / (n.l), d the actual displacement and l along the actual motion."""
     description = describe(

@@ -25,7 +25,7 @@ def _table(seed: int, size: float = 1e-6) -> TableSpec:
     return TableSpec(nodes=NODES, values=tuple(size * walk / np.abs(walk).max()), interpolation="linear")
 
 
-@pytest.mark.parametrize("chain", ["w-X-Y-b-Z-t", "w-Y-b-X-Z-t"])
+@pytest.mark.parametrize("chain", ["w-Y-X-b-Z-t", "w-X-Y-b-Z-t", "w-Y-b-X-Z-t"])
 @pytest.mark.parametrize("name", NINE)
 def test_columns_are_what_exact_geometry_reads(exact, name, chain):
     table = _table(7)

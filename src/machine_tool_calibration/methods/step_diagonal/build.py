@@ -10,7 +10,6 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.solve import solve
-from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.machine.tables import MachineTable, linear_axis_errors
 from machine_tool_calibration.methods.rigid_body import map_field, table_datum
 from machine_tool_calibration.methods.step_diagonal.geometry import (
@@ -69,7 +68,7 @@ def build(session: Session, model: str = "small_angles") -> StepDiagonalModel:
     )
     if not len(readings):
         raise ModelError(f"{session.source}: no reading to identify from")
-    chain = Chain.parse(description.machine.chain)
+    chain = description.machine.kinematics
     blocks = block_positions(description, readings)
     moved = {axis: nodes for axis, nodes in zip("XYZ", blocks, strict=True) if len(nodes) > 1}
     for axis in moved:

@@ -1,7 +1,7 @@
 """Angular errors from different orders of the moves (Ibaraki and Hata 2010, Section 3.3, derived anew).
 
 The same move of one axis at two places differs by angular errors only. With l the beam, d the displacement since the
-start at (x0, y0, z0) and the chain w-X-Y-b-Z-t, the angular errors E of each axis change a reading by
+start at (x0, y0, z0) and the chain w-Y-X-b-Z-t, the angular errors E of each axis change a reading by
 
     X: E.(l x (x - x0, y - y0, -z0))    Y: E.(l x (-x0, y - y0, -z0))    Z: E.(l x (x - x0, y - y0, z - z0))
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from machine_tool_calibration.arrays import IntArray
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.methods.direct_tables import asked_tables
 from machine_tool_calibration.session.assemble import assemble
 from machine_tool_calibration.session.checks import check_session
@@ -88,7 +87,7 @@ def import_table(path: Path, mapping: Mapping, *, name: str | None = None) -> Im
     session = Session(description, readings, source=str(path))
     check_session(session, place)
     if isinstance(description, Direct):  # a misspelt error would be met at the identification only
-        asked_tables(Chain.parse(description.machine.chain), description.terms, readings.position())
+        asked_tables(description.machine.kinematics, description.terms, readings.position())
     notes = list(rows.notes)
     missing = int(np.count_nonzero(~np.isfinite(readings.displacement)))
     if missing:

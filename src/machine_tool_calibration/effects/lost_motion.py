@@ -1,0 +1,66 @@
+"""Lost motion that is not the same everywhere along its axis: a worn screw, a guideway that binds."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.effects.effect import Coefficient, Effect, axis_unit
+from machine_tool_calibration.model.observations import Observations
+
+__all__ = ["LostMotion"]
+
+_DEGREES = 3
+_POWERS = ("the same everywhere", "straight line", "bow, power 2", "S, power 3")
+_STILL = 1e-6  # m
+
+
+class LostMotion(Effect):
+    """Half the reversal error as a smooth function of the position of its axis (ISO 230-2).
+
+    b(x) = b0 + b1 P1(u) + b2 P2(u) + b3 P3(u), P the Legendre polynomials and u the position over the travel, from -1
+    to 1. The constant is the backlash, which this effect contains.
+    """
+
+    kind = "position"
+    source = "ISO 230-2:2014, reversal error at each position"
+
+    def __init__(self, axis: str) -> None:
+        """Lost motion of x, y or z."""
+        self.axis = axis
+        self.id = f"lost_motion_{axis}"
+        self.title = f"lost motion that varies along {axis.upper()}"
+        self.formula = f"e_{axis} = -b({axis}) dir_{axis}, b a polynomial of degree {_DEGREES}"
+        self.coefficients = tuple(
+            Coefficient(f"b{k}", "m", 0.0 if k == 0 else -5e-5, 5e-5, f"half width, {_POWERS[k]}")
+            for k in range(_DEGREES + 1)
+        )
+        self.needs = (axis, f"dir_{axis}")
+        self.contains = (f"backlash_{axis}",)
+
+    def why_not(self, observations: Observations) -> str | None:
+        """The axis must have moved."""
+        why = super().why_not(observations)
+        if why is None and self._degree(observations) == 0:
+            return f"{self.axis} did not move: it is a backlash"
+        return why
+
+    def _degree(self, observations: Observations) -> int:
+        """As high as the number of distinct positions allows."""
+        places = np.unique(np.round(observations.readings.column(self.axis) / _STILL))
+        return min(_DEGREES, len(places) - 1)
+
+    def coefficients_for(self, observations: Observations, shape: tuple[float, ...] = ()) -> tuple[Coefficient, ...]:
+        """Of the polynomial, as far as the positions tell it."""
+        return self.coefficients[: self._degree(observations) + 1]
+
+    def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
+        """Legendre polynomials of the position, sensed along the axis, against the direction of approach."""
+        position = observations.readings.column(self.axis)
+        # The declared travel, so that sessions fitted together mean the same by a coefficient.
+        stated = observations.session.description.machine.travel.get(self.axis, (np.inf, -np.inf))
+        low, high = min(stated[0], float(position.min())), max(stated[1], float(position.max()))
+        over = (2.0 * position - low - high) / (high - low)
+        series = np.polynomial.legendre.legvander(over, self._degree(observations))
+        approach = observations.readings.column(f"dir_{self.axis}")
+        return np.asarray(-series.T * approach * (observations.direction @ axis_unit(self.axis)))
