@@ -21,10 +21,11 @@ from scipy import stats
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.diagnosis.leverage import Reach, reach, taken
 from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.estimation.problem import Part
 from machine_tool_calibration.estimation.reduction import single_blas
-from machine_tool_calibration.estimation.robust import Reweighted, robust_start
+from machine_tool_calibration.estimation.robust import FAR, Reweighted, robust_start, scaled_residuals
 from machine_tool_calibration.estimation.solve import Solution, solve
-from machine_tool_calibration.model.fit import Fit, JointFit, fit_models
+from machine_tool_calibration.model.fit import Fit, fit_models
 from machine_tool_calibration.model.model import MethodModel, assemble
 from machine_tool_calibration.session.session import Readings, Session
 
@@ -147,13 +148,16 @@ class _Judged:
     """A fit in which some readings are held out.
 
     Attributes:
+        part: the readings as they were linearised for it, without weights.
         solution: of it.
+        weight: (n,) of the readings, next to nothing for those held out.
         residual: (n,) over the declared uncertainty; of a reading held out, from what all others predict.
         taken: (n,) variance of the prediction over the reading's.
         scale: scatter of the others over the declared uncertainty.
         limit: of studentized deviations.
     """
 
+    part: Part
     solution: Solution
     weight: Array
     residual: Array
@@ -166,15 +170,14 @@ class _Search:
     """The search in one model."""
 
     def __init__(self, model: MethodModel) -> None:
-        self.assembly = assemble([model])
-        self.problem = self.assembly.problem
+        self.problem = assemble([model]).problem
         self.part = self.problem.parts[0]
         self.readings = model.observations.readings
         self.sigma = model.sigma
         self.n = self.part.n_readings
         self.direct = model.observations.session.method == "direct"
         self.run = _runs(model)
-        self.start: tuple[Array, Array] | None = None
+        self.start = np.zeros(self.problem.size), np.zeros((self.part.dimension, self.part.n_points))
 
     def outliers(self) -> list[Outlier]:
         """Readings that stand out."""
@@ -207,18 +210,21 @@ class _Search:
     def _fit(self, held: IntArray) -> _Judged:
         weight = np.ones(self.n)
         weight[held] = _HELD
-        problem = replace(self.problem, parts=[Reweighted(self.part, weight)])
-        assert self.start is not None
-        solution = solve(problem, self.start[0], [self.start[1]])
-        self.start = solution.theta, solution.local[0]
-        fit = Fit(JointFit(self.assembly, solution), 0)
-        residual = fit.residuals / self.sigma
-        share = taken(self.part, solution, 0, weight)
+        for _ in range(1 if self.part.linear else 2):
+            # At places near the nominal ones: a point that only what is held out could place may be found anywhere.
+            theta, local = self.start
+            near = np.where(np.abs(local) < FAR, local, 0.0)
+            part = Reweighted(self.part, weight, None if self.part.linear else (theta, near))
+            solution = solve(replace(self.problem, parts=[part]), theta, [near])
+            self.start = solution.theta, solution.local[0]
+        seen = part.weighted(np.ones(self.n))
+        residual = scaled_residuals(seen, *self.start)
+        share = taken(seen, solution, 0, weight)
         free = np.ones(self.n, dtype=bool)
         free[held] = False
         judged = free & (1.0 - share > _SEEN)
         if not judged.any():
-            return _Judged(solution, weight, residual, share, np.inf, np.inf)
+            return _Judged(seen, solution, weight, residual, share, np.inf, np.inf)
         studentized = np.abs(residual[judged]) / np.sqrt(1.0 - share[judged])
         bulk = max(float(np.median(studentized)) / 0.6745, 1e-9)
         dof = max(float(np.sum(1.0 - np.clip(share[free], 0.0, 1.0))), 1.0)
@@ -227,7 +233,7 @@ class _Search:
         limit = max(float(stats.t.isf(_LEVEL / self.n / 2, max(dof, 4.0))), _LEAST)
         if self.direct:
             limit = max(limit, _limit_of_tails(studentized / bulk))
-        return _Judged(solution, weight, residual, share, scale, limit)
+        return _Judged(seen, solution, weight, residual, share, scale, limit)
 
     def _settled(self, held: IntArray, seen: _Judged) -> tuple[IntArray, _Judged]:
         """Hold out what stands out, and nothing else."""
@@ -262,7 +268,7 @@ class _Search:
         """Which of the suspected stand out while the sound ones among them are put back."""
         if not len(suspected):
             return suspected
-        reached = reach(self.part, seen.solution, 0, seen.weight, suspected)
+        reached = reach(seen.part, seen.solution, 0, seen.weight, suspected)
         out = []
         for block in _blocks(reached, self.n):
             one = Reach(reached.shared[block], reached.own[block], reached.point[block])
@@ -294,7 +300,7 @@ class _Search:
 
     def _alternatives(self, held: IntArray, seen: _Judged) -> Iterator[tuple[int, float, IntArray, Array]]:
         """For each reading held out: what it costs to put it back, and what other readings save if held out instead."""
-        reached = reach(self.part, seen.solution, 0, seen.weight, held)
+        reached = reach(seen.part, seen.solution, 0, seen.weight, held)
         everything = self.n * max(self.problem.size, 1) <= _COMPARED
         if everything:
             index = np.arange(self.n)
@@ -306,7 +312,7 @@ class _Search:
                     point[group.rows[there]] = np.broadcast_to(group.points, group.rows.shape)[there]
             index = np.flatnonzero(np.isin(point, point[held]) & (point >= 0))
         index = np.setdiff1d(index, held)
-        whole = reach(self.part, seen.solution, 0, seen.weight, index)
+        whole = reach(seen.part, seen.solution, 0, seen.weight, index)
         kept = 1.0 - seen.taken[index]
         residual = seen.residual[index] / seen.scale
         for number, k in enumerate(held):

@@ -19,7 +19,7 @@ from machine_tool_calibration.estimation.elimination import Rows, local_step
 from machine_tool_calibration.estimation.problem import Part, Problem
 from machine_tool_calibration.estimation.reduction import gram, over_chunks, single_blas
 
-__all__ = ["Reweighted", "blocks_of", "robust_start", "scaled_residuals"]
+__all__ = ["FAR", "Reweighted", "blocks_of", "robust_start", "scaled_residuals"]
 
 _TUNING = 1.345
 # Reweighted solutions at one linearisation, and linearisations.
@@ -33,6 +33,8 @@ _MOVED = 0.3
 _LEAST = 0.3
 # Residuals at the nominal places beyond so many times their median get little weight from the start.
 _WILD = 20.0
+# A point is not linearised farther than this from its nominal place, m: no machine is off by a centimetre.
+FAR = 0.01
 # Weak hold on what neither readings nor datum fix.
 _HOLD = 1e-10
 
@@ -130,6 +132,7 @@ def robust_start(problem: Problem, unknowns: int) -> tuple[Array, list[Array], l
         theta, local, weights, predicted = _at_one_place(problem, frozen, theta, local, weights, spare)
         if all(part.linear for part in problem.parts):
             return theta, local, predicted
+        local = [np.where(np.abs(own) < FAR, own, 0.0) for own in local]
         residuals = [scaled_residuals(part, theta, own) for part, own in zip(problem.parts, local, strict=True)]
         off = np.concatenate([a - b for a, b in zip(residuals, predicted, strict=True)])
         if np.quantile(np.abs(off), 0.98) < _MOVED:
