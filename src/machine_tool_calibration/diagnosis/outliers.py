@@ -42,6 +42,8 @@ _MOST = 0.2
 _SEEN = 0.02
 # Weight of a reading that is held out: it still places what nothing else places.
 _HELD = 1e-8
+# A residual that holds less than this of its reading's variance says nothing of it.
+_UNSEEN = 1e-6
 # Fits with other readings held out, and models made anew without those set aside.
 _ROUNDS = 8
 _MODELS = 3
@@ -53,6 +55,10 @@ _SHARED = 0.4
 # Another reading is as likely the wrong one if the sum of squares says so within this, or within this share of it.
 _AMBIGUOUS = 6.0
 _ALIKE = 1e-3
+# A reading that explains this share of it is suspected as well: so many for each one set aside, and so many times over.
+_NEARLY = 0.7
+_BEST = 3
+_SWAPS = 4
 # Products of readings and unknowns up to which all readings are compared with each that is set aside.
 _COMPARED = 4e7
 # The scatter's root mean square counts up to this factor above what the median of the absolute residuals says.
@@ -182,12 +188,16 @@ class _Search:
     def outliers(self) -> list[Outlier]:
         """Readings that stand out."""
         held, seen = self._start()
-        for _ in range(3):
+        tried = held
+        for _ in range(_SWAPS):
             held, seen = self._settled(held, seen)
-            others = self._better(held, seen)
-            if not others.size:
+            others = np.setdiff1d(self._rivals(held, seen), tried)
+            if not len(others):
                 break
+            # One reading may be wrong where several seem so.
+            tried = np.union1d(tried, others)
             held = np.union1d(held, others)
+            seen = self._fit(held)
         if not len(held):
             return []
         return self._named(held, seen)
@@ -274,8 +284,7 @@ class _Search:
             one = Reach(reached.shared[block], reached.own[block], reached.point[block])
             products = one.products(one, seen.solution.covariance)
             deviation = seen.residual[suspected[block]]
-            own = seen.weight[suspected[block]]
-            chosen = _worst(np.eye(len(block)) + products, deviation, seen.limit * seen.scale, own < 0.5)
+            chosen = _worst(products, deviation, seen.limit * seen.scale)
             out.append(suspected[block][chosen])
         return np.sort(np.concatenate(out))
 
@@ -331,15 +340,14 @@ class _Search:
             saved = np.where(share > _SEEN, left**2 / np.maximum(share, _SEEN), 0.0)
             yield int(k), float(deviation**2 / variance), index[pool], saved
 
-    def _better(self, held: IntArray, seen: _Judged) -> IntArray:
-        """Readings that explain more if they are held out in place of one that is."""
-        if not len(held):
-            return held
-        out = []
-        for _, cost, others, saved in self._alternatives(held, seen):
-            if len(others) and saved.max() > cost * (1.0 + _ALIKE) + 0.1:
-                out.append(others[int(np.argmax(saved))])
-        return np.unique(np.array(out, dtype=np.int64))
+    def _rivals(self, held: IntArray, seen: _Judged) -> IntArray:
+        """Readings that explain nearly as much, or more, if they are held out in place of one that is."""
+        out = [held[:0]]
+        if len(held):
+            for _, cost, others, saved in self._alternatives(held, seen):
+                best = np.argsort(-saved)[:_BEST]
+                out.append(others[best[saved[best] > _NEARLY * cost]])
+        return np.unique(np.concatenate(out))
 
     def _named(self, held: IntArray, seen: _Judged) -> list[Outlier]:
         """What is held out, with what may as well be wrong in its place."""
@@ -350,8 +358,7 @@ class _Search:
             root = float(np.sqrt(cost)) * float(np.sign(seen.residual[k]) or 1.0)
             deviation = float(seen.residual[k] * self.sigma[k])
             words = f"it is off by {_size(deviation)} from what all other readings say, {abs(root):.1f} times its scatter"
-            alike = others[saved > cost - max(_AMBIGUOUS, _ALIKE * cost)]
-            alike = alike[seen.weight[alike] > 0.5]
+            alike = others[saved > max(cost - max(_AMBIGUOUS, _ALIKE * cost), 0.5 * seen.limit**2)]
             if len(alike):
                 partner = [int(j) for j in alike if same[j] == same[k]]
                 names = ", ".join(str(int(rows[j])) for j in sorted(partner or alike)[:4])
@@ -368,31 +375,32 @@ class _Search:
         return list(out.values())
 
 
-def _worst(matrix: Array, deviation: Array, limit: float, held: BoolArray) -> IntArray:
+def _worst(products: Array, deviation: Array, limit: float) -> IntArray:
     """Set aside the worst of the suspected, judge the others anew, and put back what stands out no longer.
 
     Args:
-        matrix: (k, k) covariance of the deviations of the suspected from what all others predict.
-        deviation: (k,).
+        products: (k, k) covariance of the predictions of the suspected, which took part with the weight `_HELD`.
+        deviation: (k,) of the suspected from these predictions.
         limit: of a deviation over its standard uncertainty.
-        held: (k,) whether the deviation is that; readings that take part are left alone.
 
     Returns:
         Indices of those that stand out.
     """
-    index = np.flatnonzero(held)
-    matrix, deviation = matrix[np.ix_(index, index)], deviation[index]
-    k = len(index)
-    if not k:
-        return index
-    scale = np.sqrt(np.diag(matrix))
-    inverse = np.linalg.inv(matrix / np.outer(scale, scale))
-    pulled = inverse @ (deviation / scale)
-    apart = np.zeros(k, dtype=bool)
-    # With all put back; the inverse holds what each deviation is known by then.
-    while not apart.all():
-        known = np.diag(inverse)
-        size = np.where(apart | (known < 1e-9), 0.0, np.abs(pulled) / np.sqrt(np.maximum(known, 1e-300)))
+    # With h the variance of a prediction in which they have no part at all, h / (1 + w h) is the one at hand. Of what
+    # they alone determine, all of it is theirs.
+    values, vectors = np.linalg.eigh((products + products.T) / 2)
+    share = np.clip(_HELD * values, 0.0, 1.0)
+    alone = share > 0.5
+    variance = np.where(alone, 0.0, np.maximum(values, 0.0) / np.where(alone, 1.0, 1.0 - share))
+    known = np.where(alone, 0.0, 1.0 / (1.0 + variance))
+    inverse = (vectors * known) @ vectors.T
+    pulled = vectors @ (known * (1.0 + _HELD * variance) * (vectors.T @ deviation))
+    # With all put back: the residuals over what they would be with a variance of one, and what each is known by.
+    whole, pull = inverse.copy(), pulled.copy()
+    apart = np.zeros(len(deviation), dtype=bool)
+    while True:
+        seen = np.diag(inverse)
+        size = np.where(apart | (seen < _UNSEEN), 0.0, np.abs(pulled) / np.sqrt(np.maximum(seen, _UNSEEN)))
         worst = int(np.argmax(size))
         if size[worst] <= limit:
             break
@@ -401,18 +409,14 @@ def _worst(matrix: Array, deviation: Array, limit: float, held: BoolArray) -> In
         pulled = pulled - column * pulled[worst]
         inverse = inverse - np.outer(column, inverse[worst])
     while apart.any():
-        out, back = np.flatnonzero(apart), np.flatnonzero(~apart)
-        left, spread = deviation[out], matrix[np.ix_(out, out)]
-        if len(back):
-            gain = np.linalg.solve(matrix[np.ix_(back, back)], matrix[np.ix_(back, out)]).T
-            left = left - gain @ deviation[back]
-            spread = spread - gain @ matrix[np.ix_(back, out)]
-        size = np.abs(left) / np.sqrt(np.maximum(np.diag(spread), 1e-300))
+        out = np.flatnonzero(apart)
+        spread = np.linalg.inv(whole[np.ix_(out, out)])
+        size = np.abs(spread @ pull[out]) / np.sqrt(np.diag(spread))
         least = int(np.argmin(size))
         if size[least] > limit:
             break
         apart[out[least]] = False
-    return index[apart]
+    return np.flatnonzero(apart)
 
 
 def _blocks(reached: Reach, n: int) -> list[IntArray]:

@@ -1,8 +1,9 @@
 """A first solution that gross errors do not reach: Huber's estimator by reweighted least squares.
 
 The readings are linearised at some place and the weighted problem is solved again and again, each reading with the
-weight min(1, k s / |r|) (Huber 1964, k = 1.345), s from the median of the absolute residuals, until s is at rest. The
-criterion is convex, so that the place from which it sets out does not matter; then the readings are linearised anew.
+weight min(1, k s / |r|) (Huber 1964, k = 1.345), s from the median of the absolute residuals, until s is at rest; then
+the readings are linearised anew. Far out the weight falls faster still. As s starts large and shrinks, the place from
+which it sets out hardly matters.
 Nothing here judges single readings, which takes what each of them is expected to leave (see `diagnosis/outliers.py`).
 """
 
@@ -22,6 +23,8 @@ from machine_tool_calibration.estimation.reduction import gram, over_chunks, sin
 __all__ = ["FAR", "Reweighted", "blocks_of", "robust_start", "scaled_residuals"]
 
 _TUNING = 1.345
+# Residuals beyond so many times the scale count less than by Huber.
+_REACHED = 10.0
 # Reweighted solutions at one linearisation, and linearisations.
 _ROUNDS = 40
 _PLACES = 4
@@ -170,11 +173,16 @@ def _at_one_place(
         residuals = [scaled_residuals(part, here, points) for part, points in zip(plain, own, strict=True)]
         size = np.abs(np.concatenate(residuals))
         scale = max(float(np.median(size)) / (0.6745 * np.sqrt(spare)), _LEAST)
-        weights = [np.minimum(1.0, _TUNING * scale / np.maximum(np.abs(r), 1e-12)) for r in residuals]
+        weights = [_weight(np.maximum(np.abs(r), 1e-12) / scale) for r in residuals]
         if abs(scale - last) < _REST * scale:
             break
         last = scale
     return here, own, weights, residuals
+
+
+def _weight(size: Array) -> Array:
+    """Huber's weight, which falls faster beyond what any noise reaches: weakly placed stations feel every pull."""
+    return np.asarray(np.minimum(1.0, _TUNING / size) * np.minimum(1.0, _REACHED / size) ** 2)
 
 
 def _step(problem: Problem, theta: Array, local: Sequence[Array]) -> Array:
