@@ -111,9 +111,6 @@ def set_aside(session: Session, build: Callable[[Session], MethodModel]) -> tupl
     Args:
         session: the measurement.
         build: makes the model of a session.
-
-    Raises:
-        ModelError: the data does not allow the model.
     """
     found = _found(session, build)
     return found, _lost(session, found) if found else session
@@ -136,9 +133,7 @@ def _found(session: Session, build: Callable[[Session], MethodModel]) -> list[Ou
         try:
             more = _Search(build(part)).outliers()
         except ModelError:
-            if not found:
-                raise
-            # What was set aside leaves too little for the model: then it cannot be told what is wrong.
+            # Too little for the model, which its own fit will say; or what was set aside leaves too little.
             return []
         if not more:
             break

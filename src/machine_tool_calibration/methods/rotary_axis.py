@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -94,11 +95,11 @@ class RotaryAxisModel(MethodModel):
             out.append(Parameter(name, "m", reference=float(path)))
         return tuple(out)
 
-    @property
+    @cached_property
     def datum_path(self) -> Array:
-        """(runs,) first estimate of the path at which each run reads zero, m."""
-        first = self.table.first
-        return np.asarray(self.observations.path[first] - self.table.readings.displacement[first])
+        """(runs,) first estimate of the path at which each run reads zero, m: no single reading decides."""
+        zero = self.observations.path - self.table.readings.displacement
+        return np.array([np.median(zero[self.table.run == run]) for run in range(len(self.table.run_key))])
 
     def part(self, own_index: IntArray, dense_index: IntArray) -> Part:
         """Every station is a block: its place, and the zeros of its runs."""

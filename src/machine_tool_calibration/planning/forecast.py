@@ -107,7 +107,7 @@ def forecast(
         ModelError: it does not allow the model.
     """
     planned = planned_session(procedure, warming)
-    result = identify(planned.session, model=model)
+    result = identify(planned.session, model=model, keep_all=True)
     fit = result.fit
     candidates, excluded = effect_candidates(fit.model.observations, list(catalogue(own).values()))
     needed = {}
