@@ -59,8 +59,10 @@ _ALIKE = 1e-3
 _NEARLY = 0.7
 _BEST = 3
 _SWAPS = 4
-# Products of readings and unknowns up to which all readings are compared with each that is set aside.
+# Products of readings and unknowns, and of readings and those set aside, up to which all readings are compared with each
+# that is set aside; beyond, those of its place.
 _COMPARED = 4e7
+_PAIRS = 1e6
 # The scatter's root mean square counts up to this factor above what the median of the absolute residuals says.
 _TAILS = 1.5
 # Where the tails of direct deviations are looked at, and the degrees of freedom of Student's distribution tried there.
@@ -178,6 +180,7 @@ class _Search:
         self.n = self.part.n_readings
         self.direct = model.observations.session.method == "direct"
         self.run = _runs(model)
+        self.near = _near(self.part, self.readings)
         self.start = np.zeros(self.problem.size), np.zeros((self.part.dimension, self.part.n_points))
 
     def outliers(self) -> list[Outlier]:
@@ -275,7 +278,7 @@ class _Search:
             return suspected
         reached = reach(seen.part, seen.solution, 0, seen.weight, suspected)
         out = []
-        for block in _blocks(reached, self.n):
+        for block in _blocks(reached):
             one = Reach(reached.shared[block], reached.own[block], reached.point[block])
             products = one.products(one, seen.solution.covariance)
             deviation = seen.residual[suspected[block]]
@@ -289,44 +292,38 @@ class _Search:
         order, place = self.run
         position = np.empty(self.n, dtype=np.int64)
         position[order] = np.arange(self.n)
-        for number, k in enumerate(suspected):
-            at = position[k]
-            for step in (-1, 1):
-                near = at + step * np.arange(1, _BESIDE + 1)
-                near = near[(near >= 0) & (near < self.n)]
-                near = near[place[near] == place[at]]
-                if len(near) < 2:
-                    continue
-                beside = float(np.median(residual[order[near]]))
-                if beside * residual[k] > 0 and abs(beside) > _SHARED * abs(residual[k]):
-                    out[number] = True
+        at = position[suspected]
+        for side in (-1, 1):
+            near = at[:, None] + side * np.arange(1, _BESIDE + 1)
+            inside = (near >= 0) & (near < self.n)
+            near = np.clip(near, 0, self.n - 1)
+            inside &= place[near] == place[at][:, None]
+            count = inside.sum(axis=1)
+            values = np.sort(np.where(inside, residual[order[near]], np.inf), axis=1)
+            row = np.arange(len(at))
+            upper, lower = values[row, np.minimum(count // 2, _BESIDE - 1)], values[row, np.maximum(count - 1, 0) // 2]
+            told = count > 1
+            beside = np.where(told, 0.5 * (np.where(told, upper, 0.0) + np.where(told, lower, 0.0)), 0.0)
+            own = residual[suspected]
+            out |= told & (beside * own > 0) & (np.abs(beside) > _SHARED * np.abs(own))
         return out
 
     def _alternatives(self, held: IntArray, seen: _Judged) -> Iterator[tuple[int, float, IntArray, Array]]:
         """For each reading held out: what it costs to put it back, and what other readings save if held out instead."""
         reached = reach(seen.part, seen.solution, 0, seen.weight, held)
-        everything = self.n * max(self.problem.size, 1) <= _COMPARED
-        if everything:
-            index = np.arange(self.n)
-        else:
-            point = np.full(self.n, -1, dtype=np.int64)
-            for group in self.part.groups:
-                there = group.rows >= 0
-                if len(group.points):
-                    point[group.rows[there]] = np.broadcast_to(group.points, group.rows.shape)[there]
-            index = np.flatnonzero(np.isin(point, point[held]) & (point >= 0))
-        index = np.setdiff1d(index, held)
+        everything = self.n * max(self.problem.size, 1) <= _COMPARED and self.n * len(held) <= _PAIRS
+        index = np.setdiff1d(np.arange(self.n) if everything else np.flatnonzero(np.isin(self.near, self.near[held])), held)
+        if not everything:
+            index = index[np.argsort(self.near[index], kind="stable")]
+        near = self.near[index]
         whole = reach(seen.part, seen.solution, 0, seen.weight, index)
         kept = 1.0 - seen.taken[index]
         residual = seen.residual[index] / seen.scale
         for number, k in enumerate(held):
             one = Reach(reached.shared[[number]], reached.own[[number]], reached.point[[number]])
-            if everything:
-                pool = np.arange(len(index))
-                others = whole
-            else:
-                pool = np.flatnonzero(whole.point == reached.point[number])
-                others = Reach(whole.shared[pool], whole.own[pool], whole.point[pool])
+            first, last = (0, len(index)) if everything else np.searchsorted(near, [self.near[k], self.near[k] + 1])
+            pool = slice(int(first), int(last))
+            others = Reach(whole.shared[pool], whole.own[pool], whole.point[pool])
             tied = one.products(others, seen.solution.covariance)[0]
             variance = 1.0 + seen.taken[k]
             deviation = seen.residual[k] / seen.scale
@@ -383,6 +380,8 @@ def _worst(products: Array, deviation: Array, limit: float) -> IntArray:
     """
     # With h the variance of a prediction in which they have no part at all, h / (1 + w h) is the one at hand. Of what
     # they alone determine, all of it is theirs.
+    if len(deviation) == 1 and _HELD * products[0, 0] < 1e-3:
+        return np.flatnonzero(np.abs(deviation) > limit * np.sqrt(1.0 + np.diag(products)))
     values, vectors = np.linalg.eigh((products + products.T) / 2)
     share = np.clip(_HELD * values, 0.0, 1.0)
     alone = share > 0.5
@@ -414,7 +413,7 @@ def _worst(products: Array, deviation: Array, limit: float) -> IntArray:
     return np.flatnonzero(apart)
 
 
-def _blocks(reached: Reach, n: int) -> list[IntArray]:
+def _blocks(reached: Reach) -> list[IntArray]:
     """The suspected in groups that are judged together: all, or point by point where they are many."""
     k = len(reached.point)
     if k <= _TOGETHER:
@@ -436,6 +435,17 @@ def _runs(model: MethodModel) -> tuple[IntArray, IntArray]:
     run = np.unique(np.stack(keys), axis=1, return_inverse=True)[1].reshape(-1)
     order = np.argsort(run, kind="stable")
     return order, run[order]
+
+
+def _near(part: Part, readings: Readings) -> IntArray:
+    """(n,) index shared by readings of one point of the model, or of one place where it has none."""
+    if not part.dimension:
+        return _places(readings)
+    out = np.zeros(part.n_readings, dtype=np.int64)
+    for group in part.groups:
+        there = group.rows >= 0
+        out[group.rows[there]] = np.broadcast_to(group.points, group.rows.shape)[there]
+    return out
 
 
 def _places(readings: Readings) -> IntArray:
