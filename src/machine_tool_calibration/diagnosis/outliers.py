@@ -65,7 +65,10 @@ _COMPARED = 4e7
 _PAIRS = 1e6
 # The scatter's root mean square counts up to this factor above what the median of the absolute residuals says.
 _TAILS = 1.5
-# Where the tails of direct deviations are looked at, and the degrees of freedom of Student's distribution tried there.
+# Scatter over the declared uncertainty from which an effect may be missing, and the factor on the limit then.
+_MISFIT = 1.1
+_UNEVEN = 1.5
+# Where the tails of the deviations are looked at, and the degrees of freedom of Student's distribution tried there.
 _SHOULDERS = (0.8, 0.9, 0.95)
 _DOFS = (4.0, 6.0, 10.0, 20.0, 1000.0)
 
@@ -239,8 +242,11 @@ class _Search:
         mean = float(np.sqrt(np.sum(residual[free] ** 2) / dof))
         scale = float(np.clip(mean, bulk, _TAILS * bulk))
         limit = max(float(stats.t.isf(_LEVEL / self.n / 2, max(dof, 4.0))), _LEAST)
-        if self.direct:
-            limit = max(limit, _limit_of_tails(studentized / bulk))
+        limit = max(limit, _limit_of_tails(studentized / bulk))
+        if not self.direct and scale > _MISFIT and stats.chi2.sf(dof * scale**2, dof) < _LEVEL:
+            # Something is missing, and what it leaves is not as even as noise. An axis or a part may scatter more than
+            # the instrument that reads it.
+            limit *= _UNEVEN
         return _Judged(seen, solution, weight, residual, share, scale, limit)
 
     def _settled(self, held: IntArray, seen: _Judged) -> tuple[IntArray, _Judged]:
