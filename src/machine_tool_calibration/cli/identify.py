@@ -31,6 +31,7 @@ __all__ = ["command"]
     is_flag=True,
     help="Model, effects and outliers as in the session's current model (`mtcal improve`, `mtcal history`).",
 )
+@click.option("--keep-all", is_flag=True, help="Use all readings, also those that stand out of all others.")
 @click.option("--formulation", help="Step diagonal: one of the paper's formulations instead of the estimator.")
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path), help="Folder for the result document and the pictures."
@@ -43,6 +44,7 @@ def command(
     effects_file: Path | None,
     model: str | None,
     from_history: bool,
+    keep_all: bool,
     formulation: str | None,
     output: Path | None,
     plot: bool,
@@ -74,7 +76,7 @@ def command(
             raise click.UsageError("--from-history is for one session, without --effect, --model and --formulation.")
         document, result = _by_history(opened[0], sessions[0], own)
     else:
-        document, result = _identified(opened, sessions, effects, own, model, formulation)
+        document, result = _identified(opened, sessions, effects, own, model, formulation, keep_all)
     folder = output or (Path() if plot else None)
     written = _write(document, result, opened, folder, result_file=output is not None) if folder else []
     if as_json:
@@ -95,6 +97,7 @@ def _identified(
     own: list[Effect],
     model: str | None,
     formulation: str | None,
+    keep_all: bool,
 ) -> tuple[dict[str, Any], Result | None]:
     """The document, and for a single session the result behind it."""
     from machine_tool_calibration.methods.identify import identify
@@ -102,11 +105,12 @@ def _identified(
     if formulation is not None:
         return plain(_by_formulation(opened, effects, model, formulation)), None
     if len(opened) == 1:
-        result = identify(opened[0], model=model, effects=effects, own=own)
+        result = identify(opened[0], model=model, effects=effects, own=own, keep_all=keep_all)
         return result.document(), result
     from machine_tool_calibration.methods.joint import identify_sessions
 
-    return identify_sessions(opened, _labels(paths), model=model, effects=effects, own=own).document(), None
+    together = identify_sessions(opened, _labels(paths), model=model, effects=effects, own=own, keep_all=keep_all)
+    return together.document(), None
 
 
 def _meanings(result: Result | None, own: list[Effect]) -> dict[str, str]:
@@ -125,7 +129,7 @@ def _by_history(session: Session, path: Path, own: list[Effect]) -> tuple[dict[s
     from machine_tool_calibration.methods.identify import identify
 
     entry, kept, aside = current_model(session, path)
-    result = identify(kept, model=entry.model, effects=entry.effects, own=own)
+    result = identify(kept, model=entry.model, effects=entry.effects, own=own, keep_all=True)
     document = result.document()
     document["observations"] += int(aside.sum())
     reason = f"set aside by model {entry.number} of the history"

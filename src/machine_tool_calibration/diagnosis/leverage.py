@@ -2,41 +2,163 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.estimation.elimination import backward, cholesky, forward, local_columns, local_normal
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.estimation.elimination import (
+    Rows,
+    backward,
+    cholesky,
+    forward,
+    local_columns,
+    local_normal,
+)
+from machine_tool_calibration.estimation.problem import Part
+from machine_tool_calibration.estimation.solve import Solution
 from machine_tool_calibration.model.fit import Fit
 
-__all__ = ["leverage"]
+__all__ = ["Reach", "leverage", "reach", "taken"]
+
+
+@dataclass(frozen=True)
+class Reach:
+    """How the prediction of some readings hangs on the unknowns, in units of each reading's declared uncertainty.
+
+    The covariance of two predictions is `shared @ covariance @ shared.T`, plus the product of their `own` where both
+    are of one point.
+
+    Attributes:
+        shared: (k, m) by the shared unknowns, with what the point's own unknowns do about it.
+        own: (k, d) by the point's own unknowns, in units of their uncertainty.
+        point: (k,) which point; -1 without points.
+    """
+
+    shared: Array
+    own: Array
+    point: IntArray
+
+    def products(self, other: Reach, covariance: Array) -> Array:
+        """(k, l) covariances of the predictions of these readings with those of others."""
+        out = self.shared @ covariance @ other.shared.T
+        if self.own.shape[1]:
+            same = (self.point[:, None] == other.point[None, :]) & (self.point[:, None] >= 0)
+            out += same * (self.own @ other.own.T)
+        return np.asarray(out)
 
 
 def leverage(fit: Fit) -> Array:
     """(n,) share of a change of each reading that the prediction follows: 1 where the model has it for itself."""
-    part, solution = fit.part, fit.solution
+    return np.clip(taken(fit.part, fit.solution, fit.index, np.ones(fit.part.n_readings)), 0.0, 1.0)
+
+
+def taken(part: Part, solution: Solution, index: int, weight: Array) -> Array:
+    """(n,) variance of each reading's prediction over the reading's own.
+
+    Below 1 for a reading that takes part with its full weight; anything for one that hardly takes part; 1 for readings
+    of a point of which they do not fix all.
+
+    Args:
+        part: the readings, without weights.
+        solution: of the problem with the weights.
+        index: place of the part in the problem.
+        weight: (n,) factor on the inverse of each reading's variance.
+    """
     out = np.ones(part.n_readings)
-    for group, chunk in part.chunks():
-        layout = part.groups[group]
-        rows = part.rows(group, chunk, solution.theta, solution.local[fit.index])
+    for group, chunk, seen in _seen(part, solution, index, weight):
+        layout, rows = part.groups[group], seen.rows
+        places = part.columns(group)
+        inner = solution.covariance[np.ix_(places, places)]
         p, slots, n = rows.block.shape
-        d, dense = rows.local.shape[0], rows.dense.shape[0]
-        index = part.columns(group)
-        inner = solution.covariance[np.ix_(index, index)]
-        taken = np.zeros((slots, n))
-        response = np.zeros((len(index), d, n))
-        if d:
-            factor, _ = cholesky(local_normal(rows))
-            response = backward(factor, forward(factor, local_columns(rows, layout.place)[:-1]))
-            half = forward(factor, rows.local.transpose(1, 0, 2).copy())
-            taken += np.einsum("sdn,sdn->sn", half, half)
+        total = np.einsum("sdn,sdn->sn", seen.half, seen.half) if len(rows.local) else np.zeros((slots, n))
         for s in range(slots):
-            # Columns of this reading with the point's own unknowns projected off.
-            column = -np.einsum("cdn,dn->cn", response, rows.local[:, s]) if d else np.zeros((len(index), n))
-            first = int(layout.place[s]) * p
-            column[first : first + p] += rows.block[:, s]
-            column[len(index) - dense :] += rows.dense[:, s]
-            taken[s] += np.einsum("cn,cn->n", column, inner @ column)
+            column = seen.columns(s, slice(None), int(layout.place[s]) * p)
+            total[s] += np.einsum("cn,cn->n", column, inner @ column)
+        total[:, ~seen.determined] = 1.0
         where = layout.rows[:, chunk]
         there = where >= 0
-        out[where[there]] = taken[there]
-    return np.clip(out, 0.0, 1.0)
+        out[where[there]] = total[there]
+    return out
+
+
+def reach(part: Part, solution: Solution, index: int, weight: Array, which: IntArray) -> Reach:
+    """How the prediction of some readings hangs on the unknowns.
+
+    Args:
+        part: the readings, without weights.
+        solution: of the problem with the weights.
+        index: place of the part in the problem.
+        weight: (n,) factor on the inverse of each reading's variance.
+        which: (k,) the readings.
+    """
+    place = np.full(part.n_readings, -1, dtype=np.int64)
+    place[which] = np.arange(len(which))
+    shared = np.zeros((len(which), len(solution.theta)))
+    own = np.zeros((len(which), part.dimension))
+    point = np.full(len(which), -1, dtype=np.int64)
+    for group, chunk, seen in _seen(part, solution, index, weight):
+        layout, rows = part.groups[group], seen.rows
+        where = layout.rows[:, chunk]
+        wanted = np.where(where >= 0, place[where], -1)
+        if not (wanted >= 0).any():
+            continue
+        columns = part.columns(group)
+        for s in range(len(where)):
+            at = np.flatnonzero(wanted[s] >= 0)
+            k = wanted[s, at]
+            values = seen.columns(s, at, int(layout.place[s]) * len(rows.block))
+            # Two blocks may share an unknown.
+            np.add.at(shared, (k[:, None], columns[None, :]), values.T)
+            if part.dimension:
+                own[k] = seen.half[s][:, at].T
+                point[k] = layout.points[chunk][at]
+    return Reach(shared, own, point)
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """One chunk: its rows without weights, and the points' own unknowns eliminated with them.
+
+    Attributes:
+        rows: without weights.
+        response: (c, d, n) change of the points' unknowns with each shared one.
+        half: (S, d, n) columns of the points' unknowns in units of their uncertainty.
+        determined: (n,) whether the readings fix all unknowns of the point.
+    """
+
+    rows: Rows
+    response: Array
+    half: Array
+    determined: Array
+
+    def columns(self, slot: int, at: slice | IntArray, first: int) -> Array:
+        """(c, n) columns of a slot's readings by the group's shared unknowns; its block begins at the first."""
+        rows, p, dense = self.rows, len(self.rows.block), len(self.rows.dense)
+        n = rows.residual[slot, at].shape[0]
+        count = len(self.response)
+        out = np.zeros((count, n))
+        if len(rows.local):
+            out -= np.einsum("cdn,dn->cn", self.response[:, :, at], rows.local[:, slot, at])
+        out[first : first + p] += rows.block[:, slot, at]
+        out[count - dense :] += rows.dense[:, slot, at]
+        return out
+
+
+def _seen(part: Part, solution: Solution, index: int, weight: Array) -> Iterator[tuple[int, slice, _Seen]]:
+    theta, local = solution.theta, solution.local[index]
+    for group, chunk in part.chunks():
+        layout = part.groups[group]
+        rows = part.rows(group, chunk, theta, local)
+        slots, n = rows.residual.shape
+        d, count = len(rows.local), len(part.columns(group))
+        if not d:
+            yield group, chunk, _Seen(rows, np.zeros((count, 0, n)), np.zeros((slots, 0, n)), np.ones(n, dtype=bool))
+            continue
+        root = np.sqrt(weight)[layout.rows[:, chunk]]
+        weighted = Rows(rows.residual * root, rows.local * root, rows.block * root, rows.dense * root)
+        factor, determined = cholesky(local_normal(weighted))
+        response = backward(factor, forward(factor, local_columns(weighted, layout.place)[:-1]))
+        half = forward(factor, rows.local.transpose(1, 0, 2).copy())
+        yield group, chunk, _Seen(rows, response, half, determined.all(axis=0))

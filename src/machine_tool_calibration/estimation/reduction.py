@@ -73,6 +73,10 @@ def gram(problem: Problem, theta: Array, local: Sequence[Array]) -> tuple[Array,
             by_group[group] = by_group[group] + value if group in by_group else value
         for group, value in by_group.items():
             index = np.append(part.columns(group), m)
+            if len(np.unique(index)) == len(index):
+                total[np.ix_(index, index)] += value[:-1]
+                squares[index] += value[-1]
+                continue
             # Two blocks may share an unknown.
             np.add.at(total, (index[:, None], index[None, :]), value[:-1])
             np.add.at(squares, index, value[-1])

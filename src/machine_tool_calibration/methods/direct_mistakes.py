@@ -54,7 +54,8 @@ def refuse_mistakes(session: Session, build: Callable[[Session], MethodModel]) -
         raise ModelError(f"{session.source}: x, y and z look like millimetres; lengths are in metres")
     if (lying := _lying(seen)) is not None:
         raise ModelError(f"{session.source}: {lying}")
-    spread = float(np.sqrt(np.mean((reading - reading.mean()) ** 2)))
+    # Single readings may be off by anything: the bulk counts.
+    spread = 1.4826 * float(np.median(np.abs(reading - np.median(reading))))
     if spread < _WRECK * extent:
         return
     along = np.einsum("nj,nj->n", seen.position, seen.direction)

@@ -8,6 +8,7 @@ from typing import Protocol, cast
 
 import numpy as np
 
+from machine_tool_calibration.diagnosis.outliers import set_aside
 from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import ModelError
@@ -18,7 +19,7 @@ from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import Rejected, Result
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["build_model", "identify", "rejected_readings"]
+__all__ = ["build_model", "identify", "rejected_readings", "sound"]
 
 _MODULES = {
     "tracking_interferometer": "tracking",
@@ -57,9 +58,30 @@ def rejected_readings(session: Session) -> tuple[Rejected, ...]:
     return tuple(Rejected(int(session.readings.row[k]), "the reading is missing") for k in missing)
 
 
+def sound(
+    session: Session, model: str | None, effects: Sequence[str] = (), own: Sequence[Effect] = ()
+) -> tuple[Session, tuple[Rejected, ...]]:
+    """The session with its gross errors as lost readings, and all readings that no fit uses.
+
+    Args:
+        session: the measurement.
+        model: the method's variant.
+        effects: ids of effects in the model.
+        own: the user's own effects.
+    """
+    present = find_effects(effects, own)
+    found, kept = set_aside(session, lambda part: add_effects(build_model(part, model)[0], present))
+    return kept, rejected_readings(session) + tuple(Rejected(o.row, o.reason) for o in found)
+
+
 @single_blas()
 def identify(
-    session: Session, *, model: str | None = None, effects: Sequence[str] = (), own: Sequence[Effect] = ()
+    session: Session,
+    *,
+    model: str | None = None,
+    effects: Sequence[str] = (),
+    own: Sequence[Effect] = (),
+    keep_all: bool = False,
 ) -> Result:
     """Identify the machine's errors from one session.
 
@@ -68,11 +90,13 @@ def identify(
         model: the method's variant, such as `free` or `rigid_body`; the method's default if absent.
         effects: ids of physical effects to add to the model.
         own: the user's own effects, beside the catalogue.
+        keep_all: use all readings; otherwise those that stand out of all others are set aside.
 
     Raises:
         ModelError: the data does not allow the model, or an effect is unknown or needs what was not recorded.
     """
-    base, name = build_model(session, model)
+    kept, rejected = (session, rejected_readings(session)) if keep_all else sound(session, model, effects, own)
+    base, name = build_model(kept, model)
     built = add_effects(base, find_effects(effects, own))
     fit = fit_models([built]).fits[0]
     return Result(
@@ -80,6 +104,6 @@ def identify(
         error_map=built.error_map(fit),
         effects=tuple(effects),
         model_name=name,
-        rejected=rejected_readings(session),
+        rejected=rejected,
         observations=len(session.readings),
     )

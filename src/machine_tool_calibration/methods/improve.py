@@ -147,15 +147,15 @@ def improve(
         progress=lambda what, share: progress(what, 0.9 * share),
     )
     aside = tuple(sorted(outlier.row for outlier in found.outliers))
-    steps = [_step(None, "", identify(session, model=model, effects=effects, own=own), ())]
+    steps = [_step(None, "", identify(session, model=model, effects=effects, own=own, keep_all=True), ())]
     if aside:
         words = f"{len(aside)} reading{'' if len(aside) == 1 else 's'} set aside"
-        result = identify(found.session, model=model, effects=effects, own=own)
+        result = identify(found.session, model=model, effects=effects, own=own, keep_all=True)
         steps.append(_step(steps[-1], words, result, aside))
     for k, name in enumerate(found.accepted):
         progress(f"adding {name}", 0.9 + 0.1 * k / len(found.accepted))
         added = [*effects, *found.accepted[: k + 1]]
-        steps.append(_step(steps[-1], name, identify(found.session, model=model, effects=added, own=own), aside))
+        steps.append(_step(steps[-1], name, identify(found.session, model=model, effects=added, own=own, keep_all=True), aside))
     progress("done", 1.0)
     return Improvement(found, tuple(steps))
 

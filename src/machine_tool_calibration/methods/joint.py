@@ -12,7 +12,7 @@ import numpy as np
 from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.methods.identify import build_model, rejected_readings
+from machine_tool_calibration.methods.identify import build_model, rejected_readings, sound
 from machine_tool_calibration.methods.joint_agreement import Agreement, agreement
 from machine_tool_calibration.methods.joint_effects import with_effects
 from machine_tool_calibration.methods.joint_map import joint_map
@@ -169,6 +169,7 @@ def identify_sessions(
     model: str | None = None,
     effects: Sequence[str] = (),
     own: Sequence[Effect] = (),
+    keep_all: bool = False,
 ) -> JointResult:
     """Identify one machine from several sessions, of the same or of different methods.
 
@@ -178,10 +179,16 @@ def identify_sessions(
         model: variant of the methods that have it.
         effects: ids of physical effects to add, in every session in which they can act.
         own: the user's own effects, beside the catalogue.
+        keep_all: use all readings; otherwise those that stand out of all others of their session are set aside.
 
     Raises:
         ModelError: as for `joint_models`; a session that contradicts itself; or too few readings.
     """
+    rejected = [rejected_readings(session) for session in sessions]
+    if not keep_all:
+        # Each by itself: where an effect is missing, all its residuals are large, and none stands out.
+        pairs = [sound(session, _variant(session, model)) for session in sessions]
+        sessions, rejected = [kept for kept, _ in pairs], [gone for _, gone in pairs]
     common, names = joint_models(sessions, labels, model=model, effects=find_effects(effects, own))
     joint = fit_models(common.models, labels, random_of(common.angles))
     angles = stated(joint, common.angles)
@@ -197,7 +204,7 @@ def identify_sessions(
         agreement=agreed,
         effects=tuple(effects),
         model_names=names,
-        rejected=tuple(rejected_readings(session) for session in sessions),
+        rejected=tuple(rejected),
         observations=tuple(len(session.readings) for session in sessions),
     )
 

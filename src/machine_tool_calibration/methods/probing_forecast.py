@@ -26,7 +26,7 @@ def forecast(description: Probing) -> Result:
     Raises:
         ModelError: the touches are fewer than what they would have to determine.
     """
-    return identify(planned_session(description))
+    return identify(planned_session(description), keep_all=True)
 
 
 def planned_session(description: Probing) -> Session:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.layout import group_rows
 from machine_tool_calibration.estimation.problem import FunctionPart, Part
+from machine_tool_calibration.estimation.robust import robust_start
 from machine_tool_calibration.methods.rotary_datum import (
     ROTARY_DATUM,
     loose_motions,
@@ -32,8 +34,8 @@ from machine_tool_calibration.methods.rotary_mistakes import refuse_mistakes
 from machine_tool_calibration.methods.rotary_start import Start, find_start
 from machine_tool_calibration.methods.rotary_unseen import unseen_motions, unseen_names
 from machine_tool_calibration.methods.rotary_weak import HELD_WITHIN, covered_angle, weak_places
-from machine_tool_calibration.model.fit import Fit, fit_models
-from machine_tool_calibration.model.model import MethodModel
+from machine_tool_calibration.model.fit import Fit
+from machine_tool_calibration.model.model import MethodModel, assemble
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.model.terms import Parameter, Term
@@ -93,11 +95,11 @@ class RotaryAxisModel(MethodModel):
             out.append(Parameter(name, "m", reference=float(path)))
         return tuple(out)
 
-    @property
+    @cached_property
     def datum_path(self) -> Array:
-        """(runs,) first estimate of the path at which each run reads zero, m."""
-        first = self.table.first
-        return np.asarray(self.observations.path[first] - self.table.readings.displacement[first])
+        """(runs,) first estimate of the path at which each run reads zero, m: no single reading decides."""
+        zero = self.observations.path - self.table.readings.displacement
+        return np.array([np.median(zero[self.table.run == run]) for run in range(len(self.table.run_key))])
 
     def part(self, own_index: IntArray, dense_index: IntArray) -> Part:
         """Every station is a block: its place, and the zeros of its runs."""
@@ -240,13 +242,10 @@ def _check_places(model: RotaryAxisModel) -> None:
     Raises:
         ModelError: stations and targets are not where they are said to be, nor near.
     """
-    try:
-        missed = float(np.median(np.abs(fit_models([model]).fits[0].residuals)))
-    except ModelError as error:
-        if "too few" in str(error):
-            raise
-        missed = np.inf
-    if missed > _LOST * model.observations.session.sigma:
+    problem = assemble([model]).problem
+    residuals = robust_start(problem, problem.size - len(problem.constraints))[2][0]
+    missed = float(np.median(np.abs(residuals))) * model.observations.session.sigma
+    if not missed <= _LOST * model.observations.session.sigma:
         by = f" by {missed * 1e6:.3g} µm in the middle" if np.isfinite(missed) else ""
         raise ModelError(
             f"{model.observations.session.source}: no places of stations and targets near the stated ones explain the "
@@ -271,7 +270,8 @@ def _held(model: RotaryAxisModel) -> RotaryAxisModel:
 
 def _moved(start: Start, model: RotaryAxisModel) -> Start:
     """Stations and targets where a fit puts them."""
-    theta = fit_models([model]).fits[0].theta
+    problem = assemble([model]).problem
+    theta = robust_start(problem, problem.size - len(problem.constraints))[0]
     s, first = start.stations.size, len(model.own) + 6 * len(model.table.nodes)
     targets = theta[first : first + start.targets.size].reshape(-1, 3)
     return replace(start, stations=start.stations + theta[:s].reshape(-1, 3), targets=start.targets + targets)

@@ -26,6 +26,12 @@ _BESIDE = 20
 _STATIONS_BESIDE = 0.15
 _TARGETS_BESIDE = 0.03
 _WIDE = 0.2
+# Readings off by so many times the median of all say that there are gross errors. Then Huber's weights (1964), until none
+# changes by more than this, and so often at most.
+_WILD = 20.0
+_TUNING = 1.345
+_AT_REST = 0.02
+_REWEIGHTED = 15
 
 
 @dataclass(frozen=True)
@@ -113,10 +119,7 @@ def _turned(stations: Array, axis: str, tilt: tuple[float, float]) -> Array:
 
 def _misfit(table: TableReadings, stations: Array, targets: Array) -> float:
     """Median absolute difference between readings and places as they are, m."""
-    length = np.linalg.norm(table.turned(targets) - stations[table.readings.setup], axis=1)
-    off = length - table.readings.displacement
-    mean = np.bincount(table.run, off) / np.bincount(table.run)
-    return float(np.median(np.abs(off - mean[table.run])))
+    return float(np.median(np.abs(_off(table, stations, targets))))
 
 
 def aligned(points: Array, onto: Array, used: IntArray) -> Array:
@@ -134,13 +137,43 @@ def aligned(points: Array, onto: Array, used: IntArray) -> Array:
 
 
 def _fitted(table: TableReadings, stations: Array, targets: Array, within: float = _NOMINAL) -> Start:
+    """Reweighted as long as some readings are off by far more than the others: gross errors must not lead astray."""
+    x = np.concatenate([stations.ravel(), targets.ravel()])
+    off = np.abs(_off(table, stations, targets))
+    weight = np.minimum(1.0, _WILD * np.median(off) / np.maximum(off, 1e-12)) ** 2
+    for _ in range(_REWEIGHTED):
+        x, left = _weighted(table, stations, targets, within, x, weight)
+        scale = max(float(np.median(np.abs(left))) / 0.6745, 1e-9)
+        if not (np.abs(left) > _WILD * scale).any() and (weight == 1.0).all():
+            break
+        before, weight = weight, np.minimum(1.0, _TUNING * scale / np.maximum(np.abs(left), 1e-12))
+        if np.abs(weight - before).max() < _AT_REST:
+            break
+    size = stations.size
+    return Start(x[:size].reshape(-1, 3), x[size:].reshape(-1, 3), float(np.median(np.abs(left))))
+
+
+def _off(table: TableReadings, stations: Array, targets: Array) -> Array:
+    """(n,) readings minus what the places say, from the middle of each run, m."""
+    off = table.readings.displacement - np.linalg.norm(table.turned(targets) - stations[table.readings.setup], axis=1)
+    for run in range(int(table.run.max()) + 1):
+        mine = table.run == run
+        off[mine] -= np.median(off[mine])
+    return off
+
+
+def _weighted(
+    table: TableReadings, stations: Array, targets: Array, within: float, start: Array, weight: Array
+) -> tuple[Array, Array]:
+    """Stations and targets by weighted least squares from a start, and (n,) the readings' residuals, m."""
     setup, reading = table.readings.setup, table.readings.displacement
     size = len(stations) * 3
     nominal = np.concatenate([stations.ravel(), targets.ravel()])
-    count = np.bincount(table.run).astype(float)
+    count = np.bincount(table.run, weight)
+    root = np.sqrt(weight)
 
     def centred(values: Array) -> Array:
-        return np.asarray(values - (np.bincount(table.run, values) / count)[table.run])
+        return np.asarray(values - (np.bincount(table.run, weight * values) / count)[table.run])
 
     def split(x: Array) -> tuple[Array, Array]:
         return x[:size].reshape(-1, 3), x[size:].reshape(-1, 3)
@@ -152,7 +185,7 @@ def _fitted(table: TableReadings, stations: Array, targets: Array, within: float
         return length, away / np.maximum(length, 1e-12)[:, None]
 
     def residual(x: Array) -> Array:
-        return np.concatenate([centred(line(x)[0] - reading) / _ERRORS, (x - nominal) / within])
+        return np.concatenate([root * centred(line(x)[0] - reading) / _ERRORS, (x - nominal) / within])
 
     def jacobian(x: Array) -> Array:
         _, g = line(x)
@@ -163,11 +196,9 @@ def _fitted(table: TableReadings, stations: Array, targets: Array, within: float
             out[rows, 3 * setup + j] = -g[:, j]
             out[rows, size + 3 * table.target + j] = on_table[:, j]
         mean = np.zeros((len(count), len(x)))
-        np.add.at(mean, table.run, out)
+        np.add.at(mean, table.run, weight[:, None] * out)
         out -= (mean / count[:, None])[table.run]
-        return np.concatenate([out / _ERRORS, np.eye(len(x)) / within])
+        return np.concatenate([root[:, None] * out / _ERRORS, np.eye(len(x)) / within])
 
-    found = least_squares(residual, nominal, jacobian, method="trf", xtol=1e-9, ftol=1e-9, gtol=1e-9, max_nfev=60)
-    at_stations, at_targets = split(np.asarray(found.x))
-    misfit = float(np.median(np.abs(centred(line(found.x)[0] - reading))))
-    return Start(at_stations, at_targets, misfit)
+    found = least_squares(residual, start, jacobian, method="trf", xtol=1e-9, ftol=1e-9, gtol=1e-9, max_nfev=60)
+    return np.asarray(found.x), centred(line(found.x)[0] - reading)

@@ -205,8 +205,9 @@ def build(session: Session, model: str = "free") -> TrackingModel:
         direction = beam_direction(readings.column("azimuth"), elevation)
     path = np.zeros(len(stations))
     for s in range(len(stations)):
-        mine = np.flatnonzero(readings.setup == s)[:1]
-        path[s] = np.sum(length[mine] - readings.displacement[mine])
+        mine = np.flatnonzero(readings.setup == s)
+        # No single reading decides.
+        path[s] = np.median(length[mine] - readings.displacement[mine]) if len(mine) else 0.0
     free = TrackingModel(
         observations=Observations(
             session, readings, position, direction, np.zeros_like(direction), length, readings.setup

@@ -108,7 +108,7 @@ def forecast(
         ModelError: it does not allow the model.
     """
     planned = planned_session(procedure, warming)
-    result = identify(planned.session, model=model)
+    result = identify(planned.session, model=model, keep_all=True)
     fit = result.fit
     candidates, excluded = effect_candidates(Pool(fit.joint), list(catalogue(own).values()))
     needed = float(np.log(max(len(candidates), 1.0 / EFFECT)))

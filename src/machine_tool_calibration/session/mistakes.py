@@ -10,7 +10,7 @@ import pandas as pd
 
 from machine_tool_calibration.arrays import Array, IntArray
 
-__all__ = ["Comparison", "Mistake", "exchanged", "extent", "groups", "per_setup", "same", "scaled", "spread"]
+__all__ = ["Comparison", "Mistake", "exchanged", "exchanged_axes", "extent", "groups", "per_setup", "same", "scaled", "spread"]
 
 _MOST_TRIED = 12
 _LIMIT = 0.1
@@ -72,6 +72,15 @@ def exchanged(
             order = same(len(ids))
             order[[first, second]] = second, first
             yield Mistake(f"the {kind}s {ids[first]!r} and {ids[second]!r} look exchanged", judge(order), scale)
+
+
+def exchanged_axes(dimension: int) -> Iterator[tuple[str, tuple[int, int, int]]]:
+    """Two of the columns x, y and z exchanged: the suspicion, and which column stands for each axis."""
+    for a, b in ((0, 1), (0, 2), (1, 2)):
+        if b < dimension:
+            order = [0, 1, 2]
+            order[a], order[b] = b, a
+            yield f"the columns {'xyz'[a]} and {'xyz'[b]} look exchanged", (order[0], order[1], order[2])
 
 
 def same(count: int) -> IntArray:

@@ -14,6 +14,7 @@ from machine_tool_calibration.session.mistakes import (
     Comparison,
     Mistake,
     exchanged,
+    exchanged_axes,
     extent,
     groups,
     per_setup,
@@ -36,8 +37,14 @@ def compare_beam(description: TrackingInterferometer, readings: Readings) -> Com
     azimuth = readings.columns["azimuth"]
     elevation = upright * readings.columns.get("elevation", np.zeros(len(readings)))
 
-    def judge(order: IntArray, unit: float = 1.0, sense: float = 1.0, about: tuple[float, float] = (1.0, 0.0)) -> Array:
-        line = (readings.position() - stations[order][readings.setup]) * (1.0, 1.0, upright)
+    def judge(
+        order: IntArray,
+        unit: float = 1.0,
+        sense: float = 1.0,
+        about: tuple[float, float] = (1.0, 0.0),
+        axes: tuple[int, int, int] = (0, 1, 2),
+    ) -> Array:
+        line = (readings.position()[:, axes] - stations[order][readings.setup]) * (1.0, 1.0, upright)
         beam = nominal.direction(about[0] * azimuth * unit + about[1], elevation * unit)
         cosine = np.sum(beam * line, axis=1) / np.linalg.norm(line, axis=1)
         return per_setup(readings.setup, np.arccos(np.clip(sense * cosine, -1, 1)), len(ids))
@@ -51,6 +58,8 @@ def compare_beam(description: TrackingInterferometer, readings: Readings) -> Com
         what = "azimuth looks as if it was counted clockwise; it is counter-clockwise from +X, seen from +Z"
         yield Mistake(what, judge(itself, about=(-1.0, 0.0)), 1.0)
         yield Mistake("azimuth looks as if it was off by half a turn", judge(itself, about=(1.0, np.pi)), 1.0)
+        for what, axes in exchanged_axes(description.dimension):
+            yield Mistake(what, judge(itself, axes=axes), 1.0)
         yield from exchanged("setup", ids, now, 1.0, judge)
 
     return Comparison(now, 1.0, mistakes())
@@ -66,8 +75,13 @@ def compare_tracking(description: TrackingInterferometer, readings: Readings) ->
     def judge(difference: Array) -> Array:
         return spread(difference, setup, setup, len(ids))
 
-    def path(order: IntArray, station_unit: float = 1.0, point_unit: float = 1.0) -> Array:
-        line = point_unit * points - station_unit * stations[order][setup]
+    def path(
+        order: IntArray,
+        station_unit: float = 1.0,
+        point_unit: float = 1.0,
+        axes: tuple[int, int, int] = (0, 1, 2),
+    ) -> Array:
+        line = point_unit * points[:, axes[: description.dimension]] - station_unit * stations[order][setup]
         return np.asarray(np.linalg.norm(line, axis=1))
 
     itself = same(len(ids))
@@ -80,6 +94,8 @@ def compare_tracking(description: TrackingInterferometer, readings: Readings) ->
             other = path(itself, *units)
             message = f"{what} like millimetres; lengths are in metres"
             yield Mistake(message, judge(measured - other), extent(other, setup))
+        for what, axes in exchanged_axes(description.dimension):
+            yield Mistake(what, judge(measured - path(itself, axes=axes)), scale)
         yield from exchanged("setup", ids, now, scale, lambda order: judge(measured - path(order)))
 
     return Comparison(now, scale, mistakes())
@@ -95,13 +111,13 @@ def compare_diagonal(description: StepDiagonal, readings: Readings) -> Compariso
     points, setup, measured = readings.position(), readings.setup, readings.displacement
     group = groups(setup, readings.repeat)
 
-    def judge(difference: Array, order: IntArray) -> Array:
+    def judge(difference: Array, order: IntArray, points: Array = points) -> Array:
         low = np.minimum(start, start + motion)[order][setup]
         high = np.maximum(start, start + motion)[order][setup]
         outside = np.linalg.norm(np.clip(low - points, 0, None) + np.clip(points - high, 0, None), axis=1)
         return spread(difference, group, setup, len(ids)) + per_setup(setup, outside, len(ids))
 
-    def path(order: IntArray) -> Array:
+    def path(order: IntArray, points: Array = points) -> Array:
         which = order[setup]
         return np.asarray(np.sum(beam[which] * (points - start[which]), axis=1))
 
@@ -111,6 +127,9 @@ def compare_diagonal(description: StepDiagonal, readings: Readings) -> Compariso
 
     def mistakes() -> Iterator[Mistake]:
         yield from scaled(measured, predicted, scale, lambda difference: judge(difference, itself))
+        for what, axes in exchanged_axes(3):
+            other = points[:, axes]
+            yield Mistake(what, judge(measured - path(itself, other), itself, other), scale)
         yield from exchanged("setup", ids, now, scale, lambda order: judge(measured - path(order), order))
 
     return Comparison(now, scale, mistakes())

@@ -14,6 +14,7 @@ from machine_tool_calibration.session.mistakes import (
     Comparison,
     Mistake,
     exchanged,
+    exchanged_axes,
     extent,
     groups,
     per_setup,
@@ -106,7 +107,7 @@ def compare_probing(session: Session, description: Probing, readings: Readings) 
     commanded = readings.position()[:, :2]
     scale = float(np.max(np.linalg.norm(points, axis=1), initial=0.0))
 
-    def judge(turn: Array, sense: float = 1.0) -> Array:
+    def judge(turn: Array, sense: float = 1.0, commanded: Array = commanded) -> Array:
         expected = nominal.turned(points[index], sense * session.rotation_sign * turn)
         off = np.linalg.norm(commanded - expected, axis=1)
         return per_setup(readings.setup, np.asarray(off), len(session.setup_ids))
@@ -118,6 +119,8 @@ def compare_probing(session: Session, description: Probing, readings: Readings) 
     def mistakes() -> Iterator[Mistake]:
         what = "the workpiece looks as if it turned the other way: check machine.rotation_sign"
         yield Mistake(what, judge(c, -1.0), scale)
+        for exchange, axes in exchanged_axes(2):
+            yield Mistake(exchange, judge(c, commanded=commanded[:, axes[:2]]), scale)
         yield from exchanged(
             "setup", session.setup_ids, now, scale, lambda order: judge(declared[order][readings.setup])
         )

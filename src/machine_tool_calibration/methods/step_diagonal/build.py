@@ -9,7 +9,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.estimation.solve import solve
+from machine_tool_calibration.estimation.robust import robust_start
 from machine_tool_calibration.machine.tables import MachineTable, linear_axis_errors
 from machine_tool_calibration.methods.rigid_body import map_field, table_datum
 from machine_tool_calibration.methods.step_diagonal.geometry import (
@@ -129,7 +129,9 @@ def _run_names(session: Session, readings: Readings) -> tuple[str, ...]:
 def _second_order(model: StepDiagonalModel, displacement: Array) -> Array:
     """(n,) what the first-order readings leave out, at the solution of the first-order model."""
     assembly = assemble([model])
-    theta = solve(assembly.problem).theta[assembly.places[0]]
+    # Gross errors have no say: their squares would bend the nominal path.
+    theta = robust_start(assembly.problem, assembly.problem.size - len(assembly.problem.constraints))[0]
+    theta = theta[assembly.places[0]]
     first, count = len(model.own), sum(len(table.labels) for table in model.tables)
     table_theta = theta[first : first + count]
     setup = model.observations.readings.setup

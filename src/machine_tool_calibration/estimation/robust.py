@@ -1,0 +1,219 @@
+"""A first solution that gross errors do not reach: Huber's estimator by reweighted least squares.
+
+The readings are linearised at some place and the weighted problem is solved again and again, each reading with the
+weight min(1, k s / |r|) (Huber 1964, k = 1.345), s from the median of the absolute residuals, until s is at rest; then
+the readings are linearised anew. Far out the weight falls faster still. As s starts large and shrinks, the place from
+which it sets out hardly matters.
+Nothing here judges single readings, which takes what each of them is expected to leave (see `diagnosis/outliers.py`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy import linalg
+
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.estimation.elimination import Rows, local_step
+from machine_tool_calibration.estimation.problem import Part, Problem
+from machine_tool_calibration.estimation.reduction import gram, over_chunks, single_blas
+
+__all__ = ["FAR", "Reweighted", "blocks_of", "robust_start", "scaled_residuals"]
+
+_TUNING = 1.345
+# Residuals beyond so many times the scale count less than by Huber.
+_REACHED = 10.0
+# Reweighted solutions at one linearisation, and linearisations.
+_ROUNDS = 40
+_PLACES = 4
+# The scale is at rest when it changes by less than this share; the readings are where they were linearised if no
+# prediction moved by more than this, standard uncertainties.
+_REST = 0.02
+_MOVED = 0.3
+# Least scale, in declared uncertainties: with few spare readings the median of the residuals may be next to nothing.
+_LEAST = 0.3
+# Residuals at the nominal places beyond so many times their median get little weight from the start.
+_WILD = 20.0
+# A point is not linearised farther than this from its nominal place, m: no machine is off by a centimetre.
+FAR = 0.01
+# Weak hold on what neither readings nor datum fix.
+_HOLD = 1e-10
+
+
+class Reweighted(Part):
+    """A part with a further weight for each reading; optionally with its columns as they are at one place."""
+
+    def __init__(self, part: Part, weight: Array, at: tuple[Array, Array] | None = None) -> None:
+        """Keep the part.
+
+        Args:
+            part: the readings.
+            weight: (n,) factor on the inverse of each reading's variance.
+            at: shared unknowns and points at which the readings are linearised for good; if absent, wherever asked.
+        """
+        self.groups = part.groups
+        self.block_index, self.dense_index = part.block_index, part.dense_index
+        self.dimension, self.n_points, self.n_readings = part.dimension, part.n_points, part.n_readings
+        self.linear = part.linear or at is not None
+        self._part, self._at = part, at
+        self._root = np.sqrt(weight)
+        self._kept: dict[tuple[int, int, int], Rows] = {}
+
+    def weighted(self, weight: Array) -> Reweighted:
+        """The same with other weights."""
+        other = Reweighted(self._part, weight, self._at)
+        other._kept = self._kept
+        return other
+
+    def rows(self, group: int, chunk: slice, theta: Array, local: Array) -> Rows:
+        """The part's rows with the further weights."""
+        rows = self._linearised(group, chunk, theta, local)
+        root = self._root[self.groups[group].rows[:, chunk]]
+        return Rows(rows.residual * root, rows.local * root, rows.block * root, rows.dense * root)
+
+    def _linearised(self, group: int, chunk: slice, theta: Array, local: Array) -> Rows:
+        if self._at is None:
+            return self._part.rows(group, chunk, theta, local)
+        key = (group, chunk.start, chunk.stop)
+        if key not in self._kept:
+            self._kept[key] = self._part.rows(group, chunk, *self._at)
+        rows, layout = self._kept[key], self.groups[group]
+        change = theta - self._at[0]
+        residual = rows.residual - np.einsum("psn,sp->sn", rows.block, change[self.block_index[layout.block]])
+        if len(self.dense_index):
+            residual -= np.tensordot(change[self.dense_index], rows.dense, axes=1)
+        if self.dimension:
+            points = layout.pick(chunk)
+            residual -= np.einsum("dsn,dn->sn", rows.local, local[:, points] - self._at[1][:, points])
+        return replace(rows, residual=residual)
+
+
+def scaled_residuals(part: Part, theta: Array, local: Array) -> Array:
+    """(n,) measured minus predicted over the declared uncertainty."""
+    out = np.zeros(part.n_readings)
+
+    def work(group: int, chunk: slice) -> Array:
+        values = part.rows(group, chunk, theta, local).residual
+        where = part.groups[group].rows[:, chunk]
+        there = where >= 0
+        out[where[there]] = values[there]
+        return values[:0]
+
+    over_chunks(part, work)
+    return out
+
+
+def blocks_of(part: Part) -> IntArray:
+    """(n,) block (setup) of each reading."""
+    out = np.zeros(part.n_readings, dtype=np.int64)
+    for group in part.groups:
+        there = group.rows >= 0
+        out[group.rows[there]] = np.broadcast_to(group.block[:, None], group.rows.shape)[there]
+    return out
+
+
+@single_blas()
+def robust_start(problem: Problem, unknowns: int) -> tuple[Array, list[Array], list[Array]]:
+    """Shared unknowns, points, and residuals over the declared uncertainty, little moved by gross errors.
+
+    Args:
+        problem: readings, datum and priors.
+        unknowns: about how many unknowns the readings fix, points included.
+    """
+    theta = np.zeros(problem.size)
+    local = [np.zeros((part.dimension, part.n_points)) for part in problem.parts]
+    weights = [_first_weights(part, theta, own) for part, own in zip(problem.parts, local, strict=True)]
+    spare = max(1.0 - unknowns / problem.n_readings, 0.1)
+    residuals: list[Array] = []
+    for _ in range(_PLACES):
+        frozen = [
+            Reweighted(part, weight, (theta, own))
+            for part, weight, own in zip(problem.parts, weights, local, strict=True)
+        ]
+        theta, local, weights, predicted = _at_one_place(problem, frozen, theta, local, weights, spare)
+        if all(part.linear for part in problem.parts):
+            return theta, local, predicted
+        local = [np.where(np.abs(own) < FAR, own, 0.0) for own in local]
+        residuals = [scaled_residuals(part, theta, own) for part, own in zip(problem.parts, local, strict=True)]
+        off = np.concatenate([a - b for a, b in zip(residuals, predicted, strict=True)])
+        if np.quantile(np.abs(off), 0.98) < _MOVED:
+            break
+    return theta, local, residuals
+
+
+def _first_weights(part: Part, theta: Array, local: Array) -> Array:
+    """What is off by far at the nominal places counts little: it would lead the first step astray."""
+    off = scaled_residuals(part, theta, local)
+    block = blocks_of(part)
+    for b in np.unique(block):
+        mine = block == b
+        off[mine] -= np.median(off[mine])
+    size = np.abs(off)
+    limit = _WILD * max(float(np.median(size)), 1.0)
+    return np.asarray(np.minimum(1.0, limit / np.maximum(size, limit)) ** 2)
+
+
+def _at_one_place(
+    problem: Problem, frozen: list[Reweighted], theta: Array, local: list[Array], weights: list[Array], spare: float
+) -> tuple[Array, list[Array], list[Array], list[Array]]:
+    """Reweight at one linearisation until the scale is at rest."""
+    last = np.inf
+    plain = [part.weighted(np.ones(part.n_readings)) for part in frozen]
+    for _ in range(_ROUNDS):
+        parts = [part.weighted(weight) for part, weight in zip(frozen, weights, strict=True)]
+        weighted = replace(problem, parts=parts)
+        step = _step(weighted, theta, local)
+        here = theta + step
+        own = [
+            _points(part, theta, points, step) if part.dimension else points
+            for part, points in zip(parts, local, strict=True)
+        ]
+        residuals = [scaled_residuals(part, here, points) for part, points in zip(plain, own, strict=True)]
+        size = np.abs(np.concatenate(residuals))
+        scale = max(float(np.median(size)) / (0.6745 * np.sqrt(spare)), _LEAST)
+        weights = [_weight(np.maximum(np.abs(r), 1e-12) / scale) for r in residuals]
+        if abs(scale - last) < _REST * scale:
+            break
+        last = scale
+    return here, own, weights, residuals
+
+
+def _weight(size: Array) -> Array:
+    """Huber's weight, which falls faster beyond what any noise reaches: weakly placed stations feel every pull."""
+    return np.asarray(np.minimum(1.0, _TUNING / size) * np.minimum(1.0, _REACHED / size) ** 2)
+
+
+def _step(problem: Problem, theta: Array, local: Sequence[Array]) -> Array:
+    """Step of the shared unknowns; what nothing fixes is weakly held where it is."""
+    total, squares = gram(problem, theta, local)
+    scale = np.sqrt(np.maximum(squares[:-1], 0.0))
+    typical = scale.max(initial=0.0) or 1.0
+    scale = np.where(scale > 1e-13 * typical, scale, typical)
+    matrix = total[:-1, :-1] / np.outer(scale, scale)
+    right = total[:-1, -1] / scale
+    if len(problem.constraints):
+        rows = problem.constraints / scale
+        size = np.linalg.norm(rows, axis=1)
+        rows = rows / size[:, None]
+        matrix = matrix + rows.T @ rows
+        right = right + rows.T @ ((problem.constraint_values - problem.constraints @ theta) / size)
+    matrix[np.diag_indices_from(matrix)] += _HOLD
+    values = linalg.solve(matrix, right, assume_a="pos", check_finite=False) if len(right) else right
+    return np.asarray(values / scale)
+
+
+def _points(part: Part, theta: Array, local: Array, step: Array) -> Array:
+    """The points' unknowns after a step of the shared ones."""
+    moved = local.copy()
+
+    def work(group: int, chunk: slice) -> Array:
+        layout = part.groups[group]
+        rows = part.rows(group, chunk, theta, local)
+        change, _ = local_step(rows, step[part.block_index[layout.block]], step[part.dense_index])
+        moved[:, layout.pick(chunk)] += change
+        return change[:, :0]
+
+    over_chunks(part, work)
+    return moved
