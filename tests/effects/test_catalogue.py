@@ -27,7 +27,7 @@ SHOWN = {
     "backlash_x": ("tracking_2d", 0.999),
     "backlash_y": ("tracking_3d", 0.999),
     "backlash_z": ("tracking_3d", 0.999),
-    "backlash_c": ("rotary_axis_both_ways", 0.999),
+    "backlash_c": ("rotary_axis", 0.999),
     "thermal_expansion_x": ("tracking_3d", 0.999),
     "thermal_expansion_y": ("tracking_3d", 0.999),
     "thermal_expansion_z": ("tracking_3d", 0.999),

@@ -58,7 +58,7 @@ def test_backlash_that_one_direction_hides_shows_when_run_backwards(simulated: S
     assert way.kind == "backwards"
     assert way.before is None
     promised = way.after
-    plan = PRESETS["rotary_axis_both_ways"]
+    plan = PRESETS["rotary_axis"]
     seen = 0
     for seed in range(2):
         effects = (FlawSpec(id="backlash_c", size=1.5 * promised),)

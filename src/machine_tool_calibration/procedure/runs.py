@@ -79,6 +79,8 @@ def rotary_steps(procedure: Procedure) -> Iterator[Step]:
         for repeat in range(session.repeats):
             back = procedure.path.alternate and repeat % 2 == 1
             angles = forth[::-1] if back else forth
+            if procedure.path.both_ways:
+                angles = [*angles, *angles[::-1]]
             for target in range(len(session.targets)):
                 runs.append((setup.id, repeat, target, angles, {axis: -1.0 if back else 1.0}))
     yield from _steps(procedure, runs, points=True)

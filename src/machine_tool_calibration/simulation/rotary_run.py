@@ -36,7 +36,8 @@ class RotaryPlan(Plan):
         targets: by id, in the table frame at zero, nominal, m.
         stations: nominal positions, m.
         angles: commanded angles, rad; 18 steps of 20 degrees if absent.
-        both_ways: each run goes back through the same angles.
+        both_ways: each run goes back through the same angles, so that what drifts with time is not taken for an
+            error of the angle, and backlash shows.
         station_uncertainty: standard deviation of the stated stations per coordinate, m.
         target_uncertainty: likewise of the stated targets.
         hidden: target id -> (from, to): angles at which it cannot be seen, rad.
@@ -47,7 +48,7 @@ class RotaryPlan(Plan):
     targets: dict[str, Vector3] | None = None
     stations: Annotated[tuple[Vector3, ...], Field(min_length=1)] | None = None
     angles: Annotated[tuple[Finite, ...], Field(min_length=1, max_length=100_000)] | None = None
-    both_ways: bool = False
+    both_ways: bool = True
     station_uncertainty: Annotated[float, Field(ge=0)] = 2e-4
     target_uncertainty: Annotated[float, Field(ge=0)] = 5e-5
     hidden: dict[str, tuple[Finite, Finite]] = Field(default_factory=dict)
