@@ -67,7 +67,8 @@ def test_session_is_the_contracts():
 def test_procedures_that_the_package_brings_can_be_planned(file):
     made = plan(read_procedure(file))
     session = made.procedure.session
-    assert len(made.steps) % (len(session.setups) * session.repeats) == 0
+    runs = {(step.setup, step.repeat) for step in made.steps}
+    assert runs == {(setup.id, repeat) for setup in session.setups for repeat in range(session.repeats)}
     assert made.procedure.name == file.stem
 
 

@@ -65,7 +65,8 @@ def _offset(session: Session, description: StepDiagonal, runs: Sequence[Run], us
     linear = [k for k in used if not runs[k].diagonal]
     made = {(runs[k].order, tuple(np.round(runs[k].start, 9))) for k in linear}
     new = []
-    for k in linear:
+    edges = {runs[k].order: k for k in reversed(linear)}  # the first of each axis
+    for k in edges.values():
         for axis in range(3):
             if runs[k].sign[axis] or high[axis] - low[axis] < 1e-9:
                 continue

@@ -5,8 +5,10 @@ Beside the scatter of the readings two things weigh on a map that a fit of the r
 - angular errors, which a step diagonal can hardly tell from straightness;
 - time: a drift of the reading, where every position is reached at one time only.
 
-Both are put into the model as what they are before any reading: unknowns of an expected size. What the readings then
-leave of them is their share of the uncertainty; a further measurement is judged by the uncertainty that it would leave.
+Angular errors are put into the model as what they are before any reading: unknowns of an expected size; what the
+readings leave of them is their share of the uncertainty. A drift is not in a method's model unless a diagnosis puts it
+there: its share is what one of the expected size would do to the map. A further measurement is judged by what would be
+left of all three.
 """
 
 from __future__ import annotations
@@ -17,15 +19,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.drift import LinearDrift
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.methods.identify import build_model
 from machine_tool_calibration.methods.step_diagonal import StepDiagonalModel
 from machine_tool_calibration.methods.step_diagonal.spread import angular_priors, mean_shape
 from machine_tool_calibration.model.fit import fit_models
-from machine_tool_calibration.model.model import MethodModel, Prior
-from machine_tool_calibration.model.terms import Parameter, Term
+from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.planning.option import Option
 from machine_tool_calibration.planning.options import further_options
 from machine_tool_calibration.session.session import Session
@@ -41,7 +41,6 @@ DRIFT = 1e-9
 # A remedy leaves less than this of what the same measurement once more would leave.
 _BETTER = 0.9
 _MOST = 3
-_DRIFT_NAME = "assumed drift"
 
 
 @dataclass(frozen=True)
@@ -124,10 +123,10 @@ def dominant(
     try:
         built = build_model(session, model)[0]
         angles = isinstance(built, StepDiagonalModel) and built.spread is not None
-        timed = LinearDrift().why_not(built.observations) is None
-        readings = _uncertainty(build_model(session, "translations")[0] if angles else built, 0.0, 0.0)
-        still = _uncertainty(built, angular, 0.0) if angles else readings
-        whole = _uncertainty(built, angular, drift) if timed else still
+        drift = drift if LinearDrift().why_not(built.observations) is None else 0.0
+        readings = _uncertainty(session, "translations", 0.0, 0.0) if angles else _uncertainty(session, model, 0.0, 0.0)
+        still = _uncertainty(session, model, angular, 0.0) if angles else readings
+        whole = _uncertainty(session, model, angular, drift) if drift else still
     except (CalibrationError, np.linalg.LinAlgError):
         return None
     if not np.isfinite(whole) or whole <= 0:
@@ -138,7 +137,7 @@ def dominant(
         "time": max(whole**2 - still**2, 0.0) / whole**2,
     }
     cause = max(("readings", "angular errors", "time"), key=lambda name: shares[name])
-    found = Dominant(cause, whole, shares, angular if angles else 0.0, drift if timed else 0.0)  # type: ignore[arg-type]
+    found = Dominant(cause, whole, shares, angular if angles else 0.0, drift)  # type: ignore[arg-type]
     if cause == "readings":
         return found
     tried = [(option, _after(option, model, angular, drift)) for option in further_options(session)]
@@ -182,29 +181,33 @@ def _with_remedies(found: Dominant, tried: Sequence[tuple[Option, float]]) -> Do
 def _after(option: Option, model: str | None, angular: float, drift: float) -> float | None:
     """The map's uncertainty with a further measurement; None where that cannot be told."""
     try:
-        after = _uncertainty(build_model(option.session, model)[0], angular, drift)
+        after = _uncertainty(option.session, model, angular, drift)
     except (CalibrationError, np.linalg.LinAlgError):
         return None
     return after if np.isfinite(after) else None
 
 
-def _uncertainty(model: MethodModel, angular: float, drift: float) -> float:
-    """Root mean square standard uncertainty of the map, m, with angular errors and a drift of expected sizes."""
-    if isinstance(model, StepDiagonalModel) and model.spread is not None:
-        # Of this size, whatever the readings say: those of a further measurement are not there yet.
-        expected = [angular**2 * mean_shape(angle.table.nodes) for angle in model.spread.angles]
-        spread = replace(model.spread, posterior=None)
-        model = replace(model, spread=spread, priors=angular_priors(spread.names, expected))
+def _uncertainty(session: Session, model: str | None, angular: float, drift: float) -> float:
+    """Root mean square of the map's standard uncertainty, m, with angular errors of an expected size, and of what a
+    drift that the model does not hold does to the map."""
+    still = _map(session, model, angular)
+    square = still.uncertainty**2
     if drift:
-        name = _DRIFT_NAME
-        column = LinearDrift().columns(model.observations) * drift
-        model = model.with_terms([Term(name, (Parameter(name, "1"),), column)])
-        model = replace(model, priors=(*model.priors, Prior({name: 1.0}, 0.0, 1.0)))
-    fit = fit_models([model]).fits[0]
-    known = _known(fit.model.error_map(fit).uncertainty)
-    return float(np.sqrt(np.mean(known**2))) if len(known) else float("nan")
+        readings = session.readings
+        moved = readings.displacement + drift * readings.column("time")
+        drifted = _map(session.with_readings(replace(readings, displacement=moved)), model, angular)
+        square = square + (drifted.error - still.error) ** 2
+    # Neither what is not determined nor what the datum fixes.
+    known = square[np.isfinite(square) & (still.uncertainty > 0)]
+    return float(np.sqrt(np.mean(known))) if len(known) else float("nan")
 
 
-def _known(uncertainty: Array) -> Array:
-    """Uncertainties of what the map holds: neither undetermined nor fixed by the datum."""
-    return np.asarray(uncertainty[np.isfinite(uncertainty) & (uncertainty > 0)])
+def _map(session: Session, model: str | None, angular: float) -> ErrorMap:
+    built = build_model(session, model)[0]
+    if isinstance(built, StepDiagonalModel) and built.spread is not None:
+        # Of this size, whatever the readings say: those of a further measurement are not there yet.
+        expected = [angular**2 * mean_shape(angle.table.nodes) for angle in built.spread.angles]
+        spread = replace(built.spread, posterior=None)
+        built = replace(built, spread=spread, priors=angular_priors(spread.names, expected))
+    fit = fit_models([built]).fits[0]
+    return fit.model.error_map(fit)

@@ -113,8 +113,13 @@ def _both_ways(session: Session, rows: IntArray) -> Changed | None:
     if any(len(np.unique(angle[run])) < len(run) for run in runs):
         return None
     order = np.concatenate([np.concatenate([run, run[::-1]]) for run in runs])
-    rows, group = rows[order], group[order]
-    return Changed(rows, _approaches(session, rows, group, 1.0))
+    name = f"dir_{axis}"
+    if name not in session.readings.columns:
+        return Changed(rows[order])
+    there = session.readings.columns[name][rows]
+    # Back at an angle the axis comes from the next one; at the last from beyond it.
+    sense = [np.concatenate([there[run], -there[np.append(run, run[-1])[:0:-1]]]) for run in runs]
+    return Changed(rows[order], {name: np.concatenate(sense)})
 
 
 def _approaches(session: Session, rows: IntArray, group: IntArray, before: float) -> dict[str, Array]:

@@ -79,6 +79,16 @@ class RotaryPlan(Plan):
         once = np.array(self.angles or [k * 2.0 * np.pi / 18.0 for k in range(18)])
         return np.concatenate([once, once[::-1]]) if self.both_ways else once
 
+    def senses(self) -> Array:
+        """Sign of the last move before each reading of a run; the axis turns beyond the last angle before it comes
+        back, so that this one too is approached from both sides."""
+        turns = self.turns()
+        if not self.both_ways:
+            return last_direction(turns)
+        forth, back = np.split(turns, 2)
+        there = last_direction(forth)
+        return np.concatenate([there, last_direction(back, -there[-1])])
+
 
 def _about(p: tuple[float, float, float], axis: str) -> Vector3:
     """A point given for C, turned round so that it lies about another axis."""
@@ -103,7 +113,7 @@ def plan_rotary(plan: RotaryPlan, environment: Environment, rng: np.random.Gener
     setup, repeat, label, step = setup[keep], repeat[keep], label[keep], step[keep]
     angle = turns[step]
     run = blocks(setup, repeat, label)
-    direction = np.concatenate([last_direction(angle[run == r]) for r in range(run[-1] + 1)])
+    direction = plan.senses()[step]
     scene = Scene(time, setup, repeat, np.zeros((len(time), 3)), angle, {plan.axis: direction}, environment(time),
                   label, plan.axis, rates=environment.rate(time))
     axial = np.eye(3)["ABC".index(plan.axis)]
