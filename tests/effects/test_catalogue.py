@@ -67,7 +67,7 @@ TAKEN_UP = {
         *("pitch_periodic_x", "pitch_periodic_y", "pitch_periodic_z", "scale", "pointer_zero_offset", "EXZ", "EYZ"),
         *("EZZ", "EAZ", "EBZ", "ECZ", "A0Z", "B0Z", "C0Y"),
     ],
-    "step_diagonal": ["mirror_misalignment", "pitch_periodic_x", "scale", "EXX", "A0Z", "B0Z", "C0Y"],
+    "step_diagonal": ["mirror_misalignment", "scale", "EXX", "A0Z", "B0Z", "C0Y"],
     "probing_cross": ["backlash_c", "scale", "C0Y"],
     "straightness": [
         "backlash_x",

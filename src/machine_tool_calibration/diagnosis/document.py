@@ -36,7 +36,8 @@ def diagnosis_document(
 
     Beyond the contract: `accepted` (effects named as the cause, in the order in which they were found), and in every
     candidate `plausible`, `p_value_alone` (not paid for the search) and `explained_rms`; `detectable`, `excluded`,
-    `structure_left` (after the accepted effects) and `visible_by` (what would show an effect that hardly shows).
+    `structure_left` (after the accepted effects), `visible_by` (what would show an effect that hardly shows) and
+    `dominant` (what dominates the map's uncertainty, and what makes it smaller).
     The noise is judged with the accepted effects in the model.
 
     With the verdict `unexplained` no effect is the cause: `accepted` is empty, and a candidate's probability is that it
@@ -79,6 +80,7 @@ def diagnosis_document(
         ],
         "detectable": list(_detectable(last)),
         "visible_by": [_visibility(v) for v in advice.visibilities],
+        "dominant": None if advice.dominant is None else advice.dominant.document(),
         "excluded": [{"effect": name, "why": why} for name, why in diagnosis.excluded.items()],
     }
     return dict(plain(document))

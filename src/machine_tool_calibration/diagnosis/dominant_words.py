@@ -11,12 +11,16 @@ __all__ = ["dominant_words"]
 
 
 def dominant_words(found: Dominant) -> Iterator[str]:
-    """Sentences; none where the scatter of the readings dominates, which only more of them make smaller.
+    """Sentences; where the scatter of the readings dominates, only more of them help, and nothing is proposed.
 
     Args:
         found: what dominates.
     """
     if found.cause == "readings":
+        yield (
+            f"the readings' own scatter dominates the map's uncertainty, U = {micrometres(2 * found.uncertainty)} µm "
+            f"(k = 2) on the average: {100 * found.shares['readings']:.0f} % of its variance; more repeats make it smaller"
+        )
         return
     share = f"{100 * found.shares[found.cause]:.0f} % of its variance"
     assumed = f"angular errors of {1e6 * found.angular:.3g} µrad"

@@ -10,6 +10,7 @@ import numpy as np
 from machine_tool_calibration.diagnosis.consequence import Consequence, before_and_after, rms
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.document import named_probability, smallest_sizes
+from machine_tool_calibration.diagnosis.dominant_words import dominant_words
 from machine_tool_calibration.diagnosis.quantities import (
     duration,
     micrometres,
@@ -67,7 +68,10 @@ def diagnosis_report(
         _detectable(diagnosis),
         _excluded(diagnosis),
     ]
-    return Report(tuple(verdict_words(diagnosis, changes, advice)), tuple(table for table in tables if table.rows))
+    words = list(verdict_words(diagnosis, changes, advice))
+    if advice.dominant is not None and advice.dominant.cause != "readings":
+        words += dominant_words(advice.dominant)
+    return Report(tuple(words), tuple(table for table in tables if table.rows))
 
 
 def _candidates(diagnosis: Diagnosis, changes: Mapping[str, Consequence], shown: int) -> TextTable:
