@@ -19,7 +19,7 @@ def dominant_words(found: Dominant) -> Iterator[str]:
     if found.cause == "readings":
         yield (
             f"the readings' own scatter dominates the map's uncertainty, U = {micrometres(2 * found.uncertainty)} µm "
-            f"(k = 2) on the average: {100 * found.shares['readings']:.0f} % of its variance; more repeats make it smaller"
+            f"(k = 2) on the average: {100 * found.shares['readings']:.0f} % of its variance; more repeats help"
         )
         return
     share = f"{100 * found.shares[found.cause]:.0f} % of its variance"

@@ -188,8 +188,10 @@ def _after(option: Option, model: str | None, angular: float, drift: float) -> f
 
 
 def _uncertainty(session: Session, model: str | None, angular: float, drift: float) -> float:
-    """Root mean square of the map's standard uncertainty, m, with angular errors of an expected size, and of what a
-    drift that the model does not hold does to the map."""
+    """Root mean square standard uncertainty of the map, m, with what a drift that the model lacks does to it.
+
+    Angular errors are in it with an expected size.
+    """
     still = _map(session, model, angular)
     square = still.uncertainty**2
     if drift:

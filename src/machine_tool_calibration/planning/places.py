@@ -1,4 +1,4 @@
-"""Further places of the instrument or the part: another station, another angle of C, further runs of a step diagonal."""
+"""Further places of the instrument or the part: another station, another angle of C, further diagonals."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ def diagonal_positions(description: StepDiagonal, index: int) -> list[Position]:
     for _ in range(description.blocks):
         for axis in moving:
             made[axis] += 1
-            # From the start, so that no rounding adds up, and to the picometre, so that the last is not beyond the travel.
+            # From the start, so that no rounding adds up, and to the picometre, so that none is beyond the travel.
             positions.append({a: round(start[a] + made[a] * steps[a] * np.sign(signs[a]), 12) for a in "xyz"})
     return [{axis: float(value) for axis, value in place.items()} for place in positions]
 
