@@ -15,7 +15,7 @@ from machine_tool_calibration.diagnosis.comparison import Comparison
 from machine_tool_calibration.diagnosis.report import TextTable
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
-PLANS = ("tracking_2d", "step_diagonal", "rotary_axis_both_ways", "probing_cross", "iso230_2")
+PLANS = ("tracking_2d", "step_diagonal", "rotary_axis", "probing_cross", "iso230_2")
 
 
 @cache
@@ -100,7 +100,7 @@ def test_lines_over_nothing_are_named_in_one_sentence(plan: str) -> None:
 
 
 def test_the_size_of_a_backlash_is_told_with_its_unit() -> None:
-    found = comparison("rotary_axis_both_ways", "backlash_c", 20e-6)
+    found = comparison("rotary_axis", "backlash_c", 20e-6)
     row = table(found, "Direction of approach").rows[0]
     value = float(row[3].split()[0])
     assert row[3].endswith("µrad")

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
-from machine_tool_calibration.diagnosis.candidates import effect_candidates, stack
-from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.diagnosis.likelihood import observed, reduce
-from machine_tool_calibration.diagnosis.look import look_at
 from machine_tool_calibration.diagnosis.pairs import best_pair
 from machine_tool_calibration.diagnosis.ranking import rank_candidates
 from machine_tool_calibration.diagnosis.significance import search
 from machine_tool_calibration.diagnosis.spread import run_spreads
+
+from machine_tool_calibration.diagnosis.candidates import effect_candidates, stack
+from machine_tool_calibration.diagnosis.diagnose import diagnose
+from machine_tool_calibration.diagnosis.look import look_at
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.methods.identify import build_model
 from machine_tool_calibration.model.fit import Fit, fit_models, screen

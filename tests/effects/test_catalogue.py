@@ -39,7 +39,7 @@ SHOWN = {
     "backlash_z": ("tracking_3d", 0.999),
     "backlash_a": ("rotary_axis_a", 0.999),
     "backlash_b": ("rotary_axis_b", 0.999),
-    "backlash_c": ("rotary_axis_both_ways", 0.999),
+    "backlash_c": ("rotary_axis", 0.999),
     "thermal_expansion_x": ("tracking_3d", 0.999),
     "thermal_expansion_y": ("tracking_3d", 0.999),
     "thermal_expansion_z": ("tracking_3d", 0.999),

@@ -9,7 +9,7 @@ from machine_tool_calibration.methods.identify import build_model
 from machine_tool_calibration.model.unknown_words import POINTS, in_map, unknown_in_words, unknowns_in_words
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 
-PLANS = ["tracking_2d", "step_diagonal", "rotary_axis_both_ways", "probing_cross", "grid_plate", "iso230_2"]
+PLANS = ["tracking_2d", "step_diagonal", "rotary_axis", "probing_cross", "grid_plate", "iso230_2"]
 
 
 @pytest.mark.parametrize(

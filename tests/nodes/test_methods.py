@@ -23,9 +23,10 @@ def diagonal():
     procedure = load("step_diagonal")
     session = procedure["session"]
     session["blocks"], session["repeats"] = 3, 2
-    session["setups"][1]["start"] = [0.03, 0.0, 0.0]
-    session["setups"][2]["start"] = [0.0, 0.03, 0.0]
-    session["machine"]["travel"] = {axis: [0.0, 0.03] for axis in "xyz"}
+    session["setups"][1]["start"] = [0.036, 0.0, 0.0]
+    session["setups"][2]["start"] = [0.0, 0.036, 0.0]
+    session["setups"][3]["start"] = [0.036, 0.036, 0.0]
+    session["machine"]["travel"] = {axis: [0.0, 0.036] for axis in "xyz"}
     session["setups"][2]["id"] = "pnp_zxy"
     effects = [{"id": "scale", "size": 2e-5}]
     plan = {"method": "step_diagonal", "blocks": 3, "mirror_tilt": 0.0, "repeats": 2, "chain": "w-Y-X-b-Z-t"}

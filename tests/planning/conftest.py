@@ -11,8 +11,8 @@ from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpe
 def simulated() -> Callable[..., Session]:
     """A simulated session of a preset plan."""
 
-    def make(plan: str, seed: int = 5, *flaws: FlawSpec, **changes: Any) -> Session:
-        chosen = PRESETS[plan].model_copy(update=changes.pop("plan", {}))
+    def make(name: str, seed: int = 5, *flaws: FlawSpec, **changes: Any) -> Session:
+        chosen = PRESETS[name].model_copy(update=changes.pop("plan", {}))
         return simulate(SimulationSpec(plan=chosen, seed=seed, effects=flaws, **changes)).session
 
     return make

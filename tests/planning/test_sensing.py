@@ -46,11 +46,11 @@ def test_the_same_as_plain_algebra_on_the_whole_matrix(simulated: Simulated) -> 
     assert sensed.beside(["backlash_y"]).information("backlash_x")[0] == pytest.approx(beside @ beside, rel=1e-5)
 
 
-@pytest.mark.parametrize("plan", ["tracking_2d", "rotary_axis_both_ways", "step_diagonal"])
+@pytest.mark.parametrize("plan", ["tracking_2d", "rotary_axis", "step_diagonal"])
 def test_nominal_geometry_senses_what_the_fit_senses(simulated: Simulated, plan: str) -> None:
     session = simulated(plan)
     fit = fit_models([build_model(session)[0]]).fits[0]
-    name = {"tracking_2d": "backlash_y", "rotary_axis_both_ways": "backlash_c", "step_diagonal": "dead_path"}[plan]
+    name = {"tracking_2d": "backlash_y", "rotary_axis": "backlash_c", "step_diagonal": "dead_path"}[plan]
     columns = EFFECTS[name].columns(fit.model.observations)
     expected = screen(fit, columns).gram[0, 0]
     assert sense(session, [assumed(name, b=1.0)]).information(name)[0] == pytest.approx(expected, rel=0.02)

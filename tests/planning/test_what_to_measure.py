@@ -50,15 +50,15 @@ def test_a_group_of_the_effect_found_begins_with_it(simulated: Simulated) -> Non
     assert all(group[0] == "backlash_y" for group in groups)
 
 
-def test_backlash_that_one_direction_hides_shows_when_run_backwards(simulated: Simulated) -> None:
+def test_backlash_that_one_direction_hides_shows_when_turning_back(simulated: Simulated) -> None:
     """One-way runs of the table absorb the backlash of C; both ways show what was promised."""
-    found, advice = look(simulated("rotary_axis"))
+    found, advice = look(simulated("rotary_axis_one_way"))
     assert "backlash_c" in {a.effect for a in found.looks[0].absorbed}
     way = next(v for v in advice.visibilities if v.effect == "backlash_c")
-    assert way.kind == "backwards"
+    assert way.kind == "both_ways"
     assert way.before is None
     promised = way.after
-    plan = PRESETS["rotary_axis_both_ways"]
+    plan = PRESETS["rotary_axis"]
     seen = 0
     for seed in range(2):
         effects = (FlawSpec(id="backlash_c", size=1.5 * promised),)
@@ -79,10 +79,10 @@ def test_a_promised_size_is_what_the_longer_measurement_detects(simulated: Simul
 
 
 def test_advice_does_not_depend_on_the_readings_noise(simulated: Simulated) -> None:
-    _, one = look(simulated("rotary_axis", 5))
-    _, other = look(simulated("rotary_axis", 6))
+    _, one = look(simulated("rotary_axis_one_way", 5))
+    _, other = look(simulated("rotary_axis_one_way", 6))
     kinds = [{v.effect: v.kind for v in advice.visibilities}.get("backlash_c") for advice in (one, other)]
-    assert kinds == ["backwards", "backwards"]
+    assert kinds == ["both_ways", "both_ways"]
 
 
 def test_progress_is_told(simulated: Simulated) -> None:

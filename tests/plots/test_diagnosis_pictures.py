@@ -17,7 +17,7 @@ from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpe
 
 CASES = [
     ("tracking_2d", FlawSpec(id="backlash_y", size=1.5e-6), "direction of approach of y"),
-    ("rotary_axis_both_ways", FlawSpec(id="backlash_c", size=1.3e-5), "direction of approach of c"),
+    ("rotary_axis", FlawSpec(id="backlash_c", size=1.3e-5), "direction of approach of c"),
     ("step_diagonal_three_orders", FlawSpec(id="dead_path", size=3.0), "air"),
     ("probing_cross", FlawSpec(id="probe_pretravel", amplitude=4e-6), "direction of the surface's normal"),
     ("iso230_2", FlawSpec(id="backlash_x", size=2e-6), "direction of approach of x"),

@@ -67,7 +67,8 @@ def test_session_is_the_contracts():
 def test_procedures_that_the_package_brings_can_be_planned(file):
     made = plan(read_procedure(file))
     session = made.procedure.session
-    assert len(made.steps) % (len(session.setups) * session.repeats) == 0
+    runs = {(step.setup, step.repeat) for step in made.steps}
+    assert runs == {(setup.id, repeat) for setup in session.setups for repeat in range(session.repeats)}
     assert made.procedure.name == file.stem
 
 
@@ -105,21 +106,26 @@ def made(name, **changes):
 
 def test_step_diagonal_moves_one_axis_at_a_time_from_the_start_of_each_run():
     steps = made("step_diagonal", blocks=2)
-    assert len(steps) == 2 * (3 * 7 + 3 * 3)
+    assert len(steps) == 2 * (4 * 7 + 3 * 3)
     run = steps[:7]
     assert [tuple(step.position[axis] for axis in "xyz") for step in run[:4]] == [
-        (0.0, 0.0, 0.0), (0.01, 0.0, 0.0), (0.01, 0.01, 0.0), (0.01, 0.01, 0.01)
+        (0.0, 0.0, 0.0), (0.012, 0.0, 0.0), (0.012, 0.012, 0.0), (0.012, 0.012, 0.012)
     ]  # fmt: skip
     assert [step.datum for step in run] == [True] + [False] * 6
     assert steps[7].repeat == 1 and steps[7].datum
     backwards = [step for step in steps if step.setup == "npp"][:7]
-    assert [step.position["x"] for step in backwards] == pytest.approx([0.12, 0.11, 0.11, 0.11, 0.10, 0.10, 0.10])
+    assert [step.position["x"] for step in backwards] == pytest.approx([0.12, 0.108, 0.108, 0.108, 0.096, 0.096, 0.096])
     assert backwards[1].direction["x"] == -1
+    fourth = [step for step in steps if step.setup == "nnp"][:4]
+    assert [tuple(step.position[axis] for axis in "xyz") for step in fourth] == [
+        pytest.approx(place) for place in ((0.12, 0.12, 0.0), (0.108, 0.12, 0.0), (0.108, 0.108, 0.0),
+                                           (0.108, 0.108, 0.012))
+    ]  # fmt: skip
     assert not any(step.points for step in steps)
 
 
 def test_rotary_axis_measures_each_target_at_every_angle_from_one_zero():
-    steps = made("rotary_axis")
+    steps = made("rotary_axis_one_way")
     assert len(steps) == 4 * 3 * 18
     assert [step.number for step in steps if step.datum] == list(range(0, 216, 18))
     assert {step.direction["c"] for step in steps} == {1}
@@ -132,9 +138,25 @@ def test_rotary_axis_measures_each_target_at_every_angle_from_one_zero():
 
 
 def test_turning_points_are_approached_from_both_sides():
-    steps = made("rotary_axis_both_ways")[:24]
-    assert [step.direction["c"] for step in steps] == [1] * 12 + [-1] * 12
-    assert steps[12].via == ({"c": pytest.approx(5.759586531581287 + 0.02)},)
+    steps = made("rotary_axis")
+    assert len(steps) == 2 * 4 * 3 * 18
+    assert [step.number for step in steps if step.datum] == list(range(0, 432, 36))
+    forth, back = steps[:18], steps[18:36]
+    assert [step.position for step in forth] == [step.position for step in back[::-1]]
+    assert [step.direction["c"] for step in steps[:36]] == [1] * 18 + [-1] * 18
+    assert back[0].via == ({"c": pytest.approx(5.934119456780721 + 0.02)},)
+
+
+def test_a_repetition_that_begins_at_the_other_end_turns_back_too():
+    steps = made("rotary_axis", repeats=2)
+    second = [step for step in steps if step.setup == "A" and step.repeat == 1][:36]
+    assert second[0].position["c"] == second[-1].position["c"] == pytest.approx(5.934119456780721)
+    assert [step.direction["c"] for step in second] == [-1] * 18 + [1] * 18
+
+
+def test_only_a_rotary_axis_turns_both_ways():
+    with pytest.raises(SessionError, match=r"small.yaml: path.both_ways is for the method rotary_axis; this is tr"):
+        small(TEXT.replace("path:", "path:\n  both_ways: true"))
 
 
 def test_iso_230_2_goes_forth_and_back_with_an_overrun():

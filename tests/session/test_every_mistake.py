@@ -153,7 +153,7 @@ DAMAGED: dict[str, dict[str, tuple[Damage, str]]] = {
         "azimuth off by half a turn": (columns(azimuth=lambda v: v - np.pi), "half a turn"),
     },
     "rotary_axis": ROTARY,
-    "rotary_axis_both_ways": ROTARY,
+    "rotary_axis_one_way": ROTARY,
     "step_diagonal": UNITS
     | SIGNS
     | {"starts in millimetres": (scaled_entries("setups", "start", 1e3), "millimetres")}
@@ -221,7 +221,7 @@ def _sound(preset: str, count: int) -> Iterator[Session]:
     ("preset", "count"),
     [
         *((name, 200) for name in ("tracking_2d", "rotary_axis", "step_diagonal", "probing_cross", "grid_plate")),
-        *((name, 20) for name in ("tracking_3d", "rotary_axis_both_ways", "step_diagonal_three_orders", "iso230_2")),
+        *((name, 20) for name in ("tracking_3d", "rotary_axis_one_way", "step_diagonal_three_orders", "iso230_2")),
     ],
 )
 def test_nothing_is_suspected_of_sound_sessions(preset: str, count: int) -> None:

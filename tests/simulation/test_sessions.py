@@ -141,16 +141,16 @@ def axis_moves(session, setup):
 
 
 def test_mirror_of_one_milliradian_adds_a_constant_per_move_that_sums_to_zero():
-    """Ibaraki and Hata 2010, Eqs. (4)(5): and it is large, 10 mm times 1 mrad."""
+    """Ibaraki and Hata 2010, Eqs. (4)(5): and it is large, 12 mm times 1 mrad."""
     plan = DiagonalPlan(mirror_tilt=1e-3)
     straight = perfect(DiagonalPlan(mirror_tilt=0.0)).session
     tilted = perfect(plan).session
-    for setup in range(3):
+    for setup in range(4):
         change = axis_moves(tilted, setup) - axis_moves(straight, setup)
-        np.testing.assert_allclose(change, np.tile(change[0], (12, 1)), atol=1e-15)
+        np.testing.assert_allclose(change, np.tile(change[0], (10, 1)), atol=1e-15)
         assert abs(change[0].sum()) < 1e-14  # n is scaled by n.l: along the beam nothing changes
         assert 2e-6 < np.max(np.abs(change[0])) < 1e-5
-    np.testing.assert_allclose(axis_moves(straight, 0), 0.01 / np.sqrt(3), atol=1e-15)
+    np.testing.assert_allclose(axis_moves(straight, 0), 0.012 / np.sqrt(3), atol=1e-15)
 
 
 def test_linear_run_with_a_tilted_mirror_reads_the_positioning_error():
@@ -159,7 +159,7 @@ def test_linear_run_with_a_tilted_mirror_reads_the_positioning_error():
     session = simulated.session
     run = (session.readings.setup == session.setup_ids.index("Y")) & (session.readings.repeat == 0)
     read = session.readings.displacement[run] - session.readings.columns["y"][run]
-    np.testing.assert_allclose(read[[0, 6, 12]], [0, 2e-6, -1e-6], atol=1e-15)
+    np.testing.assert_allclose(read[[0, 5, 10]], [0, 2e-6, -1e-6], atol=1e-15)
 
 
 def test_diagonal_with_angular_errors_against_a_plane_that_is_moved_by_hand():
@@ -178,7 +178,7 @@ def test_diagonal_with_angular_errors_against_a_plane_that_is_moved_by_hand():
         expected.append(normal @ (p + 0.3 * beam) / (normal @ beam) - 0.3)
     np.testing.assert_allclose(readings.displacement, expected, atol=1e-14)
     flat = readings.position() @ beam
-    assert np.max(np.abs(readings.displacement - flat)) == pytest.approx(yaw * 0.01 / np.sqrt(3), rel=1e-3)
+    assert np.max(np.abs(readings.displacement - flat)) == pytest.approx(yaw * 0.012 / np.sqrt(3), rel=1e-3)
 
 
 def test_orders_of_moves_end_at_the_same_blocks():
@@ -187,8 +187,8 @@ def test_orders_of_moves_end_at_the_same_blocks():
     runs = [session.readings.position()[session.readings.setup == s] for s in range(3)]
     for a in runs[1:]:
         np.testing.assert_allclose(a[::3], runs[0][::3], atol=1e-15)
-    np.testing.assert_allclose(runs[1][1] - runs[1][0], [0, 0.01, 0], atol=1e-15)
-    np.testing.assert_allclose(runs[2][1] - runs[2][0], [0, 0, 0.01], atol=1e-15)
+    np.testing.assert_allclose(runs[1][1] - runs[1][0], [0, 0.012, 0], atol=1e-15)
+    np.testing.assert_allclose(runs[2][1] - runs[2][0], [0, 0, 0.012], atol=1e-15)
 
 
 def test_rotary_axis_readings_are_distances_between_stations_and_targets():
@@ -221,8 +221,8 @@ def test_other_rotary_axes_turn_about_their_own_axis(axis, sign):
     turn = Rotation.from_rotvec(angle[:, None] * np.eye(3)["ABC".index(axis)])
     place = turn.apply([judged["targets"][t] for t in session.readings.labels["target"]])
     distance = np.linalg.norm(place - np.array(judged["stations"])[session.readings.setup], axis=1)
-    start = distance.reshape(-1, 18)[:, :1]
-    change = (distance.reshape(-1, 18) - start).ravel()
+    start = distance.reshape(-1, 36)[:, :1]  # forth and back
+    change = (distance.reshape(-1, 36) - start).ravel()
     np.testing.assert_allclose(session.readings.displacement, change, atol=1e-14)
     assert np.ptp(session.readings.displacement) > 0.1
 
@@ -387,7 +387,7 @@ def test_step_diagonal_in_a_plane():
     session = perfect(DiagonalPlan(diagonals=("pp0", "np0"), linear=("x", "y"), mirror_tilt=0.0)).session
     assert session.setup_ids == ("pp0", "np0", "X", "Y")
     one = (session.readings.setup == 0) & (session.readings.repeat == 0)
-    np.testing.assert_allclose(np.diff(session.readings.displacement[one]), 0.01 / np.sqrt(2), atol=1e-15)
+    np.testing.assert_allclose(np.diff(session.readings.displacement[one]), 0.012 / np.sqrt(2), atol=1e-15)
     assert not session.readings.position()[:, 2].any()
 
 

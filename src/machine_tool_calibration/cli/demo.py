@@ -42,7 +42,7 @@ _HIDDEN = {
 }
 _PROCEDURES = {
     "step_diagonal": "step_diagonal",
-    "rotary_axis": "rotary_axis_both_ways",
+    "rotary_axis": "rotary_axis",
     "probing": "probing_cross",
     "direct": "direct_iso230_2",
 }

@@ -24,8 +24,17 @@ __all__ = ["command"]
 @click.option(
     "--warming", type=float, default=1.0, show_default=True, help="Change of the air's temperature assumed, K per hour."
 )
+@click.option(
+    "--angular",
+    type=click.FloatRange(0.0, 1e-3),
+    default=5e-6,
+    show_default=True,
+    help="Angular errors of the machine assumed where the instrument hardly tells them, rad (root mean square).",
+)
 @json_option
-def command(procedure: str, model: str | None, effects_file: Path | None, warming: float, as_json: bool) -> None:
+def command(
+    procedure: str, model: str | None, effects_file: Path | None, warming: float, angular: float, as_json: bool
+) -> None:
     """Tell what a procedure will find, before it is run: uncertainties, gaps, time, and the smallest effects it shows.
 
     PROCEDURE is a YAML file, or the name of one that the package brings, such as tracking_2d. Nothing is moved. What is
@@ -41,7 +50,7 @@ def command(procedure: str, model: str | None, effects_file: Path | None, warmin
     from machine_tool_calibration.procedure import read_procedure
 
     own = read_effects(effects_file) if effects_file else []
-    found = forecast(read_procedure(procedure_file(procedure)), model=model, own=own, warming=warming)
+    found = forecast(read_procedure(procedure_file(procedure)), model=model, own=own, warming=warming, angular=angular)
     if as_json:
         write_json(found.document())
         return
@@ -51,6 +60,7 @@ def command(procedure: str, model: str | None, effects_file: Path | None, warmin
 def _show(found: Forecast) -> None:
     from rich.table import Table
 
+    from machine_tool_calibration.diagnosis.dominant_words import dominant_words
     from machine_tool_calibration.diagnosis.quantities import duration, micrometres, quantity
 
     screen, document = console(), plain(found.document())
@@ -83,6 +93,9 @@ def _show(found: Forecast) -> None:
         screen.print(effects)
     if found.absorbed:
         screen.print(f"would not be found, as the model has them already or takes them up: {', '.join(found.absorbed)}")
+    if found.dominant is not None:
+        for line in dominant_words(found.dominant):
+            screen.print(line)
     screen.print(f"datum: {document['datum']}")
 
 

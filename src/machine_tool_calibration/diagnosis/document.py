@@ -41,7 +41,8 @@ def diagnosis_document(
     probabilities), `probabilities` of nothing and of an unknown structure, `spread` (what does not reproduce),
     `false_alarm_rate` (of this search where nothing is missing), and in every candidate `plausible`, `p_value_alone`
     (not paid for the search), `explained_rms` and `predicts` (readings that were left out); `detectable`, `excluded`,
-    `structure_left` (after the accepted effects) and `visible_by` (what would show an effect that hardly shows).
+    `structure_left` (after the accepted effects), `visible_by` (what would show an effect that hardly shows) and
+    `dominant` (what dominates the map's uncertainty, and what makes it smaller).
 
     With the verdict `unexplained` no effect is the cause: `accepted` is empty.
 
@@ -88,6 +89,7 @@ def diagnosis_document(
         ],
         "detectable": list(_detectable(diagnosis)),
         "visible_by": [_visibility(v) for v in advice.visibilities],
+        "dominant": None if advice.dominant is None else advice.dominant.document(),
         "excluded": [{"effect": name, "why": why} for name, why in diagnosis.excluded.items()],
     }
     return dict(plain(document))

@@ -27,7 +27,7 @@ AMPLITUDE = 5e-6
 PLANS = (
     "tracking_2d",
     "tracking_3d",
-    "rotary_axis_both_ways",
+    "rotary_axis",
     "step_diagonal",
     "probing_cross",
     "probing_pins",

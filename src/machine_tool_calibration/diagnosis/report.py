@@ -10,6 +10,7 @@ import numpy as np
 from machine_tool_calibration.diagnosis.consequence import Consequence, before_and_after, rms
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.document import smallest_sizes
+from machine_tool_calibration.diagnosis.dominant_words import dominant_words
 from machine_tool_calibration.diagnosis.findings import Finding
 from machine_tool_calibration.diagnosis.pool import Pool
 from machine_tool_calibration.diagnosis.quantities import (
@@ -68,7 +69,10 @@ def diagnosis_report(
         _detectable(diagnosis),
         _excluded(diagnosis),
     ]
-    return Report(tuple(verdict_words(diagnosis, changes, advice)), tuple(table for table in tables if table.rows))
+    words = list(verdict_words(diagnosis, changes, advice))
+    if advice.dominant is not None and advice.dominant.cause != "readings":
+        words += dominant_words(advice.dominant)
+    return Report(tuple(words), tuple(table for table in tables if table.rows))
 
 
 def _candidates(diagnosis: Diagnosis, changes: Mapping[str, Consequence], shown: int) -> TextTable:
@@ -103,8 +107,8 @@ def _candidates(diagnosis: Diagnosis, changes: Mapping[str, Consequence], shown:
     before = micrometres(rms(Pool(diagnosis.fits[0]).residuals))
     note = (
         "alike: the same letter, look-alikes; p: chance of doing as well, paid for the whole search; size ± U (k = 2); "
-        "left out: share by which the error of predicting readings left out falls, the worst of setups, blocks of places "
-        f"and cycles; residual and map: RMS with it in the model; without any the residual is {before} µm"
+        "left out: share by which the error of predicting readings left out falls, the worst of setups, blocks of "
+        f"places and cycles; residual and map: RMS with it in the model; without any the residual is {before} µm"
     )
     if accepted:
         note = f"✓ found; {note}; the others as they were before anything was added"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
+from machine_tool_calibration.planning.dominant import Dominant
 
 __all__ = ["ALIKE", "Advice", "Separation", "Visibility", "alias_groups_of"]
 
@@ -74,10 +75,17 @@ class Visibility:
 
 @dataclass(frozen=True)
 class Advice:
-    """What to measure next."""
+    """What to measure next.
+
+    Attributes:
+        separations: to tell look-alikes apart.
+        visibilities: to see effects that hardly show.
+        dominant: what dominates the map's uncertainty, and what makes it smaller; None where there is no map.
+    """
 
     separations: tuple[Separation, ...] = ()
     visibilities: tuple[Visibility, ...] = ()
+    dominant: Dominant | None = None
 
 
 def alias_groups_of(diagnosis: Diagnosis) -> list[tuple[str, ...]]:

@@ -18,6 +18,7 @@ from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.fit import Fit, screen
 from machine_tool_calibration.model.result import Result
+from machine_tool_calibration.planning.dominant import ANGULAR, DRIFT, Dominant, dominant
 from machine_tool_calibration.planning.planned import planned_session
 from machine_tool_calibration.procedure.description import Procedure
 
@@ -58,6 +59,7 @@ class Forecast:
         absorbed: effects that the model takes up.
         excluded: effects that cannot act here, with the reason.
         warming: K per hour that was assumed.
+        dominant: what will dominate the map's uncertainty, with angular errors and a drift of the sizes assumed.
     """
 
     result: Result
@@ -66,6 +68,7 @@ class Forecast:
     absorbed: tuple[str, ...]
     excluded: dict[str, str]
     warming: float
+    dominant: Dominant | None = None
 
     def document(self) -> dict[str, Any]:
         """For programs."""
@@ -87,13 +90,19 @@ class Forecast:
             ],
             "absorbed": list(self.absorbed),
             "excluded": self.excluded,
+            "dominant": None if self.dominant is None else self.dominant.document(),
             "power": _POWER,
             "assumed": {"warming_per_hour": self.warming, "spread_between_setups": 0.0, "machine": "without errors"},
         }
 
 
 def forecast(
-    procedure: Procedure, *, model: str | None = None, own: Sequence[Effect] = (), warming: float = 1.0
+    procedure: Procedure,
+    *,
+    model: str | None = None,
+    own: Sequence[Effect] = (),
+    warming: float = 1.0,
+    angular: float = ANGULAR,
 ) -> Forecast:
     """What a procedure will tell, if its readings scatter as declared and mountings add no spread.
 
@@ -102,6 +111,7 @@ def forecast(
         model: variant of the method's model.
         own: the user's own effects, beside the catalogue.
         warming: change of the air's temperature that is assumed, K per hour.
+        angular: root mean square of the machine's angular errors that is assumed for what dominates, rad.
 
     Raises:
         SessionError: the procedure cannot be run.
@@ -131,7 +141,8 @@ def forecast(
             absorbed.append(effect.id)
         else:
             visible.append(best)
-    return Forecast(result, planned.seconds, tuple(visible), tuple(absorbed), excluded, warming)
+    limits = dominant(planned.session, model=model, angular=angular, drift=DRIFT * abs(warming))
+    return Forecast(result, planned.seconds, tuple(visible), tuple(absorbed), excluded, warming, limits)
 
 
 def _outside(fit: Fit, columns: Array) -> tuple[Array, BoolArray]:

@@ -18,7 +18,7 @@ class Option:
     """A further measurement that could be made.
 
     Attributes:
-        kind: short name: again, backwards, order, swing, warmer, turned, station, index.
+        kind: short name: again, backwards, both_ways, order, swing, warmer, turned, station, index, diagonal, offset.
         words: what to do, for people.
         session: the session followed by it; its displacements are only rough.
         first_row: number of its first reading.

@@ -64,6 +64,9 @@ def _repeated(session: Session, rows: IntArray, measure: str) -> Iterator[Option
     backwards = _backwards(session, rows)
     if backwards is not None:
         yield option("backwards", backwards[1], backwards[0])
+    both = _both_ways(session, rows)
+    if both is not None:
+        yield option("both_ways", ", turning forth and back within each run", both)
     other = _other_order(session, rows)
     if other is not None:
         yield option("order", f", in another order of moves: {other[1].upper()} moving most often", other[0])
@@ -97,6 +100,26 @@ def _backwards(session: Session, rows: IntArray) -> tuple[Changed, str] | None:
     if not approaches and session.method != "step_diagonal":
         return None
     return Changed(rows, approaches), ", running backwards (order and direction of all moves reversed)"
+
+
+def _both_ways(session: Session, rows: IntArray) -> Changed | None:
+    """Every run of a rotary axis followed by the same angles in reverse; None where the runs turn back already."""
+    if session.method != "rotary_axis":
+        return None
+    group = _runs(session, rows)
+    axis = next(a for a in "cab" if a in session.readings.columns)
+    angle = np.round(session.readings.columns[axis][rows], 6)
+    runs = [np.flatnonzero(group == g) for g in dict.fromkeys(group.tolist())]
+    if any(len(np.unique(angle[run])) < len(run) for run in runs):
+        return None
+    order = np.concatenate([np.concatenate([run, run[::-1]]) for run in runs])
+    name = f"dir_{axis}"
+    if name not in session.readings.columns:
+        return Changed(rows[order])
+    there = session.readings.columns[name][rows]
+    # Back at an angle the axis comes from the next one; at the last from beyond it.
+    sense = [np.concatenate([there[run], -there[np.append(run, run[-1])[:0:-1]]]) for run in runs]
+    return Changed(rows[order], {name: np.concatenate(sense)})
 
 
 def _approaches(session: Session, rows: IntArray, group: IntArray, before: float) -> dict[str, Array]:

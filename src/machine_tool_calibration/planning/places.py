@@ -1,4 +1,4 @@
-"""Further places of the instrument or the part: another station, another angle of C, another order of a diagonal."""
+"""Further places of the instrument or the part: another station, another angle of C, further diagonals."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.instruments.tracking import pointing
 from machine_tool_calibration.methods.probing_geometry import touches
-from machine_tool_calibration.methods.step_diagonal.geometry import Run, runs_of
+from machine_tool_calibration.planning.diagonals import further_runs
 from machine_tool_calibration.planning.option import Option
 from machine_tool_calibration.planning.rows import Changed, appended, first_repetition
 from machine_tool_calibration.session.description import Probing, RotaryAxis, StepDiagonal, TrackingInterferometer
@@ -18,8 +18,6 @@ from machine_tool_calibration.session.nominal import on_table, places
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["other_places"]
-
-_ORDERS = ("yzx", "zxy")
 
 
 def other_places(session: Session) -> Iterator[Option]:
@@ -30,7 +28,7 @@ def other_places(session: Session) -> Iterator[Option]:
     elif isinstance(description, Probing):
         yield from _index(session, description)
     elif isinstance(description, StepDiagonal):
-        yield from _orders(session, description)
+        yield from further_runs(session, description)
 
 
 def _fresh(ids: list[str], name: str) -> str:
@@ -121,44 +119,3 @@ def _at_index(session: Session, description: Probing, like: int, c: float) -> It
     new = np.full(len(rows), len(description.setups), dtype=np.int64)
     extended = appended(session, Changed(rows, changed), setup=new, description=whole)
     yield Option.of(session, "index", f"measure once at one more angle of C, {np.degrees(c):.0f}°", extended)
-
-
-def _orders(session: Session, description: StepDiagonal) -> Iterator[Option]:
-    """Every diagonal in an order of the single-axis moves in which it was not run."""
-    runs = runs_of(description)
-    used = set(np.unique(session.readings.setup).tolist())
-    for order in _ORDERS:
-        have = {(run.name, run.order) for k, run in enumerate(runs) if k in used}
-        todo = {run.name: k for k, run in enumerate(runs) if k in used and run.diagonal and len(run.order) == 3}
-        todo = {name: k for name, k in todo.items() if (name, order) not in have}
-        if todo:
-            yield _in_order(session, description, runs, todo, order)
-
-
-def _in_order(
-    session: Session, description: StepDiagonal, runs: tuple[Run, ...], todo: dict[str, int], order: str
-) -> Option:
-    setups = list(description.setups)
-    rows, position, sign, displacement, setup = [], [], [], [], []
-    for name, k in todo.items():
-        path = replace(runs[k], order=order).path(description.blocks)
-        mine = first_repetition(session, [k])
-        rows.append(mine[np.minimum(np.arange(len(path)), len(mine) - 1)])
-        position.append(path)
-        sign.append(np.tile(runs[k].sign, (len(path), 1)))
-        displacement.append((path - runs[k].start) @ runs[k].beam)
-        setup.append(np.full(len(path), len(setups), dtype=np.int64))
-        new = _fresh([s.id for s in setups], f"{name}_{order}")
-        setups.append(description.setups[k].model_copy(update={"id": new}))
-    at, towards = np.concatenate(position), np.concatenate(sign)
-    changed = {axis: at[:, j] for j, axis in enumerate("xyz") if axis in session.readings.columns}
-    changed |= {f"dir_{a}": towards[:, j] for j, a in enumerate("xyz") if f"dir_{a}" in session.readings.columns}
-    whole = description.model_copy(update={"setups": tuple(setups)})
-    extended = appended(
-        session,
-        Changed(np.concatenate(rows), changed, np.concatenate(displacement)),
-        setup=np.concatenate(setup),
-        description=whole,
-    )
-    words = f"run the diagonals {', '.join(todo)} once more with the axes moving in the order {order.upper()}"
-    return Option.of(session, "order", words, extended, "mounting the mirror again")

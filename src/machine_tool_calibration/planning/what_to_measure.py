@@ -12,6 +12,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.planning.advice import ALIKE, Advice, Separation, alias_groups_of
 from machine_tool_calibration.planning.assumptions import assumed_effects, present_effects
+from machine_tool_calibration.planning.dominant import limits_of
 from machine_tool_calibration.planning.option import Option
 from machine_tool_calibration.planning.options import further_options
 from machine_tool_calibration.planning.sensing import Sensed, sense
@@ -49,6 +50,7 @@ def what_to_measure(
     assumed = assumed_effects(diagnosis)
     present = present_effects(diagnosis, own)
     session = diagnosis.session
+    limits = limits_of(session, model)
 
     def tried(option: Option) -> Sensed | None:
         try:
@@ -66,7 +68,7 @@ def what_to_measure(
     try:
         now = sense(session, list(assumed.values()), model=model, present=present)
     except (CalibrationError, np.linalg.LinAlgError):
-        return Advice()
+        return Advice(dominant=limits)
     seen: list[tuple[Option, Sensed]] = []
     options = further_options(session)
     for k, option in enumerate(options):
@@ -82,7 +84,7 @@ def what_to_measure(
             separations.append(_cheaper(separation, session, given, tried))
     given = diagnosis.accepted
     seldom = visibilities(diagnosis, now.beside(given), [(o, s.beside(given)) for o, s in seen], assumed)
-    return Advice(tuple(separations), tuple(seldom))
+    return Advice(tuple(separations), tuple(seldom), limits)
 
 
 def _separation(group: tuple[str, ...], now: Sensed, seen: Sequence[tuple[Option, Sensed]]) -> Separation | None:

@@ -51,12 +51,14 @@ class Path(Record):
         points: or the targets one by one, each a position of the same axes.
         order: `lines`: each line of the grid begins at the same end; `serpentine`: every second line runs back.
         alternate: every second repetition runs the path backwards.
+        both_ways: every run of a rotary axis turns back through the same angles, so that time and angle are told apart.
     """
 
     grid: Annotated[dict[str, Spread | tuple[Finite, ...]], Field(min_length=1)] | None = None
     points: Annotated[tuple[dict[str, Finite], ...], Field(min_length=1)] | None = None
     order: Literal["lines", "serpentine"] = "lines"
     alternate: bool = True
+    both_ways: bool = False
 
     @model_validator(mode="after")
     def _check(self) -> Path:
@@ -76,7 +78,7 @@ class Path(Record):
 
 
 # a step diagonal's targets follow from the session
-_FROM_SESSION = Path.model_construct(grid=None, points=(), order="lines", alternate=False)
+_FROM_SESSION = Path.model_construct(grid=None, points=(), order="lines", alternate=False, both_ways=False)
 
 
 class Motion(Record):
@@ -154,6 +156,8 @@ def parse_procedure(text: str, source: str) -> Procedure:
     session = describe(inner.value, source, inner)
     if content.path is None and session.method != "step_diagonal":
         raise SessionError(f"{source}: the key 'path' is missing")
+    if content.path is not None and content.path.both_ways and session.method != "rotary_axis":
+        raise SessionError(f"{source}: path.both_ways is for the method rotary_axis; this is {session.method}")
     return Procedure(
         name=content.name,
         session=session,

@@ -35,8 +35,8 @@ def diagonal_positions(description: StepDiagonal, index: int) -> list[Position]:
     for _ in range(description.blocks):
         for axis in moving:
             made[axis] += 1
-            # from the start, so that no rounding adds up
-            positions.append({a: start[a] + made[a] * steps[a] * np.sign(signs[a]) for a in "xyz"})
+            # From the start, so that no rounding adds up, and to the picometre, so that none is beyond the travel.
+            positions.append({a: round(start[a] + made[a] * steps[a] * np.sign(signs[a]), 12) for a in "xyz"})
     return [{axis: float(value) for axis, value in place.items()} for place in positions]
 
 
@@ -79,6 +79,8 @@ def rotary_steps(procedure: Procedure) -> Iterator[Step]:
         for repeat in range(session.repeats):
             back = procedure.path.alternate and repeat % 2 == 1
             angles = forth[::-1] if back else forth
+            if procedure.path.both_ways:
+                angles = [*angles, *angles[::-1]]
             for target in range(len(session.targets)):
                 runs.append((setup.id, repeat, target, angles, {axis: -1.0 if back else 1.0}))
     yield from _steps(procedure, runs, points=True)

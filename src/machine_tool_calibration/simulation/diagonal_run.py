@@ -23,10 +23,14 @@ __all__ = ["DiagonalPlan", "plan_diagonals"]
 Order = Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
 Signs = Annotated[str, Field(pattern=r"^([pn]{3}|0[pn]{2}|[pn]0[pn]|[pn]{2}0)$")]
 Letter = Literal["x", "y", "z"]
+Offset = Annotated[str, Field(pattern=r"^(x(y|z|yz)|y(x|z|xz)|z(x|y|xy))$")]
 
 
 class DiagonalPlan(Plan):
-    """Step diagonals of single-axis moves; without arguments those of the paper: 12 blocks of 10 mm.
+    """Step diagonals of single-axis moves; without arguments the four space diagonals of a cube of 120 mm.
+
+    The paper runs three (ppp, npp, pnp), in 12 blocks of 10 mm. Three leave angular errors to be taken for straightness
+    where the fourth tells them apart; 10 blocks of 12 mm make up for its readings.
 
     Attributes:
         step: length of a move along x, y, z, m.
@@ -36,18 +40,21 @@ class DiagonalPlan(Plan):
             and `np0` of a measurement in the XY plane.
         orders: orders of the single-axis moves; each diagonal is run in each of them.
         linear: axes that are also measured one by one, along the edges from the corner.
+        offset_linear: further linear runs, where other axes stand at the far end: `xy` is a run along x at the end of
+            y, `xyz` one at the ends of y and z. There the angular errors show through lever arms.
         mirror_tilt: angle between each setup's mirror normal and its beam, in a random direction, rad.
         beam_error: standard deviation of the beam's direction off the actual diagonal, rad.
         distance: from the laser to the mirror at the start of a run, m.
     """
 
     method: Literal["step_diagonal"] = "step_diagonal"
-    step: tuple[Positive, Positive, Positive] = (0.01, 0.01, 0.01)
-    blocks: Annotated[int, Field(ge=1, le=100_000)] = 12
+    step: tuple[Positive, Positive, Positive] = (0.012, 0.012, 0.012)
+    blocks: Annotated[int, Field(ge=1, le=100_000)] = 10
     corner: Vector3 = (0.0, 0.0, 0.0)
-    diagonals: tuple[Signs, ...] = ("ppp", "npp", "pnp")
+    diagonals: tuple[Signs, ...] = ("ppp", "npp", "pnp", "nnp")
     orders: Annotated[tuple[Order, ...], Field(min_length=1)] = ("xyz",)
     linear: tuple[Letter, ...] = ("x", "y", "z")
+    offset_linear: tuple[Offset, ...] = ()
     mirror_tilt: Annotated[float, Field(ge=0, lt=1)] = 1e-3
     beam_error: Annotated[float, Field(ge=0, lt=1)] = 0.0
     distance: Positive = 0.3
@@ -76,9 +83,12 @@ class DiagonalPlan(Plan):
                 name = signs if self.orders == ("xyz",) else f"{signs}_{order}"
                 moving = "".join(letter for letter in order if sign["xyz".index(letter)])
                 out.append(_Run(name, "diagonal", sign, start, _moves(moving, sign, step, self.blocks)))
-        for letter in self.linear:
-            sign = np.array([1.0 if letter == other else 0.0 for other in "xyz"])
-            out.append(_Run(letter.upper(), "linear", sign, corner, _moves(letter, sign, step, self.blocks)))
+        for letters in (*self.linear, *self.offset_linear):
+            sign = np.array([1.0 if letters[0] == other else 0.0 for other in "xyz"])
+            far = np.array([1.0 if other in letters[1:] else 0.0 for other in "xyz"])
+            name = letters[0].upper() + (f"_at_{letters[1:]}" if letters[1:] else "")
+            start = corner + far * self.blocks * step
+            out.append(_Run(name, "linear", sign, start, _moves(letters[0], sign, step, self.blocks)))
         return out
 
 

@@ -59,9 +59,12 @@ PRESETS: Mapping[str, AnyPlan] = {
         order="same",
     ),
     "step_diagonal": DiagonalPlan(),
+    "step_diagonal_long": DiagonalPlan(
+        step=(0.05, 0.05, 0.05), blocks=12, repeats=1, offset_linear=("xy", "xz", "yx", "yz", "zx", "zy")
+    ),
     "step_diagonal_three_orders": DiagonalPlan(orders=("xyz", "yzx", "zxy"), repeats=1),
     "rotary_axis": RotaryPlan(),
-    "rotary_axis_both_ways": RotaryPlan(both_ways=True),
+    "rotary_axis_one_way": RotaryPlan(both_ways=False),
     "probing_cross": ProbingPlan(part="cross"),
     "probing_pins": ProbingPlan(part="pins"),
     "probing_cam": ProbingPlan(part="cam"),

@@ -36,7 +36,8 @@ class RotaryPlan(Plan):
         targets: by id, in the table frame at zero, nominal, m.
         stations: nominal positions, m.
         angles: commanded angles, rad; 18 steps of 20 degrees if absent.
-        both_ways: each run goes back through the same angles.
+        both_ways: each run goes back through the same angles, so that what drifts with time is not taken for an
+            error of the angle, and backlash shows.
         station_uncertainty: standard deviation of the stated stations per coordinate, m.
         target_uncertainty: likewise of the stated targets.
         hidden: target id -> (from, to): angles at which it cannot be seen, rad.
@@ -47,7 +48,7 @@ class RotaryPlan(Plan):
     targets: dict[str, Vector3] | None = None
     stations: Annotated[tuple[Vector3, ...], Field(min_length=1)] | None = None
     angles: Annotated[tuple[Finite, ...], Field(min_length=1, max_length=100_000)] | None = None
-    both_ways: bool = False
+    both_ways: bool = True
     station_uncertainty: Annotated[float, Field(ge=0)] = 2e-4
     target_uncertainty: Annotated[float, Field(ge=0)] = 5e-5
     hidden: dict[str, tuple[Finite, Finite]] = Field(default_factory=dict)
@@ -78,6 +79,18 @@ class RotaryPlan(Plan):
         once = np.array(self.angles or [k * 2.0 * np.pi / 18.0 for k in range(18)])
         return np.concatenate([once, once[::-1]]) if self.both_ways else once
 
+    def senses(self) -> Array:
+        """Sign of the last move before each reading of a run.
+
+        The axis turns beyond the last angle before it comes back, so that this one too is approached from both sides.
+        """
+        turns = self.turns()
+        if not self.both_ways:
+            return last_direction(turns)
+        forth, back = np.split(turns, 2)
+        there = last_direction(forth)
+        return np.concatenate([there, last_direction(back, -there[-1])])
+
 
 def _about(p: tuple[float, float, float], axis: str) -> Vector3:
     """A point given for C, turned round so that it lies about another axis."""
@@ -102,7 +115,7 @@ def plan_rotary(plan: RotaryPlan, environment: Environment, rng: np.random.Gener
     setup, repeat, label, step = setup[keep], repeat[keep], label[keep], step[keep]
     angle = turns[step]
     run = blocks(setup, repeat, label)
-    direction = np.concatenate([last_direction(angle[run == r]) for r in range(run[-1] + 1)])
+    direction = plan.senses()[step]
     scene = Scene(time, setup, repeat, np.zeros((len(time), 3)), angle, {plan.axis: direction}, environment(time),
                   label, plan.axis, rates=environment.rate(time), lagged=environment.behind(time))
     axial = np.eye(3)["ABC".index(plan.axis)]

@@ -13,9 +13,10 @@ from machine_tool_calibration.simulation.spec import SimulationSpec
 
 
 def measured(seed: int = 0, machine: dict[str, Any] | None = None, **plan: Any) -> Simulated:
-    """A session of a rotary axis; `noise_factor` and other keys of the spec may be among the plan's."""
+    """A session of a rotary axis, one way if not said otherwise; `noise_factor` and so on may be in the plan."""
     outer = {k: plan.pop(k) for k in ("noise_factor", "effects", "missing", "repeatability") if k in plan}
-    spec = {"seed": seed, "plan": {"method": "rotary_axis", **plan}, "machine": machine or {}, **outer}
+    chosen = {"method": "rotary_axis", "both_ways": False, **plan}
+    spec = {"seed": seed, "plan": chosen, "machine": machine or {}, **outer}
     return simulate(SimulationSpec.model_validate(spec))
 
 

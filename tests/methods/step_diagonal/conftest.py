@@ -22,6 +22,7 @@ from machine_tool_calibration.simulation import (
 )
 
 ORDERS = ("xyz", "yzx", "zxy")
+PAPER = {"diagonals": ("ppp", "npp", "pnp"), "step": (0.01, 0.01, 0.01), "blocks": 12}
 
 
 def _exact(
@@ -41,7 +42,7 @@ def _exact(
     size = Amplitudes(positioning=position, straightness=position, angular=angular, squareness=squareness)
     return simulate(
         SimulationSpec(
-            plan=DiagonalPlan(mirror_tilt=tilt, repeats=repeats, **plan),
+            plan=DiagonalPlan(**{**PAPER, "mirror_tilt": tilt, "repeats": repeats, **plan}),
             seed=seed,
             noise_factor=noise,
             missing=missing,

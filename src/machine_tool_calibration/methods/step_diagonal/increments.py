@@ -42,7 +42,9 @@ class Increments:
 
 
 def increments(session: Session) -> Increments:
-    """The moves of a session's diagonals and linear runs.
+    """The moves of those of a session's diagonals and linear runs that the paper's formulas use.
+
+    These know neither a fourth diagonal nor linear runs off the edges that meet in the first block positions.
 
     Raises:
         ModelError: the diagonals are not those of the paper.
@@ -65,24 +67,35 @@ def increments(session: Session) -> Increments:
     for name, signs in zip(names, wanted, strict=True):
         members = [k for k, run in enumerate(runs) if run.diagonal and (run.sign[list(axes)] == signs).all()]
         rows.append(_averaged(session, runs, members, axes, finite, blocks, name, lacking))
+    starts = np.array([np.minimum(run.start, run.start + run.motion) for run in diagonals])
+    corner = starts.min(axis=0)
     linear = []
     for axis in axes:
-        members = [k for k, run in enumerate(runs) if not run.diagonal and run.sign[axis]]
+        members = _nearest_to(corner, axis, runs)
         linear.append(_averaged(session, runs, members, (axis,), finite, blocks, "XYZ"[axis], lacking))
     weights = np.concatenate([np.concatenate(rows), np.concatenate(linear)]).reshape(-1, n)
     values = weights @ np.where(finite, session.readings.displacement, 0.0)
     count = len(names) * len(axes) * blocks
     step = np.asarray(description.step)[list(axes)]
-    starts = np.array([np.minimum(run.start, run.start + run.motion) for run in diagonals])
     return Increments(
         axes,
         step,
         values[:count].reshape(len(names), len(axes), blocks),
         values[count:].reshape(len(axes), blocks) - step[:, None],
         weights,
-        starts.min(axis=0)[list(axes)],
+        corner[list(axes)],
         tuple(lacking),
     )
+
+
+def _nearest_to(corner: Array, axis: int, runs: Sequence[Run]) -> list[int]:
+    """Linear runs along an axis, those that lie nearest to the edge through a corner."""
+    off = {
+        k: round(float(np.linalg.norm(np.delete(run.start - corner, axis))), 9)
+        for k, run in enumerate(runs)
+        if not run.diagonal and run.sign[axis]
+    }
+    return [k for k, distance in off.items() if distance == min(off.values())]
 
 
 def _averaged(

@@ -16,8 +16,9 @@ What is expected before any reading:
 - Otherwise their size, the root mean square over the travel, is anything between 0.2 and 20 urad, each octave as
   probable as the next: machining centres have 1 to 20 urad over half a metre, less over shorter ways.
 - A guideway's error has long waves (straight slopes and bows, which the readings hardly tell from position errors) and
-  shorter ones, of a correlation length of 0.15 or 0.3 of the travel; three tenths of the variance is taken to be of the
-  long ones, or all of it. The three shapes are equally probable.
+  shorter ones, of a correlation length of 0.1, 0.2 or 0.4 of the travel; a tenth, half or all of the variance is of
+  the long ones. The seven shapes are equally probable. Three diagonals hardly tell them apart, four do: a narrower
+  choice made the uncertainties from four diagonals a tenth too large.
 
 The numbers were chosen with the virtual machine alone, over angular errors of 0 to 10 urad, short and long travels, and
 smooth and rough guideways, so that the stated uncertainties are right on the whole. They cannot be right for every size
@@ -66,7 +67,7 @@ NONE = 0.7
 # Correlation length of the short waves and of the long ones, over the measured travel, and the share of the long ones'
 # variance.
 _LONG = 1.2
-_SHAPES = ((0.15, 0.3), (0.3, 0.3), (_LONG, 1.0))
+_SHAPES = (*((length, share) for length in (0.1, 0.2, 0.4) for share in (0.1, 0.5)), (_LONG, 1.0))
 _MOST_NODES = 13
 _SIZES = 25
 _FLOOR = 1e-6

@@ -1,0 +1,215 @@
+"""What dominates the uncertainty of a measurement's map, and which further measurement makes it smaller.
+
+Beside the scatter of the readings two things weigh on a map that a fit of the readings alone does not show:
+
+- angular errors, which a step diagonal can hardly tell from straightness;
+- time: a drift of the reading, where every position is reached at one time only.
+
+Angular errors are put into the model as what they are before any reading: unknowns of an expected size; what the
+readings leave of them is their share of the uncertainty. A drift is not in a method's model unless a diagnosis puts it
+there: its share is what one of the expected size would do to the map. A further measurement is judged by what would be
+left of all three.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from machine_tool_calibration.effects.drift import LinearDrift
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.methods.identify import build_model
+from machine_tool_calibration.methods.step_diagonal import StepDiagonalModel
+from machine_tool_calibration.methods.step_diagonal.spread import angular_priors, mean_shape
+from machine_tool_calibration.model.fit import fit_models
+from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.planning.option import Option
+from machine_tool_calibration.planning.options import further_options
+from machine_tool_calibration.session.session import Session
+
+__all__ = ["ANGULAR", "DRIFT", "Dominant", "Remedy", "dominant", "limits_of"]
+
+ANGULAR = 5e-6
+"""Root mean square of a usual machining centre's angular errors, rad."""
+
+DRIFT = 1e-9
+"""Rate at which a reading drifts if the air warms by 1 K per hour, m/s: 3.6 um an hour, a third of a metre of steel."""
+
+# A remedy leaves less than this of what the same measurement once more would leave.
+_BETTER = 0.9
+_MOST = 3
+
+
+@dataclass(frozen=True)
+class Remedy:
+    """A further measurement that makes what dominates smaller.
+
+    Attributes:
+        kind: of the measurement.
+        measure: what to measure, in words.
+        uncertainty: root mean square standard uncertainty of the map's coordinates with it, m.
+        seconds: its time; None without a time column.
+        aside: what comes on top of that, in words.
+    """
+
+    kind: str
+    measure: str
+    uncertainty: float
+    seconds: float | None
+    aside: str = ""
+
+
+@dataclass(frozen=True)
+class Dominant:
+    """What makes up the uncertainty of a map.
+
+    Attributes:
+        cause: what has the largest share of the variance.
+        uncertainty: root mean square standard uncertainty of the map's coordinates, m.
+        shares: of its variance, by cause.
+        angular: size of the angular errors that was assumed, rad; 0 where the model has none.
+        drift: rate that was assumed, m/s; 0 where no time was recorded.
+        again: the uncertainty after the same measurement once more, m; None if that was not asked for.
+        remedies: measurements that are clearly better than that, the best first; none where the readings' own scatter
+            dominates.
+    """
+
+    cause: Literal["readings", "angular errors", "time"]
+    uncertainty: float
+    shares: dict[str, float]
+    angular: float
+    drift: float
+    again: float | None = None
+    remedies: tuple[Remedy, ...] = ()
+
+    def document(self) -> dict[str, Any]:
+        """For programs."""
+        return {
+            "cause": self.cause,
+            "uncertainty": self.uncertainty,
+            "shares": self.shares,
+            "assumed": {"angular": self.angular, "drift": self.drift},
+            "uncertainty_again": self.again,
+            "measure": [
+                {
+                    "kind": r.kind,
+                    "measure": r.measure,
+                    "uncertainty": r.uncertainty,
+                    "seconds": r.seconds,
+                    "besides": r.aside or None,
+                }
+                for r in self.remedies
+            ],
+        }
+
+
+def dominant(
+    session: Session, *, model: str | None = None, angular: float = ANGULAR, drift: float = DRIFT
+) -> Dominant | None:
+    """What dominates the uncertainty of a session's map, and what would make it smaller.
+
+    Args:
+        session: the measurement; of a planned one only the geometry matters.
+        model: variant of the method's model.
+        angular: expected root mean square of the machine's angular errors, rad.
+        drift: expected rate of the reading's drift, m/s.
+
+    Returns:
+        None where the readings do not determine a map.
+    """
+    try:
+        built = build_model(session, model)[0]
+        angles = isinstance(built, StepDiagonalModel) and built.spread is not None
+        drift = drift if LinearDrift().why_not(built.observations) is None else 0.0
+        readings = _uncertainty(session, "translations", 0.0, 0.0) if angles else _uncertainty(session, model, 0.0, 0.0)
+        still = _uncertainty(session, model, angular, 0.0) if angles else readings
+        whole = _uncertainty(session, model, angular, drift) if drift else still
+    except (CalibrationError, np.linalg.LinAlgError):
+        return None
+    if not np.isfinite(whole) or whole <= 0:
+        return None
+    shares = {
+        "readings": min(readings**2 / whole**2, 1.0),
+        "angular errors": max(still**2 - readings**2, 0.0) / whole**2,
+        "time": max(whole**2 - still**2, 0.0) / whole**2,
+    }
+    cause = max(("readings", "angular errors", "time"), key=lambda name: shares[name])
+    found = Dominant(cause, whole, shares, angular if angles else 0.0, drift)  # type: ignore[arg-type]
+    if cause == "readings":
+        return found
+    tried = [(option, _after(option, model, angular, drift)) for option in further_options(session)]
+    return _with_remedies(found, [(option, after) for option, after in tried if after is not None])
+
+
+def limits_of(session: Session, model: str | None = None) -> Dominant | None:
+    """What dominates the uncertainty of a session that was measured, with what it says of angular errors and warming.
+
+    Args:
+        session: the measurement.
+        model: variant of the method's model.
+    """
+    try:
+        built = build_model(session, model)[0]
+    except CalibrationError:
+        return None
+    spread = built.spread if isinstance(built, StepDiagonalModel) else None
+    angular = ANGULAR if spread is None else spread.size
+    return dominant(session, model=model, angular=angular, drift=DRIFT * max(_warming(session), 1.0))
+
+
+def _warming(session: Session) -> float:
+    """Largest change of the air's temperature over the session's time, K per hour; 0 where it is not known."""
+    columns = session.readings.columns
+    air, time = columns.get("temperature_air"), columns.get("time")
+    if air is None or time is None:
+        return 0.0
+    good = np.isfinite(air) & np.isfinite(time)
+    hours = float(np.ptp(time[good])) / 3600.0 if good.any() else 0.0
+    return float(np.ptp(air[good])) / hours if hours > 0 else 0.0
+
+
+def _with_remedies(found: Dominant, tried: Sequence[tuple[Option, float]]) -> Dominant:
+    again = next((after for option, after in tried if option.kind == "again"), found.uncertainty)
+    better = sorted((t for t in tried if t[1] < _BETTER * again), key=lambda t: t[1])
+    remedies = tuple(Remedy(o.kind, o.words, after, o.seconds, o.aside) for o, after in better[:_MOST])
+    return replace(found, again=again, remedies=remedies)
+
+
+def _after(option: Option, model: str | None, angular: float, drift: float) -> float | None:
+    """The map's uncertainty with a further measurement; None where that cannot be told."""
+    try:
+        after = _uncertainty(option.session, model, angular, drift)
+    except (CalibrationError, np.linalg.LinAlgError):
+        return None
+    return after if np.isfinite(after) else None
+
+
+def _uncertainty(session: Session, model: str | None, angular: float, drift: float) -> float:
+    """Root mean square standard uncertainty of the map, m, with what a drift that the model lacks does to it.
+
+    Angular errors are in it with an expected size.
+    """
+    still = _map(session, model, angular)
+    square = still.uncertainty**2
+    if drift:
+        readings = session.readings
+        moved = readings.displacement + drift * readings.column("time")
+        drifted = _map(session.with_readings(replace(readings, displacement=moved)), model, angular)
+        square = square + (drifted.error - still.error) ** 2
+    # Neither what is not determined nor what the datum fixes.
+    known = square[np.isfinite(square) & (still.uncertainty > 0)]
+    return float(np.sqrt(np.mean(known))) if len(known) else float("nan")
+
+
+def _map(session: Session, model: str | None, angular: float) -> ErrorMap:
+    built = build_model(session, model)[0]
+    if isinstance(built, StepDiagonalModel) and built.spread is not None:
+        # Of this size, whatever the readings say: those of a further measurement are not there yet.
+        expected = [angular**2 * mean_shape(angle.table.nodes) for angle in built.spread.angles]
+        spread = replace(built.spread, posterior=None)
+        built = replace(built, spread=spread, priors=angular_priors(spread.names, expected))
+    fit = fit_models([built]).fits[0]
+    return fit.model.error_map(fit)
