@@ -78,7 +78,7 @@ def diagnosis_document(
             "after": _fit(diagnosis.fits[-1]),
         },
         "candidates": [_candidate(diagnosis, f, changes) for f in diagnosis.ranked if f.rank],
-        "alias_groups": [list(group) for group, _ in alias_groups_of(diagnosis)],
+        "alias_groups": [list(group) for group in alias_groups_of(diagnosis)],
         "separate_by": [_separation(s) for s in advice.separations],
         "absorbed": [{"effect": a.effect, "by": a.by} for a in look.absorbed],
         "structure": [_structure(s) for s in look.structure],

@@ -77,7 +77,7 @@ def diagnosis_report(
 
 def _candidates(diagnosis: Diagnosis, changes: Mapping[str, Consequence], shown: int) -> TextTable:
     letters: dict[str, str] = {}
-    for k, (group, _) in enumerate(alias_groups_of(diagnosis)):
+    for k, group in enumerate(alias_groups_of(diagnosis)):
         for name in group:
             letters.setdefault(name, chr(ord("A") + k % 26))
     accepted = diagnosis.accepted
