@@ -12,6 +12,7 @@ from machine_tool_calibration.cli.diagnosing import show_table
 from machine_tool_calibration.cli.direct_words import direct_tables, scatter_words
 from machine_tool_calibration.cli.figures import figures
 from machine_tool_calibration.cli.output import console
+from machine_tool_calibration.diagnosis.quantities import spread_words
 from machine_tool_calibration.diagnosis.text_table import TextTable
 from machine_tool_calibration.model.unknown_words import unknown_in_words
 
@@ -45,6 +46,8 @@ def show_result(
     if document["effects"]:
         screen.print(f"model: {document['model']} with {', '.join(document['effects'])}")
     screen.print(verdict(document))
+    for words in spread_words(document["spread"]):
+        screen.print(words)
     table = Table(show_header=False, box=None, pad_edge=False)
     for name, text in figures({**document, "not_determined": []}):
         table.add_row(name, text)

@@ -64,7 +64,7 @@ def noise_of(fit: Fit) -> Noise:
     place = same_place(fit.model.observations)
     count = np.bincount(place)
     free = int((count - 1).sum())
-    declared = fit.model.observations.session.sigma
+    declared = float(np.sqrt(np.mean(fit.model.sigma**2)))
     if free < _REPEATS or len(count) > _PLACES:
         return Noise(declared, None, free, fit.joint.p_value, None)
     several = np.flatnonzero(count > 1)

@@ -103,7 +103,8 @@ class Posterior:
         rest = frozenset(self.best) - {candidate}
         if candidate not in self.best or rest not in self.log_weights:
             return float(self.single.log_factors[candidate, 0])
-        return self.log_weights[frozenset(self.best)] - self.log_weights[rest] - self.log_odds[candidate]
+        gained = self.log_weights[frozenset(self.best)] - self.log_weights[rest]
+        return gained - float(self.log_odds[candidate])
 
     def without(self, member: int, other: int) -> float:
         """Probability of the sets that hold one candidate and not the other."""
@@ -208,8 +209,7 @@ def _member(single: Table, k: int) -> Member:
 def _worth(work: _Search, single: Table, nothing: Array) -> list[Metric]:
     """Sizes of what does not reproduce that matter, with nothing or with one of the best candidates."""
     keep = nothing > logsumexp(nothing) + np.log(_COUNTS)
-    order = np.argsort(-(single.log_evidence[:, 0] + work.log_odds))[:_GROWN] if len(work.log_odds) else []
-    for k in order:
+    for k in np.argsort(-(single.log_evidence[:, 0] + work.log_odds))[:_GROWN]:
         if single.best[k] is None:
             continue
         columns, scale = _columns(work.blocks, {int(k): _member(single, int(k))})

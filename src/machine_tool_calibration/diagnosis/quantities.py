@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 from machine_tool_calibration.model.result import Estimate
 
-__all__ = ["duration", "micrometres", "probability", "quantity", "range_of", "sizes_in_words"]
+__all__ = ["duration", "micrometres", "probability", "quantity", "range_of", "sizes_in_words", "spread_words"]
 
+# Probability from which what does not reproduce is told with a size.
+_SURE = 0.9
+_FAMILIES = {"run": "runs", "mounting": "mountings", "pass": "passes over the axis"}
 # Coefficients of an effect beyond which only one is shown.
 _MANY = 3
 # (smallest absolute value, factor, unit) for each SI unit, the largest first.
@@ -96,3 +100,15 @@ def sizes_in_words(parameters: Sequence[Estimate]) -> str:
         shown = [max(shown, key=lambda p: abs(p.value) / max(p.standard_uncertainty, 1e-300))]
     text = ", ".join(f"{p.name.split('.', 1)[-1]} = {quantity(p.value, p.unit, p.standard_uncertainty)}" for p in shown)
     return text if len(shown) == len(parameters) else f"{len(parameters)} coefficients, {text}"
+
+
+def spread_words(sizes: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """What does not reproduce, where that is sure: from the entries `spread` of a result."""
+    for entry in sizes:
+        if entry["probability"] > _SURE and entry["size"] > 0:
+            low, high = (quantity(end, "m") for end in entry["interval"])
+            yield (
+                f"The {_FAMILIES.get(entry['family'], entry['family'])} differ among themselves by "
+                f"{quantity(entry['size'], 'm')} RMS ({low} to {high} with 95 %), beside the scatter of the readings; the "
+                "uncertainties contain it."
+            )

@@ -10,12 +10,12 @@ from machine_tool_calibration.diagnosis.consequence import Consequence, rms
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.look import Structure
 from machine_tool_calibration.diagnosis.pool import Pool
-from machine_tool_calibration.diagnosis.quantities import probability, quantity, sizes_in_words
-from machine_tool_calibration.model.stated import FamilySize
+from machine_tool_calibration.diagnosis.quantities import probability, quantity, sizes_in_words, spread_words
+from machine_tool_calibration.model.result import spread_document
 from machine_tool_calibration.planning.advice import Advice, Separation
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["mounted_more_than_once", "spread_words", "verdict_words"]
+__all__ = ["mounted_more_than_once", "verdict_words"]
 
 # Chance below which residuals count as larger than declared.
 _TOO_LARGE = 0.01
@@ -26,9 +26,6 @@ _APART = 6.0
 _REVERSED = 1e-6
 # Scatter of repeats over that of all, below which places differ more than their repeats.
 _SHARED = 0.7
-# Probability from which what does not reproduce is told with a size.
-_SURE = 0.9
-_FAMILIES = {"run": "runs", "mounting": "mountings", "pass": "passes over the axis"}
 
 
 def verdict_words(diagnosis: Diagnosis, changes: Mapping[str, Consequence], advice: Advice) -> Iterator[str]:
@@ -44,20 +41,9 @@ def verdict_words(diagnosis: Diagnosis, changes: Mapping[str, Consequence], advi
     if diagnosis.outliers and diagnosis.verdict != "outliers":
         n = len(diagnosis.outliers)
         yield f"{'One reading was' if n == 1 else f'{n} readings were'} set aside before, as outliers: see below."
-    yield from spread_words(diagnosis.fits[-1].stated.sizes)
+    yield from spread_words([spread_document(size) for size in diagnosis.fits[-1].stated.sizes])
     yield from _reversed(diagnosis)
     yield from _noise(diagnosis)
-
-
-def spread_words(sizes: tuple[FamilySize, ...]) -> Iterator[str]:
-    """What does not reproduce, if it is there more likely than not."""
-    for size in sizes:
-        if size.probability > _SURE and size.size > 0:
-            yield (
-                f"The {_FAMILIES.get(size.name, size.name)} differ among themselves by {quantity(size.size, 'm')} RMS "
-                f"({quantity(size.low, 'm')} to {quantity(size.high, 'm')} with 95 %), beside the scatter of the "
-                "readings; the uncertainties contain it."
-            )
 
 
 def _reversed(diagnosis: Diagnosis) -> Iterator[str]:

@@ -102,7 +102,11 @@ class MethodModel(ABC):
     @property
     def sigma(self) -> Array:
         """(n,) declared standard uncertainty of each reading, m."""
-        return np.full(len(self.observations), self.observations.session.sigma)
+        session, readings = self.observations.session, self.observations.readings
+        declared = session.description.standard_uncertainty
+        own = [declared.setups.get(name, declared) for name in session.setup_ids]
+        constant, slope = np.array([u.displacement for u in own]), np.array([u.per_length for u in own])
+        return np.asarray(constant[readings.setup] + slope[readings.setup] * np.abs(self.observations.path))
 
     @property
     def declared(self) -> frozenset[str]:

@@ -115,10 +115,27 @@ class Machine(Record):
         return self
 
 
-class StandardUncertainty(Record):
-    """Declared standard uncertainty (k = 1) of one reading, m."""
+class DeclaredUncertainty(Record):
+    """Standard uncertainty (k = 1) of one reading, of the form a + b L.
+
+    Attributes:
+        displacement: a, m.
+        per_length: b, m/m; L is the nominal path from the instrument to the functional point, or, of deviations that
+            are read directly, the distance from the machine's zero along the sensed direction.
+    """
 
     displacement: Positive
+    per_length: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+
+
+class StandardUncertainty(DeclaredUncertainty):
+    """The same for all readings, or for single setups otherwise.
+
+    Attributes:
+        setups: by id, for setups whose readings are better or worse than the others.
+    """
+
+    setups: dict[str, DeclaredUncertainty] = {}
 
 
 class KnownLength(Record):
@@ -202,6 +219,10 @@ class _Base(Record):
             twice = sorted({i for i in ids if ids.count(i) > 1}) if len(set(ids)) < len(ids) else []
             if twice:
                 raise ValueError(f"{key} has the id {twice[0]!r} twice")
+        known = [entry.id for entry in getattr(self, "setups", ())]
+        for name in self.standard_uncertainty.setups:
+            if name not in known:
+                raise ValueError(f"standard_uncertainty.setups names {name!r}, which is no setup")
         return self
 
 

@@ -65,6 +65,9 @@ def description_yaml(description: Description) -> str:
     content = description.model_dump(mode="python", exclude_none=True)
     content = {"format": content.pop("format"), "method": content.pop("method"), **content}
     plain = {key: _plain(value) for key, value in content.items() if value != {} and value != ()}
+    # What is 0 and said of no setup needs not be said.
+    declared = description.standard_uncertainty.model_dump(exclude_defaults=True)
+    plain["standard_uncertainty"] = {key: _plain(value) for key, value in declared.items()}
     plain["machine"] = {key: value for key, value in plain["machine"].items() if value != {}}
     return yaml.dump(plain, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=120, allow_unicode=True)
 
