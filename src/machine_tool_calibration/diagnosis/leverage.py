@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.estimation.elimination import (
     Rows,
     backward,
@@ -131,7 +131,7 @@ class _Seen:
     rows: Rows
     response: Array
     half: Array
-    determined: Array
+    determined: BoolArray
 
     def columns(self, slot: int, at: slice | IntArray, first: int) -> Array:
         """(c, n) columns of a slot's readings by the group's shared unknowns; its block begins at the first."""
@@ -161,4 +161,4 @@ def _seen(part: Part, solution: Solution, index: int, weight: Array) -> Iterator
         factor, determined = cholesky(local_normal(weighted))
         response = backward(factor, forward(factor, local_columns(weighted, layout.place)[:-1]))
         half = forward(factor, rows.local.transpose(1, 0, 2).copy())
-        yield group, chunk, _Seen(rows, response, half, determined.all(axis=0))
+        yield group, chunk, _Seen(rows, response, half, np.asarray(determined.all(axis=0)))

@@ -1,7 +1,7 @@
 """Single readings that do not belong to the rest: a chip under the probe, a broken beam, a wrong count.
 
-A start that gross errors do not reach (`estimation/robust.py`) says which readings are suspected. They are held out, and
-each is compared with what all others predict of it: its deviation over that deviation's standard uncertainty, from the
+A start that gross errors do not reach (`estimation/robust.py`) says which readings are suspected. They are held out,
+and each is compared with what all others predict of it: its deviation over that deviation's standard uncertainty, from the
 scatter of the others, follows Student's distribution if it is sound (Baarda 1968; Cook and Weisberg 1982). Of the
 suspected, the worst is set aside, the others are judged anew, and so on, all by small matrices of the suspected alone;
 what stands out no longer is put back. A few fits do for any number of gross errors.
@@ -59,8 +59,8 @@ _ALIKE = 1e-3
 _NEARLY = 0.7
 _BEST = 3
 _SWAPS = 4
-# Products of readings and unknowns, and of readings and those set aside, up to which all readings are compared with each
-# that is set aside; beyond, those of its place.
+# Products of readings and unknowns, and of readings and those set aside, up to which all readings are compared with
+# each that is set aside; beyond, those of its place.
 _COMPARED = 4e7
 _PAIRS = 1e6
 # The scatter's root mean square counts up to this factor above what the median of the absolute residuals says.
@@ -124,9 +124,7 @@ def set_aside(session: Session, build: Callable[[Session], MethodModel]) -> tupl
 def _lost(session: Session, found: list[Outlier]) -> Session:
     readings = session.readings
     gone = np.isin(readings.row, [o.row for o in found])
-    return session.with_readings(
-        replace(readings, displacement=np.where(gone, np.nan, readings.displacement))
-    )
+    return session.with_readings(replace(readings, displacement=np.where(gone, np.nan, readings.displacement)))
 
 
 @single_blas()
@@ -318,7 +316,8 @@ class _Search:
         """For each reading held out: what it costs to put it back, and what other readings save if held out instead."""
         reached = reach(seen.part, seen.solution, 0, seen.weight, held)
         everything = self.n * max(self.problem.size, 1) <= _COMPARED and self.n * len(held) <= _PAIRS
-        index = np.setdiff1d(np.arange(self.n) if everything else np.flatnonzero(np.isin(self.near, self.near[held])), held)
+        index = np.arange(self.n) if everything else np.flatnonzero(np.isin(self.near, self.near[held]))
+        index = np.setdiff1d(index, held)
         if not everything:
             index = index[np.argsort(self.near[index], kind="stable")]
         near = self.near[index]
@@ -349,13 +348,13 @@ class _Search:
 
     def _named(self, held: IntArray, seen: _Judged) -> list[Outlier]:
         """What is held out, with what may as well be wrong in its place."""
-        rows, out = self.readings.row, {}
+        rows = self.readings.row
+        out: dict[int, Outlier] = {}
         same = _places(self.readings)
-        doubtful: dict[int, tuple[int, float, float]] = {}
         for k, cost, others, saved in self._alternatives(held, seen):
             root = float(np.sqrt(cost)) * float(np.sign(seen.residual[k]) or 1.0)
             deviation = float(seen.residual[k] * self.sigma[k])
-            words = f"it is off by {_size(deviation)} from what all other readings say, {abs(root):.1f} times its scatter"
+            words = f"it is off by {_size(deviation)} from what all others say, {abs(root):.1f} times its scatter"
             alike = others[saved > max(cost - max(_AMBIGUOUS, _ALIKE * cost), 0.5 * seen.limit**2)]
             if len(alike):
                 partner = [int(j) for j in alike if same[j] == same[k]]
@@ -364,9 +363,9 @@ class _Search:
                     apart = float(abs(self.readings.displacement[k] - self.readings.displacement[partner[0]]))
                     words = f"two readings of one place differ by {_size(apart)} and nothing tells which is right"
                 else:
-                    words = f"it contradicts {'row' if len(alike) == 1 else 'rows'} {names} and nothing tells which is right"
+                    several = "rows" if len(alike) > 1 else "row"
+                    words = f"it contradicts {several} {names} and nothing tells which is right"
                 for j in alike:
-                    doubtful.setdefault(int(j), (k, root, deviation))
                     other = words if partner else f"it contradicts row {int(rows[k])} and nothing tells which is right"
                     out.setdefault(int(j), Outlier(int(rows[j]), root, -deviation, other))
             out[k] = Outlier(int(rows[k]), root, deviation, words)

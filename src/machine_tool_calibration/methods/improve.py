@@ -155,7 +155,8 @@ def improve(
     for k, name in enumerate(found.accepted):
         progress(f"adding {name}", 0.9 + 0.1 * k / len(found.accepted))
         added = [*effects, *found.accepted[: k + 1]]
-        steps.append(_step(steps[-1], name, identify(found.session, model=model, effects=added, own=own, keep_all=True), aside))
+        result = identify(found.session, model=model, effects=added, own=own, keep_all=True)
+        steps.append(_step(steps[-1], name, result, aside))
     progress("done", 1.0)
     return Improvement(found, tuple(steps))
 

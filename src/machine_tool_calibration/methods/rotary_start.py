@@ -26,8 +26,8 @@ _BESIDE = 20
 _STATIONS_BESIDE = 0.15
 _TARGETS_BESIDE = 0.03
 _WIDE = 0.2
-# Readings off by so many times the median of all say that there are gross errors. Then Huber's weights (1964), until none
-# changes by more than this, and so often at most.
+# Readings off by so many times the median of all say that there are gross errors. Then Huber's weights (1964), until
+# none changes by more than this, and so often at most.
 _WILD = 20.0
 _TUNING = 1.345
 _AT_REST = 0.02
@@ -155,7 +155,8 @@ def _fitted(table: TableReadings, stations: Array, targets: Array, within: float
 
 def _off(table: TableReadings, stations: Array, targets: Array) -> Array:
     """(n,) readings minus what the places say, from the middle of each run, m."""
-    off = table.readings.displacement - np.linalg.norm(table.turned(targets) - stations[table.readings.setup], axis=1)
+    length = np.linalg.norm(table.turned(targets) - stations[table.readings.setup], axis=1)
+    off = np.asarray(table.readings.displacement - length)
     for run in range(int(table.run.max()) + 1):
         mine = table.run == run
         off[mine] -= np.median(off[mine])

@@ -10,7 +10,18 @@ import pandas as pd
 
 from machine_tool_calibration.arrays import Array, IntArray
 
-__all__ = ["Comparison", "Mistake", "exchanged", "exchanged_axes", "extent", "groups", "per_setup", "same", "scaled", "spread"]
+__all__ = [
+    "Comparison",
+    "Mistake",
+    "exchanged",
+    "exchanged_axes",
+    "extent",
+    "groups",
+    "per_setup",
+    "same",
+    "scaled",
+    "spread",
+]
 
 _MOST_TRIED = 12
 _LIMIT = 0.1
