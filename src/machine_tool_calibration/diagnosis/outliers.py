@@ -1,8 +1,8 @@
 """Single readings that do not belong to the rest: a chip under the probe, a broken beam, a wrong count.
 
 A start that gross errors do not reach (`estimation/robust.py`) says which readings are suspected. They are held out,
-and each is compared with what all others predict of it: its deviation over that deviation's standard uncertainty, from the
-scatter of the others, follows Student's distribution if it is sound (Baarda 1968; Cook and Weisberg 1982). Of the
+and each is compared with what all others predict of it: its deviation over that deviation's standard uncertainty, from
+the scatter of the others, follows Student's distribution if it is sound (Baarda 1968; Cook and Weisberg 1982). Of the
 suspected, the worst is set aside, the others are judged anew, and so on, all by small matrices of the suspected alone;
 what stands out no longer is put back. A few fits do for any number of gross errors.
 
@@ -135,7 +135,7 @@ def _found(session: Session, build: Callable[[Session], MethodModel]) -> list[Ou
     for _ in range(_MODELS):
         try:
             more = _Search(build(part)).outliers()
-        except ModelError:
+        except (ModelError, np.linalg.LinAlgError):
             # Too little for the model, which its own fit will say; or what was set aside leaves too little.
             return []
         if not more:

@@ -200,7 +200,10 @@ def _step(problem: Problem, theta: Array, local: Sequence[Array]) -> Array:
         matrix = matrix + rows.T @ rows
         right = right + rows.T @ ((problem.constraint_values - problem.constraints @ theta) / size)
     matrix[np.diag_indices_from(matrix)] += _HOLD
-    values = linalg.solve(matrix, right, assume_a="pos", check_finite=False) if len(right) else right
+    try:
+        values = linalg.solve(matrix, right, assume_a="pos", check_finite=False) if len(right) else right
+    except linalg.LinAlgError:
+        values = np.linalg.lstsq(matrix, right, rcond=1e-12)[0]
     return np.asarray(values / scale)
 
 

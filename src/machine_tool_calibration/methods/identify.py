@@ -13,6 +13,7 @@ from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.reduction import single_blas
+from machine_tool_calibration.methods.impossible_sizes import refuse_impossible
 from machine_tool_calibration.model.effect_terms import add_effects
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.model import MethodModel
@@ -82,6 +83,7 @@ def identify(
     effects: Sequence[str] = (),
     own: Sequence[Effect] = (),
     keep_all: bool = False,
+    allow_impossible: bool = False,
 ) -> Result:
     """Identify the machine's errors from one session.
 
@@ -91,17 +93,21 @@ def identify(
         effects: ids of physical effects to add to the model.
         own: the user's own effects, beside the catalogue.
         keep_all: use all readings; otherwise those that stand out of all others are set aside.
+        allow_impossible: accept position errors and places of stations that no machine has.
 
     Raises:
-        ModelError: the data does not allow the model, or an effect is unknown or needs what was not recorded.
+        ModelError: the data does not allow the model, an effect is unknown or needs what was not recorded, or what is
+            identified cannot be.
     """
     kept, rejected = (session, rejected_readings(session)) if keep_all else sound(session, model, effects, own)
     base, name = build_model(kept, model)
     built = add_effects(base, find_effects(effects, own))
     fit = fit_models([built]).fits[0]
+    error_map = built.error_map(fit)
+    refuse_impossible(session, error_map, allow=allow_impossible)
     return Result(
         fit=fit,
-        error_map=built.error_map(fit),
+        error_map=error_map,
         effects=tuple(effects),
         model_name=name,
         rejected=rejected,

@@ -22,6 +22,12 @@ if TYPE_CHECKING:
 __all__ = ["free_map", "table_map"]
 
 
+# Standard uncertainty above which a position error counts as not determined, m.
+_VAGUE = 1e-4
+# Stations lie in a plane or on a line where their least extent is below this share of the largest.
+_FLAT = 0.05
+
+
 @dataclass(frozen=True)
 class _Network:
     """Targets and stations in the map's datum.
@@ -124,6 +130,10 @@ def _published(model: TrackingModel, fit: Fit, network: _Network) -> ErrorMap:
     fixed = fit.determined[: len(network.own)].reshape(-1, d + 1)
     own = np.where(fixed, network.own.reshape(-1, d + 1), np.nan)
     own_u = np.where(fixed, network.own_u.reshape(-1, d + 1), np.nan)
+    # A direction known no better than this says nothing of a machine, and a linear fit little of it.
+    vague = uncertainty > _VAGUE
+    error, uncertainty = np.where(vague, np.nan, error), np.where(vague, np.nan, uncertainty)
+    covariance = np.where(vague[:, :, None] | vague[:, None, :], np.nan, covariance)
     content = {
         "points": model.targets,
         "position_error": error,
@@ -136,11 +146,27 @@ def _published(model: TrackingModel, fit: Fit, network: _Network) -> ErrorMap:
         "datum": MAP_DATUM,
     }
     lost = tuple(NotDetermined(f"target {_place(model.targets[k])}", why) for k, why in network.why.items())
+    lost += tuple(_vague(model, vague, j) for j in range(d) if vague[:, j].any())
     full = np.full((len(covariance), 3, 3), np.nan)
     full[:, :d, :d] = covariance
     names = [parameter.name for parameter in model.own]
     moved = dict(zip(names, zip(network.own.tolist(), network.own_u.tolist(), strict=True), strict=True))
     return ErrorMap(content, model.targets, _three(error), _three(uncertainty), full, lost, moved)
+
+
+def _vague(model: TrackingModel, vague: BoolArray, j: int) -> NotDetermined:
+    """A direction that the arrangement of the stations hardly senses."""
+    count = int(vague[:, j].sum())
+    where = "all targets" if count == len(vague) else f"{count} of {len(vague)} targets"
+    centred = model.stations[:, : model.dimension] - model.stations[:, : model.dimension].mean(axis=0)
+    extents = np.linalg.svd(centred, compute_uv=False)
+    # A third or second direction in which the stations hardly differ.
+    flat = len(extents) < model.dimension or extents[-1] < _FLAT * extents[0]
+    why = f"its standard uncertainty would be above {1e3 * _VAGUE:g} mm"
+    if flat:
+        kind = "line" if model.dimension == 2 or extents[1] < _FLAT * extents[0] else "plane"
+        why = f"the stations stand nearly in a {kind}, so that the readings hardly sense it: {why}"
+    return NotDetermined(f"position_error along {'xyz'[j]} of {where}", why)
 
 
 def _place(position: Array) -> str:

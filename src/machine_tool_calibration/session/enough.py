@@ -39,9 +39,12 @@ def check_enough(session: Session, place: Place) -> None:
     measured = np.isfinite(session.readings.displacement)
     if isinstance(description, TrackingInterferometer):
         _stations(session, description.setups, 2, measured, place)
+        if description.dimension == 3:
+            _off_a_line(description.setups, place)
         _tracking(session, description.dimension, measured, place)
     elif isinstance(description, RotaryAxis):
         _stations(session, description.setups, 3, measured, place)
+        _off_a_line(description.setups, place)
         _rotary(session, description, measured, place)
     elif isinstance(description, StepDiagonal):
         _some_setup(session, measured, 2, place)
@@ -80,6 +83,14 @@ def _stations(
         raise SessionError(
             f"{place.description if not silent else place.readings}: {_count(len(used), 'station')}; "
             f"{_method(session)} needs at least {needed}{without}"
+        )
+
+
+def _off_a_line(setups: tuple[StationSetup, ...], place: Place) -> None:
+    if len(setups) > 2 and on_a_line(np.array([setup.position for setup in setups])):
+        raise SessionError(
+            f"{place.description}: all stations stand on one line: no reading tells a turn about it; move one of them "
+            "off the line"
         )
 
 
