@@ -7,8 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from machine_tool_calibration.diagnosis.leverage import leverage
 from machine_tool_calibration.diagnosis.outliers import find_outliers, set_aside
+from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.methods.identify import build_model, identify
+from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, Spread, TrackingPlan, simulate
 
@@ -40,7 +43,13 @@ def test_gross_errors_of_five_percent_are_found(name: str) -> None:
     session = simulate(SimulationSpec(plan=PLANS[name], seed=11)).session
     wrong, rows = with_gross_errors(session, 0.05, 12)
     found, kept, fit = find_outliers(wrong, lambda part: build_model(part)[0])
-    assert rows <= {o.row for o in found}
+    missed = rows - {o.row for o in found}
+    if missed:
+        # Only what hardly shows in its own residual: the model follows most of it.
+        used = fit.model.observations.readings.row
+        free = np.sqrt(1.0 - leverage(fit))[np.isin(used, list(missed))]
+        error = (wrong.readings.displacement - session.readings.displacement)[sorted(missed)]
+        assert (np.abs(error) * free < 6.0 * session.sigma).all()
     # Sound ones only where nothing tells which is right.
     assert all("nothing tells which is right" in o.reason for o in found if o.row not in rows)
     assert len(found) <= 1.5 * len(rows)
@@ -105,3 +114,44 @@ def test_identify_names_what_it_does_not_use() -> None:
     clean = np.array(identify(session).document()["error_map"]["position_error"])
     assert np.nanmax(np.abs(error - clean)) < 2e-6
     assert identify(session).document()["rejected"] == []
+
+
+@pytest.mark.parametrize("pair", ["xy", "xz", "yz"])
+@pytest.mark.parametrize("name", ["tracking_2d", "tracking_3d", "step_diagonal", "probing_cross"])
+def test_columns_that_are_exchanged_are_refused(name: str, pair: str) -> None:
+    session = simulate(SimulationSpec(plan=PLANS[name], seed=8)).session
+    if "z" in pair and name in ("tracking_2d", "probing_cross"):
+        pytest.skip("nothing moves along z")
+    check_session(session)
+    columns = dict(session.readings.columns)
+    columns[pair[0]], columns[pair[1]] = columns[pair[1]], columns[pair[0]]
+    with pytest.raises(SessionError, match=f"columns {pair[0]} and {pair[1]} look exchanged"):
+        check_session(session.with_readings(replace(session.readings, columns=columns)))
+
+
+def test_stations_in_a_plane_do_not_tell_what_is_across_it() -> None:
+    stations = ((-0.3, -0.3, 0.2), (0.7, -0.3, 0.2), (-0.3, 0.7, 0.2), (0.7, 0.7, 0.2), (0.2, -0.5, 0.2))
+    result = identify(simulate(SimulationSpec(plan=TrackingPlan(dimension=3, stations=stations), seed=1)).session)
+    assert np.isnan(result.error_map.error[:, 2]).all()
+    assert np.isfinite(result.error_map.error[:, :2]).any()
+    named = {entry.name: entry.why for entry in result.not_determined}
+    assert "the stations stand nearly in a plane" in named["position_error along z of all targets"]
+
+
+def test_stations_on_a_line_are_refused() -> None:
+    stations = tuple((-0.5, y, 0.2) for y in (-0.3, 0.0, 0.3, 0.7))
+    session = simulate(SimulationSpec(plan=TrackingPlan(dimension=3, stations=stations), seed=1)).session
+    with pytest.raises(SessionError, match="all stations stand on one line"):
+        check_session(session)
+
+
+def test_position_errors_of_centimetres_are_refused() -> None:
+    session = simulate(SimulationSpec(plan=PLANS["tracking_3d"], seed=9)).session
+    readings = session.readings
+    x = readings.columns["x"]
+    # One target was not where its columns say.
+    there = np.isclose(x, x.max()) & np.isclose(readings.columns["y"], 0.0) & np.isclose(readings.columns["z"], 0.0)
+    moved = session.with_readings(replace(readings, columns={**readings.columns, "x": np.where(there, x + 0.05, x)}))
+    with pytest.raises(ModelError, match="which no machine has"):
+        identify(moved, keep_all=True)
+    assert np.nanmax(np.abs(identify(moved, keep_all=True, allow_impossible=True).error_map.error)) > 0.01
