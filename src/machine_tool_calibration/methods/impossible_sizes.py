@@ -39,7 +39,8 @@ def refuse_impossible(session: Session, error_map: ErrorMap, *, allow: bool = Fa
         place = ", ".join(f"{1e3 * v:.6g}" for v in error_map.points[k])
         raise ModelError(
             f"{session.source}: the position error along {'xyz'[j]} at ({place}) mm comes out as "
-            f"{1e3 * size[k, j]:.3g} mm, which no machine has: check units, columns and signs, and where the instrument stood"
+            f"{1e3 * size[k, j]:.3g} mm, which no machine has: check units, columns and signs, and where the "
+            "instrument stood"
         )
     description = session.description
     if not isinstance(description, TrackingInterferometer) or "stations" not in error_map.content:
