@@ -11,7 +11,7 @@ from machine_tool_calibration.machine.error_motions import SQUARENESS, motion_fi
 from machine_tool_calibration.machine.table import interpolation
 from machine_tool_calibration.model.observations import Observations
 
-__all__ = ["ErrorMotionEffect", "sensed_lever_arms"]
+__all__ = ["ErrorMotionEffect", "polynomials", "sensed_lever_arms"]
 
 _DEGREES = 4
 # Legendre polynomials over the axis's travel: what each looks like; its size is that at the upper end.
@@ -127,11 +127,15 @@ class ErrorMotionEffect(Effect):
         along = np.einsum("nj,nj->n", field, observations.direction)
         if motion.is_rotation and observations.rotation_direction is not None:
             along = along + observations.rotation_direction[:, "ABC".index(motion.component)]
-        low, high = observations.span(self.axis)
-        middle, half = (high + low) / 2, ((high - low) or 1.0) / 2
-        place = (observations.readings.column(self.axis) - middle) / half
-        series = np.polynomial.legendre.legvander(place, _DEGREES)[:, 1:]
+        series = polynomials(observations.readings.column(self.axis), observations.span(self.axis))
         return np.asarray(series.T * along)
+
+
+def polynomials(position: Array, span: tuple[float, float]) -> Array:
+    """(n, 4) an error motion per unit of each of its coefficients p1 to p4, at positions of its axis, m."""
+    low, high = span
+    place = (position - (high + low) / 2) / (((high - low) or 1.0) / 2)
+    return np.asarray(np.polynomial.legendre.legvander(place, _DEGREES)[:, 1:])
 
 
 def sensed_lever_arms(observations: Observations) -> frozenset[str]:
