@@ -3,58 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib import import_module
-from typing import Protocol, cast
 
-import numpy as np
-
-from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.effects.effect import Effect
-from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.reduction import single_blas
-from machine_tool_calibration.model.effect_terms import add_effects
-from machine_tool_calibration.model.fit import fit_models
-from machine_tool_calibration.model.model import MethodModel
-from machine_tool_calibration.model.result import Rejected, Result
+from machine_tool_calibration.methods.build import build_model, rejected_readings
+from machine_tool_calibration.methods.fitted import fit_sessions
+from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["build_model", "identify", "rejected_readings"]
-
-_MODULES = {
-    "tracking_interferometer": "tracking",
-    "step_diagonal": "step_diagonal",
-    "probing": "probing",
-    "rotary_axis": "rotary_axis",
-    "direct": "direct",
-}
-
-
-class _Method(Protocol):
-    """What the module of a method offers; the first of its models is the default."""
-
-    MODELS: tuple[str, ...]
-
-    def build(self, session: Session, model: str) -> MethodModel:
-        """The model of a session."""
-
-
-def build_model(session: Session, model: str | None = None) -> tuple[MethodModel, str]:
-    """The model of a session, without added effects, and its name.
-
-    Raises:
-        ModelError: no such model for this method, or the data does not allow it.
-    """
-    method = cast(_Method, import_module(f"machine_tool_calibration.methods.{_MODULES[session.method]}"))
-    name = model or method.MODELS[0]
-    if name not in method.MODELS:
-        raise ModelError(f"{session.method} has no model {name!r}; known are {', '.join(method.MODELS)}")
-    return method.build(session, name), name
-
-
-def rejected_readings(session: Session) -> tuple[Rejected, ...]:
-    """Readings that no fit uses."""
-    missing = np.flatnonzero(~np.isfinite(session.readings.displacement))
-    return tuple(Rejected(int(session.readings.row[k]), "the reading is missing") for k in missing)
 
 
 @single_blas()
@@ -72,14 +29,13 @@ def identify(
     Raises:
         ModelError: the data does not allow the model, or an effect is unknown or needs what was not recorded.
     """
-    base, name = build_model(session, model)
-    built = add_effects(base, find_effects(effects, own))
-    fit = fit_models([built]).fits[0]
+    fitted = fit_sessions([session], model=model, effects=effects, own=own)
+    fit = fitted.joint.fits[0]
     return Result(
         fit=fit,
-        error_map=built.error_map(fit),
+        error_map=fit.model.error_map(fit),
         effects=tuple(effects),
-        model_name=name,
+        model_name=fitted.model_names[0],
         rejected=rejected_readings(session),
         observations=len(session.readings),
     )
