@@ -9,6 +9,9 @@ import pandas as pd
 import pytest
 
 from machine_tool_calibration.cli.main import run
+from machine_tool_calibration.model.history import Entry, History, Part
+from machine_tool_calibration.session.history_file import fingerprint, history_path, update_history
+from machine_tool_calibration.session.open import open_measurement
 from machine_tool_calibration.session.writer import write_session
 from machine_tool_calibration.simulation import FlawSpec, SimulationSpec, TrackingPlan, simulate
 
@@ -116,3 +119,37 @@ def several_methods(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
         spec = SimulationSpec.model_validate({"seed": seed, "plan": plan, "machine": machine})
         write_session(simulate(spec).session, folder / name)
     return [str(folder / name) for name in plans]
+
+
+def test_history_of_several_sessions(sessions: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    """It is listed, undone, and identified from, in whatever order the sessions are given."""
+    paths = [Path(name) for name in sessions]
+    opened = [open_measurement(path) for path in paths]
+    assert run(["history", *sessions]) == 1
+    assert "no model was tried yet" in capsys.readouterr().err
+    aside = (3, 5)
+    parts = tuple(
+        Part(label=path.name, model="rigid_body", data=fingerprint(session), set_aside=own)
+        for path, session, own in zip(paths, opened, ((), aside), strict=True)
+    )
+    first, second = (
+        Entry(
+            number=1, made="2026-01-01T00:00:00+00:00", by="improve", model="joint", sessions=parts, effects=effects,
+            data=fingerprint(*opened), used=286, rms_residual=rms, degrees_of_freedom=200,
+        )
+        for effects, rms in (((), 1e-6), (("backlash_y",), 3e-7))
+    )  # fmt: skip
+    rows = opened[1].readings.row[list(aside)].tolist()
+    parts = (parts[0], parts[1].model_copy(update={"set_aside": tuple(rows)}))
+    history = History().grown([entry.model_copy(update={"sessions": parts}) for entry in (first, second)])
+    update_history(history_path(*paths), lambda old: history)
+    text = said(capsys, "history", *reversed(sessions))
+    assert "Sessions fitted together: monday, tuesday" in text and "backlash_y" in text
+    document = json.loads(said(capsys, "identify", *reversed(sessions), "--from-history", "--json"))
+    assert document["effects"] == ["backlash_y"]
+    assert (document["observations"], document["used"]) == (288, 286)
+    left = [{"session": "tuesday", "row": row, "reason": "set aside by model 2 of the history"} for row in rows]
+    assert document["rejected"] == left
+    assert "with backlash_y" in said(capsys, "identify", *sessions, "--from-history")
+    said(capsys, "history", *sessions, "--undo")
+    assert json.loads(said(capsys, "history", *sessions, "--json"))["current"] == 1

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from machine_tool_calibration.cli.current_model import current_model
+from machine_tool_calibration.cli.current_model import current_models
 from machine_tool_calibration.cli.identified import show_result
 from machine_tool_calibration.cli.output import console, json_option, plain, session_labels, to_json, write_json
 
@@ -73,9 +73,9 @@ def command(
         own = read_effects(effects_file)
     opened = [open_measurement(path) for path in sessions]
     if from_history:
-        if len(opened) > 1 or effects or model or formulation:
-            raise click.UsageError("--from-history is for one session, without --effect, --model and --formulation.")
-        document, fit, result = _by_history(opened[0], sessions[0], own)
+        if effects or model or formulation:
+            raise click.UsageError("--from-history is without --effect, --model and --formulation.")
+        document, fit, result = _by_history(opened, sessions, own)
     else:
         document, fit, result = _identified(opened, sessions, effects, own, model, formulation)
     folder = output or (Path() if plot else None)
@@ -128,18 +128,27 @@ def _meanings(fit: JointFit, ids: Sequence[str], own: list[Effect]) -> dict[str,
 
 
 def _by_history(
-    session: Session, path: Path, own: list[Effect]
+    opened: list[Session], paths: tuple[Path, ...], own: list[Effect]
 ) -> tuple[dict[str, Any], JointFit | None, Result | None]:
-    """By the session's current model: its variant, its effects, and without the readings that it sets aside."""
+    """By the current model: its variant, its effects, and without the readings that it sets aside."""
     from machine_tool_calibration.methods.identify import identify
+    from machine_tool_calibration.methods.joint import identify_sessions
 
-    entry, kept, aside = current_model(session, path)
-    result = identify(kept, model=entry.model, effects=entry.effects, own=own)
-    document = result.document()
-    document["observations"] += int(aside.sum())
+    entry, kept, asides = current_models(opened, paths)
+    labels = session_labels(paths)
+    result = None
+    if len(kept) == 1:
+        result = identify(kept[0], model=entry.model, effects=entry.effects, own=own)
+        document, fit = result.document(), result.fit.joint
+    else:
+        joint = identify_sessions(kept, labels, model=entry.model, effects=entry.effects, own=own)
+        document, fit = joint.document(), joint.fit
+    document["observations"] += sum(int(aside.sum()) for aside in asides)
     reason = f"set aside by model {entry.number} of the history"
-    document["rejected"] += [{"row": int(row), "reason": reason} for row in session.readings.row[aside]]
-    return document, result.fit.joint, result
+    for label, session, aside in zip(labels, opened, asides, strict=True):
+        named = {"session": label} if len(opened) > 1 else {}
+        document["rejected"] += [{**named, "row": int(row), "reason": reason} for row in session.readings.row[aside]]
+    return document, fit, result
 
 
 def _by_formulation(
