@@ -159,7 +159,7 @@ def _identified(paths: tuple[Path, ...], chosen: _Chosen, topics: dict[str, str]
             sessions, session_labels(paths), model=chosen.model, effects=chosen.effects, own=chosen.own
         )
         note(joint.agreement.statement)
-        states = error_states(joint.error_map, joint.stated.fits, find_effects(chosen.effects, chosen.own))
+        states = error_states(joint.error_map, joint.fit.fits, find_effects(chosen.effects, chosen.own))
         said = [bad_fit(joint.fit, joint.error_map.content)]
         for opened, path in zip(sessions, paths, strict=True):
             said.append(unused_model(opened, path, chosen.effects, None, effects_only=True))
