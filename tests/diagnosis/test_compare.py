@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from machine_tool_calibration.diagnosis.compare import compare
 from machine_tool_calibration.diagnosis.compare_document import comparison_columns, comparison_document
@@ -164,11 +165,25 @@ def test_a_session_its_fit_and_its_result_give_the_same() -> None:
     assert found[1].effects == ("backlash_y",)
 
 
-def test_a_fit_of_several_sessions_is_refused() -> None:
+def test_one_of_several_sessions_that_share_nothing_is_compared_as_if_alone() -> None:
     models = [build_model(simulated("tracking_2d", seed))[0] for seed in (1, 2)]
     joint = fit_models(models, ["a", "b"])
-    with pytest.raises(ModelError, match="single session"):
-        compare(joint.fits[0])
+    for model, fit in zip(models, joint.fits, strict=True):
+        one, alone = compare(fit), compare(fit_models([model]).fits[0])
+        assert np.allclose(one.residual, alone.residual, atol=1e-13)
+        assert np.allclose(one.studentized, alone.studentized, rtol=1e-4, atol=1e-4, equal_nan=True)
+        assert one.overall.reduced_chi_square == pytest.approx(alone.overall.reduced_chi_square, rel=1e-4)
+        assert one.overall.degrees_of_freedom == alone.overall.degrees_of_freedom
+        assert one.overall.p_value == pytest.approx(alone.overall.p_value, abs=1e-4)
+        noise = one.overall.noise
+        assert noise.from_repeats is not None and noise.repeats >= 8
+        squares = noise.repeats * (noise.from_repeats / noise.declared) ** 2
+        assert 1e-3 < stats.chi2.cdf(squares, noise.repeats) < 1 - 1e-3
+        for mine, own in zip(one.setups, alone.setups, strict=True):
+            assert (mine.name, mine.readings, mine.worst_row) == (own.name, own.readings, own.worst_row)
+            assert mine.share == pytest.approx(own.share, rel=1e-4)
+            assert mine.reduced_chi_square == pytest.approx(own.reduced_chi_square, rel=1e-4)
+            assert mine.slope == pytest.approx(own.slope, rel=1e-3, abs=1e-14)
 
 
 def test_covariates_that_do_not_vary_are_left_out_and_an_unknown_one_is_named() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.model.history import Coefficient, Entry, History
+from machine_tool_calibration.model.history import Coefficient, Entry, History, Part
 from machine_tool_calibration.session.history_file import fingerprint, history_path, read_history, update_history
 from machine_tool_calibration.session.open import open_measurement
 
@@ -139,3 +139,32 @@ def test_the_fingerprint_changes_with_any_reading() -> None:
     assert fingerprint(session.with_readings(replace(readings, displacement=moved))) != mark
     columns = {**readings.columns, "dir_x": -readings.columns["dir_x"]}
     assert fingerprint(session.with_readings(replace(readings, columns=columns))) != mark
+
+
+def test_several_sessions_have_a_history_beside_the_first(tmp_path: Path) -> None:
+    one, other, far = tmp_path / "days" / "a", tmp_path / "days" / "b", tmp_path / "plate"
+    for folder in (one, other, far):
+        folder.mkdir(parents=True)
+    path = tmp_path / "days" / "a+b.history.yaml"
+    assert history_path(one, other) == history_path(other, one) == path
+    assert history_path(other, far) == tmp_path / "days" / "b+..-plate.history.yaml"
+    many = [tmp_path / f"{k:03d}{'x' * 60}" for k in range(9)]
+    assert len(history_path(*many).name) < 255
+    assert history_path(*many) != history_path(*many[:-1])
+
+
+def test_a_history_of_several_sessions_names_them_and_comes_back(tmp_path: Path) -> None:
+    parts = [Part(label=name, model="rigid_body", data=f"sha256-{name}", set_aside=(4,)) for name in ("a", "b")]
+    history = History().grown([entry(sessions=tuple(parts), set_aside=())])
+    path = tmp_path / "a+b.history.yaml"
+    assert update_history(path, lambda old: history) == read_history(path) == history
+    assert history.models[0].readings_aside == 2
+    # The same sessions in another order are the same model.
+    again = entry(sessions=tuple(reversed(parts)), set_aside=())
+    assert len(history.grown([again]).models) == 1
+
+
+def test_the_fingerprint_of_several_sessions_does_not_depend_on_their_order() -> None:
+    one, other = (open_measurement(DATA / name) for name in ("tracking_2d", "step_diagonal"))
+    assert fingerprint(one, other) == fingerprint(other, one)
+    assert len({fingerprint(one), fingerprint(other), fingerprint(one, other), fingerprint(one, one)}) == 4

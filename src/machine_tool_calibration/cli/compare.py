@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING
 import click
 
 from machine_tool_calibration.cli.diagnosing import model_options, own_effects, saved, show_table
-from machine_tool_calibration.cli.output import console, json_option, write_json
+from machine_tool_calibration.cli.output import console, json_option, session_labels, write_json
 
 if TYPE_CHECKING:
-    from machine_tool_calibration.diagnosis.comparison import Comparison
+    from machine_tool_calibration.diagnosis.comparison import Comparison, JointComparison
 
 __all__ = ["command"]
 
 
 @click.command("compare")
-@click.argument("measurement", metavar="SESSION", type=click.Path(path_type=Path))
+@click.argument("measurements", metavar="SESSION…", nargs=-1, required=True, type=click.Path(path_type=Path))
 @model_options
 @click.option(
     "--against", multiple=True, metavar="COLUMN", help="Draw the residuals against this covariate; repeatable."
@@ -30,7 +30,7 @@ __all__ = ["command"]
 )
 @json_option
 def command(
-    measurement: Path,
+    measurements: tuple[Path, ...],
     effects: tuple[str, ...],
     files: tuple[Path, ...],
     model: str | None,
@@ -43,18 +43,25 @@ def command(
     SESSION is a session folder or a recording. The readings are held against the fitted model as a whole (against the
     declared uncertainty and against repeats), by setup and repeat with the worst first, by region of each axis, by
     direction of approach, over time, temperature and every other recorded column, and one by one. Which physical
-    effect is behind it, `mtcal diagnose` says.
+    effect is behind it, `mtcal diagnose` says. Several sessions of one machine are held against the model that fits
+    them together.
 
     \b
     mtcal compare measurements/cube
     mtcal compare measurements/cube --effect backlash_y --output pictures
     mtcal compare measurements/cube --against temperature_x --against path -o pictures
+    mtcal compare measurements/cube measurements/grid_plate
     """
-    from machine_tool_calibration.diagnosis.compare import compare
+    from machine_tool_calibration.diagnosis.compare import compare, compare_sessions
     from machine_tool_calibration.session.open import open_measurement
 
-    session = open_measurement(measurement)
-    comparison = compare(session, model=model, effects=effects, own=own_effects(files))
+    sessions, own = [open_measurement(path) for path in measurements], own_effects(files)
+    if len(sessions) > 1:
+        labels = session_labels(measurements)
+        several = compare_sessions(sessions, labels, model=model, effects=effects, own=own)
+        _several(several, output, against, as_json=as_json)
+        return
+    comparison = compare(sessions[0], model=model, effects=effects, own=own)
     for name in against:
         comparison.covariate(name)
     if as_json:
@@ -67,18 +74,40 @@ def command(
         saved(_write(comparison, output or Path(), against))
 
 
-def _show(comparison: Comparison) -> None:
+def _several(comparison: JointComparison, output: Path | None, against: tuple[str, ...], *, as_json: bool) -> None:
+    import pandas as pd
+
+    from machine_tool_calibration.diagnosis.compare_document import joint_columns, joint_document
+    from machine_tool_calibration.plots.compare import draw_joint
+
+    if as_json:
+        write_json(joint_document(comparison))
+    else:
+        _show(comparison)
+    if output is not None or against:
+        folder = output or Path()
+        pictures = draw_joint(comparison, folder, against)
+        table = folder / "comparison.csv"
+        pd.DataFrame(dict(joint_columns(comparison))).to_csv(table, index=False)
+        saved([*pictures, table])
+
+
+def _show(comparison: Comparison | JointComparison) -> None:
     from rich.text import Text
 
-    from machine_tool_calibration.diagnosis.compare_tables import comparison_tables
-    from machine_tool_calibration.diagnosis.compare_words import in_words
+    from machine_tool_calibration.diagnosis.compare_tables import comparison_tables, joint_tables
+    from machine_tool_calibration.diagnosis.compare_words import in_words, joint_in_words
+    from machine_tool_calibration.diagnosis.comparison import Comparison
 
     screen = console()
-    words = in_words(comparison)
+    if isinstance(comparison, Comparison):
+        words, tables = in_words(comparison), comparison_tables(comparison)
+    else:
+        words, tables = joint_in_words(comparison), joint_tables(comparison)
     screen.print(Text(words[0].upper() + words[1:]))
     if comparison.effects:
         screen.print(Text(f"In the model: {', '.join(comparison.effects)}."))
-    for table in comparison_tables(comparison):
+    for table in tables:
         show_table(screen, table)
 
 

@@ -11,7 +11,7 @@ import click
 from machine_tool_calibration.cli.current_model import current_model
 from machine_tool_calibration.cli.export_warnings import bad_fit, unused_model
 from machine_tool_calibration.cli.info import topic_names, topic_option
-from machine_tool_calibration.cli.output import console, json_option, note, write_json
+from machine_tool_calibration.cli.output import console, json_option, note, session_labels, write_json
 from machine_tool_calibration.errors import CalibrationError
 
 if TYPE_CHECKING:
@@ -155,11 +155,11 @@ def _identified(paths: tuple[Path, ...], chosen: _Chosen, topics: dict[str, str]
     sessions = [open_measurement(path, topics) for path in paths]
     source = " + ".join(session.source for session in sessions)
     if len(sessions) > 1:
-        names = [path.resolve().stem for path in paths]
-        labels = [f"{name}#{k + 1}" if names.count(name) > 1 else name for k, name in enumerate(names)]
-        joint = identify_sessions(sessions, labels, model=chosen.model, effects=chosen.effects, own=chosen.own)
+        joint = identify_sessions(
+            sessions, session_labels(paths), model=chosen.model, effects=chosen.effects, own=chosen.own
+        )
         note(joint.agreement.statement)
-        states = error_states(joint.error_map, joint.stated.fits, find_effects(chosen.effects, chosen.own))
+        states = error_states(joint.error_map, joint.fit.fits, find_effects(chosen.effects, chosen.own))
         said = [bad_fit(joint.fit, joint.error_map.content)]
         for opened, path in zip(sessions, paths, strict=True):
             said.append(unused_model(opened, path, chosen.effects, None, effects_only=True))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from machine_tool_calibration.cli.current_model import no_model
 from machine_tool_calibration.cli.diagnosing import show_table
 from machine_tool_calibration.cli.output import console, json_option, note, write_json
 from machine_tool_calibration.errors import CalibrationError
@@ -22,16 +23,19 @@ _FIGURES = 9
 
 
 @click.command("history")
-@click.argument("measurement", metavar="SESSION", type=click.Path(path_type=Path))
+@click.argument("measurements", metavar="SESSION…", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--undo", is_flag=True, help="Go back to the model that the current one was made from.")
 @click.option("--use", type=int, metavar="N", help="Make model N the current one.")
 @click.option("--compare", nargs=2, type=int, metavar="N M", help="Show two models side by side.")
 @json_option
-def command(measurement: Path, undo: bool, use: int | None, compare: tuple[int, int] | None, as_json: bool) -> None:
+def command(
+    measurements: tuple[Path, ...], undo: bool, use: int | None, compare: tuple[int, int] | None, as_json: bool
+) -> None:
     """List the models that were tried on a session, compare two, or undo a step.
 
     SESSION is a session folder or a recording. `mtcal improve` writes the history; nothing is ever removed from it:
-    `--undo` and `--use` only say which model is the current one.
+    `--undo` and `--use` only say which model is the current one. Several sessions that are fitted together have a
+    history of their own, beside the first of them.
 
     \b
     mtcal history measurements/cube
@@ -42,11 +46,12 @@ def command(measurement: Path, undo: bool, use: int | None, compare: tuple[int, 
 
     if undo and use is not None:
         raise click.UsageError("Give either --undo or --use.")
-    if not measurement.exists():
-        raise CalibrationError(f"{measurement}: no such file or folder")
-    path = history_path(measurement)
+    for measurement in measurements:
+        if not measurement.exists():
+            raise CalibrationError(f"{measurement}: no such file or folder")
+    path = history_path(*measurements)
     if not path.exists():
-        raise CalibrationError(f"{measurement}: no model was tried yet; `mtcal improve {measurement}` begins")
+        raise no_model(measurements)
     if undo or use is not None:
         history = update_history(path, lambda old: old.undone() if use is None else old.using(use))
         note(f"model {history.current} is the current one")
@@ -58,6 +63,9 @@ def command(measurement: Path, undo: bool, use: int | None, compare: tuple[int, 
         write_json(document | ({"compared": [entry.model_dump(mode="json") for entry in chosen]} if chosen else {}))
         return
     screen = console()
+    if any(entry.sessions for entry in history.models):
+        last = next(entry for entry in reversed(history.models) if entry.sessions)
+        screen.print(f"Sessions fitted together: {', '.join(part.label for part in last.sessions)}")
     show_table(screen, _compared(*chosen) if chosen else _listed(history))
     if chosen and chosen[0].data != chosen[1].data:
         screen.print("The two models are of different readings: the session was changed in between.")
@@ -104,7 +112,7 @@ def _compared(one: Entry, other: Entry) -> TextTable:
         row("variant", one.model, other.model),
         row("effects", ", ".join(one.effects) or "–", ", ".join(other.effects) or "–"),
         row("readings used", str(one.used), str(other.used)),
-        row("set aside", str(len(one.set_aside)), str(len(other.set_aside))),
+        row("set aside", str(one.readings_aside), str(other.readings_aside)),
         row("residual, µm RMS", micrometres(one.rms_residual), micrometres(other.rms_residual)),
         row("chi²/ν", chi(one), chi(other)),
         row("degrees of freedom", str(one.degrees_of_freedom), str(other.degrees_of_freedom)),

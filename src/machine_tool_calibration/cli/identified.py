@@ -44,7 +44,7 @@ def show_result(
     for session in opened:
         screen.print(measured(session))
     if document["effects"]:
-        screen.print(f"model: {document['model']} with {', '.join(document['effects'])}")
+        screen.print(f"model: {_variants(document)} with {', '.join(document['effects'])}")
     screen.print(verdict(document))
     for words in spread_words(document["spread"]):
         screen.print(words)
@@ -65,6 +65,13 @@ def show_result(
     for why, names in grouped((entry["name"], entry["why"]) for entry in document["not_determined"]):
         screen.print(f"not determined: {names}: {why}")
     screen.print(f"datum: {document['datum']}")
+
+
+def _variants(document: Mapping[str, Any]) -> str:
+    """The method's variant, of several sessions each with its label."""
+    if "sessions" not in document:
+        return str(document["model"])
+    return ", ".join(f"{entry['model']} ({entry['label']})" for entry in document["sessions"])
 
 
 def measured(session: Session) -> str:
@@ -125,8 +132,15 @@ def _show_parameters(document: Mapping[str, Any], meanings: Mapping[str, str]) -
     single = [entry for entry in document["parameters"] if not _TABLE.fullmatch(entry["name"])]
     effects = document["effects"]
     added = tuple(f"{effect}." for effect in effects)
+    labels = tuple(f"{entry['label']}/" for entry in document.get("sessions", ()))
+
+    def is_added(name: str) -> bool:
+        # An effect of which each session has its own carries the session's label.
+        bare = next((name.removeprefix(label) for label in labels if name.startswith(label)), name)
+        return bool(added) and bare.startswith(added)
+
     # Effects first, then what is of the machine (squareness), then what is of the setups.
-    single.sort(key=lambda entry: 0 if entry["name"].startswith(added) and added else 1 + ("." in entry["name"]))
+    single.sort(key=lambda entry: 0 if is_added(entry["name"]) else 1 + ("." in entry["name"]))
     rows = []
     for entry in single[:_MOST_ROWS]:
         name = entry["name"]

@@ -7,12 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from machine_tool_calibration.cli.current_model import current_model
+from machine_tool_calibration.cli.current_model import current_models
 from machine_tool_calibration.cli.identified import show_result
-from machine_tool_calibration.cli.output import console, json_option, plain, to_json, write_json
+from machine_tool_calibration.cli.output import console, json_option, plain, session_labels, to_json, write_json
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from machine_tool_calibration.effects.effect import Effect
+    from machine_tool_calibration.model.fit import JointFit
     from machine_tool_calibration.model.result import Result
     from machine_tool_calibration.session.session import Session
 
@@ -72,11 +75,11 @@ def command(
         own = read_effects(effects_file)
     opened = [open_measurement(path) for path in sessions]
     if from_history:
-        if len(opened) > 1 or effects or model or formulation:
-            raise click.UsageError("--from-history is for one session, without --effect, --model and --formulation.")
-        document, result = _by_history(opened[0], sessions[0], own)
+        if effects or model or formulation:
+            raise click.UsageError("--from-history is without --effect, --model and --formulation.")
+        document, fit, result = _by_history(opened, sessions, own)
     else:
-        document, result = _identified(opened, sessions, effects, own, model, formulation, keep_all)
+        document, fit, result = _identified(opened, sessions, effects, own, model, formulation, keep_all)
     folder = output or (Path() if plot else None)
     written = _write(document, result, opened, folder, result_file=output is not None) if folder else []
     if as_json:
@@ -85,7 +88,7 @@ def command(
     if "formulation" in document:
         _show_profiles(document)
     else:
-        show_result(document, opened, _meanings(result, own))
+        show_result(document, opened, {} if fit is None else _meanings(fit, document["effects"], own))
     for path in written:
         console().print(f"written: {path}")
 
@@ -98,43 +101,61 @@ def _identified(
     model: str | None,
     formulation: str | None,
     keep_all: bool,
-) -> tuple[dict[str, Any], Result | None]:
-    """The document, and for a single session the result behind it."""
+) -> tuple[dict[str, Any], JointFit | None, Result | None]:
+    """The document, the fit behind it, and for a single session the result."""
     from machine_tool_calibration.methods.identify import identify
 
     if formulation is not None:
-        return plain(_by_formulation(opened, effects, model, formulation)), None
+        return plain(_by_formulation(opened, effects, model, formulation)), None, None
     if len(opened) == 1:
         result = identify(opened[0], model=model, effects=effects, own=own, keep_all=keep_all)
-        return result.document(), result
+        return result.document(), result.fit.joint, result
     from machine_tool_calibration.methods.joint import identify_sessions
 
-    together = identify_sessions(opened, _labels(paths), model=model, effects=effects, own=own, keep_all=keep_all)
-    return together.document(), None
+    joint = identify_sessions(
+        opened, session_labels(paths), model=model, effects=effects, own=own, keep_all=keep_all
+    )
+    return joint.document(), joint.fit, None
 
 
-def _meanings(result: Result | None, own: list[Effect]) -> dict[str, str]:
-    """What the coefficients of the effects in the model are, by name."""
+def _meanings(fit: JointFit, ids: Sequence[str], own: list[Effect]) -> dict[str, str]:
+    """What the coefficients of the effects in the model are, by the name under which each is published."""
     from machine_tool_calibration.effects.catalogue import find_effects
 
-    if result is None:
-        return {}
-    observations = result.fit.model.observations
-    effects = find_effects(result.effects, own)
-    return {name: what for effect in effects for name, what in effect.meanings(observations).items()}
+    out = {}
+    for index, model in enumerate(fit.assembly.models):
+        parameters = {p.name: p for p in model.parameters}
+        for effect in find_effects(ids, own):
+            for name, what in effect.meanings(model.observations).items():
+                if name in parameters:
+                    out[fit.assembly.published(index, parameters[name])] = what
+    return out
 
 
-def _by_history(session: Session, path: Path, own: list[Effect]) -> tuple[dict[str, Any], Result | None]:
-    """By the session's current model: its variant, its effects, and without the readings that it sets aside."""
+def _by_history(
+    opened: list[Session], paths: tuple[Path, ...], own: list[Effect]
+) -> tuple[dict[str, Any], JointFit | None, Result | None]:
+    """By the current model: its variant, its effects, and without the readings that it sets aside."""
     from machine_tool_calibration.methods.identify import identify
+    from machine_tool_calibration.methods.joint import identify_sessions
 
-    entry, kept, aside = current_model(session, path)
-    result = identify(kept, model=entry.model, effects=entry.effects, own=own, keep_all=True)
-    document = result.document()
-    document["observations"] += int(aside.sum())
+    entry, kept, asides = current_models(opened, paths)
+    labels = session_labels(paths)
+    result = None
+    if len(kept) == 1:
+        result = identify(kept[0], model=entry.model, effects=entry.effects, own=own, keep_all=True)
+        document, fit = result.document(), result.fit.joint
+    else:
+        joint = identify_sessions(
+            kept, labels, model=entry.model, effects=entry.effects, own=own, keep_all=True
+        )
+        document, fit = joint.document(), joint.fit
+    document["observations"] += sum(int(aside.sum()) for aside in asides)
     reason = f"set aside by model {entry.number} of the history"
-    document["rejected"] += [{"row": int(row), "reason": reason} for row in session.readings.row[aside]]
-    return document, result
+    for label, session, aside in zip(labels, opened, asides, strict=True):
+        named = {"session": label} if len(opened) > 1 else {}
+        document["rejected"] += [{**named, "row": int(row), "reason": reason} for row in session.readings.row[aside]]
+    return document, fit, result
 
 
 def _by_formulation(
@@ -158,12 +179,6 @@ def _by_formulation(
         "effects": [],
         "error_map": content,
     }
-
-
-def _labels(paths: tuple[Path, ...]) -> list[str]:
-    """Names of the sessions: those of their folders, numbered where they repeat."""
-    names = [path.resolve().stem for path in paths]
-    return [f"{name}#{k + 1}" if names.count(name) > 1 else name for k, name in enumerate(names)]
 
 
 def _write(

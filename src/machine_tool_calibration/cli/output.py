@@ -12,10 +12,10 @@ import json
 import math
 import os
 import sys
-from collections.abc import Callable, Mapping, Set
+from collections.abc import Callable, Mapping, Sequence, Set
 from datetime import date, datetime
 from enum import Enum
-from pathlib import PurePath
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
@@ -23,7 +23,17 @@ import click
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["console", "error_console", "json_option", "note", "one_line", "plain", "to_json", "write_json"]
+__all__ = [
+    "console",
+    "error_console",
+    "json_option",
+    "note",
+    "one_line",
+    "plain",
+    "session_labels",
+    "to_json",
+    "write_json",
+]
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -33,6 +43,12 @@ def json_option(function: Command) -> Command:
     return click.option(
         "--json", "as_json", is_flag=True, help="Write one JSON document to standard output, for programs."
     )(function)
+
+
+def session_labels(paths: Sequence[Path]) -> list[str]:
+    """Names of several sessions: those of their folders, numbered where they repeat."""
+    names = [path.resolve().stem for path in paths]
+    return [f"{name}#{k + 1}" if names.count(name) > 1 else name for k, name in enumerate(names)]
 
 
 def plain(value: Any) -> Any:

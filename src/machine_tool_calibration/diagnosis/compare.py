@@ -11,25 +11,32 @@ import numpy as np
 from scipy import stats
 
 from machine_tool_calibration.arrays import Array, BoolArray
-from machine_tool_calibration.diagnosis.comparison import Approach, Comparison, Overall, Region, Share, Trend
+from machine_tool_calibration.diagnosis.comparison import (
+    Approach,
+    Comparison,
+    JointComparison,
+    Overall,
+    Region,
+    Share,
+    Trend,
+)
 from machine_tool_calibration.diagnosis.covariates import bins, covariates, sensed, telling
 from machine_tool_calibration.diagnosis.leverage import leverage
-from machine_tool_calibration.diagnosis.noise import noise_of
+from machine_tool_calibration.diagnosis.noise import FEWEST_REPEATS, Noise, noise_of, same_place
 from machine_tool_calibration.diagnosis.sums import residual_sums
-from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.effects.effect import Effect
-from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.reduction import single_blas
-from machine_tool_calibration.methods.identify import build_model
-from machine_tool_calibration.model.effect_terms import add_effects
-from machine_tool_calibration.model.fit import Fit, fit_models
+from machine_tool_calibration.methods.fitted import fit_sessions
+from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["compare"]
+__all__ = ["compare", "compare_sessions"]
 
 # A reading with less than this share of itself in its residual cannot be judged.
 _SEEN = 0.02
+# Readings that the model leaves of a part below which its scatter cannot be judged.
+_LEAST_LEFT = 0.5
 _POSITIONS = ("x", "y", "z", "c")
 _WORST = 10
 
@@ -45,24 +52,47 @@ def compare(
     """Hold a model against its readings.
 
     Args:
-        subject: a session, of which the model is fitted; or a fit or result of a single session.
+        subject: a session, of which the model is fitted; or a fit or result: one session's share in a fit of several
+            is held against that session's readings.
         model: for a session, the method's model; its default if absent.
         effects: for a session, ids of effects in the model.
         own: for a session, the user's own effects, beside the catalogue.
 
     Raises:
-        ModelError: the data does not allow the model, or the fit is one of several sessions together.
+        ModelError: the data does not allow the model.
     """
     if isinstance(subject, Session):
-        base, _ = build_model(subject, model)
-        fit = fit_models([add_effects(base, find_effects(effects, own))]).fits[0]
+        fit = fit_sessions([subject], model=model, effects=effects, own=own).joint.fits[0]
     elif isinstance(subject, Result):
         fit, effects = subject.fit, subject.effects
     else:
         fit = subject
-    if len(fit.joint.assembly.models) > 1:
-        raise ModelError("only the fit of a single session can be compared with its readings; compare each session")
     return _Look(fit).comparison(tuple(effects))
+
+
+@single_blas()
+def compare_sessions(
+    sessions: Sequence[Session],
+    labels: Sequence[str],
+    *,
+    model: str | None = None,
+    effects: Sequence[str] = (),
+    own: Sequence[Effect] = (),
+) -> JointComparison:
+    """Hold the model of several sessions of one machine against the readings of each.
+
+    Args:
+        sessions: the measurements.
+        labels: their names, all different.
+        model: variant of the methods that have it.
+        effects: ids of effects in the model.
+        own: the user's own effects, beside the catalogue.
+
+    Raises:
+        ModelError: the data does not allow the model.
+    """
+    joint = fit_sessions(sessions, labels, model=model, effects=effects, own=own).joint
+    return JointComparison(joint, tuple(labels), tuple(compare(fit, effects=effects) for fit in joint.fits))
 
 
 class _Look:
@@ -76,6 +106,7 @@ class _Look:
         self.residual = fit.residuals
         self.normal = self.residual / fit.model.sigma
         self.free = 1.0 - leverage(fit)
+        self.alone = len(fit.joint.assembly.models) == 1
         self.dof = fit.solution.degrees_of_freedom
         with np.errstate(divide="ignore", invalid="ignore"):
             self.studentized = np.where(self.free > _SEEN, self.normal / np.sqrt(self.free), np.nan)
@@ -92,14 +123,7 @@ class _Look:
             for s, r in np.unique(np.stack([readings.setup, readings.repeat]), axis=1).T
         }
         order = np.argsort(-np.nan_to_num(np.abs(self.studentized)), kind="stable")
-        overall = Overall(
-            self.n,
-            float(np.sqrt(np.mean(self.residual**2))),
-            fit.joint.reduced_chi_square,
-            self.dof,
-            fit.joint.p_value,
-            noise_of(fit),
-        )
+        overall = self._overall() if self.alone else self._share_of_all()
         return Comparison(
             fit=fit,
             effects=effects,
@@ -116,6 +140,29 @@ class _Look:
             studentized=self.studentized,
             covariates=self.covariates,
         )
+
+    def _overall(self) -> Overall:
+        fit = self.fit
+        rms = float(np.sqrt(np.mean(self.residual**2)))
+        noise = noise_of(fit)
+        return Overall(self.n, rms, fit.joint.reduced_chi_square, self.dof, fit.joint.p_value, noise)
+
+    def _share_of_all(self) -> Overall:
+        """One of several sessions: its sum of squares over what is left of its own readings by the common model."""
+        left = float(self.free.sum())
+        squares = float(np.sum(self.normal**2))
+        p = float(stats.chi2.sf(squares, left)) if left > _LEAST_LEFT else 1.0
+        place = same_place(self.observations)
+        count = np.bincount(place)
+        mean = np.bincount(place, weights=self.normal) / count
+        repeats = int((count - 1).sum())
+        declared = self.observations.session.sigma
+        scatter = None
+        if repeats >= FEWEST_REPEATS:
+            scatter = declared * float(np.sqrt(np.sum((self.normal - mean[place]) ** 2) / repeats))
+        noise = Noise(declared, scatter, repeats, p, None)
+        rms = float(np.sqrt(np.mean(self.residual**2)))
+        return Overall(self.n, rms, squares / left if left > _LEAST_LEFT else 1.0, round(left), p, noise)
 
     def _shares(self, parts: Mapping[str, BoolArray], *, sums: bool) -> list[Share]:
         means = slopes = None
@@ -135,7 +182,7 @@ class _Look:
                     name,
                     len(where),
                     float(np.sqrt(np.mean(self.residual[mask] ** 2))),
-                    squares / left if left > 0.5 else None,
+                    squares / left if left > _LEAST_LEFT else None,
                     squares / total if total > 0 else 0.0,
                     *(means[k] if means else (None, None)),
                     *(slopes[k] if slopes else (None, None)),

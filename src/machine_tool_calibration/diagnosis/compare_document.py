@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.diagnosis.compare_words import in_words
-from machine_tool_calibration.diagnosis.comparison import Comparison
+from machine_tool_calibration.diagnosis.compare_words import in_words, joint_in_words
+from machine_tool_calibration.diagnosis.comparison import Comparison, JointComparison
 
-__all__ = ["comparison_columns", "comparison_document"]
+__all__ = ["comparison_columns", "comparison_document", "joint_columns", "joint_document"]
 
 
 def comparison_document(comparison: Comparison) -> dict[str, Any]:
@@ -70,3 +70,47 @@ def comparison_columns(comparison: Comparison) -> Mapping[str, np.ndarray]:
     }
     known = {**readings.columns, **comparison.covariates}
     return out | {name.replace(" ", "_"): values for name, values in known.items() if name not in (*out, "order")}
+
+
+def joint_document(comparison: JointComparison) -> dict[str, Any]:
+    """That of several sessions: the same keys for all of them together, and under `sessions` those of each."""
+    joint = comparison.joint
+    return {
+        "format": "mtcal-comparison/1",
+        "method": "joint",
+        "effects": list(comparison.effects),
+        "summary": joint_in_words(comparison),
+        "readings": comparison.readings,
+        "rms_residual": comparison.rms,
+        "reduced_chi_square": joint.reduced_chi_square,
+        "degrees_of_freedom": joint.solution.degrees_of_freedom,
+        "p_value": joint.p_value,
+        "sessions": [
+            {"label": label, **comparison_document(one)}
+            for label, one in zip(comparison.labels, comparison.sessions, strict=True)
+        ],
+        "setups": [{"session": label, **asdict(share)} for label, share in comparison.setups],
+        "worst": [
+            {
+                "session": label,
+                "row": int(readings.row[k]),
+                "setup": one.fit.model.observations.session.setup_ids[readings.setup[k]],
+                "residual": float(one.residual[k]),
+                "studentized": float(one.studentized[k]),
+            }
+            for label, one, k in comparison.worst
+            for readings in [one.fit.model.observations.readings]
+        ],
+    }
+
+
+def joint_columns(comparison: JointComparison) -> Mapping[str, np.ndarray]:
+    """Every reading of every session with its label; what a session did not record is empty (NaN, or no text)."""
+    every = [comparison_columns(one) for one in comparison.sessions]
+    count = [one.overall.readings for one in comparison.sessions]
+    out = {"session": np.repeat(np.asarray(comparison.labels), count)}
+    for name in dict.fromkeys(name for columns in every for name in columns):
+        text = any(columns[name].dtype.kind in "USO" for columns in every if name in columns)
+        missing = "" if text else np.nan
+        out[name] = np.concatenate([c.get(name, np.full(n, missing)) for c, n in zip(every, count, strict=True)])
+    return out

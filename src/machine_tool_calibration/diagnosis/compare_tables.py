@@ -8,11 +8,11 @@ from dataclasses import replace
 
 from machine_tool_calibration.diagnosis.compare_figures import chance, expanded, untold
 from machine_tool_calibration.diagnosis.compare_trends import trends_table
-from machine_tool_calibration.diagnosis.comparison import Approach, Comparison, Share
+from machine_tool_calibration.diagnosis.comparison import Approach, Comparison, JointComparison, Share
 from machine_tool_calibration.diagnosis.quantities import micrometres, quantity
 from machine_tool_calibration.diagnosis.report import TextTable
 
-__all__ = ["comparison_tables"]
+__all__ = ["comparison_tables", "joint_tables"]
 
 _MICRO = 1e6
 _MOST_PARTS, _MOST_LABELS = 12, 5
@@ -27,6 +27,11 @@ def comparison_tables(comparison: Comparison) -> Iterator[TextTable]:
     yield _overall(comparison)
     setups = _parts("Setups, worst first", "setup", comparison.setups, _MOST_PARTS)
     yield replace(setups, note=f"{_HEADS}; {setups.note}".removesuffix("; "))
+    yield from _within(comparison)
+
+
+def _within(comparison: Comparison) -> Iterator[TextTable]:
+    """What follows the setups of a session."""
     if len(comparison.runs) > len(comparison.setups):
         yield _parts("Repeats, worst first", "setup and repeat", comparison.runs, _MOST_LABELS)
     for name, shares in comparison.labels.items():
@@ -39,6 +44,28 @@ def comparison_tables(comparison: Comparison) -> Iterator[TextTable]:
     if comparison.trends:
         yield trends_table(comparison)
     yield _worst(comparison)
+
+
+def joint_tables(comparison: JointComparison) -> Iterator[TextTable]:
+    """Where the model of several sessions fails: sessions, setups of all, and what else is in each session."""
+    joint = comparison.joint
+    rows = (
+        ("measured − predicted, RMS", quantity(comparison.rms, "m")),
+        (
+            "reduced chi-square (1 if the model and the declared uncertainty are right)",
+            f"{joint.reduced_chi_square:.3g}, {joint.solution.degrees_of_freedom} degrees of freedom",
+        ),
+        ("chance of so large a scatter, if the model is right", chance(joint.p_value)),
+    )
+    yield TextTable(f"All {comparison.readings} readings of {len(comparison.labels)} sessions", ("", ""), rows)
+    parts = [share for _, share in comparison.parts]
+    yield _parts("Sessions, worst first", "session", parts, len(parts))
+    named = [replace(share, name=f"{label}/{share.name}") for label, share in comparison.setups]
+    setups = _parts("Setups of all sessions, worst first", "setup", named, _MOST_PARTS)
+    yield replace(setups, note=f"{_HEADS}; {setups.note}".removesuffix("; "))
+    for label, one in zip(comparison.labels, comparison.sessions, strict=True):
+        for table in _within(one):
+            yield replace(table, title=f"{label}: {table.title[0].lower()}{table.title[1:]}")
 
 
 def _overall(comparison: Comparison) -> TextTable:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy import stats
 
-from machine_tool_calibration.diagnosis.comparison import Comparison, Overall
+from machine_tool_calibration.diagnosis.comparison import Comparison, JointComparison, Overall
 
-__all__ = ["in_words"]
+__all__ = ["in_words", "joint_in_words"]
 
 # Chances at which the fit is called worse, or better, than declared, and repeats speak against the model.
 _LEVEL, _TOO_GOOD, _LACK = 0.01, 0.999, 0.003
@@ -35,6 +35,26 @@ def in_words(comparison: Comparison) -> str:
     apart = _stand_out(comparison)
     cause = " What the cause is, `mtcal diagnose` says." if p < _LEVEL else ""
     return f"{first}.{apart} {_repeats(overall, bool(apart))}{cause}"
+
+
+def joint_in_words(comparison: JointComparison) -> str:
+    """Whether the common model fits all sessions, and if not, which it fits worst."""
+    joint = comparison.joint
+    ratio, p = joint.reduced_chi_square**0.5, joint.p_value
+    if p > _TOO_GOOD:
+        return f"the readings scatter only {_ratio(ratio)} times the declared uncertainty, which is too large."
+    if p >= _LEVEL:
+        nearly = "nearly " if p < _NEARLY else ""
+        return f"the model fits all sessions {nearly}within the declared uncertainty (p = {p:.2g})."
+    label, worst = comparison.parts[0]
+    where = "all sessions alike"
+    if worst.reduced_chi_square is not None and worst.reduced_chi_square >= _WORSE**2 * joint.reduced_chi_square:
+        times = _ratio(worst.reduced_chi_square**0.5)
+        where = f"worst is session {label} ({times} times, {worst.share:.0%} of all misfit)"
+    return (
+        f"the readings scatter {_ratio(ratio)} times the declared uncertainty; {where}. Whether the sessions "
+        "contradict each other, `mtcal identify` says."
+    )
 
 
 def _where(comparison: Comparison) -> str:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.noise import Noise
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.model.fit import Fit
+from machine_tool_calibration.model.fit import Fit, JointFit
 
-__all__ = ["Approach", "Comparison", "Overall", "Region", "Share", "Trend"]
+__all__ = ["Approach", "Comparison", "JointComparison", "Overall", "Region", "Share", "Trend"]
 
 
 @dataclass(frozen=True)
@@ -184,3 +184,70 @@ class Comparison:
             known = ", ".join(self.covariates)
             raise ModelError(f"there is no covariate {name!r} that varies; there are {known}")
         return self.covariates[name]
+
+
+@dataclass(frozen=True)
+class JointComparison:
+    """The model of several sessions of one machine against the readings of each.
+
+    Attributes:
+        joint: the fit.
+        labels: names of the sessions.
+        sessions: for each its readings against the common model; its own reduced chi-square is its sum of squares over
+            what is left of its readings, and its shares are of its own sum of squares.
+    """
+
+    joint: JointFit
+    labels: tuple[str, ...]
+    sessions: tuple[Comparison, ...]
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Ids of effects in the model."""
+        return self.sessions[0].effects
+
+    @property
+    def readings(self) -> int:
+        """Readings of all sessions."""
+        return sum(one.overall.readings for one in self.sessions)
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of measured minus predicted over all readings, m."""
+        return float(np.sqrt(np.mean(np.concatenate([one.residual for one in self.sessions]) ** 2)))
+
+    @property
+    def parts(self) -> tuple[tuple[str, Share], ...]:
+        """Sessions as shares of all readings, each with its label as name too, worst first."""
+        own = [
+            (label, Share(label, o.readings, o.rms, o.reduced_chi_square, share))
+            for label, o, share in zip(self.labels, (one.overall for one in self.sessions), self._weights, strict=True)
+        ]
+        return tuple(sorted(own, key=_misfit))
+
+    @property
+    def setups(self) -> tuple[tuple[str, Share], ...]:
+        """Setups of all sessions with the session's label, worst first; shares of the sum of squares of all."""
+        own = [
+            (label, replace(share, share=weight * share.share))
+            for label, one, weight in zip(self.labels, self.sessions, self._weights, strict=True)
+            for share in one.setups
+        ]
+        return tuple(sorted(own, key=_misfit))
+
+    @property
+    def worst(self) -> tuple[tuple[str, Comparison, int], ...]:
+        """Readings with the largest studentized residuals: label, the session's comparison and index in it."""
+        own = [(label, one, k) for label, one in zip(self.labels, self.sessions, strict=True) for k in one.worst]
+        own.sort(key=lambda entry: -abs(float(np.nan_to_num(entry[1].studentized[entry[2]]))))
+        return tuple(own[: len(self.sessions[0].worst)])
+
+    @property
+    def _weights(self) -> list[float]:
+        squares = [float(np.sum((one.residual / one.fit.model.sigma) ** 2)) for one in self.sessions]
+        total = sum(squares) or 1.0
+        return [value / total for value in squares]
+
+
+def _misfit(entry: tuple[str, Share]) -> float:
+    return -(entry[1].reduced_chi_square or 0.0)

@@ -12,10 +12,10 @@ from machine_tool_calibration.model.fit import Fit, screen
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.reproducibility import reproducibility
 
-__all__ = ["Noise", "noise_of", "same_place"]
+__all__ = ["FEWEST_REPEATS", "Noise", "noise_of", "same_place"]
 
 # Fewer repeated readings than this say nothing of the noise; more places than this are not compared one by one.
-_REPEATS = 8
+FEWEST_REPEATS = 8
 _PLACES = 1500
 
 
@@ -65,7 +65,7 @@ def noise_of(fit: Fit) -> Noise:
     count = np.bincount(place)
     free = int((count - 1).sum())
     declared = float(np.sqrt(np.mean(fit.model.sigma**2)))
-    if free < _REPEATS or len(count) > _PLACES:
+    if free < FEWEST_REPEATS or len(count) > _PLACES:
         return Noise(declared, None, free, fit.joint.p_value, None)
     several = np.flatnonzero(count > 1)
     indicators = (place[None, :] == several[:, None]) * declared
@@ -77,7 +77,7 @@ def noise_of(fit: Fit) -> Noise:
     explained_spread, rank_spread = _explained(inner[:k, :k], right[:k])
     explained_all, rank_all = _explained(inner, right)
     dof = fit.solution.degrees_of_freedom - rank_all
-    if dof < _REPEATS or rank_all == rank_spread:
+    if dof < FEWEST_REPEATS or rank_all == rank_spread:
         return Noise(declared, None, free, fit.joint.p_value, None)
     pure = max(total - explained_all, 1e-12) / dof
     lacking = max(explained_all - explained_spread, 0.0) / (rank_all - rank_spread)

@@ -92,6 +92,16 @@ class Effect(ABC):
     setup_level: bool = False
     contains: tuple[str, ...] = ()
 
+    @property
+    def of_session(self) -> bool:
+        """Whether each of several sessions has linear coefficients of its own; otherwise they are the machine's.
+
+        What changes the reading itself is the instrument's, set up anew for each session. Time counts from a session's
+        start, and how warm the machine then was differs. Nonlinear coefficients (a time constant, a lead) are always
+        one for all sessions.
+        """
+        return self.setup_level or self.kind == "reading" or "time" in self.needs
+
     def why_not(self, observations: Observations) -> str | None:
         """Why the effect cannot be looked for in these readings; None if it can."""
         if self.methods and observations.session.method not in self.methods:

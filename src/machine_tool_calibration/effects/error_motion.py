@@ -16,14 +16,15 @@ from machine_tool_calibration.machine.error_motions import (
 from machine_tool_calibration.machine.table import interpolation
 from machine_tool_calibration.model.observations import Observations
 
-__all__ = ["ErrorMotionEffect", "sensed_motion"]
+__all__ = ["ErrorMotionEffect", "polynomials", "sensed_lever_arms", "sensed_motion"]
 
 _DEGREES = 4
-# Legendre polynomials over the axis's range: what each looks like; its size is that at the upper end.
+# Legendre polynomials over the axis's travel: what each looks like; its size is that at the upper end.
 _POWERS = ("constant", "straight line", "bow, power 2", "S, power 3", "double bow, power 4")
 # A single axis read again and again at so few positions tells its error at each of them.
 _FEWEST, _MOST = 4, 60
 _STILL = 1e-6  # m
+_ARM = 1e-9  # m, shorter than which a lever arm is none
 _SQUARE = {"XY": "C0Y", "XZ": "B0Z", "YZ": "A0Z"}
 
 
@@ -38,8 +39,8 @@ def sensed_motion(observations: Observations, motion: ErrorMotion) -> Array:
         return np.asarray(np.einsum("nj,nj->n", field, observations.direction))
     component = "ABC".index(motion.component)
     turned = observations.rotation_direction
-    seen = np.abs(observations.direction).max(axis=0) > 0
-    if turned is None and np.abs(field[:, seen]).max(initial=0.0) < 1e-9:
+    name = f"E{motion.component}{motion.axis}"
+    if name not in observations.rigid and not _is_sensed(observations, field):
         arm = observations.position.copy()
         arm[:, "XYZ".index(motion.axis)] = 0.0
         field = np.cross(np.eye(3)[component], arm)
@@ -54,7 +55,8 @@ class ErrorMotionEffect(Effect):
     taken to turn about the machine's zero: a carriage that yields instead of moving as a rigid body.
 
     Direct deviations of a single axis, read repeatedly at a few positions (ISO 230-2, a straightedge), tell a
-    translation at every position, whatever its shape: there it has one coefficient for each of them.
+    translation at every position, whatever its shape: there it has one coefficient for each of them, unless other
+    sessions, which were at other positions, are fitted with them.
     """
 
     kind = "position"
@@ -111,6 +113,8 @@ class ErrorMotionEffect(Effect):
         """Positions of a single axis, if each was read at least twice; None where a polynomial is meant."""
         if self.is_squareness or self.id[1] in "ABC" or observations.session.method != "direct":
             return None
+        if observations.covered is not None:
+            return None
         moved = np.ptp(observations.position, axis=0) > _STILL
         if moved.sum() != 1 or not moved["xyz".index(self.axis)]:
             return None
@@ -123,7 +127,7 @@ class ErrorMotionEffect(Effect):
         return {"none": 0, "offset": 1}.get(datum, 2 if self.id[1] != self.id[2] else 1)
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
-        """Legendre polynomials of the axis's position over its range times the displacement of a unit.
+        """Legendre polynomials of the axis's position over its travel times the displacement of a unit.
 
         For a single axis read repeatedly: functions with straight lines between its positions; after a constant and
         a straight line any others that are orthogonal to these.
@@ -140,7 +144,32 @@ class ErrorMotionEffect(Effect):
             basis = np.linalg.qr(start)[0][:, : len(nodes)] * np.sqrt(len(nodes))
             return np.asarray(basis.T[self._first(observations) :] @ table)
         along = sensed_motion(observations, motion)
-        axis = observations.readings.column(self.axis)
-        middle, half = (axis.max() + axis.min()) / 2, (np.ptp(axis) or 1.0) / 2
-        series = np.polynomial.legendre.legvander((axis - middle) / half, _DEGREES)[:, 1:]
+        series = polynomials(observations.readings.column(self.axis), observations.span(self.axis))
         return np.asarray(series.T * along)
+
+
+def polynomials(position: Array, span: tuple[float, float]) -> Array:
+    """(n, 4) an error motion per unit of each of its coefficients p1 to p4, at positions of its axis, m."""
+    low, high = span
+    place = (position - (high + low) / 2) / (((high - low) or 1.0) / 2)
+    return np.asarray(np.polynomial.legendre.legvander(place, _DEGREES)[:, 1:])
+
+
+def sensed_lever_arms(observations: Observations) -> frozenset[str]:
+    """Rotations of the linear axes (EAX … ECZ) that readings sense as those of rigid bodies, by the chain's arms.
+
+    If one of several sessions does, the carriage is rigid for all: what turns about the machine's zero in one session
+    and by the chain's arms in the next is not one error motion.
+    """
+    chain = observations.session.description.machine.kinematics
+    names = [f"E{component}{axis}" for axis in "XYZ" if axis in chain.linear for component in "ABC"]
+    fields = ((name, motion_field(chain, parse_motion(name), observations.position)) for name in names)
+    return frozenset(name for name, field in fields if _is_sensed(observations, field))
+
+
+def _is_sensed(observations: Observations, field: Array) -> bool:
+    """Whether a displacement (n, 3) has a part in some direction that readings sense, or a mirror turns with it."""
+    if observations.rotation_direction is not None:
+        return True
+    seen = np.abs(observations.direction).max(axis=0) > 0
+    return bool(np.abs(field[:, seen]).max(initial=0.0) >= _ARM)

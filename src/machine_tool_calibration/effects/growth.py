@@ -50,6 +50,11 @@ class WorkpieceThermal(Effect):
     needs = ("temperature_work",)
     methods = ("probing", "direct")
 
+    @property
+    def of_session(self) -> bool:
+        """The workpiece is not the machine's: another session may have another one."""
+        return True
+
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Growth in proportion to the distance from the axis, sensed through the workpiece."""
         excess = observations.readings.column("temperature_work") - REFERENCE_TEMPERATURE

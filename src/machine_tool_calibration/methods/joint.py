@@ -4,29 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from importlib import import_module
 from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.methods.identify import build_model, rejected_readings, sound
+from machine_tool_calibration.methods.build import rejected_readings, sharing_variant
+from machine_tool_calibration.methods.fitted import fit_sessions, joint_models
+from machine_tool_calibration.methods.identify import sound
 from machine_tool_calibration.methods.joint_agreement import Agreement, agreement
-from machine_tool_calibration.methods.joint_effects import with_effects
 from machine_tool_calibration.methods.joint_map import joint_map
 from machine_tool_calibration.methods.joint_model import CommonModels, common_models
-from machine_tool_calibration.methods.joint_spread import StatedAngles, random_of, settled, stated
+from machine_tool_calibration.methods.joint_spread import StatedAngles, stated
 from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import ErrorMap, Estimate, Rejected, plain
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["JointResult", "identify_sessions", "joint_models"]
-
-# The variant of each method in which the machine's errors are tables that others can share.
-_SHARING = {"tracking_interferometer": "rigid_body", "step_diagonal": "small_angles"}
 
 
 @dataclass(frozen=True)
@@ -134,34 +130,6 @@ class JointResult:
         }
 
 
-def joint_models(
-    sessions: Sequence[Session], labels: Sequence[str], *, model: str | None = None, effects: Sequence[Effect] = ()
-) -> tuple[CommonModels, tuple[str, ...]]:
-    """The models of several sessions of one machine, with the same unknowns of the machine.
-
-    Args:
-        sessions: the measurements.
-        labels: their names, all different.
-        model: variant of the methods that have it; otherwise the one with tables of the machine's errors.
-        effects: added to every session in which they can act.
-
-    Raises:
-        ModelError: fewer than two sessions, labels that repeat, different machines, or an effect that acts in none.
-    """
-    if len(sessions) < 2:
-        raise ModelError("several sessions are needed to fit them together")
-    if len(labels) != len(sessions) or len(set(labels)) < len(labels):
-        raise ModelError("each session needs a label of its own")
-    pairs = [build_model(session, _variant(session, model)) for session in sessions]
-    built, names = [base for base, _ in pairs], [name for _, name in pairs]
-    common = common_models(built, labels)
-    common = replace(common, models=settled(common.models, labels, common.angles))
-    if not effects:
-        return common, tuple(names)
-    common = with_effects(common, labels, effects)
-    return replace(common, models=settled(common.models, labels, common.angles)), tuple(names)
-
-
 def identify_sessions(
     sessions: Sequence[Session],
     labels: Sequence[str],
@@ -187,10 +155,12 @@ def identify_sessions(
     rejected = [rejected_readings(session) for session in sessions]
     if not keep_all:
         # Each by itself: where an effect is missing, all its residuals are large, and none stands out.
-        pairs = [sound(session, _variant(session, model)) for session in sessions]
+        pairs = [sound(session, sharing_variant(session, model)) for session in sessions]
         sessions, rejected = [kept for kept, _ in pairs], [gone for _, gone in pairs]
-    common, names = joint_models(sessions, labels, model=model, effects=find_effects(effects, own))
-    joint = fit_models(common.models, labels, random_of(common.angles))
+    fitted = fit_sessions(sessions, labels, model=model, effects=effects, own=own)
+    joint, common = fitted.joint, fitted.common
+    if common is None:
+        raise ModelError("several sessions are needed to fit them together")
     angles = stated(joint, common.angles)
     agreed = agreement(joint, common, labels, _spread(common))
     if angles is not None:
@@ -203,16 +173,10 @@ def identify_sessions(
         error_map=joint_map(joint, common, angles),
         agreement=agreed,
         effects=tuple(effects),
-        model_names=names,
+        model_names=fitted.model_names,
         rejected=tuple(rejected),
         observations=tuple(len(session.readings) for session in sessions),
     )
-
-
-def _variant(session: Session, model: str | None) -> str | None:
-    module = {"tracking_interferometer": "tracking"}.get(session.method, session.method)
-    known = import_module(f"machine_tool_calibration.methods.{module}").MODELS
-    return model if model in known else _SHARING.get(session.method)
 
 
 def _spread(common: CommonModels) -> float:

@@ -1,7 +1,8 @@
 """Whether several sessions of one machine agree; if not, which contradicts the others and in which error motion.
 
 For every session and every unknown of the machine that it shares, the joint model is given a difference between what
-this session sees and what the others see: a smooth function of the axis's position. How much better all readings then
+this session sees and what the others see: a smooth function of the axis's position, and only where both have read,
+as nothing is known of a difference elsewhere. How much better all readings then
 fit is a chi-square of as many degrees of freedom as the difference has beside the session's own unknowns. The readings'
 own spread counts: where they scatter more than was declared, by the sessions' fits one by one, a contradiction must
 exceed that. The largest is taken into the model before the next is looked for, so that one contradiction is not
@@ -17,8 +18,11 @@ import numpy as np
 from scipy import special, stats
 
 from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.effects.error_motion import polynomials
 from machine_tool_calibration.estimation.projection import project
 from machine_tool_calibration.estimation.solve import gram
+from machine_tool_calibration.machine.error_motions import SQUARENESS, parse_motion
+from machine_tool_calibration.machine.table import interpolation
 from machine_tool_calibration.methods.joint_model import CommonModels
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import MethodModel, assemble
@@ -32,6 +36,11 @@ _DEGREE = 4
 _CLEAR = 3.0
 # Share of the best explanation's logarithm of probability above which another is named beside it.
 _ALIKE = 0.7
+# Share of a term's largest change of a reading below which a reading does not depend on it.
+_NOTHING = 1e-6
+# Positions at which a difference is looked at, and how near to each other ranges touch, m.
+_PLACES = 21
+_SAME = 1e-6
 # Share of a difference's columns outside the model below which the session's own unknowns take it up.
 _ABSORBED = 1e-6
 
@@ -45,7 +54,8 @@ class Contradiction:
         others: labels of the sessions that see the same motion.
         motion: the error motion or effect.
         alike: other motions with which this contradiction could be explained nearly as well.
-        difference: session minus others, where it is largest and more than three standard uncertainties, m or rad.
+        difference: session minus others, where it is largest and more than three standard uncertainties, of all
+            positions that both have read, m or rad.
         difference_u: its standard uncertainty.
         unit: m, rad or that of the effect's coefficient.
         p_value: of the chi-square, times the number of comparisons (Bonferroni).
@@ -87,7 +97,7 @@ class _Candidate:
     unit: str
     others: tuple[int, ...]
     columns: Array  # (k, n) of the session's readings
-    shape: Array  # (values, k) the difference at nodes per unit of the columns' coefficients
+    shape: Array  # (values, k) the difference where both have read, per unit of the columns' coefficients
 
 
 def agreement(joint: JointFit, common: CommonModels, labels: Sequence[str], spread: float) -> Agreement:
@@ -175,30 +185,80 @@ def _sentence(entry: Contradiction) -> str:
 
 
 def _candidates(models: Sequence[MethodModel]) -> list[_Candidate]:
-    shared = [{p.name for p in model.parameters if p.shared} for model in models]
     out = []
     for index, model in enumerate(models):
         for term in model.terms:
-            names = [p.name for p in term.parameters]
-            mine = shared[index] & set(names)
-            others = tuple(j for j in range(len(models)) if j != index and mine & shared[j])
-            common = [k for k, name in enumerate(names) if any(name in mine & shared[j] for j in others)]
-            if not common or np.abs(term.columns[common]).max(initial=0.0) == 0.0:
+            seen = _seen(term)
+            also = {j: seen & _seen_of(models[j], term.name) for j in range(len(models)) if j != index}
+            common = [k for k, p in enumerate(term.parameters) if any(p.name in names for names in also.values())]
+            others = [j for j, names in also.items() if names]
+            read = {j: both for j in others if (both := _read_by_both(model, models[j], term.name)) is not None}
+            if not common or not read:
                 continue
-            shape = _smooth(model, term, common)
+            mix, shape = _difference_of(model, term, common, np.concatenate(list(read.values())))
             unit = term.parameters[common[0]].unit
-            out.append(_Candidate(index, term.name, unit, others, shape.T @ term.columns[common], shape))
+            out.append(_Candidate(index, term.name, unit, tuple(read), mix.T @ term.columns, shape))
     return out
 
 
-def _smooth(model: MethodModel, term: Term, common: Sequence[int]) -> Array:
-    """(values, k) smooth functions over a table's nodes: Legendre polynomials; every value by itself if few."""
+def _seen(term: Term) -> set[str]:
+    """The machine's unknowns of a term on which a session's readings depend."""
+    size = np.abs(term.columns).max(axis=1, initial=0.0)
+    return {p.name for p, s in zip(term.parameters, size, strict=True) if p.shared and s > _NOTHING * size.max()}
+
+
+def _seen_of(model: MethodModel, name: str) -> set[str]:
+    return set[str]().union(*(_seen(term) for term in model.terms if term.name == name))
+
+
+def _read_by_both(one: MethodModel, other: MethodModel, name: str) -> Array | None:
+    """Positions on an error motion's axis between which two sessions both depend on it, m; None if there are none.
+
+    Empty where the term is no error motion of a linear axis: it has no position.
+    """
+    if not _is_motion(name):
+        return np.empty(0)
+    axis = "XYZ".index(parse_motion(name).axis)
+    ends = []
+    for model in (one, other):
+        columns = np.concatenate([term.columns for term in model.terms if term.name == name])
+        there = np.abs(columns).max(axis=0) > _NOTHING * np.abs(columns).max()
+        at = model.observations.position[there, axis]
+        ends.append((float(at.min()), float(at.max())))
+    low, high = max(e[0] for e in ends), min(e[1] for e in ends)
+    return np.linspace(low, high, _PLACES) if low <= high + _SAME else None
+
+
+def _is_motion(name: str) -> bool:
+    return len(name) == 3 and name not in SQUARENESS and name[0] == "E" and name[1] in "XYZABC" and name[2] in "XYZ"
+
+
+def _difference_of(model: MethodModel, term: Term, common: Sequence[int], at: Array) -> tuple[Array, Array]:
+    """A smooth difference in a term: (K, k) its unknowns and (values, k) its values at positions, per coefficient.
+
+    For a table, Legendre polynomials over the nodes that the session sees, or every such node by itself if they are
+    few; for a polynomial, its own; for all else each coefficient by itself.
+
+    Args:
+        model: of the session.
+        term: the error motion or effect.
+        common: which of its unknowns are compared.
+        at: positions that others have read too.
+    """
+    each = np.eye(len(term.parameters))[:, common]
     table = next((t for t in getattr(model, "tables", None) or () if t.name == term.name), None)
-    if table is None or len(common) <= _DEGREE + 1 or len(common) != len(table.nodes):
-        return np.eye(len(common))
-    nodes = table.nodes
-    middle, half = (nodes[0] + nodes[-1]) / 2, (nodes[-1] - nodes[0]) / 2
-    return np.asarray(np.polynomial.legendre.legvander((nodes - middle) / half, _DEGREE))
+    if table is not None and len(table.nodes) and table.labels == tuple(p.name for p in term.parameters):
+        shown = interpolation(table.nodes, at).T
+        nodes = table.nodes[common]
+        if len(common) > _DEGREE + 1:
+            middle, half = (nodes[0] + nodes[-1]) / 2, (nodes[-1] - nodes[0]) / 2
+            each = each @ np.polynomial.legendre.legvander((nodes - middle) / half, _DEGREE)
+        return each, shown @ each
+    if at.size and all(p.name.startswith(f"{term.name}.p") for p in term.parameters):
+        axis = parse_motion(term.name).axis.lower()
+        degrees = [int(p.name.rpartition(".p")[2]) - 1 for p in term.parameters]
+        return each, polynomials(at, model.observations.span(axis))[:, degrees] @ each
+    return each, each[common]
 
 
 def _scores(

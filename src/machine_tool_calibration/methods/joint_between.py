@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, BoolArray
 from machine_tool_calibration.machine.error_motions import parse_motion
 from machine_tool_calibration.machine.tables import MachineTable
 from machine_tool_calibration.methods.rigid_body import map_field
@@ -25,7 +25,12 @@ _DIGITS = 6
 
 
 def between_nodes(
-    tables: Sequence[MachineTable], theta: Array, covariance: Array, points: Array, read: Mapping[str, Array]
+    tables: Sequence[MachineTable],
+    theta: Array,
+    covariance: Array,
+    points: Array,
+    read: Mapping[str, Array],
+    known: BoolArray | None = None,
 ) -> Array:
     """(n, 3, 3) covariance of the position error from the tables' straight lines, m^2.
 
@@ -36,13 +41,16 @@ def between_nodes(
         points: (n, 3) commanded positions, m; those beyond a table's nodes get nothing.
         read: by name of a table, positions on its axis at which a session that senses it has read, m; what a straight
             line is wrong by there shows in its residuals.
+        known: (K,) which values the readings and the datum determine; all if absent. Only these show a bend, and only
+            between two of them that stand next to each other is there a straight line.
     """
     out = np.zeros((len(points), 3, 3))
     first = 0
     for table in tables:
         mine = slice(first, first + len(table.labels))
         first = mine.stop
-        if table.is_squareness or len(table.nodes) < 3:
+        good = np.ones(len(table.labels), dtype=bool) if known is None else known[mine]
+        if table.is_squareness or good.sum() < 3:
             continue
         at, nodes = points[:, "XYZ".index(parse_motion(table.name).axis)], table.nodes
         right = np.clip(np.searchsorted(nodes, at, side="right"), 1, len(nodes) - 1)
@@ -52,7 +60,8 @@ def between_nodes(
         if lever.max(initial=0.0) <= 1e-3 * float(np.ptp(nodes)) ** 2 / len(nodes) ** 2:
             continue
         moved = map_field([replace(table, nodes=nodes[:1])], points)[0]
-        variance = lever**2 * squared_bend(nodes, theta[mine], covariance[mine, mine])
+        bend = squared_bend(nodes[good], theta[mine][good], covariance[mine, mine][np.ix_(good, good)])
+        variance = np.where(good[right - 1] & good[right], lever**2 * bend, 0.0)
         out += variance[:, None, None] * moved[:, :, None] * moved[:, None, :]
     return out
 

@@ -1,4 +1,8 @@
-"""Effects in several sessions at once: the machine's have the same coefficients in all, also the nonlinear ones."""
+"""Effects in several sessions at once: the machine's have the same coefficients in all.
+
+Those of an instrument, and of what counts from a session's start, are each session's own; nonlinear ones (a time
+constant, a lead) are one for all.
+"""
 
 from __future__ import annotations
 
@@ -6,20 +10,18 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy import optimize
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.joint_model import CommonModels
-from machine_tool_calibration.model.effect_terms import effect_term
-from machine_tool_calibration.model.fit import JointFit, fit_models
+from machine_tool_calibration.model.effect_terms import ABSORBED, common_shape, effect_term
+from machine_tool_calibration.model.fit import JointFit, fit_models, screen_joint
 from machine_tool_calibration.model.model import MethodModel, NotDetermined
+from machine_tool_calibration.model.observations import together
+from machine_tool_calibration.model.terms import Term
 
 __all__ = ["with_effects"]
-
-_MOST_TRIED = 24
-_REFINED = 12
 
 
 def with_effects(common: CommonModels, labels: Sequence[str], effects: Sequence[Effect]) -> CommonModels:
@@ -40,6 +42,7 @@ def with_effects(common: CommonModels, labels: Sequence[str], effects: Sequence[
             first, why = next(iter(reasons.items()))
             raise ModelError(f"effect {effect.id} acts in no session: {first}: {why}")
     # Even where a session by itself takes an effect up, the others may tell it.
+    models, effects = _without_absorbed(models, labels, effects)
     for effect in effects:
         if not effect.shapes:
             models = _extended(models, effect, ())
@@ -47,6 +50,27 @@ def with_effects(common: CommonModels, labels: Sequence[str], effects: Sequence[
         if effect.shapes:
             models = _with_curved(models, labels, effect)
     return replace(common, models=tuple(models))
+
+
+def _without_absorbed(
+    models: Sequence[MethodModel], labels: Sequence[str], effects: Sequence[Effect]
+) -> tuple[list[MethodModel], list[Effect]]:
+    """The models, told what they take up together, and the other effects: those would leave the map undetermined."""
+    fit, out, kept = fit_models(models, labels), list(models), []
+    for effect in effects:
+        acting = [m.observations if effect.why_not(m.observations) is None else None for m in models]
+        grid = effect.shape_grid(together([o for o in acting if o is not None]))
+        if any(_is_told(fit, [[] if o is None else [effect_term(effect, o, shape)] for o in acting]) for shape in grid):
+            kept.append(effect)
+            continue
+        entry = NotDetermined(effect.id, "the model's own unknowns take it up entirely")
+        out = [replace(model, left_out=(*model.left_out, entry)) for model in out]
+    return out, kept
+
+
+def _is_told(fit: JointFit, terms: Sequence[Sequence[Term]]) -> bool:
+    screened = screen_joint(fit, terms)
+    return bool((np.diag(screened.gram)[:-1] > ABSORBED * screened.squares[:-1]).any())
 
 
 def _extended(
@@ -64,46 +88,12 @@ def _extended(
 def _with_curved(models: list[MethodModel], labels: Sequence[str], effect: Effect) -> list[MethodModel]:
     """The models with an effect whose nonlinear coefficients are those with which all sessions together fit best."""
     observed = [m.observations for m in models if effect.why_not(m.observations) is None]
-    grid = sorted({shape for o in observed for shape in effect.shape_grid(o)})
-    if not grid:
-        raise ModelError(f"effect {effect.id}: too few distinct positions to look for it")
-    if len(grid) > _MOST_TRIED:
-        grid = [grid[k] for k in np.unique(np.linspace(0, len(grid) - 1, _MOST_TRIED).round().astype(int))]
-
-    def misfit(shape: tuple[float, ...]) -> float:
-        try:
-            solution = fit_models(_extended(models, effect, shape), labels).solution
-        except ModelError:
-            return np.inf
-        unknowns = len(solution.theta) - solution.undetermined.shape[1]
-        price = np.log(sum(len(o) for o in observed)) if effect.shapes[0].discrete else 0.0
-        return float(solution.chi_square + price * unknowns)
-
-    tried = [misfit(shape) for shape in grid]
-    best = int(np.argmin(tried))
-    shape = grid[best]
-    if len(shape) == 1 and len(grid) > 1 and not effect.shapes[0].discrete:
-        low, high = grid[max(best - 1, 0)][0], grid[min(best + 1, len(grid) - 1)][0]
-        found = optimize.minimize_scalar(
-            lambda value: misfit((float(value),)),
-            bounds=(low, high), method="bounded", options={"xatol": 1e-3 * low, "maxiter": _REFINED},
-        )  # fmt: skip
-        if found.fun < tried[best]:
-            shape = (float(found.x),)
+    shape, sizes = common_shape(fit_models(models, labels), effect, effect.shape_grid(together(observed)))
     fixed = _extended(models, effect, shape)
     if all(coefficient.discrete for coefficient in effect.shapes):
         return fixed
-    fit = fit_models(fixed, labels)
-    sizes = [_sizes(fit, k, effect) for k in range(len(models))]
     moving = _extended(models, effect, shape, sizes)
     return moving if _told(fit_models(moving, labels), effect) else _held(fixed, effect, shape)
-
-
-def _sizes(fit: JointFit, index: int, effect: Effect) -> Array:
-    """Linear coefficients of an effect as one session's model holds them; none where it does not act."""
-    model, theta = fit.assembly.models[index], fit.fits[index].theta
-    names = {p.name for term in model.terms if term.name == effect.id for p in term.parameters}
-    return np.array([theta[k] for k, p in enumerate(model.parameters) if p.name in names])
 
 
 def _told(fit: JointFit, effect: Effect) -> bool:

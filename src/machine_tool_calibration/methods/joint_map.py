@@ -66,7 +66,12 @@ def joint_map(joint: JointFit, common: CommonModels, angles: StatedAngles | None
     parts = flat.reshape(len(field), n, 3)
     covariance = np.einsum("knd,kl,lne->nde", parts, solution.covariance[np.ix_(index, index)], parts, optimize=True)
     covariance += between_nodes(
-        common.tables, solution.theta[index], solution.covariance[np.ix_(index, index)], points, _read(common)
+        common.tables,
+        solution.theta[index],
+        solution.covariance[np.ix_(index, index)],
+        points,
+        _read(common),
+        solution.is_determined()[index],
     )
     loose = np.linalg.norm(flat.T @ solution.loose_directions()[index], axis=1).reshape(n, 3) > _LOOSE
     loose |= beyond

@@ -15,18 +15,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.effects.error_motion import sensed_lever_arms
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.solve import gram, solve_normal
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.machine.error_motions import SQUARENESS, parse_motion
 from machine_tool_calibration.machine.table import interpolation
-from machine_tool_calibration.machine.tables import MachineTable
+from machine_tool_calibration.machine.tables import MachineTable, linear_axis_errors
 from machine_tool_calibration.methods.joint_spread import angles_of, expected, in_words, without_spread
 from machine_tool_calibration.methods.needed_datum import needed_rows
-from machine_tool_calibration.methods.rigid_body import table_datum
+from machine_tool_calibration.methods.rigid_body import machine_terms, table_datum
 from machine_tool_calibration.methods.step_diagonal.spread import coarse_nodes
 from machine_tool_calibration.model.model import Constraint, MethodModel, Prior, assemble
-from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.observations import Observations, together
 from machine_tool_calibration.model.terms import Term
 
 __all__ = ["CommonModels", "common_models", "machine_columns", "tables_of"]
@@ -78,6 +79,7 @@ def common_models(models: Sequence[MethodModel], labels: Sequence[str]) -> Commo
                 f"session {label!r} is of a machine with another chain ({this}) than the sessions before it "
                 f"({before}): every session.yaml holds the chain of the whole machine, moved axes and others"
             )
+    models = _acquainted(models) if len(models) > 1 else models
     tables = _shared_tables(models, linear[0]) if linear else ()
     random = {table.name for model in models for table in angles_of(model)}
     shared = tuple(_with_tables(model, tables) for model in models)
@@ -85,6 +87,18 @@ def common_models(models: Sequence[MethodModel], labels: Sequence[str]) -> Commo
     common = _with_datum(expected(shared, angles), labels, tables)
     words = "; ".join([common.datum, in_words(angles)]) if angles else common.datum
     return replace(common, angles=angles, datum=words)
+
+
+def _acquainted(models: Sequence[MethodModel]) -> list[MethodModel]:
+    """The models, told what all sessions have read, so that functions of an axis's position are the same for all."""
+    covered = {}
+    for axis in "xyz":
+        read = [m.observations.readings.columns.get(axis, np.empty(0)) for m in models]
+        every = np.concatenate([values[np.isfinite(values)] for values in read])
+        if every.size:
+            covered[axis] = (float(every.min()), float(every.max()))
+    rigid = frozenset[str]().union(*(sensed_lever_arms(model.observations) for model in models))
+    return [replace(model, observations=replace(model.observations, covered=covered, rigid=rigid)) for model in models]
 
 
 def _compatible(one: Chain, other: Chain) -> bool:
@@ -114,7 +128,7 @@ def tables_of(model: MethodModel) -> tuple[MachineTable, ...]:
 def _shared_tables(models: Sequence[MethodModel], chain: Chain) -> tuple[MachineTable, ...]:
     """Every motion that a session has, on the nodes of all that sense it."""
     every = [table for model in models for table in (*tables_of(model), *angles_of(model))]
-    names = list(dict.fromkeys(table.name for table in every))
+    names = list(dict.fromkeys([*(table.name for table in every), *_told_together(models, chain)]))
     random = {table.name for model in models for table in angles_of(model)}
     out = []
     for name in names:
@@ -123,11 +137,26 @@ def _shared_tables(models: Sequence[MethodModel], chain: Chain) -> tuple[Machine
             continue
         # Nodes of those that can tell the motion: at further ones it would be mixed with others, and nothing gained.
         nodes = [table.nodes for table in every if table.name == name]
-        if name in random:
+        if name in random or not nodes:
             # Of a random function something is known everywhere, and a straight line beyond its nodes is not that.
             nodes += [own for model in models if (own := _sensed_nodes(model, name)) is not None]
         out.append(MachineTable(chain, name, _union(nodes)))
     return tuple(out)
+
+
+def _told_together(models: Sequence[MethodModel], chain: Chain) -> list[str]:
+    """Error motions that tracking interferometers tell by all their readings, though none of them may by its own.
+
+    A single station senses one direction at each place: it cannot tell an angle from a straightness, which two can.
+    """
+    trackers = [m for m in models if m.observations.session.method == "tracking_interferometer" and tables_of(m)]
+    if len(trackers) < 2:
+        return []
+    nodes: dict[str, list[Array]] = {}
+    for table in (table for model in trackers for table in tables_of(model) if not table.is_squareness):
+        nodes.setdefault(parse_motion(table.name).axis, []).append(table.nodes)
+    candidates = linear_axis_errors(chain, {axis: _union(own) for axis, own in nodes.items()})
+    return [table.name for table in machine_terms(together([m.observations for m in trackers]), candidates)[0]]
 
 
 def _sensed_nodes(model: MethodModel, name: str) -> Array | None:
@@ -232,7 +261,10 @@ def _with_datum(models: Sequence[MethodModel], labels: Sequence[str], tables: Se
     total, squares = gram(assembly.problem, np.zeros(m), zero)
     problem = assembly.problem
     normal = solve_normal(total[:m, :m], total[:m, m], problem.constraints, problem.constraint_values, squares[:m])
-    scale = 1.0 / np.sqrt(np.maximum(squares[:m], 1e-30 * max(float(squares[:m].max(initial=0.0)), 1e-300)))
+    # An unknown of which there is no reading (a setup that was declared and never read) counts like any other.
+    size = np.sqrt(squares[:m])
+    typical = float(size.max(initial=0.0)) or 1.0
+    scale = 1.0 / np.where(size > 1e-13 * typical, size, typical)
     basis = np.linalg.qr(normal.undetermined / scale[:, None])[0] if normal.undetermined.size else np.zeros((m, 0))
     places = [
         dict(zip((p.name for p in model.parameters), where, strict=True))

@@ -53,7 +53,7 @@ def machine_terms(
         unit = free / np.maximum(np.linalg.norm(free, axis=1), 1e-12)[:, None]
         rest = unit - (unit @ basis.T) @ basis
         rest -= (rest @ basis.T) @ basis
-        if np.linalg.norm(rest, axis=1).max() < _OWN_SHARE:
+        if np.linalg.norm(rest, axis=1).max(initial=0.0) < _OWN_SHARE:
             left_out.append(
                 NotDetermined(
                     table.name,

@@ -11,16 +11,16 @@ from machine_tool_calibration.arrays import Array, BoolArray
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.model.effect_field import displacement_field
-from machine_tool_calibration.model.fit import Fit, fit_models, screen
+from machine_tool_calibration.model.fit import Fit, JointFit, fit_models, screen, screen_joint
 from machine_tool_calibration.model.model import MethodModel, NotDetermined
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.terms import Parameter, Term
 
-__all__ = ["add_effects", "best_shape", "effect_term"]
+__all__ = ["ABSORBED", "add_effects", "best_shape", "common_shape", "effect_term"]
 
 _STEP = 1e-4
 # Share of a column's squared norm outside the model below which the model takes it up.
-_ABSORBED = 1e-7
+ABSORBED = 1e-7
 # Share of a column's squared norm outside model and other effects below which it repeats them.
 _REPEATED = 1e-7
 _TAKEN_UP = "the model's own unknowns take it up entirely"
@@ -44,7 +44,7 @@ def effect_term(
     """
     columns = effect.columns(observations, shape)
     parameters = [
-        Parameter(f"{effect.id}.{c.name}", c.unit, c.low, c.high, shared=not effect.setup_level)
+        Parameter(f"{effect.id}.{c.name}", c.unit, c.low, c.high, shared=not effect.of_session)
         for c in effect.coefficients_for(observations, shape)
     ]
     if size is not None:
@@ -78,34 +78,71 @@ def best_shape(
 ) -> tuple[tuple[float, ...], Array]:
     """Nonlinear coefficients with which an effect explains most of a fit's residuals, and the linear ones there.
 
-    A grid first, as there are several minima, then a search around its best value.
+    Args:
+        fit: of a single session.
+        effect: the effect.
+        start: where to search; the effect's own grid if absent.
+
+    Raises:
+        ModelError: the positions are too few to look for the effect.
     """
-    observations = fit.model.observations
-    grid = list(start) if start is not None else effect.shape_grid(observations)
+    grid = effect.shape_grid(fit.model.observations) if start is None else start
+    shape, sizes = common_shape(fit.joint, effect, grid)
+    return shape, sizes[fit.index]
+
+
+def common_shape(
+    joint: JointFit, effect: Effect, grid: Sequence[tuple[float, ...]]
+) -> tuple[tuple[float, ...], list[Array]]:
+    """Nonlinear coefficients with which an effect explains most of the residuals of one or several sessions.
+
+    A grid first, as there are several minima, then a search around its best value.
+
+    Args:
+        joint: the fit.
+        effect: acts in those sessions that have what it needs.
+        grid: where to search.
+
+    Returns:
+        The nonlinear coefficients and, for each session, the linear ones there; none where the effect does not act.
+
+    Raises:
+        ModelError: the grid is empty.
+    """
     if not grid:
         raise ModelError(f"effect {effect.id}: too few distinct positions to look for it")
+    observed = [m.observations if effect.why_not(m.observations) is None else None for m in joint.assembly.models]
 
-    def explained(shapes: Sequence[tuple[float, ...]]) -> tuple[list[float], list[Array]]:
-        blocks = [effect.columns(observations, shape) for shape in shapes]
-        screened = screen(fit, np.concatenate(blocks))
-        projected = screened.gram
-        gains, sizes, first = [], [], 0
-        for block in blocks:
-            pick = slice(first, first + len(block))
-            first += len(block)
-            inner, right = projected[pick, pick], projected[pick, -1]
+    def explained(shapes: Sequence[tuple[float, ...]]) -> tuple[list[float], list[list[Array]], list[int]]:
+        terms, names = [], []
+        for k, readings in enumerate(observed):
+            tried = [] if readings is None else [effect_term(effect, readings, shape, mapped=False) for shape in shapes]
+            numbered = [
+                tuple(replace(p, name=f"{s}: {p.name}") for p in term.parameters) for s, term in enumerate(tried)
+            ]
+            terms.append([replace(t, parameters=own) for t, own in zip(tried, numbered, strict=True)])
+            names.append([[joint.assembly.published(k, p) for p in own] for own in numbered])
+        screened = screen_joint(joint, terms)
+        place = {name: j for j, name in enumerate(screened.names)}
+        gains, sizes, counts = [], [], []
+        for s in range(len(shapes)):
+            mine = [[place[name] for name in own[s]] if own else [] for own in names]
+            pick = np.unique(np.concatenate(mine).astype(np.int64))
+            inner, right = screened.gram[np.ix_(pick, pick)], screened.gram[pick, -1]
             scale = np.sqrt(np.maximum(screened.squares[pick], np.finfo(float).tiny))
             size = np.linalg.pinv(inner / np.outer(scale, scale), rcond=1e-10, hermitian=True) @ (right / scale) / scale
             gains.append(float(right @ size))
-            sizes.append(size)
-        return gains, sizes
+            counts.append(len(pick))
+            sizes.append([size[np.searchsorted(pick, np.array(own, dtype=np.int64))] for own in mine])
+        return gains, sizes, counts
 
-    gains, sizes = explained(grid)
+    gains, sizes, counts = explained(grid)
     if all(coefficient.discrete for coefficient in effect.shapes):
         # More unknowns always explain more: each must be worth its place.
-        left = fit.solution.chi_square - max(gains)
-        price = max(left / fit.solution.degrees_of_freedom, 1e-12) * np.log(len(observations))
-        gains = [gain - price * len(size) for gain, size in zip(gains, sizes, strict=True)]
+        left = joint.solution.chi_square - max(gains)
+        readings = sum(len(o) for o in observed if o is not None)
+        price = max(left / joint.solution.degrees_of_freedom, 1e-12) * np.log(readings)
+        gains = [gain - price * k for gain, k in zip(gains, counts, strict=True)]
     best = int(np.argmax(gains))
     shape, size = grid[best], sizes[best]
     if len(shape) == 1 and len(grid) > 1 and not effect.shapes[0].discrete:
@@ -138,7 +175,7 @@ def _without_absorbed(model: MethodModel, effects: Sequence[Effect]) -> tuple[Me
     for effect in effects:
         blocks = [effect.columns(observations, shape) for shape in effect.shape_grid(observations)]
         screened = screen(fit, np.concatenate([np.zeros((0, len(observations))), *blocks]))
-        left = np.diag(screened.gram)[:-1] > _ABSORBED * screened.squares[:-1]
+        left = np.diag(screened.gram)[:-1] > ABSORBED * screened.squares[:-1]
         if left.any():
             kept.append(effect)
         else:
@@ -179,7 +216,7 @@ def _told_apart(model: MethodModel, terms: Sequence[Term]) -> tuple[list[Term], 
     screened = screen(fit_models([model]).fits[0], np.concatenate([term.columns for term in terms]))
     scale = np.sqrt(np.maximum(np.diag(screened.gram)[:-1], np.finfo(float).tiny))
     inner = screened.gram[:-1, :-1] / np.outer(scale, scale)
-    seen = scale**2 > _ABSORBED * screened.squares[:-1]
+    seen = scale**2 > ABSORBED * screened.squares[:-1]
     starts = np.cumsum([0, *(len(term.columns) for term in terms)])
     taken: list[int] = []
     kept, left = list(terms), []

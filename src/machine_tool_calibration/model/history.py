@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.model.result import Estimate
 
-__all__ = ["Coefficient", "Entry", "History"]
+__all__ = ["Coefficient", "Entry", "History", "Part"]
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 
@@ -29,6 +29,22 @@ class Coefficient(_Record):
     unit: str
 
 
+class Part(_Record):
+    """One of several sessions that were fitted together.
+
+    Attributes:
+        label: name of the session.
+        model: its method's variant.
+        data: fingerprint of its readings.
+        set_aside: rows of its readings that were taken for outliers.
+    """
+
+    label: str
+    model: str
+    data: str
+    set_aside: tuple[int, ...] = ()
+
+
 class Entry(_Record):
     """A model that was fitted.
 
@@ -37,12 +53,13 @@ class Entry(_Record):
         parent: number of the model that it was made from; None for a first one.
         made: date and time, ISO 8601.
         by: the command that made it.
-        model: the method's variant.
+        model: the method's variant; of several sessions the one that was asked for, or `joint`.
+        sessions: those that were fitted together; empty for one session.
         effects: ids of the effects that were added to it.
         change: what it has and its parent has not, in a few words.
         data: fingerprint of the readings; another one means other readings.
         used: number of readings in the fit.
-        set_aside: rows of readings that were taken for outliers.
+        set_aside: rows of readings that were taken for outliers, of one session.
         rms_residual: m.
         reduced_chi_square: weighted sum of squared residuals over the degrees of freedom.
         degrees_of_freedom: of the fit.
@@ -58,6 +75,7 @@ class Entry(_Record):
     made: str
     by: str
     model: str
+    sessions: tuple[Part, ...] = ()
     effects: tuple[str, ...] = ()
     change: str = ""
     data: str
@@ -78,9 +96,16 @@ class Entry(_Record):
 
     def same_model(self, other: Entry) -> bool:
         """Whether another entry is the same model of the same readings, with the same outcome."""
-        mine = (self.data, self.model, frozenset(self.effects), self.set_aside)
-        alike = mine == (other.data, other.model, frozenset(other.effects), other.set_aside)
-        return alike and math.isclose(self.rms_residual, other.rms_residual, rel_tol=1e-6)
+        mine, its = (
+            (entry.data, entry.model, frozenset(entry.sessions), frozenset(entry.effects), entry.set_aside)
+            for entry in (self, other)
+        )
+        return mine == its and math.isclose(self.rms_residual, other.rms_residual, rel_tol=1e-6)
+
+    @property
+    def readings_aside(self) -> int:
+        """How many readings were taken for outliers, of all sessions."""
+        return len(self.set_aside) + sum(len(part.set_aside) for part in self.sessions)
 
 
 class History(_Record):

@@ -144,6 +144,10 @@ class Assembly:
     places: tuple[IntArray, ...]
     labels: tuple[str, ...] | None = None
 
+    def published(self, index: int, parameter: Parameter) -> str:
+        """Name of an unknown of one of the models: with the session's label, unless it is the machine's."""
+        return _published(parameter, None if self.labels is None else self.labels[index])
+
 
 def assemble(models: Sequence[MethodModel], labels: Sequence[str] | None = None) -> Assembly:
     """Put models of the same machine together: unknowns of the machine are shared, others are each model's own.
@@ -165,9 +169,7 @@ def assemble(models: Sequence[MethodModel], labels: Sequence[str] | None = None)
             if parameter.name in seen:
                 raise ModelError(f"the model has the unknown {parameter.name!r} twice")
             seen.add(parameter.name)
-            name = parameter.name
-            if labels is not None and not parameter.shared:
-                name = f"{labels[number]}/{name}"
+            name = _published(parameter, None if labels is None else labels[number])
             if name not in place:
                 place[name] = len(parameters)
                 parameters.append(replace(parameter, name=name))
@@ -191,6 +193,10 @@ def assemble(models: Sequence[MethodModel], labels: Sequence[str] | None = None)
     ]
     problem = Problem(parts, m, np.array(constraints).reshape(len(constraints), m), np.array(values), priors)
     return Assembly(tuple(models), problem, tuple(parameters), tuple(places), None if labels is None else tuple(labels))
+
+
+def _published(parameter: Parameter, label: str | None) -> str:
+    return parameter.name if label is None or parameter.shared else f"{label}/{parameter.name}"
 
 
 def _row(names: Mapping[str, int], weights: Mapping[str, float], size: int) -> Array:

@@ -60,6 +60,9 @@ def _kind(name: str, effects: Collection[str]) -> tuple[str, str]:
     owner = name.partition(".")[0]
     if owner in effects:
         return "effect {}", owner
+    session, _, own = owner.rpartition("/")
+    if session and own in effects:
+        return "effect {}", f"{own} in session {session}"
     for pattern, text in _ENDINGS:
         # A setup or a target may have a dot in its id: the ending is what follows it.
         match = re.fullmatch(rf"(?P<owner>.+?)\.(?:{pattern.pattern})", name)

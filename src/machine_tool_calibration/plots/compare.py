@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.diagnosis.comparison import Comparison
+from machine_tool_calibration.diagnosis.comparison import Comparison, JointComparison
 from machine_tool_calibration.plots.residuals import alike, color, draw_arrows, draw_residuals, grids, planes
 from machine_tool_calibration.plots.style import COLORS
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["chosen_covariates", "draw", "draw_against", "draw_fit", "draw_map", "draw_setups"]
+__all__ = ["chosen_covariates", "draw", "draw_against", "draw_fit", "draw_joint", "draw_map", "draw_setups"]
 
 _PANELS = 6
 # Correlation above which two covariates make the same picture.
@@ -49,6 +49,31 @@ def draw(comparison: Comparison, folder: Path, against: Sequence[str] = ()) -> l
     for name, figure in figures.items():
         figure.savefig(folder / name, dpi=100)
     return [folder / name for name in figures]
+
+
+def draw_joint(comparison: JointComparison, folder: Path, against: Sequence[str] = ()) -> list[Path]:
+    """Write the setups of all sessions into a folder, and the pictures of each session into one of its label there.
+
+    Args:
+        comparison: what to draw.
+        folder: where; made if it is not there.
+        against: covariates for the residuals, in the sessions that have them; the most telling ones if empty.
+
+    Returns:
+        The files.
+
+    Raises:
+        ModelError: a covariate that no session has.
+    """
+    for name in against:
+        if all(name not in one.covariates for one in comparison.sessions):
+            comparison.sessions[0].covariate(name)
+    folder.mkdir(parents=True, exist_ok=True)
+    files = [folder / "setups.png"]
+    draw_setups(comparison).savefig(files[0], dpi=100)
+    for label, one in zip(comparison.labels, comparison.sessions, strict=True):
+        files += draw(one, folder / label, [name for name in against if name in one.covariates])
+    return files
 
 
 def chosen_covariates(comparison: Comparison, most: int = _PANELS) -> list[str]:
@@ -142,35 +167,43 @@ def draw_map(comparison: Comparison) -> Figure:
     return figure
 
 
-def draw_setups(comparison: Comparison) -> Figure:
-    """Residuals of every setup in the order of the readings, worst first, with each repeat's mean."""
+def draw_setups(comparison: Comparison | JointComparison) -> Figure:
+    """Residuals of every setup in the order of the readings, worst first, with each repeat's mean; of all sessions."""
     from matplotlib.figure import Figure
 
-    readings = comparison.fit.model.observations.readings
-    setup, ids = _setups(comparison)
-    figure = Figure(figsize=(11, max(3.2, 1.0 + 0.62 * len(ids))), layout="constrained")
+    if isinstance(comparison, Comparison):
+        lines = [(share.name, comparison, share) for share in comparison.setups]
+        every = [comparison]
+    else:
+        by_label = dict(zip(comparison.labels, comparison.sessions, strict=True))
+        lines = [(f"{label}/{share.name}", by_label[label], share) for label, share in comparison.setups]
+        every = list(comparison.sessions)
+    residuals = np.abs(np.concatenate([one.residual for one in every]))
+    figure = Figure(figsize=(11, max(3.2, 1.0 + 0.62 * len(lines))), layout="constrained")
     strip, bars = figure.subplots(1, 2, sharey=True, width_ratios=(3, 1))
-    spread = float(np.quantile(np.abs(comparison.residual), 0.98)) or 1e-12
-    for line, share in enumerate(comparison.setups):
+    spread = float(np.quantile(residuals, 0.98)) or 1e-12
+    for line, (_, one, share) in enumerate(lines):
+        setup, ids = _setups(one)
+        readings = one.fit.model.observations.readings
         number = ids.index(share.name)
         mine = np.flatnonzero(setup == number)
         jitter = 0.5 * (np.arange(len(mine)) / max(len(mine) - 1, 1) - 0.5)
-        strip.plot(1e6 * comparison.residual[mine], line + jitter, ls="", marker=".", ms=3, color=color(number))
+        strip.plot(1e6 * one.residual[mine], line + jitter, ls="", marker=".", ms=3, color=color(number))
         for repeat in np.unique(readings.repeat[mine]):
             own = mine[readings.repeat[mine] == repeat]
             at = line + jitter[np.isin(mine, own)]
-            mean = 1e6 * comparison.residual[own].mean()
+            mean = 1e6 * one.residual[own].mean()
             strip.plot([mean, mean], [at.min() - 0.03, at.max() + 0.03], color="black", lw=1.2)
         bars.barh(line, 1e6 * share.rms, height=0.5, color=color(number), alpha=0.8)
         ratio = "" if share.reduced_chi_square is None else f"{share.reduced_chi_square**0.5:.2g} ×"
         bars.annotate(f" {ratio}", (1e6 * share.rms, line), va="center", fontsize=8)
-    if np.abs(comparison.residual).max() > 2.5 * spread:
+        sigma = 2e6 * one.overall.noise.declared
+        strip.fill_betweenx([line - 0.5, line + 0.5], -sigma, sigma, color="0.92", lw=0, zorder=0)
+    if residuals.max() > 2.5 * spread:
         strip.set_xlim(-2.5e6 * spread, 2.5e6 * spread)
-        beyond = f"{int((np.abs(comparison.residual) > 2.5 * spread).sum())} readings beyond"
+        beyond = f"{int((residuals > 2.5 * spread).sum())} readings beyond"
         strip.text(0.99, 0.02, beyond, transform=strip.transAxes, ha="right", fontsize=8, color="0.4")
-    sigma = 2e6 * comparison.overall.noise.declared
-    strip.axvspan(-sigma, sigma, color="0.92", zorder=0)
-    strip.set_yticks(range(len(ids)), [share.name for share in comparison.setups])
+    strip.set_yticks(range(len(lines)), [name for name, _, _ in lines])
     strip.invert_yaxis()
     strip.set(xlabel="measured − predicted, µm", ylabel="setup, worst first")
     title = "Residuals, in order downwards (gray: twice the declared uncertainty; black: means of repeats)"

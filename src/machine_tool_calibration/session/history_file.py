@@ -25,22 +25,42 @@ __all__ = ["HISTORY_FILE", "fingerprint", "history_path", "read_history", "updat
 
 HISTORY_FILE = "history.yaml"
 _LARGEST = 64 << 20
+# Of a file's name that names several sessions, bytes: file systems allow 255.
+_LONGEST_NAME, _SHORT_NAME = 200, 40
 _HEAD = "# Models tried by `mtcal improve`; `mtcal history` lists, compares and undoes them.\n"
 
 
-def history_path(measurement: Path) -> Path:
-    """Where the history of a measurement is kept: in its session folder, or beside the recording."""
-    measurement = Path(measurement)
-    if measurement.is_file() and measurement.name in ("session.yaml", "observations.csv"):
-        measurement = measurement.parent
-    if is_session_folder(measurement):
-        return measurement / HISTORY_FILE
-    measurement = measurement.absolute()
-    return measurement.with_name(f"{measurement.name}.{HISTORY_FILE}")
+def history_path(*measurements: Path) -> Path:
+    """Where a history is kept: in the session folder, beside the recording, or beside the first of several sessions.
+
+    Of several the first by its path, in whatever order they are given; the file's name names them all.
+    """
+    folders = [_folder(Path(measurement)) for measurement in measurements]
+    if len(folders) > 1:
+        ordered = sorted(folder.absolute() for folder in folders)
+        place = ordered[0].parent
+        names = [os.path.relpath(folder, place).replace(os.sep, "-") for folder in ordered]
+        name = "+".join(names)
+        if len(name.encode()) > _LONGEST_NAME:
+            name = f"{names[0][:_SHORT_NAME]}+{len(names) - 1}-{hashlib.sha256(name.encode()).hexdigest()[:16]}"
+        return place / f"{name}.{HISTORY_FILE}"
+    if is_session_folder(folders[0]):
+        return folders[0] / HISTORY_FILE
+    recording = folders[0].absolute()
+    return recording.with_name(f"{recording.name}.{HISTORY_FILE}")
 
 
-def fingerprint(session: Session) -> str:
-    """Short text that changes with any reading."""
+def _folder(measurement: Path) -> Path:
+    inside = measurement.is_file() and measurement.name in ("session.yaml", "observations.csv")
+    return measurement.parent if inside else measurement
+
+
+def fingerprint(*sessions: Session) -> str:
+    """Short text that changes with any reading; of several sessions the same in any order."""
+    if len(sessions) > 1:
+        every = "\0".join(sorted(fingerprint(session) for session in sessions))
+        return f"sha256-{hashlib.sha256(every.encode()).hexdigest()[:16]}"
+    (session,) = sessions
     readings = session.readings
     digest = hashlib.sha256(session.method.encode())
     arrays: list[tuple[str, np.ndarray]] = [

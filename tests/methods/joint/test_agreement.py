@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.methods.joint import JointResult, identify_sessions
+from machine_tool_calibration.simulation.simulate import simulate
+from machine_tool_calibration.simulation.spec import SimulationSpec
 
 BOW = 4e-6 * np.array([0.0, 0.6, 1.0, 1.0, 0.6, 0.0])
 
@@ -64,3 +66,31 @@ def test_nothing_shared(several: SimpleNamespace) -> None:
     assert joint.agreement.comparisons == 0
     assert joint.agreement.p_value is None
     assert "share no error motion" in joint.agreement.statement
+
+
+@pytest.mark.parametrize("end", [0.11, 0.17, 0.25])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_difference_is_stated_only_where_both_have_read(several: SimpleNamespace, seed: int, end: float) -> None:
+    """A session of the axis's beginning says nothing of its end, where a polynomial of it would be anything."""
+    plan = {"method": "direct", "kind": "iso230_2", "axis": "x", "repeats": 3, "count": 21, "chain": "w-X-Y-b-Z-t"}
+    whole, part = (
+        simulate(SimulationSpec.model_validate({"seed": seed + number, "plan": plan, "machine": machine})).session
+        for number, machine in ((0, several.machine(seed)), (100, several.machine(seed, EXX=BOW)))
+    )
+    part = part.with_readings(part.readings.select(part.readings.column("x") <= end))
+    (entry,) = identify_sessions([whole, part], ["whole", "part"]).agreement.contradictions
+    largest = float(np.interp(min(end, 0.16), several.nodes, BOW))
+    # A smooth function through a line with a corner misses it by a tenth.
+    assert abs(entry.difference) == pytest.approx(largest, abs=0.1 * largest + 3 * entry.difference_u)
+    assert entry.difference_u < 2e-7
+
+
+def test_sessions_of_different_places_are_not_compared_there(several: SimpleNamespace) -> None:
+    """Nothing of X can be compared; what they both have read of Y can."""
+    session = several.measured("grid", 4).session
+    x = session.readings.column("x")
+    parts = [session.with_readings(session.readings.select(keep)) for keep in (x < 0.15, x > 0.25)]
+    agreement = identify_sessions(parts, ["low", "high"]).agreement
+    whole = identify_sessions([session, session], ["a", "b"]).agreement
+    assert 0 < agreement.comparisons < whole.comparisons
+    assert not agreement.contradictions

@@ -28,6 +28,16 @@ def test_a_parabola_is_missed_by_what_is_stated() -> None:
     assert not between_nodes([table], 5e-5 * NODES**2, 1e-30 * np.eye(5), points, read)[1].any()
 
 
+def test_values_that_are_not_determined_do_not_bend() -> None:
+    """They are zero in a fit, and that is no measured value: nothing is said next to them."""
+    table = MachineTable(Chain.parse("w-X-Y-b-Z-t"), "EZX", NODES)
+    points = np.column_stack([np.linspace(0.0, 0.4, 9), np.zeros((9, 2))])
+    value, known = 3e-5 * NODES + 1e-4, np.array([True, True, True, True, False])
+    value[-1] = 0.0
+    assert not between_nodes([table], value, 1e-30 * np.eye(5), points, {}, known).max() > 1e-20
+    assert between_nodes([table], value, 1e-30 * np.eye(5), points, {}).max() > 1e-12
+
+
 def test_noise_does_not_bend() -> None:
     rng = np.random.default_rng(0)
     bends = [squared_bend(NODES, 1e-7 * rng.normal(size=5), 1e-14 * np.eye(5)) for _ in range(400)]

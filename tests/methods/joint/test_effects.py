@@ -21,7 +21,7 @@ def test_a_time_constant_is_shared(several: SimpleNamespace) -> None:
     normalised = []
     for seed in range(0, 40, 2):
         found = {p.name: p for p in _two_trackers(several, seed, 6e-6).parameters}
-        for name, true in (("warmup_y.a", 6e-6), ("warmup_y.tau", 900.0)):
+        for name, true in (("first/warmup_y.a", 6e-6), ("second/warmup_y.a", 6e-6), ("warmup_y.tau", 900.0)):
             normalised.append((found[name].value - true) / found[name].standard_uncertainty)
     assert 0.5 < np.mean(np.square(normalised)) < 1.6
 
@@ -30,6 +30,6 @@ def test_a_time_constant_of_nothing_is_not_published(several: SimpleNamespace) -
     for seed in (0, 2, 4):
         result = _two_trackers(several, seed, None)
         names = {p.name for p in result.parameters}
-        assert "warmup_y.a" in names and "warmup_y.tau" not in names
+        assert "first/warmup_y.a" in names and "warmup_y.tau" not in names
         why = {entry["name"]: entry["why"] for entry in result.not_determined}
         assert "do not bound it" in why["warmup_y.tau"]

@@ -1,0 +1,68 @@
+"""The model of one session, whatever its method."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Protocol, cast
+
+import numpy as np
+
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.model.model import MethodModel
+from machine_tool_calibration.model.result import Rejected
+from machine_tool_calibration.session.session import Session
+
+__all__ = ["build_model", "rejected_readings", "sharing_variant"]
+
+_MODULES = {
+    "tracking_interferometer": "tracking",
+    "step_diagonal": "step_diagonal",
+    "probing": "probing",
+    "rotary_axis": "rotary_axis",
+    "direct": "direct",
+}
+# The variant of each method in which the machine's errors are tables that others can share.
+_SHARING = {"tracking_interferometer": "rigid_body", "step_diagonal": "small_angles"}
+
+
+class _Method(Protocol):
+    """What the module of a method offers; the first of its models is the default."""
+
+    MODELS: tuple[str, ...]
+
+    def build(self, session: Session, model: str) -> MethodModel:
+        """The model of a session."""
+
+
+def _method(session: Session) -> _Method:
+    return cast(_Method, import_module(f"machine_tool_calibration.methods.{_MODULES[session.method]}"))
+
+
+def sharing_variant(session: Session, model: str | None) -> str | None:
+    """The variant of a session's model in a fit of several sessions.
+
+    Args:
+        session: the measurement.
+        model: what was asked for, of the methods that have it; otherwise tables of the machine's errors, which others
+            can share.
+    """
+    return model if model in _method(session).MODELS else _SHARING.get(session.method)
+
+
+def build_model(session: Session, model: str | None = None) -> tuple[MethodModel, str]:
+    """The model of a session, without added effects, and its name.
+
+    Raises:
+        ModelError: no such model for this method, or the data does not allow it.
+    """
+    method = _method(session)
+    name = model or method.MODELS[0]
+    if name not in method.MODELS:
+        raise ModelError(f"{session.method} has no model {name!r}; known are {', '.join(method.MODELS)}")
+    return method.build(session, name), name
+
+
+def rejected_readings(session: Session) -> tuple[Rejected, ...]:
+    """Readings that no fit uses."""
+    missing = np.flatnonzero(~np.isfinite(session.readings.displacement))
+    return tuple(Rejected(int(session.readings.row[k]), "the reading is missing") for k in missing)
