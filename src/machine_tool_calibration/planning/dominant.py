@@ -21,10 +21,11 @@ import numpy as np
 
 from machine_tool_calibration.effects.drift import LinearDrift
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.estimation.solve import Solution
 from machine_tool_calibration.methods.identify import build_model
 from machine_tool_calibration.methods.step_diagonal import StepDiagonalModel
 from machine_tool_calibration.methods.step_diagonal.spread import angular_priors, mean_shape
-from machine_tool_calibration.model.fit import fit_models
+from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.planning.option import Option
 from machine_tool_calibration.planning.options import further_options
@@ -211,5 +212,19 @@ def _map(session: Session, model: str | None, angular: float) -> ErrorMap:
         expected = [angular**2 * mean_shape(angle.table.nodes) for angle in built.spread.angles]
         spread = replace(built.spread, posterior=None)
         built = replace(built, spread=spread, priors=angular_priors(spread.names, expected))
-    fit = fit_models([built]).fits[0]
+    joint = fit_models([built])
+    fit = _Geometric(joint.assembly, joint.solution).fits[0]
     return fit.model.error_map(fit)
+
+
+class _Geometric(JointFit):
+    """A fit whose uncertainties follow from where the readings are taken, and not from how they scatter.
+
+    Those of a further measurement are not there yet, and angular errors that a model leaves out must not count as what
+    does not reproduce.
+    """
+
+    @property
+    def published(self) -> Solution:  # type: ignore[override]
+        """The shared unknowns where the sum of squares is least, with the covariance of the declared uncertainty."""
+        return self.solution
