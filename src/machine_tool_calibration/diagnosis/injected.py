@@ -121,7 +121,7 @@ def where_it_shows(effect: Effect, plans: Sequence[str] = PLANS) -> tuple[Shown,
             continue
         _, fit, change = made
         projected = screen(fit, change[None])
-        out.append(Shown(plan, method, _left(fit, change), absorbed_by(fit, projected, slice(0, 1))))
+        out.append(Shown(plan, method, _left(fit, change), absorbed_by(fit.joint, projected, slice(0, 1))))
     return tuple(out)
 
 

@@ -109,6 +109,6 @@ def spread_words(sizes: Sequence[Mapping[str, Any]]) -> Iterator[str]:
             low, high = (quantity(end, "m") for end in entry["interval"])
             yield (
                 f"The {_FAMILIES.get(entry['family'], entry['family'])} differ among themselves by "
-                f"{quantity(entry['size'], 'm')} RMS ({low} to {high} with 95 %), beside the scatter of the readings; the "
-                "uncertainties contain it."
+                f"{quantity(entry['size'], 'm')} RMS ({low} to {high} with 95 %), beside the scatter of the readings; "
+                "the uncertainties contain it."
             )

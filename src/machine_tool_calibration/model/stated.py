@@ -39,25 +39,31 @@ _SEEN = 1e-3
 
 
 class RandomPosterior(Protocol):
-    """What the readings say of unknowns that are random functions.
+    """What the readings say of unknowns that are random functions."""
 
-    Attributes:
-        size: root mean square of the size, in their unit.
-        probability: that they are not zero.
-        theta: (m,) mean of all unknowns, the random ones last and counted from zero.
-        covariance: (m, m).
-    """
+    @property
+    def size(self) -> float:
+        """Root mean square of the size, in their unit."""
 
-    size: float
-    probability: float
-    theta: Array
-    covariance: Array
+    @property
+    def probability(self) -> float:
+        """That they are not zero."""
+
+    @property
+    def theta(self) -> Array:
+        """(m,) mean of all unknowns, the random ones last and counted from zero."""
+
+    @property
+    def covariance(self) -> Array:
+        """(m, m) of these."""
 
 
 class RandomUnknowns(Protocol):
     """Unknowns of a model that are small random functions, and what is expected of them."""
 
-    names: tuple[str, ...]
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the unknowns."""
 
     def posterior(
         self, matrix: Array, right: Array, constraints: Array, values: Array, squares: Array
