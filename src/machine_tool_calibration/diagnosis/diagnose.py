@@ -182,7 +182,7 @@ def _search(
         look = replace(look, noise=(noise,))
     progress("readings that are left out", 0.7)
     predicted = predictions(part, look, fit_of)
-    fits, accepted, refused = [first], [], dict[str, str]()
+    fits, accepted, refused = [first], list[Effect](), dict[str, str]()
     for name in look.accepted:
         effect = next(e for e in known if e.id == name)
         against = [p for p in predicted.get(name, ()) if p.speaks_against]

@@ -82,8 +82,8 @@ def what_to_measure(
         separation = _separation(group, now.beside(given), [(o, s.beside(given)) for o, s in seen])
         if separation is not None:
             separations.append(_cheaper(separation, session, given, tried))
-    found = diagnosis.accepted
-    seldom = visibilities(diagnosis, now.beside(found), [(o, s.beside(found)) for o, s in seen], assumed)
+    others = diagnosis.accepted
+    seldom = visibilities(diagnosis, now.beside(others), [(o, s.beside(others)) for o, s in seen], assumed)
     return Advice(tuple(separations), tuple(seldom), limits)
 
 
