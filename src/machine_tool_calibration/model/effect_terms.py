@@ -191,7 +191,7 @@ def _determined_columns(model: MethodModel, terms: Sequence[Term]) -> tuple[list
     if not terms:
         return [], ()
     screened = screen(fit_models([model]).fits[0], np.concatenate([term.columns for term in terms]))
-    seen = np.diag(screened.gram)[:-1] > _ABSORBED * screened.squares[:-1]
+    seen = np.diag(screened.gram)[:-1] > ABSORBED * screened.squares[:-1]
     kept, left, first = [], [], 0
     for term in terms:
         own = seen[first : first + len(term.columns)]
