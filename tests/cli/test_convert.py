@@ -19,6 +19,7 @@ PLATE = [
     *("--column", "x=NominalX", "--column", "y=NominalY", "--column", "actual_x=X mess", "--column", "actual_y=Y mess"),
     *("--column", "point=Bohrung", "--extra", "diameter=Ø [mm]", "--unit", "mm", "--chain", "w-Y-X-b-Z-t"),
     *("--uncertainty", "1um", "--term", "EXX", "--term", "EYY", "--term", "EYX", "--term", "C0Y"),
+    *("--instrument", "cmm"),
 ]
 RUNS = ["--table", "iso230-2", "--axis", "x", "--chain", "w-X-b-t", "--uncertainty", "0.3um"]
 
@@ -34,6 +35,7 @@ def test_a_plate_end_to_end(capsys: pytest.CaptureFixture[str], tmp_path: Path) 
     out, err = ask(capsys, "convert", DATA / "plate_cmm.csv", folder, *PLATE)
     assert out == f"{folder}: 126 readings\n"
     assert err == "2 of 126 readings are empty cells: kept as missing\n"
+    assert read_session(folder).instrument == "cmm"
     out, _ = ask(capsys, "info", folder)
     assert "126 readings, 2 missing, 63 targets" in out and "plate_cmm" in out
     out, _ = ask(capsys, "identify", folder, "--json")

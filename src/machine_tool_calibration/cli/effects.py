@@ -89,6 +89,7 @@ def _describe(effect: Effect) -> None:
         "coefficients": "\n".join(coefficients_in_words(effect)),
         "columns": ", ".join(effect.needs) or "none",
         "methods": ", ".join(m.replace("_", " ") for m in effect.methods) or "all",
+        "instruments": ", ".join(i.replace("_", " ") for i in effect.instruments) or "all",
         "source": effect.source,
     }
     shown = Table(box=None, show_header=False, padding=(0, 2, 0, 0))

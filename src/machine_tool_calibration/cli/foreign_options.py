@@ -114,6 +114,11 @@ _OPTIONS: Sequence[Callable[[Any], Any]] = (
     _option("--chain", metavar="CHAIN", help="The machine, such as w-Y-X-b-Z-t."),
     _option("--uncertainty", metavar="LENGTH", help="Standard uncertainty (k = 1) of one reading, such as 1.5um."),
     _option("--datum", type=click.Choice(["none", "offset", "rigid"]), help="What is unknown of each setup."),
+    _option(
+        "--instrument",
+        metavar="NAME",
+        help="What read, such as laser_interferometer, cmm or indicator; without it no effects of a beam in air.",
+    ),
     _option("--term", "terms", multiple=True, metavar="NAME", help="Machine error to identify, such as EXX or C0Y."),
 )
 
@@ -176,7 +181,8 @@ def mapping_from(given: dict[str, Any]) -> tuple[dict[str, Any], str]:
             for name, direction in zip(pair, ("up", "down"), strict=True)
             if name is not None
         ]
-    session: dict[str, Any] = {"standard_uncertainty": given["uncertainty"], "datum": given["datum"]}
+    session: dict[str, Any] = {key: given[key] for key in ("datum", "instrument")}
+    session["standard_uncertainty"] = given["uncertainty"]
     session["machine"] = {"chain": given["chain"]} if given["chain"] else None
     session["terms"] = list(given["terms"]) or None
     _update(content, "session", {key: value for key, value in session.items() if value is not None}, path)
