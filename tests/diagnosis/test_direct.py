@@ -64,7 +64,7 @@ def test_repeats_in_a_plane_that_is_not_zero(plates: ModuleType) -> None:
     lifted = session.with_readings(replace(readings, columns={**readings.columns, "z": np.full(len(readings), 0.05)}))
     found = diagnose(lifted)
     assert found.accepted == ("scale",)
-    assert np.ptp(found.looks[0].fit.model.observations.position[:, 2]) == 0.0
+    assert np.ptp(found.look.fit.fits[0].model.observations.position[:, 2]) == 0.0
 
 
 def test_far_holes_beside_each_other_are_something_else(plates: ModuleType) -> None:

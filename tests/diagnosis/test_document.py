@@ -184,7 +184,7 @@ def test_smallest_detectable_sizes_are_sizes_that_occur_or_null() -> None:
     for sizes in entries.values():
         for size in sizes:
             assert size["value"] is None or size["value"] > 0
-    assert set(entries) == {r.candidate.name for r in diagnosis.looks[0].ranked if r.rank}
+    assert set(entries) == {f.name for f in diagnosis.look.findings if f.rank}
 
 
 def test_what_is_in_the_model_already_is_no_candidate() -> None:

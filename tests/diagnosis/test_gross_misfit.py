@@ -40,7 +40,7 @@ def bent() -> Diagnosis:
 
 
 def test_setups_that_differ_grossly_are_unexplained(bent: Diagnosis) -> None:
-    assert bent.looks[0].fit.joint.reduced_chi_square > 2
+    assert bent.fits[0].reduced_chi_square > 2
     assert bent.verdict == "unexplained"
     assert bent.accepted == ()
 
@@ -59,7 +59,7 @@ def test_a_declared_uncertainty_that_is_too_small_is_no_misfit() -> None:
     session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=12)).session
     noise = 2.0 * session.sigma * np.random.default_rng(0).normal(size=len(session.readings))
     found = diagnose(with_added(session, noise), seed=1)
-    assert found.looks[0].fit.joint.reduced_chi_square > 2
+    assert found.fits[0].reduced_chi_square > 2
     assert found.verdict == "adequate"
 
 

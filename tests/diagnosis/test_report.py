@@ -111,7 +111,7 @@ def test_a_workpiece_is_not_the_map() -> None:
 def test_unexplained_says_on_what_the_residuals_depend() -> None:
     found, shown = report("unexplained")
     assert "No effect is named as the cause" in shown.words[0]
-    assert found.looks[-1].structure[0].covariate in shown.words[1]
+    assert found.look.structure[0].covariate in shown.words[1]
     assert "none of them is named" in table(shown, "Effects looked for").title
     assert table(shown, "What the residuals still depend on").rows
 
@@ -131,8 +131,8 @@ def test_too_small_a_declared_uncertainty_is_not_blamed_on_an_effect() -> None:
 
 def test_without_repeats_model_and_reproducibility_cannot_be_told() -> None:
     found, _ = report("too noisy")
-    look = replace(found.looks[0], noise=replace(found.noise, from_repeats=None))
-    bare = replace(found, looks=(look, *found.looks[1:]))
+    look = replace(found.look, noise=replace(found.noise, from_repeats=None))
+    bare = replace(found, look=look)
     words = diagnosis_report(bare, what_to_measure(bare), {}).words
     assert "model or the reproducibility of the setups cannot be told" in words[1]
 
