@@ -29,8 +29,7 @@ def test_scale_then_different_scales_and_squareness(plates: ModuleType) -> None:
         session, _ = plates.plate(seed, scales=(4e-5, 2e-5), square=5e-5)
         found = diagnose(session)
         assert found.verdict == "missing_effect"
-        assert found.accepted[0] == "scale"
-        assert len(found.accepted) == 3 and "C0Y" in found.accepted
+        assert len(found.accepted) == 3 and {"scale", "C0Y"} <= set(found.accepted)
         assert {"scale_x", "scale_y"} & set(found.accepted)
 
 
