@@ -24,7 +24,7 @@ def test_two_effects_found_are_told_with_both_in_the_model() -> None:
     first, second = (changes[name] for name in found.accepted)
     assert first.rms_after == pytest.approx(second.rms_before)
     assert second.rms_after < second.rms_before < first.rms_before
-    taken = found.looks[0].fit.residuals - found.looks[2].fit.residuals
+    taken = found.fits[0].fits[0].residuals - found.fits[2].fits[0].residuals
     assert first.explained + second.explained == pytest.approx(taken)
 
 

@@ -47,9 +47,9 @@ def test_false_alarms_stay_rare_with_and_without_a_spread_between_setups() -> No
 def test_a_hidden_effect_is_named_and_the_error_falls(plan: str, effect: str, amplitude: float) -> None:
     found = look(plan, 77, FlawSpec(id=effect, amplitude=amplitude))
     assert found.verdict == "missing_effect"
-    alike = {effect} | {name for step in found.looks for group in step.groups if effect in group for name in group}
+    alike = {effect}.union(*(group for group in found.look.groups if effect in group))
     assert found.accepted[0] in alike
-    before, after = (step.fit.joint.reduced_chi_square for step in (found.looks[0], found.looks[-1]))
+    before, after = (fit.reduced_chi_square for fit in (found.fits[0], found.fits[-1]))
     assert after < before
     assert 0.7 < after < 1.3
 
@@ -72,7 +72,7 @@ def test_an_effect_that_nobody_knows_is_unexplained_and_its_covariate_named() ->
     found = look("tracking_2d", 12, FlawSpec(id="unlisted_cubic_path", amplitude=6e-6))
     assert found.verdict == "unexplained"
     assert found.accepted == ()
-    assert found.looks[0].structure[0].covariate in ("path", "path within the setup", "displacement")
+    assert found.look.structure[0].covariate in ("path", "path within the setup", "displacement")
 
 
 def test_chips_are_named_by_row_and_nothing_else() -> None:
@@ -103,7 +103,7 @@ def test_an_effect_in_the_model_is_not_looked_for_again() -> None:
 def test_detectable_sizes_are_found_that_often() -> None:
     """An effect of the stated smallest size is found in about 80 of 100 sessions."""
     spec = SimulationSpec(plan=PRESETS["tracking_2d"], seed=4)
-    size = diagnose(simulate(spec).session, seed=1).looks[0].detectable["backlash_y"]["b"]
+    size = diagnose(simulate(spec).session, seed=1).look.of("backlash_y").detectable["b"]
     hits = 0
     for k in range(40):
         flaw = FlawSpec(id="backlash_y", size=size)
@@ -137,7 +137,7 @@ def test_rounding_is_no_structure() -> None:
     found = diagnose(simulate(SimulationSpec(plan=plan, seed=4, noise_factor=0.0)).session, sets=199)
     assert found.verdict == "adequate"
     assert found.accepted == ()
-    assert not found.looks[0].structure
+    assert not found.look.structure
 
 
 def test_an_effect_that_would_spoil_the_map_is_not_added() -> None:

@@ -29,8 +29,7 @@ def test_scale_then_different_scales_and_squareness(plates: ModuleType) -> None:
         session, _ = plates.plate(seed, scales=(4e-5, 2e-5), square=5e-5)
         found = diagnose(session)
         assert found.verdict == "missing_effect"
-        assert found.accepted[0] == "scale"
-        assert len(found.accepted) == 3 and "C0Y" in found.accepted
+        assert len(found.accepted) == 3 and {"scale", "C0Y"} <= set(found.accepted)
         assert {"scale_x", "scale_y"} & set(found.accepted)
 
 
@@ -64,7 +63,7 @@ def test_repeats_in_a_plane_that_is_not_zero(plates: ModuleType) -> None:
     lifted = session.with_readings(replace(readings, columns={**readings.columns, "z": np.full(len(readings), 0.05)}))
     found = diagnose(lifted)
     assert found.accepted == ("scale",)
-    assert np.ptp(found.looks[0].fit.model.observations.position[:, 2]) == 0.0
+    assert np.ptp(found.look.fit.fits[0].model.observations.position[:, 2]) == 0.0
 
 
 def test_far_holes_beside_each_other_are_something_else(plates: ModuleType) -> None:

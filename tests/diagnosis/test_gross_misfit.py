@@ -1,4 +1,4 @@
-"""Residuals that no effect and no usual difference between setups explains are not called adequate."""
+"""Readings that scatter far more than declared: what does not reproduce, a wrong declaration, or a wrong model."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ import pytest
 from machine_tool_calibration.diagnosis.consequence import consequences
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.document import diagnosis_document
+from machine_tool_calibration.diagnosis.quantities import quantity
 from machine_tool_calibration.diagnosis.verdict_words import verdict_words
+from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.planning.what_to_measure import what_to_measure
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
@@ -34,24 +36,56 @@ def bent_by_the_path(seed: int) -> Session:
     return with_added(session, change)
 
 
+def each_place_apart(seed: int) -> Session:
+    """Every setup sees every place off by an amount of its own, the same in every repeat: no smooth function does."""
+    session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=seed)).session
+    readings = session.readings
+    where = np.column_stack([readings.position().round(9), readings.setup])
+    place = np.unique(where, axis=0, return_inverse=True)[1].reshape(-1)
+    off = 4.0 * session.sigma * np.random.default_rng(seed).normal(size=place.max() + 1)
+    return with_added(session, off[place])
+
+
 @pytest.fixture(scope="module")
 def bent() -> Diagnosis:
     return diagnose(bent_by_the_path(3), seed=1)
 
 
-def test_setups_that_differ_grossly_are_unexplained(bent: Diagnosis) -> None:
-    assert bent.looks[0].fit.joint.reduced_chi_square > 2
-    assert bent.verdict == "unexplained"
+def test_setups_that_differ_grossly_are_spread_and_no_effect(bent: Diagnosis) -> None:
+    """A slope and a bow of five standard uncertainties in every setup: they do not reproduce, and the map says so."""
+    assert bent.fits[0].reduced_chi_square > 2
     assert bent.accepted == ()
+    assert bent.verdict == "adequate"
+    undisturbed = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=3)).session
+    assert max(size.probability for size in bent.fits[-1].stated.sizes) > 0.99
+    clean, moved = identify(undisturbed).error_map, identify(bent.session).error_map
+    shift = np.sqrt(np.nanmean((moved.error - clean.error) ** 2))
+    uncertainty = [np.sqrt(np.nanmean(one.uncertainty**2)) for one in (clean, moved)]
+    assert uncertainty[1] > 1.5 * uncertainty[0]
+    assert 0.3 < shift / uncertainty[1] < 2.0
 
 
-def test_the_words_say_how_grossly_and_what_cannot_be_told(bent: Diagnosis) -> None:
+def test_the_words_say_by_how_much_setups_differ(bent: Diagnosis) -> None:
     changes, advice = consequences(bent), what_to_measure(bent)
     text = " ".join(verdict_words(bent, changes, advice))
-    assert "times as much as declared, repeats by" in text
-    assert "a larger irreproducibility cannot be told from the model" in text
+    surest = max(bent.fits[-1].stated.sizes, key=lambda size: size.probability)
+    assert quantity(surest.size, "m") in text
     document = diagnosis_document(bent, advice, changes)
-    assert all(candidate["probability"] < 1e-6 for candidate in document["candidates"])
+    told = {entry["family"]: entry for entry in document["spread"]}
+    assert told[surest.name]["probability"] > 0.99
+    assert not document["accepted"]
+
+
+def test_places_that_differ_without_any_pattern_are_unexplained() -> None:
+    found = diagnose(each_place_apart(3), seed=1)
+    assert found.fits[0].reduced_chi_square > 2
+    assert found.contradicted and not found.noisy
+    assert found.verdict == "unexplained"
+    assert found.accepted == ()
+    text = " ".join(verdict_words(found, consequences(found), what_to_measure(found)))
+    assert found.noise.from_repeats is not None
+    assert quantity(found.noise.from_repeats, "m") in text
+    assert f"{np.sqrt(found.fits[-1].reduced_chi_square):.1f}" in text
 
 
 def test_a_declared_uncertainty_that_is_too_small_is_no_misfit() -> None:
@@ -59,7 +93,7 @@ def test_a_declared_uncertainty_that_is_too_small_is_no_misfit() -> None:
     session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=12)).session
     noise = 2.0 * session.sigma * np.random.default_rng(0).normal(size=len(session.readings))
     found = diagnose(with_added(session, noise), seed=1)
-    assert found.looks[0].fit.joint.reduced_chi_square > 2
+    assert found.fits[0].reduced_chi_square > 2
     assert found.verdict == "adequate"
 
 

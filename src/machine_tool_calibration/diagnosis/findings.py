@@ -151,6 +151,8 @@ def finding_of(
     variance = max(squares - gain, 1e-12 * squares) / max(gram.freedom - basis.shape[1], 1)
     deviation = np.sqrt(np.sum(basis**2, axis=1) * variance)
     sizes = tuple(Size(c, float(v), float(u)) for c, v, u in zip(shaped.coefficients, signal, deviation, strict=True))
+    # Readings without any noise leave nothing.
+    rest = max(1.0 - gain / squares, 1e-12) if squares > 0 else 1.0
     taken = basis_of(gram.inner, place).T @ gram.data[place, 0]
     unknowns = basis.shape[1] + len(candidate.effect.shapes if candidate.effect is not None else ())
     return Finding(
@@ -163,7 +165,7 @@ def finding_of(
         probability=probability,
         p_value=p_value,
         family_p_value=family_p_value,
-        bic_gain=-readings * float(np.log(max(1.0 - gain / squares, 1e-12))) - unknowns * float(np.log(readings)),
+        bic_gain=-readings * float(np.log(rest)) - unknowns * float(np.log(readings)),
         rms_after=float(np.sqrt(max(gram.squares[0] - taken @ taken, 0.0) / readings)) * sigma,
         detectable=_detectable(candidate, shaped, inner, variance, log_odds),
         place=place,

@@ -29,6 +29,8 @@ _ROUNDING = 1e-6
 # Share of its squared norm outside the model below which an effect is absorbed: 1 % of the norm; and below which what
 # is left of a combination of columns is rounding.
 _ABSORBED, _ROUNDED = 1e-4, 1e-7
+# Share of a column's squares that its variation within the runs is at least taken for, and squares of a column of zeros.
+_CONSTANT, _NONE = 1e-10, 1e-100
 
 
 @dataclass(frozen=True)
@@ -175,7 +177,8 @@ def _columns(pool: Pool, candidates: Sequence[Candidate], structures: Sequence[C
         family=family,
         freedom=pool.fit.solution.degrees_of_freedom,
     )
-    before = np.maximum(pool.within_runs(columns[:k]), np.finfo(float).tiny)
+    # What does not vary within the runs has rounding there.
+    before = np.maximum(pool.within_runs(columns[:k]), np.maximum(_CONSTANT * projected.squares[:k], _NONE))
     blocks, shaped, seen, first = [], [], [], 0
     for c, candidate in enumerate(every):
         own = []

@@ -119,7 +119,9 @@ def _log_factors(fit: JointFit, effects: Sequence[tuple[Effect, tuple[float, ...
         place = np.concatenate([np.zeros(0, dtype=np.int64), *(np.arange(o.place.start, o.place.stop) for o in others)])
         unit = np.concatenate([np.zeros(0), *(o.unit for o in others)])
         beside = [metric.beside(gram, place, unit) if len(place) else metric for metric in base]
-        out[j] = table(gram, [block], beside, 1).log_factors[0, 0]
+        factor = float(table(gram, [block], beside, 1).log_factors[0, 0])
+        # Readings on which the effect does not show say nothing of it.
+        out[j] = factor if np.isfinite(factor) else 0.0
     return out
 
 

@@ -119,15 +119,16 @@ class Components:
         values = np.unique(column)
         mass = np.array([self.weights[column == value].sum() for value in values])
         total = np.cumsum(mass)
-        k = int(np.searchsorted(total, probability))
-        if k == 0:
-            return float(values[0])
-        if k >= len(values):
-            return float(values[-1])
-        share = (probability - total[k - 1]) / max(float(mass[k]), 1e-300)
-        # Between grid points the size is spread evenly in its logarithm; the first interval begins at half its end.
-        low = values[k - 1] if values[k - 1] > 0 else values[k] / 2.0
-        return float(low * (values[k] / low) ** share)
+        k = min(int(np.searchsorted(total, probability)), len(values) - 1)
+        known = values[values > 0]
+        if values[k] == 0 or len(known) == 1:
+            return float(values[k])
+        # What a grid point stands for is spread evenly in the logarithm, to half way to its neighbours.
+        middle = np.sqrt(known[:-1] * known[1:])
+        edges = np.concatenate([[known[0] ** 2 / middle[0]], middle, [known[-1] ** 2 / middle[-1]]])
+        low, high = edges[k - len(values) + len(known) :][:2]
+        share = np.clip((probability - total[k] + mass[k]) / max(float(mass[k]), 1e-300), 0.0, 1.0)
+        return float(low * (high / low) ** share)
 
     def probability(self, family: int) -> float:
         """That a family is not zero."""

@@ -1,0 +1,150 @@
+"""Sizes of what does not reproduce: against the dense restricted likelihood, integrated over the noise by quadrature."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.special import logsumexp
+
+from machine_tool_calibration.estimation.variance_components import (
+    DECLARED_WORTH,
+    components,
+    fold,
+    log_prior,
+    ratio_grid,
+)
+
+GROUPS, EACH = 6, 6
+N = GROUPS * EACH
+
+
+def problem(
+    seed: int, sizes: tuple[float, ...], groups: int = GROUPS
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """(n, m) model, (n, u) spread columns, (u,) family of each, (n,) readings, in units of the declared noise."""
+    rng, n = np.random.default_rng(seed), groups * EACH
+    time = np.linspace(-1.0, 1.0, n)
+    model = np.column_stack([np.ones(n), time, np.cos(9.0 * time)])
+    group = np.arange(n) // EACH
+    local = np.tile(np.linspace(-1.0, 1.0, EACH), groups)
+    columns, family = [], []
+    for g in range(groups):
+        columns += [(group == g) * 1.0, (group == g) * local]
+        family += [0, 0]
+    if len(sizes) == 2:
+        half = np.arange(n) % 4
+        columns += [(half == g) * 1.0 for g in range(4)]
+        family += [1] * 4
+    spread, place = np.array(columns).T, np.array(family)
+    readings = model @ rng.normal(size=3) + rng.normal(size=n)
+    readings += spread @ (np.array(sizes)[place] * rng.normal(size=len(place)))
+    return model, spread, place, readings
+
+
+def projected(model: np.ndarray, spread: np.ndarray, readings: np.ndarray) -> np.ndarray:
+    """Inner products of [spread, readings] outside the model."""
+    q = np.linalg.qr(model)[0]
+    both = np.column_stack([spread, readings])
+    both = both - q @ (q.T @ both)
+    return both.T @ both
+
+
+def log_restricted(model: np.ndarray, covariance: np.ndarray, readings: np.ndarray) -> tuple[float, float]:
+    """Logarithm of the restricted likelihood (Harville 1974), sigma^2 integrated by quadrature, and y^T P y."""
+    inverse = np.linalg.inv(covariance)
+    normal = model.T @ inverse @ model
+    rest = readings - model @ np.linalg.solve(normal, model.T @ inverse @ readings)
+    squares = float(rest @ inverse @ rest)
+    freedom = len(readings) - model.shape[1]
+    log_variance = np.linspace(-6.0, 6.0, 4001)
+    # Scaled inverse chi-square about the declared variance, in the logarithm of the variance.
+    prior = -0.5 * DECLARED_WORTH * (log_variance + np.exp(-log_variance))
+    likelihood = -0.5 * freedom * log_variance - 0.5 * squares * np.exp(-log_variance)
+    determinants = -0.5 * (np.linalg.slogdet(covariance)[1] + np.linalg.slogdet(normal)[1])
+    return float(determinants + logsumexp(prior + likelihood)), squares
+
+
+@pytest.mark.parametrize("sizes", [(1.5,), (0.0,), (1.5, 2.0)])
+def test_posterior_is_that_of_the_dense_restricted_likelihood(sizes: tuple[float, ...]) -> None:
+    model, spread, place, readings = problem(3, sizes)
+    found = components(projected(model, spread, readings), place, N - 3)
+    logs, squares = [], []
+    for ratio in found.ratios:
+        covariance = np.eye(N) + (spread * np.array(ratio)[place] ** 2) @ spread.T
+        log, left = log_restricted(model, covariance, readings)
+        logs.append(log)
+        squares.append(left)
+    expected = np.array(logs) + log_prior(found.ratios)
+    assert found.log_weights == pytest.approx(expected - logsumexp(expected), abs=1e-6)
+    assert found.squares == pytest.approx(np.array(squares), rel=1e-9)
+    assert found.weights.sum() == pytest.approx(1.0)
+    assert found.mean_squares == pytest.approx(found.weights @ np.array(squares))
+
+
+def test_a_large_spread_is_found_with_its_size() -> None:
+    """Forty groups tell a size within a tenth or two; the prior is far below it and must not hold it back."""
+    for seed in range(3):
+        model, spread, place, readings = problem(seed, (3.0,), groups=40)
+        found = components(projected(model, spread, readings), place, len(readings) - 3)
+        low, middle, high = (found.quantile(0, p) for p in (0.025, 0.5, 0.975))
+        assert found.probability(0) > 0.999
+        assert low < 3.0 < high
+        assert middle == pytest.approx(3.0, rel=0.25)
+        # Two cells of the grid.
+        assert high < 2.2 * low
+
+
+def test_no_spread_is_not_found() -> None:
+    found = []
+    for seed in range(5):
+        model, spread, place, readings = problem(seed, (0.0,))
+        found.append(components(projected(model, spread, readings), place, N - 3))
+    assert np.median([each.probability(0) for each in found]) < 0.5
+    assert np.median([each.quantile(0, 0.5) for each in found]) == 0.0
+
+
+@pytest.mark.parametrize("sizes", [(1.0,), (1.0, 0.5)])
+def test_quantiles_rise_with_probability(sizes: tuple[float, ...]) -> None:
+    model, spread, place, readings = problem(8, sizes)
+    found = components(projected(model, spread, readings), place, N - 3)
+    for family in range(len(sizes)):
+        values = [found.quantile(family, p) for p in np.linspace(0.0, 1.0, 101)]
+        assert (np.diff(values) >= 0.0).all()
+        assert values[0] == 0.0
+        # As much lies below a quantile as its probability says, to the resolution of the grid.
+        column = np.array([ratio[family] for ratio in found.ratios])
+        grid = np.unique(column[column > 0])
+        step = np.exp(0.500001 * np.diff(np.log(grid)).max())
+        assert grid[-1] < values[-1] < grid[-1] * step
+        for p in (0.2, 0.5, 0.9):
+            value = found.quantile(family, p)
+            assert found.weights[column < value / step].sum() <= p
+            assert found.weights[column <= value * step].sum() >= p
+
+
+@pytest.mark.parametrize("families", [0, 1, 2])
+def test_prior_is_a_distribution_with_half_at_none(families: int) -> None:
+    ratios = ratio_grid(families)
+    weight = np.exp(log_prior(ratios))
+    assert weight.sum() == pytest.approx(1.0)
+    for family in range(families):
+        none = np.array([ratio[family] == 0.0 for ratio in ratios])
+        assert weight[none].sum() == pytest.approx(0.5)
+
+
+def test_folding_is_the_inverse_of_the_covariance() -> None:
+    _, spread, place, _ = problem(4, (1.0, 1.0))
+    others = np.random.default_rng(4).normal(size=(N, 3))
+    ratio = (0.7, 2.5)
+    folded = fold(spread.T @ spread, spread.T @ others, place, ratio)
+    covariance = np.eye(N) + (spread * np.array(ratio)[place] ** 2) @ spread.T
+    direct = others.T @ np.linalg.solve(covariance, others)
+    assert others.T @ others - folded.half.T @ folded.half == pytest.approx(direct)
+    assert folded.log_determinant == pytest.approx(np.linalg.slogdet(covariance)[1])
+
+
+def test_no_spread_folds_to_nothing() -> None:
+    _, spread, place, _ = problem(4, (1.0,))
+    folded = fold(spread.T @ spread, spread.T @ spread, place, (0.0,))
+    assert folded.log_determinant == 0.0
+    assert folded.half.shape == (0, spread.shape[1])

@@ -1,0 +1,200 @@
+"""What is published of a fit: generalised least squares with what does not reproduce, averaged over its size."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.estimation import variance_components
+from machine_tool_calibration.estimation.layout import group_rows
+from machine_tool_calibration.estimation.problem import LinearPart, Part
+from machine_tool_calibration.estimation.variance_components import DECLARED_WORTH, log_prior
+from machine_tool_calibration.methods.identify import build_model
+from machine_tool_calibration.model.fit import Fit, JointFit, fit_models
+from machine_tool_calibration.model.model import MethodModel
+from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.reproducibility import reproducibility
+from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.model.terms import Parameter, Term
+from machine_tool_calibration.session.parse import describe
+from machine_tool_calibration.session.session import Readings, Session
+from machine_tool_calibration.simulation import PRESETS, SimulationSpec, Spread, simulate
+
+SIGMA = 1e-6
+PASSES, PLACES = 6, 8
+PLANS = ["tracking_2d", "step_diagonal", "rotary_axis", "probing_cross", "iso230_2", "grid_plate", "straightness"]
+
+
+@dataclass(frozen=True)
+class Line(MethodModel):
+    """Deviations of an axis: an offset and a scale."""
+
+    @property
+    def own(self) -> tuple[Parameter, ...]:
+        return (Parameter("offset", "m"),)
+
+    def part(self, own_index: IntArray, dense_index: IntArray) -> Part:
+        n = len(self.observations)
+        return LinearPart(
+            group_rows(np.zeros(n, dtype=np.int64)),
+            self.observations.readings.displacement,
+            self.sigma,
+            np.zeros((0, n)),
+            np.ones((1, n)),
+            self.dense(),
+            own_index.reshape(1, 1),
+            dense_index,
+        )
+
+    def error_map(self, fit: Fit) -> ErrorMap:
+        raise NotImplementedError
+
+
+def axis(between: float, seed: int = 0, noise: float = 1.0) -> tuple[JointFit, Array, Array, Array]:
+    """A fit of an axis run up and down, and what it is made of, in units of the declared uncertainty.
+
+    Args:
+        between: slope of each pass of its own, in standard uncertainties.
+        seed: of everything random.
+        noise: over that declared.
+
+    Returns:
+        The fit, (n, 2) its model, (n, u) columns of what does not reproduce, and (n,) readings.
+    """
+    rng = np.random.default_rng(seed)
+    up = np.linspace(0.0, 0.7, PLACES)
+    # The turning points are not measured twice: a pass goes from the place after one turning point to the next.
+    x = np.concatenate([up if k % 2 == 0 else up[::-1] for k in range(PASSES)])
+    n = len(x)
+    columns = np.column_stack([np.ones(n), x])
+    own = np.repeat(rng.normal(size=PASSES), PLACES) * between * np.tile(np.linspace(-1.0, 1.0, PLACES), PASSES)
+    reading = SIGMA * (columns @ [3.0, 20.0] + own + noise * rng.normal(size=n))
+    description = describe(
+        {
+            "format": "mtcal-session/1",
+            "method": "direct",
+            "machine": {"chain": "w-X-b-t"},
+            "standard_uncertainty": {"displacement": SIGMA},
+            "setups": [{"id": "one"}],
+        },
+        "here",
+    )
+    zero = np.zeros(n, dtype=np.int64)
+    readings = Readings(zero, zero, reading, {"x": x, "time": np.arange(n) * 5.0}, {}, np.arange(n))
+    place = np.column_stack([x, np.zeros((n, 2))])
+    along = np.tile([1.0, 0.0, 0.0], (n, 1))
+    observations = Observations(Session(description, readings), readings, place, along, 0.0 * along, np.zeros(n), zero)
+    term = Term("scale", (Parameter("scale", "1", shared=True),), x[None])
+    fit = fit_models([Line(observations, (term,), (), (), (), "none")])
+    (family,) = reproducibility(observations)
+    return fit, columns / SIGMA, family.columns().T, reading / SIGMA
+
+
+@dataclass(frozen=True)
+class Generalised:
+    """Generalised least squares with an explicit covariance matrix."""
+
+    theta: Array
+    covariance: Array
+    coefficients: Array
+    squares: float
+    log_restricted: float
+
+
+def generalised(model: Array, spread: Array, readings: Array, ratio: float) -> Generalised:
+    inverse = np.linalg.inv(np.eye(len(readings)) + ratio**2 * spread @ spread.T)
+    normal = model.T @ inverse @ model
+    covariance = np.linalg.inv(normal)
+    theta = covariance @ model.T @ inverse @ readings
+    rest = readings - model @ theta
+    determinants = np.linalg.slogdet(inverse)[1] - np.linalg.slogdet(normal)[1]
+    return Generalised(
+        theta, covariance, ratio**2 * spread.T @ inverse @ rest, float(rest @ inverse @ rest), 0.5 * float(determinants)
+    )
+
+
+def sizes_tried(monkeypatch: pytest.MonkeyPatch, ratios: Sequence[float]) -> None:
+    monkeypatch.setattr(variance_components, "ratio_grid", lambda families: [(ratio,) for ratio in ratios])
+
+
+@pytest.mark.parametrize("ratio", [0.0, 0.3, 2.0, 20.0])
+def test_a_single_size_is_generalised_least_squares(monkeypatch: pytest.MonkeyPatch, ratio: float) -> None:
+    sizes_tried(monkeypatch, [ratio])
+    fit, model, spread, readings = axis(2.0)
+    expected = generalised(model, spread, readings, ratio)
+    stated = fit.stated
+    assert stated.solution.theta[:2] == pytest.approx(expected.theta, rel=1e-9)
+    assert stated.solution.theta[2:] == pytest.approx(expected.coefficients, rel=1e-7, abs=1e-9)
+    assert stated.solution.covariance[:2, :2] == pytest.approx(expected.covariance, rel=1e-8)
+    assert stated.squares == pytest.approx(expected.squares)
+    if ratio:
+        # The mixed model's equations (Henderson 1975): all unknowns at once.
+        both = np.column_stack([model, spread])
+        matrix = both.T @ both + np.diag([0.0, 0.0, *np.full(spread.shape[1], ratio**-2.0)])
+        assert stated.solution.covariance == pytest.approx(np.linalg.inv(matrix), rel=1e-6, abs=1e-9)
+
+
+def test_sizes_are_averaged_over_with_their_probabilities(monkeypatch: pytest.MonkeyPatch) -> None:
+    ratios = [0.0, 0.6, 2.0]
+    sizes_tried(monkeypatch, ratios)
+    fit, model, spread, readings = axis(0.8, seed=3)
+    tried = [generalised(model, spread, readings, ratio) for ratio in ratios]
+    squares = np.array([one.squares for one in tried])
+    logs = log_prior([(ratio,) for ratio in ratios]) + [one.log_restricted for one in tried]
+    logs -= 0.5 * (len(readings) - 2 + DECLARED_WORTH) * np.log(DECLARED_WORTH + squares)
+    weights = np.exp(logs - logs.max())
+    weights /= weights.sum()
+    # Otherwise this would say nothing of a mean.
+    assert np.sort(weights)[-2] > 0.05
+    mean = sum(w * one.theta for w, one in zip(weights, tried, strict=True))
+    between = [w * np.outer(one.theta - mean, one.theta - mean) for w, one in zip(weights, tried, strict=True)]
+    within = [w * one.covariance for w, one in zip(weights, tried, strict=True)]
+    stated = fit.stated
+    assert stated.scatter == 1.0
+    assert stated.solution.theta[:2] == pytest.approx(mean, rel=1e-3)
+    assert stated.solution.covariance[:2, :2] == pytest.approx(sum(within) + sum(between), rel=0.02)
+    assert stated.squares == pytest.approx(weights @ squares, rel=0.02)
+
+
+def test_readings_that_scatter_more_than_declared_widen_what_is_published(monkeypatch: pytest.MonkeyPatch) -> None:
+    sizes_tried(monkeypatch, [0.5])
+    fit, model, spread, readings = axis(0.0, noise=3.0)
+    expected = generalised(model, spread, readings, 0.5)
+    factor = np.sqrt(expected.squares / (len(readings) - 4))
+    assert factor > 2.0
+    assert fit.stated.scatter == pytest.approx(factor)
+    assert fit.published.covariance == pytest.approx(factor**2 * expected.covariance)
+
+
+@pytest.mark.parametrize("plan", PLANS)
+def test_a_declared_uncertainty_three_times_too_small_is_corrected(plan: str) -> None:
+    """In every method, to what chance allows; and one too large makes nothing better."""
+    for factor in (3.0, 1 / 3):
+        session = simulate(SimulationSpec(plan=PRESETS[plan], seed=3, noise_factor=factor)).session
+        fit = fit_models([build_model(session)[0]])
+        if factor < 1:
+            assert fit.stated.scatter == 1.0
+        else:
+            chance = 4.0 / np.sqrt(2.0 * fit.solution.degrees_of_freedom)
+            assert fit.stated.scatter == pytest.approx(3.0, rel=chance)
+
+
+@pytest.mark.parametrize(("plan", "quantity"), [("tracking_2d", "position_error"), ("probing_cross", "workpiece_error")])
+def test_spread_between_mountings_is_found_and_in_the_maps_uncertainty(plan: str, quantity: str) -> None:
+    uncertainty, chance = [], []
+    for size in (0.0, 4.0):
+        sigma = simulate(SimulationSpec(plan=PRESETS[plan], seed=3)).session.sigma
+        spread = Spread(slope=size * sigma, bow=size * sigma)
+        fit = fit_models([build_model(simulate(SimulationSpec(plan=PRESETS[plan], seed=3, spread=spread)).session)[0]])
+        own = fit.fits[0]
+        stated = np.asarray(own.model.error_map(own).content[f"{quantity}_u"], dtype=float)
+        uncertainty.append(float(np.sqrt(np.nanmean(stated**2))))
+        chance.append(max(size.probability for size in fit.stated.sizes))
+        # What does not reproduce is no scatter of single readings.
+        assert fit.stated.scatter < 1.3
+    assert chance[0] < 0.5 < 0.99 < chance[1]
+    assert uncertainty[1] > 1.5 * uncertainty[0]
