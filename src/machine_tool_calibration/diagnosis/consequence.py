@@ -19,7 +19,7 @@ from machine_tool_calibration.model.result import ErrorMap, Estimate
 __all__ = ["Consequence", "before_and_after", "consequences", "effect_estimates", "map_change", "map_rms", "rms"]
 
 # How many of the best candidates are added in full, each by itself.
-_MOST = 8
+_MOST = 4
 # Uncertainty over size of an effect's share in the readings, above which it is not told.
 _TOLD = 0.3
 

@@ -82,9 +82,18 @@ def fold(inner: Array, cross: Array, family: IntArray, ratio: tuple[float, ...])
     if not len(used):
         return Folded(0.0, np.zeros((0, cross.shape[1])))
     s = tau[used]
-    lower = np.linalg.cholesky(np.eye(len(used)) + inner[np.ix_(used, used)] * np.outer(s, s))
+    lower = _factor(inner[np.ix_(used, used)] * np.outer(s, s))
     half = np.linalg.solve(lower, s[:, None] * cross[used])
     return Folded(2.0 * float(np.log(np.diag(lower)).sum()), half)
+
+
+def _factor(matrix: Array) -> Array:
+    """Lower factor of I plus a positive semidefinite matrix, which rounding may have made indefinite."""
+    try:
+        return np.linalg.cholesky(np.eye(len(matrix)) + matrix)
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(matrix)
+        return np.linalg.cholesky(np.eye(len(matrix)) + (vectors * np.maximum(values, 0.0)) @ vectors.T)
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,8 @@ if TYPE_CHECKING:
 __all__ = ["FamilySize", "RandomPosterior", "RandomUnknowns", "Stated", "state"]
 
 # Probability of the sizes that are averaged over, and how many at most: the rest changes nothing that is published.
-_COVERED, _MOST = 0.99, 8
+# Fewer where unknowns are random functions, whose own sizes are averaged over for each.
+_COVERED, _MOST, _MOST_WITH_RANDOM = 0.99, 8, 3
 # Chance below which the readings scatter more than declared: then their scatter counts.
 _CONTRADICTED = 0.01
 # Share of a function's squares outside the model below which the model takes it up: a run's constant, mostly.
@@ -159,7 +160,8 @@ def state(joint: JointFit) -> Stated:
     freedom = solution.degrees_of_freedom
     found = components(projected, place, freedom)
     chosen = np.argsort(-found.log_weights)
-    chosen = chosen[: min(int(np.searchsorted(np.cumsum(found.weights[chosen]), _COVERED)) + 1, _MOST)]
+    most = _MOST if joint.random is None else _MOST_WITH_RANDOM
+    chosen = chosen[: min(int(np.searchsorted(np.cumsum(found.weights[chosen]), _COVERED)) + 1, most)]
     weights = found.weights[chosen] / found.weights[chosen].sum()
     tried = [_at(joint, problem, total, squares, place, found.ratios[k]) for k in chosen]
     mean = np.sum([w * t.step for w, t in zip(weights, tried, strict=True)], axis=0)
