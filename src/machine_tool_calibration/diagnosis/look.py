@@ -9,7 +9,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.absorbed import absorbed_by
-from machine_tool_calibration.diagnosis.candidates import Candidate
+from machine_tool_calibration.diagnosis.candidates import Candidate, Shaped
 from machine_tool_calibration.diagnosis.chance import Chance, chance_of
 from machine_tool_calibration.diagnosis.evidence import Block, Gram
 from machine_tool_calibration.diagnosis.findings import Finding, alias_groups, basis_of, finding_of
@@ -26,6 +26,8 @@ __all__ = ["Absorbed", "Look", "Structure", "look_at"]
 _TOLD, _LACK = 0.02, 0.001
 # Reduced chi-square below which the residuals are rounding, whatever they look like.
 _ROUNDING = 1e-6
+# Numbers of first coefficients of an effect that are tried alone.
+_LEADING = (1, 2, 4)
 # Share of its squared norm outside the model below which an effect is absorbed: 1 % of the norm; and below which what
 # is left of a combination of columns is rounding.
 _ABSORBED, _ROUNDED = 1e-4, 1e-7
@@ -188,7 +190,7 @@ def _columns(pool: Pool, candidates: Sequence[Candidate], structures: Sequence[C
             scale = np.sqrt(before[place])
             share = np.linalg.eigvalsh(inner[place, place] / np.outer(scale, scale))
             if share[-1] > _ABSORBED:
-                own.append((_block(c, candidate, j, place, before[place]), (c, j)))
+                own += [(_block(c, candidate, j, part, before[part]), (c, j)) for part in _leading(candidate, place)]
         seen.append(bool(own))
         blocks += [block for block, _ in own]
         shaped += [at for _, at in own]
@@ -198,10 +200,20 @@ def _columns(pool: Pool, candidates: Sequence[Candidate], structures: Sequence[C
     return _without_repeated(whole)
 
 
+def _leading(candidate: Candidate, place: slice) -> list[slice]:
+    """All columns of an effect, and the first few alone: of a series, the further coefficients are often nothing."""
+    count = place.stop - place.start
+    if candidate.effect is None or candidate.effect.setup_level:
+        return [place]
+    return [slice(place.start, place.start + k) for k in (*_LEADING, count) if k < count or k == count]
+
+
 def _block(index: int, candidate: Candidate, shape: int, place: slice, squares: Array) -> Block:
     """Limits are those of the effect's coefficients; a structure's may be a hundred standard uncertainties."""
-    share = -float(np.log(candidate.count))
-    named = candidate.shapes[shape].coefficients
+    whole = candidate.shapes[shape]
+    parts = 1 if candidate.effect is None else len(_leading(candidate, slice(0, len(whole.columns))))
+    share = -float(np.log(candidate.count * parts))
+    named = whole.coefficients[: place.stop - place.start]
     if candidate.effect is None:
         unit = 50.0 / np.sqrt(squares / max(candidate.shapes[shape].columns.shape[1], 1))
         never = np.full(len(unit), np.inf)
@@ -258,6 +270,9 @@ def _findings(columns: _Columns, found: Posterior, chance: Chance) -> tuple[Find
         point = found.best[k].point if k in found.best else found.single.best[k]
         at = None if point is None else columns.blocks[point.block]
         shape = candidate.shapes[columns.shaped[point.block][1]] if point is not None else candidate.shapes[0]
+        if at is not None:
+            count = at.place.stop - at.place.start
+            shape = Shaped(shape.shape, shape.columns[:count], shape.coefficients[:count])
         factor = found.log_factor(k)
         out.append(
             finding_of(

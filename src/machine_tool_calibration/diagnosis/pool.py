@@ -70,7 +70,7 @@ class Pool:
     def spread(self) -> tuple[Array, IntArray, tuple[str, ...]]:
         """(u, n) columns of what does not reproduce, the family of each, and the families' names."""
         every = [reproducibility(o) for o in self.observations]
-        names = tuple(dict.fromkeys(family.name for own in every for family in own))[:2]
+        names = tuple(dict.fromkeys(family.name for own in every for family in own))[:3]
         columns, place = [np.zeros((0, len(self)))], [np.zeros(0, dtype=np.int64)]
         for own, piece in zip(every, self.pieces, strict=True):
             for family in own:

@@ -26,8 +26,8 @@ DECLARED_WORTH = 20.0
 # scale: its long tail makes large spreads harmless; with a light one every spread looks like a missing effect.
 _NONE = 0.5
 _SCALE = 0.2
-# Sizes tried, in units of the noise, where there are two families, and where there is one.
-_COARSE = (0.15, 0.4, 1.0, 2.5, 6.0)
+# Sizes tried, in units of the noise, where there are three families, two, or one.
+_COARSEST, _COARSE = (0.3, 1.2, 5.0), (0.15, 0.4, 1.0, 2.5, 6.0)
 _FINE = tuple(np.geomspace(0.05, 16.0, 16).tolist())
 
 
@@ -37,7 +37,7 @@ def ratio_grid(families: int) -> list[tuple[float, ...]]:
         return [()]
     if families == 1:
         return [(0.0,), *((value,) for value in _FINE)]
-    return list(product((0.0, *_COARSE), repeat=families))
+    return list(product((0.0, *(_COARSE if families == 2 else _COARSEST)), repeat=families))
 
 
 def log_prior(ratios: Sequence[tuple[float, ...]]) -> Array:
@@ -150,7 +150,7 @@ def components(gram: Array, family: IntArray, freedom: int) -> Components:
     Args:
         gram: (u + 1, u + 1) inner products of [spread columns, residual] with the model's unknowns projected off,
             weighted by the declared uncertainty.
-        family: (u,) family of each column, from 0; at most two.
+        family: (u,) family of each column, from 0; at most three.
         freedom: degrees of freedom of the readings beside the model's unknowns.
     """
     ratios = ratio_grid(int(family.max(initial=-1)) + 1)

@@ -57,14 +57,14 @@ class Family:
 
 
 def reproducibility(observations: Observations) -> tuple[Family, ...]:
-    """Families of what does not reproduce: at most two.
+    """Families of what does not reproduce: at most three.
 
     Runs (a setup in one repeat, for one target) and mountings (a stretch of consecutive readings of one setup), which
-    are one family where they are the same. Of direct deviations the passes over a single axis, or the rows and columns
-    of a grid of holes that were drilled one after the other; runs otherwise.
+    are one family where they are the same. Of direct deviations the passes over a single axis; of a plate its runs, and
+    the rows and columns of a grid of holes that were drilled one after the other.
     """
     if observations.session.method == "direct":
-        return tuple(_of_direct(observations))[:2]
+        return tuple(family for family in _of_direct(observations) if family.shapes.any())
     time = _time(observations)
     readings = observations.readings
     keys = [readings.setup, readings.repeat]
@@ -118,6 +118,9 @@ def _of_direct(observations: Observations) -> Iterator[Family]:
     position = observations.position
     moved = [j for j in range(3) if np.ptp(position[:, j]) > _STILL] if len(position) else []
     if len(moved) >= 2:
+        readings = observations.readings
+        run = np.unique(np.stack([readings.setup, readings.repeat]), axis=1, return_inverse=True)[1].reshape(-1)
+        yield Family("run", run, _smooth(_time(observations), run))
         yield from _rows(observations, moved)
         return
     group = _passes(observations, moved[0]) if moved else observations.run

@@ -198,7 +198,7 @@ class _Tried:
 
 def _widened(problem: Problem, families: Sequence[tuple[Family, ...]]) -> tuple[list[Part], IntArray, tuple[str, ...]]:
     """Parts with the random functions, the family of each coefficient, and the families' names."""
-    names = tuple(dict.fromkeys(family.name for own in families for family in own))[:2]
+    names = tuple(dict.fromkeys(family.name for own in families for family in own))[:3]
     parts, place, first = [], [np.zeros(0, dtype=np.int64)], problem.size
     for part, own in zip(problem.parts, families, strict=True):
         own = tuple(family for family in own if family.name in names)
