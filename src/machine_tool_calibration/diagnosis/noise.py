@@ -67,17 +67,21 @@ def noise_of(fit: Fit) -> Noise:
     declared = float(np.sqrt(np.mean(fit.model.sigma**2)))
     if free < FEWEST_REPEATS or len(count) > _PLACES:
         return Noise(declared, None, free, fit.joint.p_value, None)
-    several = np.flatnonzero(count > 1)
-    indicators = (place[None, :] == several[:, None]) * declared
     spread = [family.columns() * declared for family in reproducibility(fit.model.observations)]
-    projected = screen(fit, np.concatenate([*spread, indicators]))
-    scale = np.sqrt(np.maximum(projected.squares[:-1], np.finfo(float).tiny))
-    inner, right = projected.gram[:-1, :-1] / np.outer(scale, scale), projected.gram[:-1, -1] / scale
-    total, k = float(projected.gram[-1, -1]), sum(len(columns) for columns in spread)
-    explained_spread, rank_spread = _explained(inner[:k, :k], right[:k])
-    explained_all, rank_all = _explained(inner, right)
-    dof = fit.solution.degrees_of_freedom - rank_all
-    if dof < FEWEST_REPEATS or rank_all == rank_spread:
+    # Of every place, of one reading too, so that what no model explains there does not pass for noise; where so few
+    # repeats would be left, of those read several times.
+    for places in (np.arange(len(count)), np.flatnonzero(count > 1)):
+        indicators = (place[None, :] == places[:, None]) * declared
+        projected = screen(fit, np.concatenate([*spread, indicators]))
+        scale = np.sqrt(np.maximum(projected.squares[:-1], np.finfo(float).tiny))
+        inner, right = projected.gram[:-1, :-1] / np.outer(scale, scale), projected.gram[:-1, -1] / scale
+        total, k = float(projected.gram[-1, -1]), sum(len(columns) for columns in spread)
+        explained_spread, rank_spread = _explained(inner[:k, :k], right[:k])
+        explained_all, rank_all = _explained(inner, right)
+        dof = fit.solution.degrees_of_freedom - rank_all
+        if dof >= FEWEST_REPEATS and rank_all > rank_spread:
+            break
+    else:
         return Noise(declared, None, free, fit.joint.p_value, None)
     pure = max(total - explained_all, 1e-12) / dof
     lacking = max(explained_all - explained_spread, 0.0) / (rank_all - rank_spread)
