@@ -16,7 +16,7 @@ from machine_tool_calibration.session.reader import read_session
 from .conftest import PROCEDURE, SITE
 
 
-def mtcal(*arguments, folder, timeout=280):
+def mtcal(*arguments, folder, timeout=900):
     command = [sys.executable, "-m", "machine_tool_calibration", *map(str, arguments)]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=timeout, env=os.environ)
 

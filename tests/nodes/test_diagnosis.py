@@ -40,7 +40,7 @@ def folder(tmp_path_factory):
 def printed(*words):
     """What the command line prints, as a document."""
     command = [sys.executable, "-m", "machine_tool_calibration", *map(str, words), "--json"]
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=900, check=True)
     return json.loads(ended.stdout)
 
 
