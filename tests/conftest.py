@@ -3,6 +3,7 @@
 import atexit
 import os
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -48,6 +49,32 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The long modules first, the others in their order."""
     place = {Path(__file__).parent / name: number for number, name in enumerate(_FIRST)}
     items.sort(key=lambda item: place.get(item.path, len(place)))
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """The statistics of a few simulated measurements are tests; those of hundreds are benchmarks."""
+    parser.addoption("--runs", type=int, default=25, help="simulated measurements of a statistical test (default 25)")
+
+
+@dataclass(frozen=True)
+class Many:
+    """How many simulated measurements a statistical test makes, and how far off its means may be."""
+
+    count: int
+
+    def off(self, of_200: float) -> float:
+        """What a mean may be off, from what that of 200 may be."""
+        return of_200 * (200 / self.count) ** 0.5
+
+    def part(self, share: float) -> "Many":
+        """Fewer or more, for measurements that tell much or little each."""
+        return Many(max(2, round(share * self.count)))
+
+
+@pytest.fixture(scope="session")
+def many(pytestconfig: pytest.Config) -> Many:
+    """As many simulated measurements as the option --runs says."""
+    return Many(pytestconfig.getoption("--runs"))
 
 
 @pytest.fixture(scope="session")
