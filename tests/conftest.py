@@ -3,6 +3,8 @@
 import atexit
 import os
 from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
@@ -31,6 +33,48 @@ os.environ.pop("ROS_LOCALHOST_ONLY", None)
 _claims = ExitStack()
 atexit.register(_claims.close)
 os.environ["ROS_DOMAIN_ID"] = str(_claims.enter_context(free_domain(range(1, 102), without_nodes=True)))
+
+
+# The modules that take longest come first, so that no process is left with one at the end. Those of nodes wait much of
+# their time: each stands beside one that calculates.
+_FIRST = (
+    "packaging/test_lint.py",
+    "nodes/test_mishaps.py",
+    "nodes/test_commands.py",
+    "diagnosis/test_diagnose.py",
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The long modules first, the others in their order."""
+    place = {Path(__file__).parent / name: number for number, name in enumerate(_FIRST)}
+    items.sort(key=lambda item: place.get(item.path, len(place)))
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """The statistics of a few simulated measurements are tests; those of hundreds are benchmarks."""
+    parser.addoption("--runs", type=int, default=25, help="simulated measurements of a statistical test (default 25)")
+
+
+@dataclass(frozen=True)
+class Many:
+    """How many simulated measurements a statistical test makes, and how far off its means may be."""
+
+    count: int
+
+    def off(self, of_200: float) -> float:
+        """What a mean may be off, from what that of 200 may be."""
+        return of_200 * (200 / self.count) ** 0.5
+
+    def part(self, share: float) -> "Many":
+        """Fewer or more, for measurements that tell much or little each."""
+        return Many(max(2, round(share * self.count)))
+
+
+@pytest.fixture(scope="session")
+def many(pytestconfig: pytest.Config) -> Many:
+    """As many simulated measurements as the option --runs says."""
+    return Many(pytestconfig.getoption("--runs"))
 
 
 @pytest.fixture(scope="session")

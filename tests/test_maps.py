@@ -161,4 +161,4 @@ def test_a_foreign_cloud_is_refused() -> None:
 
 def test_needs_no_ros() -> None:
     code = "import sys; import machine_tool_calibration.maps; assert not {'rclpy', 'sensor_msgs'} & set(sys.modules)"
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=900)

@@ -210,6 +210,6 @@ def test_in_a_forked_process_and_in_threads(make_network):
     network = make_network(n_points=20_000).network
     expected = _theta(network)
     with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("fork")) as processes:
-        assert list(processes.map(_theta, [network] * 3, timeout=60)) == [expected] * 3
+        assert list(processes.map(_theta, [network] * 3, timeout=900)) == [expected] * 3
     with ThreadPoolExecutor(4) as threads:
-        assert list(threads.map(_theta, [network] * 8, timeout=60)) == [expected] * 8
+        assert list(threads.map(_theta, [network] * 8, timeout=900)) == [expected] * 8

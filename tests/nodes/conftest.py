@@ -20,9 +20,9 @@ from machine_tool_calibration.session.parse import description_yaml
 from machine_tool_calibration.session.session import Session
 
 # s: as long as a slow and busy machine may take for anything that needs no time of its own; reached only in a failure
-PATIENCE = 60.0
+PATIENCE = 300.0
 # s: for a whole procedure
-WHOLE = 200.0
+WHOLE = 900.0
 ORIGIN = 1_700_000_000.0
 
 PROCEDURE = {

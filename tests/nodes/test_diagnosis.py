@@ -40,7 +40,7 @@ def folder(tmp_path_factory):
 def printed(*words):
     """What the command line prints, as a document."""
     command = [sys.executable, "-m", "machine_tool_calibration", *map(str, words), "--json"]
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=900, check=True)
     return json.loads(ended.stdout)
 
 
@@ -118,7 +118,7 @@ def test_a_second_request_is_refused_readings_go_on_and_a_signal_ends_it(bench, 
     assert operator.wait(lambda: operator.estimator.entries["busy"] == "True", PATIENCE)
     with pytest.raises(CalibrationError, match=r"busy: diagnosing from 200 readings \(\d+ s so far\); ask again"):
         operator.call("estimator/identify", PATIENCE)
-    assert operator.wait(lambda: "simulated sets" in operator.estimator.entries["step"], PATIENCE)
+    assert operator.wait(lambda: "effects, alone and together" in operator.estimator.entries["step"], PATIENCE)
     feed(operator, session, start=3 * 10**18)  # another session, while it calculates
     assert operator.estimator.entries["busy"] == "True"
     with Waiting(graph.process_id("estimator")) as busy:

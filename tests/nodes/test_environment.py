@@ -44,6 +44,6 @@ def test_a_node_starts_without_a_home(monkeypatch: pytest.MonkeyPatch, tmp_path:
     monkeypatch.setenv("HOME", os.devnull)
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     code = f"from machine_tool_calibration.nodes.operator import Operator; Operator({ros_domain}).__exit__()"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=900, check=False)
     assert done.returncode == 0, done.stderr
     assert list(tmp_path.glob("ros-log-*/*.log"))

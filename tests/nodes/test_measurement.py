@@ -82,7 +82,7 @@ def test_readings_are_those_of_the_simulator_and_the_map_reaches_a_second_progra
     assert operator.wait(lambda: bool(operator.document) and operator.error_map is not None, PATIENCE)
     document = json.loads(operator.document)
     printed = subprocess.run(
-        [sys.executable, "-c", SUBSCRIBER], capture_output=True, text=True, timeout=120, check=True
+        [sys.executable, "-c", SUBSCRIBER], capture_output=True, text=True, timeout=900, check=True
     )
     latched = json.loads(printed.stdout)
     assert [name for name, _, _ in latched["fields"]] == ["x", "y", "z", "ex", "ey", "ez", "ux", "uy", "uz"]

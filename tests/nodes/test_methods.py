@@ -1,11 +1,14 @@
 """The other interferometer methods through the graph: readings are those of the simulator."""
 
 import copy
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import yaml
 
+from machine_tool_calibration.cli.demo_truth import judged
+from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.nodes.shared import procedure_file
 from machine_tool_calibration.simulation.simulate import simulate
 from machine_tool_calibration.simulation.spec import SimulationSpec
@@ -103,6 +106,17 @@ def test_readings_are_those_of_the_simulator(bench, finish, case):
         compared += len(values)
     assert compared == len(measured.readings)
     assert measured.readings.columns["datum"].max() > 0 or case is direct
+    if case is rotary:
+        the_demonstration_holds_the_map_against_the_truth(bench, measured)
+
+
+def the_demonstration_holds_the_map_against_the_truth(bench, session):
+    """The machine of the site, with backlash; the readings have no noise."""
+    (bench.folder / "site.yaml").write_text((bench.folder / "site1.yaml").read_text())
+    measured = SimpleNamespace(output=bench.folder, session=session)
+    without, found = (judged(measured, identify(session, effects=names)) for names in ([], ["backlash_c"]))
+    assert found.before == without.before > 1e-6
+    assert without.rms > 1e-6 > 100 * found.rms
 
 
 def _session(operator):

@@ -45,7 +45,7 @@ def wheel(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[zi
         f"sys.argv = ['setup.py']; print(backend.build_wheel({str(target)!r}))"
     )
     done = subprocess.run(
-        [sys.executable, "-c", build], cwd=source, capture_output=True, text=True, timeout=240, check=False
+        [sys.executable, "-c", build], cwd=source, capture_output=True, text=True, timeout=900, check=False
     )
     assert done.returncode == 0, done.stdout + done.stderr
     with zipfile.ZipFile(next(target.glob("*.whl"))) as archive:

@@ -18,7 +18,7 @@ def test_reads_on_an_old_python() -> None:
 
 @pytest.mark.parametrize("words", [[], ["nonsense"]])
 def test_a_wrong_command_line_gives_the_usage(words: list[str]) -> None:
-    done = subprocess.run([sys.executable, SCRIPT, *words], capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run([sys.executable, SCRIPT, *words], capture_output=True, text=True, timeout=900, check=False)
     assert done.returncode == 2
     assert "bootstrap.py demo" in done.stderr
 

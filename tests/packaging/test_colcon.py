@@ -20,7 +20,7 @@ def test_workspace(source: Path, tmp_path: Path, option: str) -> None:
 
     def run(*command: str) -> str:
         done = subprocess.run(
-            command, cwd=tmp_path, env={**os.environ, "PATH": PATH}, capture_output=True, text=True, timeout=240
+            command, cwd=tmp_path, env={**os.environ, "PATH": PATH}, capture_output=True, text=True, timeout=900
         )
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout

@@ -155,7 +155,7 @@ def test_an_executable_starts_the_script_of_its_installation(tmp_path: Path, nam
     executable.parent.mkdir(parents=True)
     (tmp_path / "a folder" / "bin").symlink_to(tmp_path / "bin")
     executable.symlink_to(ROOT / "scripts" / "nodes" / name)  # as colcon installs with --symlink-install
-    done = subprocess.run([executable, "--ros-args", "a b"], capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run([executable, "--ros-args", "a b"], capture_output=True, text=True, timeout=900, check=True)
     assert done.stdout.endswith(f"{script.name} --ros-args a b\n")
 
 
@@ -165,6 +165,6 @@ def test_an_executable_without_a_script_starts_the_module(tmp_path: Path) -> Non
     python.chmod(0o755)
     done = subprocess.run(
         [ROOT / "scripts" / "nodes" / "rotary_pointer", "-x"],
-        capture_output=True, text=True, timeout=60, check=True, env={"PATH": f"{tmp_path}:/usr/bin:/bin"},
+        capture_output=True, text=True, timeout=900, check=True, env={"PATH": f"{tmp_path}:/usr/bin:/bin"},
     )  # fmt: skip
     assert done.stdout == f"-m {PACKAGE}.nodes.rotary_pointer -x\n"

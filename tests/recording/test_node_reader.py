@@ -51,7 +51,7 @@ def by_node(program: str, bag: Path) -> list[dict[str, Any]]:
     out: list[dict[str, Any]] = []
     for file in sorted(bag.glob("*.mcap"), key=lambda path: int(path.stem.rsplit("_", 1)[1])):
         done = subprocess.run(
-            [program, str(SCRIPT), str(MODULES), str(file)], capture_output=True, text=True, timeout=120, check=False
+            [program, str(SCRIPT), str(MODULES), str(file)], capture_output=True, text=True, timeout=900, check=False
         )
         assert done.returncode == 0, done.stderr
         out += [json.loads(line) for line in done.stdout.splitlines()]

@@ -28,7 +28,7 @@ from ..waiting import Waiting
 pytestmark = pytest.mark.skipif(importlib.util.find_spec("rclpy") is None, reason="needs ROS 2")
 
 PUBLISHER = Path(__file__).with_name("stream_publisher.py")
-PATIENCE = 60  # s
+PATIENCE = 300  # s
 
 
 @contextmanager

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from machine_tool_calibration.arrays import Array, BoolArray
 from machine_tool_calibration.diagnosis.comparison import (
@@ -264,7 +264,7 @@ class _Look:
         if value is None or not uncertainty:
             return None
         ratio = abs(value) / uncertainty
-        return float(2 * (stats.t.sf(ratio, self.dof) if self.factor > 1.0 else stats.norm.sf(ratio)))
+        return float(2 * (special.stdtr(self.dof, -ratio) if self.factor > 1.0 else special.ndtr(-ratio)))
 
 
 def _slope_weights(values: Array, mask: BoolArray) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from machine_tool_calibration.diagnosis.comparison import Comparison, JointComparison, Overall
 
@@ -92,7 +92,7 @@ def _stand_out(comparison: Comparison) -> str:
     normal = np.abs(comparison.studentized[np.isfinite(comparison.studentized)])
     if not len(normal):
         return ""
-    bulk = float(np.median(normal)) / float(stats.norm.ppf(0.75))
+    bulk = float(np.median(normal)) / float(special.ndtri(0.75))
     far = int((normal > _FAR * max(bulk, 1.0)).sum())
     if not far or far > _FEW * len(normal) or bulk > _QUIET * comparison.overall.ratio:
         return ""

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import optimize, stats
-from scipy.special import logsumexp
+from scipy import optimize
+from scipy.special import logsumexp, ndtr
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.candidates import Candidate, Shaped
@@ -213,8 +213,12 @@ def smallest_signal(values: Array, along: float, needed: float, power: float = _
     if short(0.0) <= 0:
         return 0.0
     limit = optimize.brentq(short, 0.0, max(top, 1.0)) if short(max(top, 1.0)) < 0 else top
-    chance = optimize.brentq(lambda x: stats.ncx2.sf(limit, 1, x) - power, 1e-6, 10.0 * limit + 100.0)
-    return float(np.sqrt(chance))
+
+    def surplus(signal: float) -> float:
+        """How much more often than wanted the square of a normal value around a signal exceeds the limit."""
+        return float(ndtr(signal - np.sqrt(limit)) + ndtr(-signal - np.sqrt(limit))) - power
+
+    return float(optimize.brentq(surplus, 1e-3, np.sqrt(10.0 * limit + 100.0)))
 
 
 def alias_groups(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.model.fit import Fit, screen
@@ -85,7 +85,7 @@ def noise_of(fit: Fit) -> Noise:
         return Noise(declared, None, free, fit.joint.p_value, None)
     pure = max(total - explained_all, 1e-12) / dof
     lacking = max(explained_all - explained_spread, 0.0) / (rank_all - rank_spread)
-    lack = float(stats.f.sf(lacking / pure, rank_all - rank_spread, dof))
+    lack = float(special.fdtrc(rank_all - rank_spread, dof, lacking / pure))
     return Noise(declared, float(np.sqrt(pure)) * declared, dof, fit.joint.p_value, lack)
 
 

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.diagnosis.leverage import Reach, reach, taken
@@ -239,9 +239,9 @@ class _Search:
         dof = max(float(np.sum(1.0 - np.clip(share[free], 0.0, 1.0))), 1.0)
         mean = float(np.sqrt(np.sum(residual[free] ** 2) / dof))
         scale = float(np.clip(mean, bulk, _TAILS * bulk))
-        limit = max(float(stats.t.isf(_LEVEL / self.n / 2, max(dof, 4.0))), _LEAST)
+        limit = max(-float(special.stdtrit(max(dof, 4.0), _LEVEL / self.n / 2)), _LEAST)
         limit = max(limit, _limit_of_tails(studentized / bulk))
-        if not self.direct and scale > _MISFIT and stats.chi2.sf(dof * scale**2, dof) < _LEVEL:
+        if not self.direct and scale > _MISFIT and special.chdtrc(dof, dof * scale**2) < _LEVEL:
             # Something is missing, and what it leaves is not as even as noise. An axis or a part may scatter more than
             # the instrument that reads it.
             limit *= _UNEVEN
@@ -480,7 +480,7 @@ def _limit_of_tails(size: Array) -> float:
     probability = (1 + np.array(_SHOULDERS)) / 2
     misfit = []
     for dof in _DOFS:
-        expected = stats.t.ppf(probability, dof) / stats.t.ppf(0.75, dof) * stats.norm.ppf(0.75)
+        expected = special.stdtrit(dof, probability) / special.stdtrit(dof, 0.75) * special.ndtri(0.75)
         misfit.append(float(np.sum(np.log(np.maximum(shoulder, 1e-9) / expected) ** 2)))
     dof = _DOFS[int(np.argmin(misfit))]
-    return float(stats.t.isf(_LEVEL / len(size) / 2, dof) / stats.t.ppf(0.75, dof) * stats.norm.ppf(0.75))
+    return -float(special.stdtrit(dof, _LEVEL / len(size) / 2) / special.stdtrit(dof, 0.75) * special.ndtri(0.75))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy import signal
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.diagnosis.candidates import Candidate, Shaped
@@ -143,6 +142,8 @@ def _periods(time: Array, residual: Array) -> list[float]:
     if count < 3 or not residual.any():
         return []
     frequency = np.linspace(lowest, highest, count)
+    from scipy import signal  # takes long to load
+
     power = signal.lombscargle(time - time[0], residual - residual.mean(), 2.0 * np.pi * frequency)
     # The ends may be peaks as well.
     peaks = signal.find_peaks(np.concatenate([[0.0], power, [0.0]]))[0] - 1

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import special, stats
+from scipy import special
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.effects.error_motion import polynomials
@@ -167,9 +167,9 @@ def agreement(joint: JointFit, common: CommonModels, labels: Sequence[str], spre
 
 def _log_tail(chi_square: float, rank: int) -> float:
     """Logarithm of the probability of a chi-square at least so large, also where that is zero in floating point."""
-    log = float(stats.chi2.logsf(chi_square, rank))
-    if np.isfinite(log):
-        return log
+    tail = float(special.chdtrc(rank, chi_square))
+    if tail > 0:
+        return float(np.log(tail))
     half, a = chi_square / 2, rank / 2
     return float((a - 1) * np.log(half) - half - special.gammaln(a))
 

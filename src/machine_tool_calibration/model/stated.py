@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.estimation.normal import solve_normal
@@ -117,7 +117,7 @@ class Stated:
     def contradicts(self, ratio: float, chance: float) -> bool:
         """Whether what is left is so many times as large as declared, and chance does not explain it."""
         freedom = self.solution.degrees_of_freedom
-        return self.squares > ratio * freedom and float(stats.chi2.sf(self.squares, freedom)) < chance
+        return self.squares > ratio * freedom and float(special.chdtrc(freedom, self.squares)) < chance
 
     def columns(self, fit: Fit) -> Array:
         """(K + k, n) of a session whose unknowns are those of its terms: their columns, then these functions."""
@@ -277,7 +277,7 @@ def _scatter(chi_square: float, freedom: int) -> float:
     By the readings' scatter where it contradicts what was declared. Less scatter makes nothing better: an instrument
     may be off by the same amount everywhere.
     """
-    if freedom < 3 or chi_square <= freedom or stats.chi2.sf(chi_square, freedom) > _CONTRADICTED:
+    if freedom < 3 or chi_square <= freedom or special.chdtrc(freedom, chi_square) > _CONTRADICTED:
         return 1.0
     return float(np.sqrt(chi_square / (freedom - 2)))
 

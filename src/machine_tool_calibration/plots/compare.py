@@ -90,7 +90,7 @@ def chosen_covariates(comparison: Comparison, most: int = _PANELS) -> list[str]:
 def draw_fit(comparison: Comparison) -> Figure:
     """Measured against predicted, the residuals against predicted, and their distribution beside the expected one."""
     from matplotlib.figure import Figure
-    from scipy import stats
+    from scipy import special
 
     figure = Figure(figsize=(13, 4.4), layout="constrained")
     left, middle, right = figure.subplots(1, 3)
@@ -111,7 +111,7 @@ def draw_fit(comparison: Comparison) -> Figure:
         left.legend(title="setup", fontsize="small", markerscale=3)
     normal = np.sort(comparison.studentized[np.isfinite(comparison.studentized)])
     if len(normal):
-        expected = stats.norm.ppf((np.arange(len(normal)) + 0.5) / len(normal))
+        expected = special.ndtri((np.arange(len(normal)) + 0.5) / len(normal))
         right.plot(expected, normal, ls="", marker=".", ms=3, color=COLORS[0])
         right.plot(expected[[0, -1]], expected[[0, -1]], color="0.6", lw=0.8, zorder=0)
     right.set(xlabel="expected of normal noise", ylabel="residual over its declared uncertainty")

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
+from scipy import stats
 
 from machine_tool_calibration.methods.joint import JointResult, identify_sessions
 from machine_tool_calibration.simulation import FlawSpec
@@ -17,13 +19,15 @@ def _two_trackers(several: SimpleNamespace, seed: int, size: float | None) -> Jo
     return identify_sessions(sessions, ["first", "second"], effects=["warmup_y"])
 
 
-def test_a_time_constant_is_shared(several: SimpleNamespace) -> None:
+def test_a_time_constant_is_shared(several: SimpleNamespace, many: Any) -> None:
     normalised = []
-    for seed in range(0, 40, 2):
+    some = many.part(0.4)
+    for seed in range(0, 2 * some.count, 2):
         found = {p.name: p for p in _two_trackers(several, seed, 6e-6).parameters}
         for name, true in (("first/warmup_y.a", 6e-6), ("second/warmup_y.a", 6e-6), ("warmup_y.tau", 900.0)):
             normalised.append((found[name].value - true) / found[name].standard_uncertainty)
-    assert 0.5 < np.mean(np.square(normalised)) < 1.6
+    low, high = stats.chi2.ppf([0.01, 0.99], 2 * some.count) / (2 * some.count)
+    assert low < np.mean(np.square(normalised)) < high
 
 
 def test_a_time_constant_of_nothing_is_not_published(several: SimpleNamespace) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -55,15 +57,19 @@ def _ratio(rotary: SimpleNamespace, runs: int, axis: str = "C", **plan: object) 
         ("B", {"repeats": 2}),
     ],
 )
-def test_normalised_errors_over_60_runs(rotary: SimpleNamespace, axis: str, plan: dict[str, object]) -> None:
-    squared, worst = _ratio(rotary, 60, axis, **plan)
-    assert 0.9 < squared < 1.1
-    assert worst < 1.1
+def test_normalised_errors_over_some_runs(
+    rotary: SimpleNamespace, axis: str, plan: dict[str, object], many: Any
+) -> None:
+    some = many.part(0.4)
+    squared, worst = _ratio(rotary, some.count, axis, **plan)
+    assert squared == pytest.approx(1.0, abs=some.off(0.055))
+    assert worst < 1.0 + some.off(0.055)
 
 
-def test_two_targets_at_one_height_show_how_the_table_turns(rotary: SimpleNamespace) -> None:
+def test_two_targets_at_one_height_show_how_the_table_turns(rotary: SimpleNamespace, many: Any) -> None:
     errors, stated = [], []
-    for seed in range(60):
+    some = many.part(0.4)
+    for seed in range(some.count):
         simulated = rotary.measured(seed, targets=LEVEL)
         result = identify(simulated.session)
         assert {entry.name for entry in result.not_determined} == {"EXC", "EYC", "EZC", "EAC", "EBC"}
@@ -72,7 +78,7 @@ def test_two_targets_at_one_height_show_how_the_table_turns(rotary: SimpleNamesp
         errors.append(content["ECC"] - content["ECC"].mean() - truth + truth.mean())
         stated.append(content["ECC_u"])
         assert np.isfinite(content["position_error"]).all()
-    assert 0.9 < np.mean((np.array(errors) / np.array(stated)) ** 2) < 1.1
+    assert np.mean((np.array(errors) / np.array(stated)) ** 2) == pytest.approx(1.0, abs=some.off(0.055))
 
 
 def test_targets_on_a_line_say_how_little_they_know(rotary: SimpleNamespace) -> None:
@@ -83,17 +89,18 @@ def test_targets_on_a_line_say_how_little_they_know(rotary: SimpleNamespace) -> 
     assert np.max(content["ECC_u"]) < 5e-6 and np.min(content["EAC_u"][3:6]) > 1e-4
 
 
-def test_one_station_after_another_sees_a_machine_that_does_not_repeat(rotary: SimpleNamespace) -> None:
+def test_one_station_after_another_sees_a_machine_that_does_not_repeat(rotary: SimpleNamespace, many: Any) -> None:
     one, four = [], []
+    some = many.part(0.4)
     for repeats, into in ((1, one), (4, four)):
-        for seed in range(25):
+        for seed in range(some.count):
             simulated = rotary.measured(seed, repeats=repeats, repeatability=1e-6)
             content = identify(simulated.session).error_map.content
             angles = np.asarray(content["c"])
             value, _ = rotary.found(content)
             truth = rotary.without_datum(rotary.true_motions(simulated, angles), angles)
             into.append(rotary.without_datum(value, angles)[:3] - truth[:3])
-    assert np.sqrt(np.mean(np.square(one)) / np.mean(np.square(four))) == pytest.approx(2.0, rel=0.1)
+    assert np.sqrt(np.mean(np.square(one)) / np.mean(np.square(four))) == pytest.approx(2.0, rel=some.off(0.035))
 
 
 @pytest.mark.parametrize(("stations", "targets"), [(0.01, 0.01), (0.1, 0.02), (0.2, 0.05)])
@@ -112,15 +119,16 @@ def test_readings_of_other_places(rotary: SimpleNamespace) -> None:
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("axis", ["A", "B", "C"])
-def test_axis_average_line_in_the_machine(rotary: SimpleNamespace, axis: str) -> None:
-    along = "ABC".index(axis)
-    across, other = "XYZ"[(along + 1) % 3], "ABC"[(along + 2) % 3]
-    line = {f"{across}0{axis}": 2e-4, f"{other}0{axis}": 3e-4}
+def test_axis_average_line_in_the_machine(rotary: SimpleNamespace, many: Any) -> None:
     normalised = []
-    for seed in range(40):
+    some = many.part(0.4)
+    for axis, seed in itertools.product("ABC", range(some.count)):
+        along = "ABC".index(axis)
+        across, other = "XYZ"[(along + 1) % 3], "ABC"[(along + 2) % 3]
+        line = {f"{across}0{axis}": 2e-4, f"{other}0{axis}": 3e-4}
         simulated = rotary.measured(seed, {"average_line": line}, axis=axis)
         found = identify(simulated.session).error_map.content["axis_average_line"]
         names = [name for name in found if not name.endswith("_u")]
         normalised.append([(found[n] - line.get(n, 0.0)) / found[f"{n}_u"] for n in names])
-    assert 0.8 < np.mean(np.square(normalised)) < 1.25
+    # of 600 measurements, four values each, it may be off by 0.1
+    assert np.mean(np.square(normalised)) == pytest.approx(1.0, abs=some.off(0.1))
