@@ -142,6 +142,7 @@ def _hidden(method: str, seed: int, wanted: str | None) -> FlawSpec | None:
 
 def _story(seed: int, hidden: FlawSpec | None, measured: Measured, progress: Any) -> _Story:
     from machine_tool_calibration.methods.improve import improve
+    from machine_tool_calibration.model.result import Result
     from machine_tool_calibration.plots.improve import save_improvement
 
     improvement = improve(measured.session, seed=seed, progress=progress)
@@ -150,7 +151,9 @@ def _story(seed: int, hidden: FlawSpec | None, measured: Measured, progress: Any
     folder.mkdir()
     last = plain(improvement.steps[-1].result.document())
     pictures = [*draw(measured.session, last, folder), *save_improvement(improvement, folder)]
-    before, after = (judged(measured, step.result) for step in (improvement.steps[0], improvement.steps[-1]))
+    first, final = (improvement.steps[k].result for k in (0, -1))
+    assert isinstance(first, Result) and isinstance(final, Result)  # of a single session
+    before, after = judged(measured, first), judged(measured, final)
     return _Story(seed, hidden, measured, improvement, before, after, pictures)
 
 

@@ -7,13 +7,13 @@ from pathlib import Path
 import click
 
 from machine_tool_calibration.cli.diagnosing import bar, model_options, own_effects, saved, search_options, show_table
-from machine_tool_calibration.cli.output import console, json_option, write_json
+from machine_tool_calibration.cli.output import console, json_option, session_labels, write_json
 
 __all__ = ["command"]
 
 
 @click.command("diagnose")
-@click.argument("measurement", metavar="SESSION", type=click.Path(path_type=Path))
+@click.argument("measurements", metavar="SESSION…", nargs=-1, required=True, type=click.Path(path_type=Path))
 @model_options
 @search_options
 @click.option("--all", "everything", is_flag=True, help="List every effect that was looked for.")
@@ -25,7 +25,7 @@ __all__ = ["command"]
 )
 @json_option
 def command(
-    measurement: Path,
+    measurements: tuple[Path, ...],
     effects: tuple[str, ...],
     files: tuple[Path, ...],
     model: str | None,
@@ -47,6 +47,7 @@ def command(
     mtcal diagnose measurements/cube
     mtcal diagnose measurements/cube --effect backlash_y --output pictures
     mtcal diagnose measurements/cube --json
+    mtcal diagnose measurements/cube measurements/cube_again
     """
     from machine_tool_calibration.diagnosis.diagnose import diagnose
     from machine_tool_calibration.diagnosis.document import diagnosis_document
@@ -54,11 +55,13 @@ def command(
     from machine_tool_calibration.planning.conclusions import SEARCH, conclude
     from machine_tool_calibration.session.open import open_measurement
 
-    session = open_measurement(measurement)
+    sessions = [open_measurement(path) for path in measurements]
+    labels = session_labels(measurements) if len(sessions) > 1 else None
     own = own_effects(files)
     with bar() as progress:
         found = diagnose(
-            session,
+            sessions,
+            labels,
             model=model,
             effects=effects,
             own=own,

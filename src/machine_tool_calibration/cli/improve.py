@@ -9,7 +9,7 @@ import click
 
 from machine_tool_calibration.cli.diagnosing import bar, model_options, own_effects, saved, search_options, show_table
 from machine_tool_calibration.cli.improve_kept import Kept, draw, keep
-from machine_tool_calibration.cli.output import console, json_option, note, write_json
+from machine_tool_calibration.cli.output import console, json_option, note, session_labels, write_json
 from machine_tool_calibration.errors import CalibrationError
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ __all__ = ["command", "show_improvement"]
 
 
 @click.command("improve")
-@click.argument("measurement", metavar="SESSION", type=click.Path(path_type=Path))
+@click.argument("measurements", metavar="SESSION…", nargs=-1, required=True, type=click.Path(path_type=Path))
 @model_options
 @search_options
 @click.option(
@@ -32,7 +32,7 @@ __all__ = ["command", "show_improvement"]
 @click.option("--history/--no-history", default=True, help="Keep the models in the history of the session, or not.")
 @json_option
 def command(
-    measurement: Path,
+    measurements: tuple[Path, ...],
     effects: tuple[str, ...],
     files: tuple[Path, ...],
     model: str | None,
@@ -47,30 +47,40 @@ def command(
     SESSION is a session folder or a recording. Every model is identified; the table shows before and after side by
     side: the residual, the map of errors and what is left at the tool point. A picture shows the error falling. The
     models are kept in history.yaml in the session's folder, or beside the recording (`mtcal history` lists, compares
-    and undoes them).
+    and undoes them). Several sessions of one machine are improved together; their history is beside the first.
 
     \b
     mtcal improve measurements/cube
     mtcal improve measurements/cube --effect backlash_y
+    mtcal improve measurements/cube measurements/cube_again
     """
     from machine_tool_calibration.methods.improve import improve
     from machine_tool_calibration.methods.improve_document import improvement_document
     from machine_tool_calibration.session.history_file import history_path, read_history
     from machine_tool_calibration.session.open import open_measurement
 
-    session = open_measurement(measurement)
-    kept = history_path(measurement)
+    sessions = [open_measurement(path) for path in measurements]
+    labels = session_labels(measurements) if len(sessions) > 1 else None
+    kept = history_path(*measurements)
     if history:
         # A damaged history is told before a long calculation, not after it.
         read_history(kept)
     with bar() as progress:
         done = improve(
-            session, model=model, effects=effects, own=own_effects(files), seed=seed, sets=sets, progress=progress
+            sessions,
+            labels,
+            model=model,
+            effects=effects,
+            own=own_effects(files),
+            seed=seed,
+            sets=sets,
+            progress=progress,
         )
     # What is to be kept is written before anything is printed: the reader of the output may go away.
-    told = keep(done, session, kept) if history else Kept()
+    told = keep(done, sessions, kept) if history else Kept()
     if output is None:
-        output = Path("mtcal_output") / f"improve_{measurement.absolute().name}"
+        names = "+".join(path.absolute().name for path in measurements)
+        output = Path("mtcal_output") / f"improve_{names}"
     drawn, why = draw(done, output)
     try:
         if as_json:
@@ -165,10 +175,10 @@ def _side_by_side(done: Improvement) -> TextTable:
     both = (done.steps[0], done.steps[-1])
     rows = [
         pair("effects added", [", ".join(s.result.effects) or "none" for s in both]),
-        pair("readings used", [str(len(s.result.fit.model.observations)) for s in both]),
+        pair("readings used", [str(s.result.joint.assembly.problem.n_readings) for s in both]),
         pair("residual, µm RMS", [micrometres(s.result.rms_residual) for s in both]),
         pair("reduced chi-square", [_chi(s) for s in both]),
-        pair("its p", [probability(s.result.fit.joint.p_value) for s in both]),
+        pair("its p", [probability(s.result.joint.p_value) for s in both]),
         pair("map of errors, µm RMS", [micrometres(s.map_rms) for s in both]),
         pair(
             "left at the tool point, µm RMS (k = 2)",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -32,18 +33,19 @@ class Kept:
     failure: str = ""
 
 
-def keep(done: Improvement, session: Session, path: Path) -> Kept:
+def keep(done: Improvement, sessions: Sequence[Session], path: Path) -> Kept:
     """Put the models into the history; a failure is told, and loses nothing else.
 
     Args:
         done: what was done.
-        session: of which readings.
+        sessions: of which readings.
         path: the history's file.
     """
     from machine_tool_calibration.methods.improve import entries
     from machine_tool_calibration.session.history_file import fingerprint, update_history
 
-    made = entries(done, fingerprint(session), datetime.now(UTC).isoformat(timespec="seconds"), "improve")
+    prints = [fingerprint(session) for session in sessions]
+    made = entries(done, fingerprint(*sessions), prints, datetime.now(UTC).isoformat(timespec="seconds"), "improve")
     before: list[History] = []
 
     def grown(old: History) -> History:

@@ -151,7 +151,7 @@ class _Look:
         """One of several sessions: its sum of squares over what is left of its own readings by the common model."""
         left = float(self.free.sum())
         squares = float(np.sum(self.normal**2))
-        p = float(stats.chi2.sf(squares, left)) if left > _LEAST_LEFT else 1.0
+        p = float(special.chdtrc(left, squares)) if left > _LEAST_LEFT else 1.0
         place = same_place(self.observations)
         count = np.bincount(place)
         mean = np.bincount(place, weights=self.normal) / count

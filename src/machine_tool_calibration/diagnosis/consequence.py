@@ -13,6 +13,7 @@ from machine_tool_calibration.diagnosis.findings import Finding
 from machine_tool_calibration.diagnosis.pool import Pool
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.reduction import single_blas
+from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.result import ErrorMap, Estimate
 
@@ -66,14 +67,14 @@ def consequences(diagnosis: Diagnosis, most: int = _MOST) -> dict[str, Consequen
     """
     out = {}
     accepted, fits = diagnosis.accepted, diagnosis.fits
-    maps = [diagnosis.map_of(fit) for fit in fits]
+    maps = [fitted.error_map for fitted in diagnosis.fitted]
     for k, name in enumerate(accepted):
         out[name] = _consequence(name, fits[k], fits[k + 1], fits[-1], maps[k], maps[k + 1])
     others = [f for f in diagnosis.ranked if f.rank and f.name not in accepted][:most]
     for f in others:
         fit = _added(diagnosis, f)
         if fit is not None:
-            out[f.name] = _consequence(f.name, fits[0], fit, fit, maps[0], diagnosis.map_of(fit))
+            out[f.name] = _consequence(f.name, fits[0], fit.joint, fit.joint, maps[0], fit.error_map)
     return out
 
 
@@ -84,7 +85,7 @@ def before_and_after(diagnosis: Diagnosis, found: Finding, changes: Mapping[str,
     return rms(Pool(diagnosis.fits[0]).residuals), found.rms_after
 
 
-def _added(diagnosis: Diagnosis, found: Finding) -> JointFit | None:
+def _added(diagnosis: Diagnosis, found: Finding) -> FittedSessions | None:
     if found.candidate.effect is None:
         return None
     try:

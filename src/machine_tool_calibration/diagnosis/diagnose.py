@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import threadpoolctl
@@ -22,9 +23,11 @@ from machine_tool_calibration.diagnosis.structure import structure_candidates
 from machine_tool_calibration.effects.catalogue import catalogue, find_effects
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.methods.identify import build_model
+from machine_tool_calibration.methods.build import build_model, sharing_variant
+from machine_tool_calibration.methods.fitted import FittedSessions, fit_sessions
 from machine_tool_calibration.model.effect_terms import add_effects
-from machine_tool_calibration.model.fit import JointFit, fit_models
+from machine_tool_calibration.model.fit import JointFit
+from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.session.session import Session
 
@@ -46,33 +49,45 @@ class Diagnosis:
     """What is missing, what cannot be told apart and what could not have been seen.
 
     Attributes:
-        session: the measurement, without outliers.
+        sessions: the measurements, without outliers.
+        labels: their names; None for a single one.
         verdict: adequate, missing_effect, unexplained or outliers.
         accepted: effects found, the surest first.
         look: at the model without them.
-        fits: of the first model and after every effect found.
+        fitted: of the first model and after every effect found.
         predicted: for every effect that was probable enough, how it does on readings that were left out.
         refused: effects that are probable and yet not added, with the reason.
         excluded: effects that could not be looked for, with the reason.
-        outliers: readings that were set aside.
+        set_aside: readings of each session that were set aside.
         fit_with: fits the readings that were searched with further effects in the model.
     """
 
-    session: Session
+    sessions: tuple[Session, ...]
+    labels: tuple[str, ...] | None
     verdict: str
     accepted: tuple[str, ...]
     look: Look
-    fits: tuple[JointFit, ...]
+    fitted: tuple[FittedSessions, ...]
     predicted: dict[str, tuple[Prediction, ...]]
     refused: dict[str, str]
     excluded: dict[str, str]
-    outliers: tuple[Outlier, ...]
-    fit_with: Callable[[Sequence[Effect]], JointFit]
+    set_aside: tuple[tuple[Outlier, ...], ...]
+    fit_with: Callable[[Sequence[Effect]], FittedSessions]
 
-    def map_of(self, fit: JointFit) -> ErrorMap:
-        """The machine's errors of one of the fits."""
-        own = fit.fits[0]
-        return own.model.error_map(own)
+    @property
+    def session(self) -> Session:
+        """The first of the measurements."""
+        return self.sessions[0]
+
+    @property
+    def fits(self) -> tuple[JointFit, ...]:
+        """Of the first model and after every effect found."""
+        return tuple(fitted.joint for fitted in self.fitted)
+
+    @property
+    def outliers(self) -> tuple[Outlier, ...]:
+        """Readings of all sessions that were set aside."""
+        return tuple(outlier for own in self.set_aside for outlier in own)
 
     @property
     def noise(self) -> Noise:
@@ -101,11 +116,12 @@ class Diagnosis:
         return _contradicted(self.look, self.fits)
 
 
-FitOf = Callable[[Session, Sequence[Effect]], JointFit]
+FitOf = Callable[[Sequence[Session], Sequence[Effect]], FittedSessions]
 
 
 def diagnose(
-    session: Session,
+    subject: Session | Sequence[Session],
+    labels: Sequence[str] | None = None,
     *,
     model: str | None = None,
     effects: Sequence[str] = (),
@@ -114,10 +130,11 @@ def diagnose(
     sets: int = 199,
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> Diagnosis:
-    """Look for missing effects in a session.
+    """Look for missing effects in one session, or in several of one machine together.
 
     Args:
-        session: the measurement.
+        subject: the measurement or measurements.
+        labels: names of several, all different.
         model: the method's model; its default if absent.
         effects: ids of effects that are in the model already.
         own: the user's own effects, looked for beside the catalogue.
@@ -128,61 +145,82 @@ def diagnose(
     Raises:
         ModelError: the data does not allow the model.
     """
+    sessions = (subject,) if isinstance(subject, Session) else tuple(subject)
     present = find_effects(effects, own)
     known = [effect for effect in catalogue(own).values() if effect.id not in effects]
 
-    def fit_of(part: Session, added: Sequence[Effect]) -> JointFit:
-        return fit_models([add_effects(build_model(part, model)[0], [*present, *added])])
+    def fit_of(parts: Sequence[Session], added: Sequence[Effect]) -> FittedSessions:
+        ids = [*effects, *(effect.id for effect in added)]
+        return fit_sessions(parts, labels, model=model, effects=ids, own=own)
+
+    def outliers_beside(added: Sequence[Effect]) -> tuple[tuple[tuple[Outlier, ...], ...], tuple[Session, ...]]:
+        """Outliers of each session, judged by itself, and the sessions without them."""
+        found, kept = [], []
+        for session in sessions:
+            variant = model if len(sessions) == 1 else sharing_variant(session, model)
+            build = partial(_alone, variant=variant, effects=[*present, *added], several=len(sessions) > 1)
+            outliers, without, _ = find_outliers(session, build)
+            found.append(tuple(outliers))
+            kept.append(without)
+        return tuple(found), tuple(kept)
 
     # Many small products: more than one thread for each only costs.
     with threadpoolctl.threadpool_limits(1, user_api="blas"):
         progress("looking for outliers", 0.0)
-        outliers, kept, _ = find_outliers(session, lambda part: fit_of(part, ()).assembly.models[0])
-        found = _search(kept, known, fit_of, seed, sets, progress)
-        if found.accepted and outliers:
+        aside, kept = outliers_beside(())
+        found = _search(kept, labels, known, fit_of, seed, sets, progress)
+        if found.accepted and any(aside):
             # With the effects in the model some of them belong to the rest again: then the search begins anew.
-            added = [effect for effect in known if effect.id in found.accepted]
-            again, kept, _ = find_outliers(session, lambda part: fit_of(part, added).assembly.models[0])
-            if {o.row for o in again} != {o.row for o in outliers}:
-                found = _search(kept, known, fit_of, seed, sets, progress)
-            outliers = again
+            again, kept = outliers_beside([effect for effect in known if effect.id in found.accepted])
+            if [{o.row for o in one} for one in again] != [{o.row for o in one} for one in aside]:
+                found = _search(kept, labels, known, fit_of, seed, sets, progress)
+            aside = again
         progress("done", 1.0)
     verdict = found.verdict
-    if verdict == "adequate" and outliers:
+    if verdict == "adequate" and any(aside):
         verdict = "outliers"
-    return replace(found, session=kept, verdict=verdict, outliers=tuple(outliers))
+    return replace(found, sessions=kept, verdict=verdict, set_aside=aside)
+
+
+def _alone(session: Session, variant: str | None, effects: Sequence[Effect], several: bool) -> MethodModel:
+    """The model of one session, with those effects that can act in it where it is one of several."""
+    base = build_model(session, variant)[0]
+    acting = [effect for effect in effects if not several or effect.why_not(base.observations) is None]
+    return add_effects(base, acting)
 
 
 def _search(
-    session: Session,
+    sessions: tuple[Session, ...],
+    labels: Sequence[str] | None,
     known: Sequence[Effect],
     fit_of: FitOf,
     seed: int,
     sets: int,
     progress: Callable[[str, float], None],
 ) -> Diagnosis:
-    first = fit_of(session, ())
-    averaged = mean_places(first.fits[0])
-    part = session if averaged is None else averaged[0]
+    first = fit_of(sessions, ())
+    averaged = mean_places(first.joint.fits[0]) if len(sessions) == 1 else None
+    parts = sessions if averaged is None else (averaged[0],)
     if averaged is not None:
-        first = fit_of(part, ())
+        first = fit_of(parts, ())
     # Error motions that the model holds as random functions, under names of their own.
-    held = {term.name.rsplit(".", 1)[1] for term in first.assembly.models[0].terms if "." in term.name}
-    pool = Pool(first)
+    held = {
+        term.name.rsplit(".", 1)[1] for model in first.joint.assembly.models for term in model.terms if "." in term.name
+    }
+    pool = Pool(first.joint)
     candidates, excluded = effect_candidates(pool, [e for e in known if e.id not in held])
     excluded |= {e.id: "the model has it already, as a random function" for e in known if e.id in held}
     progress(f"{len(candidates)} effects, alone and together", 0.2)
-    side_by_side = session.method == "direct"
-    look = look_at(
-        first, candidates, structure_candidates(pool), np.random.default_rng(seed), sets, side_by_side=side_by_side
-    )
+    side_by_side = all(session.method == "direct" for session in sessions)
+    rng = np.random.default_rng(seed)
+    look = look_at(first.joint, candidates, structure_candidates(pool), rng, sets, side_by_side=side_by_side)
     if averaged is not None:
         told = averaged[1]
         noise = replace(look.noise[0], from_repeats=told.from_repeats, repeats=told.repeats)
         look = replace(look, noise=(noise,))
     progress("readings that are left out", 0.7)
-    predicted = predictions(part, look, fit_of)
-    fits, accepted, refused = [first], list[Effect](), dict[str, str]()
+    predicted = predictions(parts, look, lambda left: fit_of(left, ()).joint)
+    fitted, accepted, refused = [first], list[Effect](), dict[str, str]()
     for name in look.accepted:
         effect = next(e for e in known if e.id == name)
         against = [p for p in predicted.get(name, ()) if p.speaks_against]
@@ -190,31 +228,33 @@ def _search(
             refused[name] = f"it does not predict {against[0].what} that are left out"
             continue
         try:
-            wider = _settled(fit_of(part, [*accepted, effect]))
+            wider = fit_of(parts, [*accepted, effect])
+            _settled(wider.joint)
             if not side_by_side:
-                _hold(fits[-1], wider)
+                _hold(fitted[-1].error_map, wider.error_map)
         except ModelError as error:
             refused[name] = str(error)
             continue
-        fits.append(wider)
+        fitted.append(wider)
         accepted.append(effect)
-    verdict = _verdict(look, fits, bool(accepted), bool(refused))
+    verdict = _verdict(look, [f.joint for f in fitted], bool(accepted))
     names = tuple(effect.id for effect in accepted) if verdict == "missing_effect" else ()
     return Diagnosis(
-        session=session,
+        sessions=sessions,
+        labels=None if labels is None else tuple(labels),
         verdict=verdict,
         accepted=names,
         look=look,
-        fits=tuple(fits[: len(names) + 1]),
+        fitted=tuple(fitted[: len(names) + 1]),
         predicted=predicted,
         refused=refused,
         excluded=excluded,
-        outliers=(),
-        fit_with=lambda added: fit_of(part, added),
+        set_aside=tuple(() for _ in sessions),
+        fit_with=lambda added: fit_of(parts, added),
     )
 
 
-def _verdict(look: Look, fits: Sequence[JointFit], accepted: bool, refused: bool) -> str:
+def _verdict(look: Look, fits: Sequence[JointFit], accepted: bool) -> str:
     """From the probabilities and the absolute misfit alone."""
     if _contradicted(look, fits):
         return "unexplained"
@@ -249,8 +289,8 @@ def _noisy(look: Look, last: JointFit) -> bool:
     return noise.from_repeats is not None and noise.from_repeats > _AS_MUCH * scatter
 
 
-def _settled(fit: JointFit) -> JointFit:
-    """The fit, if the iteration came to rest.
+def _settled(fit: JointFit) -> None:
+    """Nothing, if the iteration came to rest.
 
     Raises:
         ModelError: it did not: the unknowns are so nearly interchangeable that no step is small.
@@ -259,28 +299,25 @@ def _settled(fit: JointFit) -> JointFit:
     expected = fit.solution.chi_square
     if abs(squares - expected) > max(1.0, 0.02 * expected) and fit.assembly.problem.priors is None:
         raise ModelError("together with the model's own unknowns the data does not determine it")
-    return fit
 
 
-def _hold(fit: JointFit, wider: JointFit) -> None:
+def _hold(before: ErrorMap, after: ErrorMap) -> None:
     """Nothing, if all that was determined still is with another effect in the model.
 
     Raises:
         ModelError: some of the map is no longer determined, or its uncertainty has grown beyond all use.
     """
     lost, growth = 0, 1.0
-    for one, other in zip(fit.fits, wider.fits, strict=True):
-        before, after = one.model.error_map(one).content, other.model.error_map(other).content
-        for name in (name for name in before if _OF_THE_MACHINE.fullmatch(name)):
-            old = np.asarray(before[name], dtype=float)
-            new = np.asarray(after.get(name, np.full(old.shape, np.nan)), dtype=float)
-            known = np.isfinite(old)
-            if new.shape != old.shape:
-                continue
-            lost += int((known & ~np.isfinite(new)).sum())
-            both = known & np.isfinite(new) & (old > 0)
-            if both.any():
-                growth = max(growth, float(np.sqrt(np.mean(new[both] ** 2) / np.mean(old[both] ** 2))))
+    for name in (name for name in before.content if _OF_THE_MACHINE.fullmatch(name)):
+        old = np.asarray(before.content[name], dtype=float)
+        new = np.asarray(after.content.get(name, np.full(old.shape, np.nan)), dtype=float)
+        if new.shape != old.shape:
+            continue
+        known = np.isfinite(old)
+        lost += int((known & ~np.isfinite(new)).sum())
+        both = known & np.isfinite(new) & (old > 0)
+        if both.any():
+            growth = max(growth, float(np.sqrt(np.mean(new[both] ** 2) / np.mean(old[both] ** 2))))
     if lost:
         raise ModelError(f"together with it {lost} values of the map would no longer be determined")
     if growth > _SPOILT:

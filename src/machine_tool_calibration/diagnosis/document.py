@@ -56,10 +56,11 @@ def diagnosis_document(
     look, noise = diagnosis.look, diagnosis.noise
     document = {
         "format": "mtcal-diagnosis/1",
-        "method": diagnosis.session.method,
+        "method": diagnosis.session.method if len(diagnosis.sessions) == 1 else "joint",
+        "sessions": [] if diagnosis.labels is None else list(diagnosis.labels),
         "verdict": diagnosis.verdict,
         "accepted": list(diagnosis.accepted),
-        "observations": len(diagnosis.session.readings) + len(diagnosis.outliers),
+        "observations": sum(len(session.readings) for session in diagnosis.sessions) + len(diagnosis.outliers),
         "noise": {
             "declared": noise.declared,
             "from_repeats": noise.from_repeats,
@@ -84,8 +85,9 @@ def diagnosis_document(
         "structure": [_structure(s) for s in look.structure],
         "structure_left": [_structure(s) for s in look.left],
         "outliers": [
-            {"row": o.row, "studentized": o.studentized, "deviation": o.deviation}
-            for o in sorted(diagnosis.outliers, key=lambda o: o.row)
+            {"row": o.row, "studentized": o.studentized, "deviation": o.deviation, **({"session": label} if label else {})}
+            for label, own in zip(diagnosis.labels or ("",), diagnosis.set_aside, strict=True)
+            for o in sorted(own, key=lambda o: o.row)
         ],
         "detectable": list(_detectable(diagnosis)),
         "visible_by": [_visibility(v) for v in advice.visibilities],

@@ -31,7 +31,8 @@ _LEADING = (1, 2, 4)
 # Share of its squared norm outside the model below which an effect is absorbed: 1 % of the norm; and below which what
 # is left of a combination of columns is rounding.
 _ABSORBED, _ROUNDED = 1e-4, 1e-7
-# Share of a column's squares that its variation within the runs is at least taken for, and squares of a column of zeros.
+# Share of a column's squares that its variation within the runs is at least taken for, and squares of a column of
+# zeros.
 _CONSTANT, _NONE = 1e-10, 1e-100
 
 

@@ -62,6 +62,22 @@ class Pool:
             first += int(o.run.max(initial=-1)) + 1
         return np.concatenate(out)
 
+    @cached_property
+    def setup(self) -> IntArray:
+        """(n,) setups, numbered over all sessions as in `setup_names`."""
+        counts = np.cumsum([0, *(len(o.session.setup_ids) for o in self.observations)])
+        return np.concatenate([o.readings.setup + first for o, first in zip(self.observations, counts, strict=False)])
+
+    @cached_property
+    def setup_names(self) -> tuple[str, ...]:
+        """Ids of all sessions' setups, with the session's name where there are several."""
+        return tuple(self.label(k) + name for k, o in enumerate(self.observations) for name in o.session.setup_ids)
+
+    @cached_property
+    def position(self) -> Array:
+        """(n, 3) nominal functional points, m."""
+        return np.concatenate([o.position for o in self.observations])
+
     def label(self, index: int) -> str:
         """Name of a session, to be put before what is its own; empty if there is only one."""
         labels = self.fit.assembly.labels

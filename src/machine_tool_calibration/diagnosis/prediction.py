@@ -60,16 +60,16 @@ class Prediction:
 
 
 def predictions(
-    session: Session,
+    sessions: Sequence[Session],
     look: Look,
-    fit_of: Callable[[Session, Sequence[Effect]], JointFit],
+    fit_of: Callable[[Sequence[Session]], JointFit],
 ) -> dict[str, tuple[Prediction, ...]]:
     """Every accepted effect on setups, blocks of places and cycles that were left out.
 
     Args:
-        session: the measurement.
-        look: at all of it.
-        fit_of: fits the model, without further effects, to a part of the session.
+        sessions: the measurements.
+        look: at all of them.
+        fit_of: fits the model, without further effects, to parts of the sessions.
     """
     names = look.accepted[:_MOST]
     if not names:
@@ -78,15 +78,15 @@ def predictions(
     effects = [(effect, shape) for effect, shape in found if effect is not None]
     whole = _log_factors(look.fit, effects)
     out: dict[str, list[Prediction]] = {name: [] for name in names}
-    for what, part in _divisions(session):
+    for what, parts in _divisions(sessions):
         gains, readings = [], 0
-        for k in range(int(part.max()) + 1):
-            left = session.with_readings(session.readings.select(part != k))
+        for k in range(1 + max(int(part.max(initial=-1)) for part in parts)):
+            left = [s.with_readings(s.readings.select(part != k)) for s, part in zip(sessions, parts, strict=True)]
             try:
-                gains.append(whole - _log_factors(fit_of(left, ()), effects))
+                gains.append(whole - _log_factors(fit_of(left), effects))
             except (CalibrationError, np.linalg.LinAlgError):
                 continue
-            readings += int((part == k).sum())
+            readings += sum(int((part == k).sum()) for part in parts)
         if len(gains) < 2:
             continue
         for name, own in zip(names, np.array(gains).T, strict=True):
@@ -135,18 +135,19 @@ def _blocks(shaped: Sequence[Shaped]) -> list[Block]:
     return out
 
 
-def _divisions(session: Session) -> Iterator[tuple[str, IntArray]]:
-    """Ways to divide the readings, with the part of each."""
-    readings = session.readings
-    setups = np.unique(readings.setup, return_inverse=True)[1].reshape(-1)
-    if setups.max(initial=0) >= 2:
-        yield "setups", setups % min(_PARTS, int(setups.max()) + 1)
-    place = _zones(readings.position(), readings.columns.get("c"))
+def _divisions(sessions: Sequence[Session]) -> Iterator[tuple[str, list[IntArray]]]:
+    """Ways to divide the readings, with the part of each reading of each session."""
+    setups = [np.unique(s.readings.setup, return_inverse=True)[1].reshape(-1) for s in sessions]
+    if max(int(part.max(initial=0)) for part in setups) >= 2:
+        yield "setups", [part % min(_PARTS, int(part.max(initial=0)) + 1) for part in setups]
+    position = np.concatenate([s.readings.position() for s in sessions])
+    angles = [s.readings.columns.get("c") for s in sessions]
+    place = _zones(position, angles[0] if len(sessions) == 1 else None)
     if place is not None:
-        yield "blocks of places", place
-    cycles = np.unique(readings.repeat, return_inverse=True)[1].reshape(-1)
-    if cycles.max(initial=0) >= 1:
-        yield "cycles", cycles % _PARTS
+        yield "blocks of places", np.split(place, np.cumsum([len(s.readings) for s in sessions])[:-1])
+    cycles = [np.unique(s.readings.repeat, return_inverse=True)[1].reshape(-1) for s in sessions]
+    if max(int(part.max(initial=0)) for part in cycles) >= 1:
+        yield "cycles", [part % _PARTS for part in cycles]
 
 
 def _zones(position: np.ndarray, angle: np.ndarray | None) -> IntArray | None:

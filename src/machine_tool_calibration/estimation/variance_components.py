@@ -84,16 +84,17 @@ def fold(inner: Array, cross: Array, family: IntArray, ratio: tuple[float, ...])
     s = tau[used]
     lower = _factor(inner[np.ix_(used, used)] * np.outer(s, s))
     half = np.linalg.solve(lower, s[:, None] * cross[used])
-    return Folded(2.0 * float(np.log(np.diag(lower)).sum()), half)
+    return Folded(2.0 * float(np.log(np.diag(lower)).sum()), np.asarray(half, dtype=np.float64))
 
 
 def _factor(matrix: Array) -> Array:
     """Lower factor of I plus a positive semidefinite matrix, which rounding may have made indefinite."""
     try:
-        return np.linalg.cholesky(np.eye(len(matrix)) + matrix)
+        return np.asarray(np.linalg.cholesky(np.eye(len(matrix)) + matrix), dtype=np.float64)
     except np.linalg.LinAlgError:
         values, vectors = np.linalg.eigh(matrix)
-        return np.linalg.cholesky(np.eye(len(matrix)) + (vectors * np.maximum(values, 0.0)) @ vectors.T)
+        clean = np.eye(len(matrix)) + (vectors * np.maximum(values, 0.0)) @ vectors.T
+        return np.asarray(np.linalg.cholesky(clean), dtype=np.float64)
 
 
 @dataclass(frozen=True)

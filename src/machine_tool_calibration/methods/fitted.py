@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.build import build_model, sharing_variant
 from machine_tool_calibration.methods.joint_effects import with_effects
+from machine_tool_calibration.methods.joint_map import joint_map
 from machine_tool_calibration.methods.joint_model import CommonModels, common_models
-from machine_tool_calibration.methods.joint_spread import random_of, settled
+from machine_tool_calibration.methods.joint_spread import random_of, settled, stated
 from machine_tool_calibration.model.effect_terms import add_effects
 from machine_tool_calibration.model.fit import JointFit, fit_models
+from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["FittedSessions", "fit_sessions", "joint_models"]
@@ -33,6 +36,14 @@ class FittedSessions:
     common: CommonModels | None
     model_names: tuple[str, ...]
     effects: tuple[str, ...]
+
+    @cached_property
+    def error_map(self) -> ErrorMap:
+        """The machine's errors from all readings."""
+        if self.common is None:
+            fit = self.joint.fits[0]
+            return fit.model.error_map(fit)
+        return joint_map(self.joint, self.common, stated(self.joint, self.common.angles))
 
 
 def fit_sessions(

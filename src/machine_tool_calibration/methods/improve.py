@@ -9,9 +9,11 @@ import numpy as np
 
 from machine_tool_calibration.diagnosis.consequence import effect_estimates, map_change, map_rms
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
+from machine_tool_calibration.diagnosis.pool import Pool
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.model.history import Coefficient, Entry
+from machine_tool_calibration.methods.joint import JointResult, identify_sessions
+from machine_tool_calibration.model.history import Coefficient, Entry, Part
 from machine_tool_calibration.model.result import Estimate, Result
 from machine_tool_calibration.session.session import Session
 
@@ -28,11 +30,11 @@ class Step:
         map_rms: RMS length of the position errors at the map's points, m; None where the method maps none.
         map_uncertainty: RMS length of their standard uncertainty, as it is published, m.
         map_change: RMS length by which they moved against the step before, m.
-        set_aside: rows of the readings that were left out.
+        set_aside: rows of the readings that were left out, of all sessions one after the other.
     """
 
     change: str
-    result: Result
+    result: Result | JointResult
     map_rms: float | None
     map_uncertainty: float | None
     map_change: float | None
@@ -48,7 +50,7 @@ class Step:
     @property
     def reduced_chi_square(self) -> float | None:
         """Weighted sum of squares over the degrees of freedom."""
-        value = self.result.fit.joint.reduced_chi_square
+        value = self.result.joint.reduced_chi_square
         return value if np.isfinite(value) else None
 
     @property
@@ -58,13 +60,14 @@ class Step:
         Only where the model gives the tool point's errors by the machine's: where every point is free, what is left
         are contradictions between readings of the same point.
         """
-        observations = self.result.fit.model.observations
-        method = observations.session.method
-        if method != "direct" and (method, self.result.model_name) != ("tracking_interferometer", "rigid_body"):
+        pool = Pool(self.result.joint)
+        methods = {o.session.method for o in pool.observations}
+        if methods != {"direct"} and (methods, self.result.model_name) != ({"tracking_interferometer"}, "rigid_body"):
             return 0.0
-        beyond = max((self.reduced_chi_square or 1.0) - 1.0, 0.0) * observations.session.sigma**2
+        beyond = max((self.reduced_chi_square or 1.0) - 1.0, 0.0) * float(np.mean(pool.sigma**2))
         # A reading sees one direction of as many as were looked along.
-        seen = np.linalg.eigvalsh(observations.direction.T @ observations.direction / len(observations))
+        direction = np.concatenate([o.direction for o in pool.observations])
+        seen = np.linalg.eigvalsh(direction.T @ direction / len(direction))
         return float(np.sqrt(beyond * np.sum(seen > 1e-3)))
 
     @property
@@ -78,13 +81,13 @@ class Step:
         chi = self.reduced_chi_square
         if self.map_uncertainty is None or chi is None:
             return None
-        more = np.sqrt(max(chi, 1.0)) / self.result.fit.scatter_factor
+        more = np.sqrt(max(chi, 1.0)) / self.result.joint.stated.scatter
         return float(np.hypot(self.map_uncertainty * more, self.unexplained_at_tool))
 
     @property
     def parameters(self) -> tuple[Estimate, ...]:
         """Coefficients of the effects in the model."""
-        return effect_estimates(self.result.fit.joint, self.result.effects)
+        return effect_estimates(self.result.joint, self.result.effects)
 
 
 @dataclass(frozen=True)
@@ -112,7 +115,8 @@ class Improvement:
 
 
 def improve(
-    session: Session,
+    subject: Session | Sequence[Session],
+    labels: Sequence[str] | None = None,
     *,
     model: str | None = None,
     effects: Sequence[str] = (),
@@ -126,7 +130,8 @@ def improve(
     Nothing is added unless the diagnosis names it as the cause; readings that it sets aside are left out first.
 
     Args:
-        session: the measurement.
+        subject: the measurement, or several of one machine.
+        labels: names of several, all different.
         model: the method's model; its default if absent.
         effects: ids of effects that are in the first model already.
         own: the user's own effects.
@@ -137,8 +142,17 @@ def improve(
     Raises:
         ModelError: the data does not allow the model.
     """
+    sessions = (subject,) if isinstance(subject, Session) else tuple(subject)
+
+    def identified(parts: Sequence[Session], added: Sequence[str]) -> Result | JointResult:
+        ids = [*effects, *added]
+        if len(parts) == 1:
+            return identify(parts[0], model=model, effects=ids, own=own, keep_all=True)
+        return identify_sessions(parts, labels or (), model=model, effects=ids, own=own, keep_all=True)
+
     found = diagnose(
-        session,
+        sessions,
+        labels,
         model=model,
         effects=effects,
         own=own,
@@ -146,22 +160,19 @@ def improve(
         sets=sets,
         progress=lambda what, share: progress(what, 0.9 * share),
     )
-    aside = tuple(sorted(outlier.row for outlier in found.outliers))
-    steps = [_step(None, "", identify(session, model=model, effects=effects, own=own, keep_all=True), ())]
+    aside = tuple(outlier.row for one in found.set_aside for outlier in sorted(one, key=lambda o: o.row))
+    steps = [_step(None, "", identified(sessions, ()), ())]
     if aside:
         words = f"{len(aside)} reading{'' if len(aside) == 1 else 's'} set aside"
-        result = identify(found.session, model=model, effects=effects, own=own, keep_all=True)
-        steps.append(_step(steps[-1], words, result, aside))
+        steps.append(_step(steps[-1], words, identified(found.sessions, ()), aside))
     for k, name in enumerate(found.accepted):
         progress(f"adding {name}", 0.9 + 0.1 * k / len(found.accepted))
-        added = [*effects, *found.accepted[: k + 1]]
-        result = identify(found.session, model=model, effects=added, own=own, keep_all=True)
-        steps.append(_step(steps[-1], name, result, aside))
+        steps.append(_step(steps[-1], name, identified(found.sessions, found.accepted[: k + 1]), aside))
     progress("done", 1.0)
     return Improvement(found, tuple(steps))
 
 
-def _step(before: Step | None, change: str, result: Result, aside: tuple[int, ...]) -> Step:
+def _step(before: Step | None, change: str, result: Result | JointResult, aside: tuple[int, ...]) -> Step:
     return Step(
         change=change,
         result=result,
@@ -172,30 +183,32 @@ def _step(before: Step | None, change: str, result: Result, aside: tuple[int, ..
     )
 
 
-def entries(improvement: Improvement, data: str, made: str, by: str) -> list[Entry]:
+def entries(improvement: Improvement, data: str, each: Sequence[str], made: str, by: str) -> list[Entry]:
     """The steps as entries of a history.
 
     Args:
         improvement: what was done.
-        data: fingerprint of the readings.
+        data: fingerprint of all readings.
+        each: fingerprints of the readings of each session.
         made: date and time, ISO 8601.
         by: the command.
     """
     out: list[Entry] = []
     for step in improvement.steps:
-        joint = step.result.fit.joint
+        joint = step.result.joint
         p_value = joint.p_value
         out.append(
             Entry(
                 number=len(out) + 1,
                 made=made,
                 by=by,
-                model=step.result.model_name,
+                model=step.result.model_name if isinstance(step.result, Result) else "joint",
+                sessions=_parts(improvement, step, each),
                 effects=step.result.effects,
                 change=step.change,
                 data=data,
-                used=len(step.result.fit.model.observations),
-                set_aside=step.set_aside,
+                used=joint.assembly.problem.n_readings,
+                set_aside=step.set_aside if isinstance(step.result, Result) else (),
                 rms_residual=step.result.rms_residual,
                 reduced_chi_square=step.reduced_chi_square,
                 degrees_of_freedom=joint.solution.degrees_of_freedom,
@@ -210,3 +223,15 @@ def entries(improvement: Improvement, data: str, made: str, by: str) -> list[Ent
             )
         )
     return out
+
+
+def _parts(improvement: Improvement, step: Step, each: Sequence[str]) -> tuple[Part, ...]:
+    """The sessions of a step; none for a single one, of which the entry itself tells."""
+    if isinstance(step.result, Result):
+        return ()
+    aside = improvement.diagnosis.set_aside if step.set_aside else tuple(() for _ in each)
+    found = zip(step.result.labels, step.result.model_names, each, aside, strict=True)
+    return tuple(
+        Part(label=label, model=model, data=data, set_aside=tuple(sorted(o.row for o in own)))
+        for label, model, data, own in found
+    )

@@ -23,10 +23,10 @@ def improvement_document(done: Improvement) -> dict[str, Any]:
             {
                 "change": step.change,
                 "effects": step.result.effects,
-                "readings": len(step.result.fit.model.observations),
+                "readings": step.result.joint.assembly.problem.n_readings,
                 "rms_residual": step.result.rms_residual,
                 "reduced_chi_square": step.reduced_chi_square,
-                "p_value": step.result.fit.joint.p_value,
+                "p_value": step.result.joint.p_value,
                 "map_rms": step.map_rms,
                 "map_change_rms": step.map_change,
                 "map_uncertainty_rms": step.map_uncertainty,

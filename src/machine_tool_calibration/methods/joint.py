@@ -19,7 +19,7 @@ from machine_tool_calibration.methods.joint_model import CommonModels, common_mo
 from machine_tool_calibration.methods.joint_spread import StatedAngles, stated
 from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.model.model import MethodModel
-from machine_tool_calibration.model.result import ErrorMap, Estimate, Rejected, plain
+from machine_tool_calibration.model.result import ErrorMap, Estimate, Rejected, plain, spread_document
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["JointResult", "identify_sessions", "joint_models"]
@@ -53,6 +53,21 @@ class JointResult:
     model_names: tuple[str, ...]
     rejected: tuple[tuple[Rejected, ...], ...]
     observations: tuple[int, ...]
+
+    @property
+    def joint(self) -> JointFit:
+        """The fit."""
+        return self.fit
+
+    @property
+    def model_name(self) -> str:
+        """Variants of the sessions' models, each once."""
+        return ", ".join(dict.fromkeys(self.model_names))
+
+    @property
+    def rms_residual(self) -> float:
+        """Root mean square of measured minus predicted, m."""
+        return float(np.sqrt(np.mean(np.concatenate([fit.residuals for fit in self.fit.fits]) ** 2)))
 
     @property
     def parameters(self) -> list[Estimate]:
@@ -104,11 +119,13 @@ class JointResult:
                 for label, rejected in zip(self.labels, self.rejected, strict=True)
                 for r in rejected
             ],
-            "rms_residual": float(np.sqrt(np.mean(np.concatenate(residuals) ** 2))),
+            "rms_residual": self.rms_residual,
             "reduced_chi_square": self.fit.reduced_chi_square,
             "degrees_of_freedom": solution.degrees_of_freedom,
             "p_value": self.fit.p_value,
             "effects": list(self.effects),
+            "spread": [spread_document(size) for size in self.fit.stated.sizes],
+            "scatter_factor": self.fit.stated.scatter,
             "sessions": [
                 {
                     "label": label,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.model.fit import Fit
+from machine_tool_calibration.model.fit import Fit, JointFit
 from machine_tool_calibration.model.model import NotDetermined
 from machine_tool_calibration.model.stated import FamilySize
 
@@ -77,6 +77,11 @@ class Result:
     model_name: str
     rejected: tuple[Rejected, ...]
     observations: int
+
+    @property
+    def joint(self) -> JointFit:
+        """The fit, as one of several sessions is."""
+        return self.fit.joint
 
     @property
     def rms_residual(self) -> float:

@@ -225,6 +225,6 @@ class _Geometric(JointFit):
     """
 
     @property
-    def published(self) -> Solution:  # type: ignore[override]
+    def published(self) -> Solution:
         """The shared unknowns where the sum of squares is least, with the covariance of the declared uncertainty."""
         return self.solution

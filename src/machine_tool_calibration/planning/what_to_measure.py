@@ -46,6 +46,9 @@ def what_to_measure(
         own: the user's own effects.
         progress: told what is being done and the share that is finished.
     """
+    if len(diagnosis.sessions) > 1:
+        # What another session would tell depends on which: each is asked for by itself.
+        return Advice()
     groups = alias_groups_of(diagnosis)
     assumed = assumed_effects(diagnosis)
     present = present_effects(diagnosis, own)

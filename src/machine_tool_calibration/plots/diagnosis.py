@@ -48,8 +48,9 @@ def _title(diagnosis: Diagnosis) -> str:
         "unexplained": "structure that no effect explains",
         "outliers": f"{len(diagnosis.outliers)} readings do not belong to the rest",
     }
-    method = diagnosis.session.method.replace("_", " ")
-    return f"{method}, {len(diagnosis.session.readings)} readings: {what[diagnosis.verdict]}"
+    method = " + ".join(dict.fromkeys(session.method.replace("_", " ") for session in diagnosis.sessions))
+    count = sum(len(session.readings) for session in diagnosis.sessions)
+    return f"{method}, {count} readings: {what[diagnosis.verdict]}"
 
 
 def _ranking(panel: Axes, diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> None:
@@ -77,12 +78,12 @@ def _added(panel: Axes, diagnosis: Diagnosis, changes: Mapping[str, Consequence]
         panel.set_axis_off()
         return
     explained = 1e6 * changes[name].explained
-    residuals = 1e6 * Pool(diagnosis.fits[0]).residuals
-    setup = diagnosis.fits[0].fits[0].model.observations.readings.setup
+    pool = Pool(diagnosis.fits[0])
+    residuals, setup = 1e6 * pool.residuals, pool.setup
     used = np.unique(setup)
     for k in used:
         mine = setup == k
-        label = diagnosis.session.setup_ids[int(k)] if len(used) <= _LISTED else None
+        label = pool.setup_names[int(k)] if len(used) <= _LISTED else None
         panel.plot(explained[mine], residuals[mine], ".", ms=4, alpha=0.7, color=color(int(k)), label=label)
     ends = [float(explained.min()), float(explained.max())]
     panel.plot(ends, ends, color="0.3", lw=0.8)
@@ -95,7 +96,7 @@ def _added(panel: Axes, diagnosis: Diagnosis, changes: Mapping[str, Consequence]
 
 def _over(panel: Axes, diagnosis: Diagnosis) -> None:
     """Residuals over what they depend on most, before and after."""
-    first, last = diagnosis.fits[0].fits[0], diagnosis.fits[-1].fits[0]
+    first, last = Pool(diagnosis.fits[0]), Pool(diagnosis.fits[-1])
     name, values = _covariate(diagnosis)
     label, factor = axis_label(name)
     shown = [("before", first, "tab:red")]
@@ -123,8 +124,9 @@ def _covariate(diagnosis: Diagnosis) -> tuple[str, Array]:
     The covariate, among those through which the first accepted effect acts, that what was taken out follows best;
     without one, that of the structure found first; else the one that the residuals follow; else the order.
     """
-    first, last = diagnosis.fits[0].fits[0], diagnosis.fits[-1].fits[0]
-    known = covariates(first.model.observations)
+    first, last = Pool(diagnosis.fits[0]), Pool(diagnosis.fits[-1])
+    every = [covariates(observations) for observations in first.observations]
+    known = {name: np.concatenate([own[name] for own in every]) for name in every[0] if all(name in o for o in every)}
     known = {name: values for name, values in known.items() if np.isfinite(values).all()}
     if not diagnosis.accepted:
         for structure in diagnosis.look.structure:

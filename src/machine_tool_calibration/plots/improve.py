@@ -9,7 +9,9 @@ import numpy as np
 import pandas as pd
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.diagnosis.pool import Pool
 from machine_tool_calibration.methods.improve import Improvement, Step
+from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.plots.residuals import axis_label, color, grids, planes
 
 if TYPE_CHECKING:
@@ -35,7 +37,8 @@ def draw_improvement(improvement: Improvement) -> Figure:
     # Outliers would hide everything else: the first picture is of the readings that are kept.
     if len(improvement.steps) > 1 and last.set_aside:
         first = improvement.steps[1] if len(improvement.steps) > 2 else first
-    method = improvement.diagnosis.session.method
+    sessions = improvement.diagnosis.sessions
+    method = sessions[0].method if len(sessions) == 1 else ""
     size = _size(first)
     for panel, step, title in ((before, first, "before"), (after, last, "after")):
         if method in _ALONG:
@@ -67,29 +70,27 @@ def _fall(panel: Axes, improvement: Improvement) -> None:
 
 def _size(step: Step) -> float:
     """Size of the bulk of the residuals, m."""
-    return float(np.quantile(np.abs(step.result.fit.residuals), 0.98)) or 1e-9
+    return float(np.quantile(np.abs(Pool(step.result.joint).residuals), 0.98)) or 1e-9
 
 
 def _arrows(panel: Axes, step: Step, size: float) -> None:
     """Residuals as arrows along what they sense, where the tool was."""
-    observations = step.result.fit.model.observations
-    a, b = (planes(observations.position, observations.direction) or [(0, 1)])[0]
-    place = 1e3 * observations.position[:, [a, b]]
-    sense = observations.direction
-    if np.abs(observations.table_direction).max(initial=0.0) > 0 and observations.session.method == "probing":
-        sense = observations.table_direction
-    arrow = step.result.fit.residuals[:, None] * sense[:, [a, b]]
+    pool = Pool(step.result.joint)
+    a, b = (planes(pool.position, np.concatenate([o.direction for o in pool.observations])) or [(0, 1)])[0]
+    place = 1e3 * pool.position[:, [a, b]]
+    sense = np.concatenate([_sensed(o) for o in pool.observations])
+    arrow = pool.residuals[:, None] * sense[:, [a, b]]
     extent = max(float(np.ptp(place, axis=0).max()), 1e-6)
     scale = _LENGTH * extent / size
-    colors = [color(int(k)) for k in observations.readings.setup]
+    colors = [color(int(k)) for k in pool.setup]
     panel.plot(*place.T, ls="", marker=".", ms=2, color="0.7", zorder=0)
     quiver = panel.quiver(
         *place.T, *(scale * arrow.T), color=colors, angles="xy", scale_units="xy", scale=1.0, width=0.003, alpha=0.8
     )
     panel.quiverkey(quiver, 0.9, 1.03, scale * size, f"{1e6 * size:.2g} µm", labelpos="W", color="0.2")
-    for k in np.unique(observations.readings.setup):
-        panel.plot([], [], "-", color=color(int(k)), label=observations.session.setup_ids[int(k)])
-    if len(np.unique(observations.readings.setup)) <= _LISTED:
+    for k in np.unique(pool.setup):
+        panel.plot([], [], "-", color=color(int(k)), label=pool.setup_names[int(k)])
+    if len(np.unique(pool.setup)) <= _LISTED:
         panel.legend(fontsize=7, ncols=8, loc="upper center", bbox_to_anchor=(0.5, -0.11), frameon=False)
     # Room for the arrows, which do not count as data.
     corners = np.array([place.min(axis=0), place.max(axis=0)]) + 1.6 * _LENGTH * extent * np.array([[-1.0], [1.0]])
@@ -100,12 +101,20 @@ def _arrows(panel: Axes, step: Step, size: float) -> None:
     panel.set_ylabel(f"{'xyz'[b]}, mm")
 
 
+def _sensed(observations: Observations) -> Array:
+    """(n, 3) along what a reading senses the tool, or the part where that is what moves."""
+    table = observations.table_direction
+    turned = observations.session.method == "probing" and np.abs(table).max(initial=0.0) > 0
+    return table if turned else observations.direction
+
+
 def _curves(panel: Axes, step: Step, name: str, size: float) -> None:
-    """Residuals along each run."""
-    observations = step.result.fit.model.observations
+    """Residuals along each run of a single session."""
+    fit = step.result.joint.fits[0]
+    observations = fit.model.observations
     label, factor = axis_label(name)
     values = observations.path if name == "path" else observations.readings.columns[name]
-    residuals = 1e6 * step.result.fit.residuals
+    residuals = 1e6 * fit.residuals
     setups = observations.session.setup_ids
     named: set[int] = set()
     for run in np.unique(observations.run):
@@ -127,7 +136,7 @@ def step_table(improvement: Improvement) -> pd.DataFrame:
             {
                 "change": step.change or "first model",
                 "effects": " ".join(step.result.effects),
-                "readings": len(step.result.fit.model.observations),
+                "readings": step.result.joint.assembly.problem.n_readings,
                 "rms_residual": step.result.rms_residual,
                 "reduced_chi_square": step.reduced_chi_square,
                 "map_rms": step.map_rms,
@@ -142,21 +151,26 @@ def step_table(improvement: Improvement) -> pd.DataFrame:
 
 def residual_table(improvement: Improvement) -> pd.DataFrame:
     """One row for each reading of the first model, with its residual there and in the last one; SI units."""
-    first, last = (improvement.steps[k].result.fit for k in (0, -1))
-    readings = first.model.observations.readings
-    after = dict(zip(last.model.observations.readings.row.tolist(), last.residuals.tolist(), strict=True))
-    where: dict[str, Array] = {a: readings.columns[a] for a in ("time", *"xyzc") if a in readings.columns}
-    ids = improvement.diagnosis.session.setup_ids
-    return pd.DataFrame(
-        {
-            "row": readings.row,
-            "setup": [ids[int(s)] for s in readings.setup],
-            "repeat": readings.repeat,
-            **where,
-            "residual_before": first.residuals,
-            "residual_after": [after.get(int(row), np.nan) for row in readings.row],
-        }
-    )
+    first, last = (improvement.steps[k].result.joint for k in (0, -1))
+    tables = []
+    for name, before, after in zip(first.assembly.labels or ("",), first.fits, last.fits, strict=True):
+        readings = before.model.observations.readings
+        left = dict(zip(after.model.observations.readings.row.tolist(), after.residuals.tolist(), strict=True))
+        ids = before.model.observations.session.setup_ids
+        tables.append(
+            pd.DataFrame(
+                {
+                    **({"session": name} if name else {}),
+                    "row": readings.row,
+                    "setup": [ids[int(s)] for s in readings.setup],
+                    "repeat": readings.repeat,
+                    **{a: readings.columns[a] for a in ("time", *"xyzc") if a in readings.columns},
+                    "residual_before": before.residuals,
+                    "residual_after": [left.get(int(row), np.nan) for row in readings.row],
+                }
+            )
+        )
+    return pd.concat(tables, ignore_index=True)
 
 
 def save_improvement(improvement: Improvement, folder: Path) -> list[Path]:

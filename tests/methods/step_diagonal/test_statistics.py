@@ -10,7 +10,6 @@ from machine_tool_calibration.methods.step_diagonal.compare import identify_by_f
 from machine_tool_calibration.model.fit import fit_models
 
 
-
 def _noisy(session, rng):
     """The session with noise of the declared size; the datum reading has some too, and all count from it."""
     readings = session.readings
