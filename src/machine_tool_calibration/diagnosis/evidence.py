@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import log_ndtr, ndtr
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.diagnosis.priors import SCALE_STEP, SMALLEST_SIGNAL
@@ -21,9 +21,9 @@ from machine_tool_calibration.estimation.variance_components import DECLARED_WOR
 
 __all__ = ["Block", "Gram", "Metric", "Point", "Table", "metrics", "table"]
 
-# Most scales of one effect; a probability that is taken for impossible.
+# Most scales of one effect; a probability below which its logarithm is calculated apart.
 _MOST_SCALES = 7
-_NEVER = 1e-12
+_NEVER = 1e-280
 # Numbers that are worked on at once.
 _AT_ONCE = 4e5
 # Eigenvalues of a block in units of its largest below which a direction is the model's.
@@ -160,7 +160,8 @@ class Table:
             scales; -inf for one that the model absorbs.
         log_null: (B,) without any.
         best: the point of each candidate that has most of it in the first data set; None where there is none.
-        log_rest: (candidates,) logarithm of the candidate's evidence over that at this point.
+        log_rest: (candidates,) logarithm of the candidate's evidence over that at this point, if signs and sizes that do
+            not occur were not cut off there: as columns that are folded into the metric are not.
     """
 
     log_evidence: Array
@@ -199,21 +200,21 @@ def table(gram: Gram, blocks: Sequence[Block], tried: Sequence[Metric], candidat
             padded = np.full((len(mine), max(len(scales[k]) for k in mine)), np.nan)
             for row, k in enumerate(mine):
                 padded[row, : len(scales[k])] = scales[k]
-            logs = _evidence(gram, [blocks[k] for k in mine], padded, tried, data, squares)
-            for k, own in zip(mine, logs, strict=True):
+            logs, uncut = _evidence(gram, [blocks[k] for k in mine], padded, tried, data, squares)
+            for k, own, whole in zip(mine, logs, uncut, strict=True):
                 block = blocks[k]
                 share = block.log_share - float(np.log(len(scales[k])))
                 own = own[: len(scales[k])] + share
                 evidence[block.candidate].append(_log_sum(own))
                 at = int(np.argmax(own[:, 0]))
-                points[block.candidate].append((float(own[at, 0]), share, Point(k, float(scales[k][at]))))
+                points[block.candidate].append((float(own[at, 0]), float(whole[at]), Point(k, float(scales[k][at]))))
     total = np.array([_log_sum(np.array(own)) for own in evidence]).reshape(candidates, b)
     found = [max(own, key=lambda entry: entry[0]) if own else None for own in points]
     return Table(
         total,
         _log_sum(np.array([metric.log_null(gram) for metric in tried])),
         tuple(None if entry is None else entry[2] for entry in found),
-        np.array([0.0 if f is None else total[k, 0] - (f[0] - f[1]) for k, f in enumerate(found)]),
+        np.array([0.0 if f is None else total[k, 0] - f[1] for k, f in enumerate(found)]),
     )
 
 
@@ -237,8 +238,8 @@ def _scales(gram: Gram, block: Block) -> Array:
 
 def _evidence(
     gram: Gram, blocks: Sequence[Block], scales: Array, tried: Sequence[Metric], data: Array, squares: Array
-) -> Array:
-    """(blocks, scales, B) logarithm of the evidence of blocks of as many columns each, summed over the metrics.
+) -> tuple[Array, Array]:
+    """Logarithm of the evidence of blocks of as many columns each, summed over the metrics.
 
     Args:
         gram: inner products.
@@ -247,6 +248,9 @@ def _evidence(
         tried: metrics.
         data: (T, K, B) inner products of all columns with the data in each.
         squares: (T, B).
+
+    Returns:
+        (blocks, scales, B), and (blocks, scales) of the first data set with signs and sizes that do not occur.
     """
     columns = np.array([np.arange(block.place.start, block.place.stop) for block in blocks])
     unit = np.array([block.unit for block in blocks])
@@ -272,13 +276,30 @@ def _evidence(
     deviation = np.sqrt(np.maximum(variance[..., None] * noise[..., None, :], 1e-300))
     low = (np.array([block.low for block in blocks]) / unit)[None, :, None, :, None]
     high = (np.array([block.high for block in blocks]) / unit)[None, :, None, :, None]
+    uncut = _log_sum(value[..., 0])
     # Signs and sizes that do not occur, coefficient by coefficient: the probability of the others after the readings
     # over that before.
-    after = ndtr((high - mean) / deviation) - ndtr((low - mean) / deviation)
+    freedom = gram.freedom + DECLARED_WORTH
+    after = _log_between(_normal((low - mean) / deviation, freedom), _normal((high - mean) / deviation, freedom))
     scale = scales[None, :, :, None, None]
-    before = ndtr(high / scale) - ndtr(low / scale)
-    value += np.log(np.maximum(after, _NEVER) / np.maximum(before, _NEVER)).sum(axis=3)
-    return _log_sum(value)
+    value += (after - _log_between(low / scale, high / scale)).sum(axis=3)
+    return _log_sum(value), uncut
+
+
+def _normal(t: Array, freedom: float) -> Array:
+    """Normal deviate that is as improbable as a Student one (Wallace 1959): the noise is not known exactly."""
+    return np.asarray(np.sign(t) * np.sqrt(freedom * np.log1p(t**2 / freedom)) * (8 * freedom + 1) / (8 * freedom + 3))
+
+
+def _log_between(low: Array, high: Array) -> Array:
+    """Logarithm of the probability that a normal deviate lies between two values, far out too."""
+    above = low > 0
+    near, far = np.where(above, -low, high), np.where(above, -high, low)
+    between = np.asarray(ndtr(near) - ndtr(far))
+    out = np.log(np.maximum(between, _NEVER))
+    tiny = between < _NEVER
+    out[tiny] = log_ndtr(near[tiny])
+    return np.asarray(out)
 
 
 def _own(gram: Gram, metric: Metric, columns: IntArray) -> Array:

@@ -91,7 +91,8 @@ class Posterior:
     def of_any(self, candidates: Sequence[int]) -> float:
         """Probability that some of these candidates are in."""
         wanted = set(candidates)
-        return float(sum(p for s, p in zip(self.sets, self.probability, strict=True) if wanted & set(s)))
+        total = float(sum(p for s, p in zip(self.sets, self.probability, strict=True) if wanted & set(s)))
+        return min(total, 1.0)
 
     @property
     def best(self) -> dict[int, Member]:
