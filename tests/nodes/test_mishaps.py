@@ -13,8 +13,8 @@ from .reference import reference
 from .test_measurement import readings, since_first
 
 LONG = copy.deepcopy(PROCEDURE)
-LONG["path"]["grid"]["x"]["count"] = LONG["path"]["grid"]["y"]["count"] = 9
-TOTAL = 9 * 9 * 4 * 2
+LONG["path"]["grid"]["x"]["count"] = LONG["path"]["grid"]["y"]["count"] = 7
+TOTAL = 7 * 7 * 4 * 2
 
 
 def reaches(operator, count):
@@ -34,7 +34,7 @@ def test_every_partner_killed_and_started_again(bench):
     graph = bench.graph(procedure=LONG, more={"procedure": {"patience": PATIENCE}})
     operator = bench.operator(graph)
     begin(operator)
-    for count, name in ((60, "instrument"), (200, "rotary_pointer"), (350, "axis_simulator")):
+    for count, name in ((40, "instrument"), (130, "rotary_pointer"), (220, "axis_simulator")):
         reaches(operator, count)
         assert graph.kill(name) == -signal.SIGKILL
         assert operator.wait(lambda: bool(operator.procedure.entries["waiting_for"]), PATIENCE), operator.procedure
@@ -79,31 +79,15 @@ def test_a_partner_that_starts_late_is_waited_for(bench):
     check(operator)
 
 
-def test_a_hand_in_the_beam(bench):
-    graph = bench.graph(procedure=LONG)
-    operator = bench.operator(graph)
-
-    def block(value):
-        wanted = ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=value)
-        request = SetParameters.Request(parameters=[Parameter(name="beam_blocked", value=wanted)])
-        assert ask(operator, SetParameters, "instrument/set_parameters", request).results[0].successful
-
-    block(False)  # so that the node knows its client when there is no time to lose
-    begin(operator)
-    reaches(operator, 100)
-    block(True)
-    assert operator.wait(lambda: operator.procedure.entries["state"] == "error", PATIENCE)
-    assert operator.procedure.message == "instrument: the beam is blocked"
-    block(False)
-    operator.call("procedure/resume", PATIENCE)
-    assert operator.wait(lambda: operator.procedure.entries["state"] == "running", PATIENCE)
-    check(operator)
-    assert {0.0, 1.0} < set(readings(operator)["datum"])
+def block(operator, value):
+    wanted = ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=value)
+    request = SetParameters.Request(parameters=[Parameter(name="beam_blocked", value=wanted)])
+    assert ask(operator, SetParameters, "instrument/set_parameters", request).results[0].successful
 
 
-def test_pause_resume_abort_and_start_again(bench, finish):
-    graph = bench.graph(procedure=LONG)
-    operator = bench.operator(graph)
+def test_pause_resume_abort_a_hand_in_the_beam_and_start_again(bench):
+    operator = bench.operator(bench.graph(procedure=LONG))
+    block(operator, False)  # so that the node knows its client when there is no time to lose
     begin(operator)
     reaches(operator, 50)
     operator.call("procedure/pause", PATIENCE)
@@ -113,10 +97,18 @@ def test_pause_resume_abort_and_start_again(bench, finish):
     operator.wait(lambda: False, 1.0)
     assert operator.procedure.number("captured") == captured == len(operator.readings)
     operator.call("procedure/resume", PATIENCE)
-    reaches(operator, captured + 50)
+    reaches(operator, captured + 30)
     operator.call("procedure/abort", PATIENCE)
     assert operator.wait(lambda: operator.procedure.entries["state"] == "aborted", PATIENCE)
     operator.readings.clear()
     operator.call("procedure/start", PATIENCE)
     assert operator.wait(lambda: operator.procedure.entries["state"] == "running", PATIENCE)
+    reaches(operator, 60)
+    block(operator, True)
+    assert operator.wait(lambda: operator.procedure.entries["state"] == "error", PATIENCE)
+    assert operator.procedure.message == "instrument: the beam is blocked"
+    block(operator, False)
+    operator.call("procedure/resume", PATIENCE)
+    assert operator.wait(lambda: operator.procedure.entries["state"] == "running", PATIENCE)
     check(operator)
+    assert {0.0, 1.0} < set(readings(operator)["datum"])
