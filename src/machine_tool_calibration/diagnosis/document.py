@@ -85,7 +85,7 @@ def diagnosis_document(
         "structure": [_structure(s) for s in look.structure],
         "structure_left": [_structure(s) for s in look.left],
         "outliers": [
-            {"row": o.row, "studentized": o.studentized, "deviation": o.deviation, **({"session": label} if label else {})}
+            {**_named(label), "row": o.row, "studentized": o.studentized, "deviation": o.deviation}
             for label, own in zip(diagnosis.labels or ("",), diagnosis.set_aside, strict=True)
             for o in sorted(own, key=lambda o: o.row)
         ],
@@ -95,6 +95,11 @@ def diagnosis_document(
         "excluded": [{"effect": name, "why": why} for name, why in diagnosis.excluded.items()],
     }
     return dict(plain(document))
+
+
+def _named(label: str) -> dict[str, str]:
+    """The session, where there are several."""
+    return {"session": label} if label else {}
 
 
 def _candidate(diagnosis: Diagnosis, found: Finding, changes: Mapping[str, Consequence]) -> dict[str, Any]:
