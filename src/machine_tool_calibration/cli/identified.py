@@ -45,6 +45,9 @@ def show_result(
         screen.print(measured(session))
     if document["effects"]:
         screen.print(f"model: {_variants(document)} with {', '.join(document['effects'])}")
+    if document["averaged_over"]:
+        over = (f"{' + '.join(one['effects'])} ({one['probability']:.2f})" for one in document["averaged_over"])
+        screen.print(f"The map is the mean over effects that these readings do not tell apart: {', '.join(over)}.")
     screen.print(verdict(document))
     for words in spread_words(document["spread"]):
         screen.print(words)

@@ -143,11 +143,11 @@ def _by_history(
     labels = session_labels(paths)
     result = None
     if len(kept) == 1:
-        result = identify(kept[0], model=entry.model, effects=entry.effects, own=own, keep_all=True)
+        result = identify(kept[0], model=entry.model, effects=entry.effects, own=own, keep_all=True, sets=entry.sets())
         document, fit = result.document(), result.fit.joint
     else:
         joint = identify_sessions(
-            kept, labels, model=entry.model, effects=entry.effects, own=own, keep_all=True
+            kept, labels, model=entry.model, effects=entry.effects, own=own, keep_all=True, sets=entry.sets()
         )
         document, fit = joint.document(), joint.fit
     document["observations"] += sum(int(aside.sum()) for aside in asides)

@@ -28,7 +28,7 @@ from machine_tool_calibration.methods.fitted import FittedSessions, fit_sessions
 from machine_tool_calibration.model.effect_terms import add_effects
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import MethodModel
-from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.model.result import EffectSet, ErrorMap
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["Diagnosis", "diagnose"]
@@ -37,6 +37,8 @@ __all__ = ["Diagnosis", "diagnose"]
 _SPOILT = 30.0
 # Uncertainties of the map that are those of the machine or the part, not of where the instrument stood.
 _OF_THE_MACHINE = re.compile(r"(position_error|[xyz]|E[XYZABC][XYZABC]|workpiece_error|workpiece_form)_u")
+# Probability from which a set of effects counts in the map, and how many at most beside the accepted one.
+_COUNTS, _SETS = 0.02, 4
 # Share of the whole scatter from which that of repeats is as much.
 _AS_MUCH = 0.9
 # Share of the excess of the sum of squares that effects must take to be the cause although the readings still
@@ -99,6 +101,15 @@ class Diagnosis:
         """Candidates best first: those accepted, in their order, then the others."""
         first = tuple(self.look.of(name) for name in self.accepted)
         return first + tuple(f for f in self.look.findings if f.name not in self.accepted)
+
+    @property
+    def sets(self) -> tuple[EffectSet, ...]:
+        """The most probable sets of known effects that can be added, that of the accepted ones among them."""
+        chosen = tuple(sorted(self.accepted))
+        out = {"unknown", *self.refused}
+        every = {names: p for names, p in self.look.sets if not out & set(names)}
+        likely = [names for names, p in every.items() if p >= _COUNTS and names != chosen and names][:_SETS]
+        return tuple(EffectSet(names, every.get(names, _COUNTS)) for names in (chosen, *likely))
 
     @property
     def likely(self) -> tuple[str, ...]:

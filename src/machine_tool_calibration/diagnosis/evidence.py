@@ -160,8 +160,8 @@ class Table:
             scales; -inf for one that the model absorbs.
         log_null: (B,) without any.
         best: the point of each candidate that has most of it in the first data set; None where there is none.
-        log_rest: (candidates,) logarithm of the candidate's evidence over that at this point, if signs and sizes that do
-            not occur were not cut off there: as columns that are folded into the metric are not.
+        log_rest: (candidates,) logarithm of the candidate's evidence over that at this point, if signs and sizes that
+            do not occur were not cut off there: as columns that are folded into the metric are not.
     """
 
     log_evidence: Array

@@ -8,11 +8,12 @@ from machine_tool_calibration.diagnosis.outliers import set_aside
 from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.estimation.reduction import single_blas
+from machine_tool_calibration.methods.averaging import averaged_map
 from machine_tool_calibration.methods.build import build_model, rejected_readings
 from machine_tool_calibration.methods.fitted import fit_sessions
 from machine_tool_calibration.methods.impossible_sizes import refuse_impossible
 from machine_tool_calibration.model.effect_terms import add_effects
-from machine_tool_calibration.model.result import Rejected, Result
+from machine_tool_calibration.model.result import EffectSet, Rejected, Result
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["build_model", "identify", "rejected_readings", "sound"]
@@ -43,6 +44,7 @@ def identify(
     own: Sequence[Effect] = (),
     keep_all: bool = False,
     allow_impossible: bool = False,
+    sets: Sequence[EffectSet] = (),
 ) -> Result:
     """Identify the machine's errors from one session.
 
@@ -53,6 +55,7 @@ def identify(
         own: the user's own effects, beside the catalogue.
         keep_all: use all readings; otherwise those that stand out of all others are set aside.
         allow_impossible: accept position errors and places of stations that no machine has.
+        sets: of effects that the readings do not tell apart, over which the map is the mean; `effects` is one of them.
 
     Raises:
         ModelError: the data does not allow the model, an effect is unknown or needs what was not recorded, or what is
@@ -61,7 +64,12 @@ def identify(
     kept, rejected = (session, rejected_readings(session)) if keep_all else sound(session, model, effects, own)
     fitted = fit_sessions([kept], model=model, effects=effects, own=own)
     fit = fitted.joint.fits[0]
-    error_map = fit.model.error_map(fit)
+    error_map, averaged = averaged_map(
+        fitted.error_map,
+        effects,
+        sets,
+        lambda others: fit_sessions([kept], model=model, effects=others, own=own).error_map,
+    )
     refuse_impossible(session, error_map, allow=allow_impossible)
     return Result(
         fit=fit,
@@ -70,4 +78,5 @@ def identify(
         model_name=fitted.model_names[0],
         rejected=rejected,
         observations=len(session.readings),
+        averaged=averaged,
     )

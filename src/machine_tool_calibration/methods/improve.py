@@ -13,8 +13,8 @@ from machine_tool_calibration.diagnosis.pool import Pool
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.joint import JointResult, identify_sessions
-from machine_tool_calibration.model.history import Coefficient, Entry, Part
-from machine_tool_calibration.model.result import Estimate, Result
+from machine_tool_calibration.model.history import Alternative, Coefficient, Entry, Part
+from machine_tool_calibration.model.result import EffectSet, Estimate, Result
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["Improvement", "Step", "entries", "improve"]
@@ -144,11 +144,14 @@ def improve(
     """
     sessions = (subject,) if isinstance(subject, Session) else tuple(subject)
 
-    def identified(parts: Sequence[Session], added: Sequence[str]) -> Result | JointResult:
+    def identified(
+        parts: Sequence[Session], added: Sequence[str], sets: Sequence[EffectSet] = ()
+    ) -> Result | JointResult:
         ids = [*effects, *added]
+        whole = [EffectSet((*effects, *one.effects), one.probability) for one in sets]
         if len(parts) == 1:
-            return identify(parts[0], model=model, effects=ids, own=own, keep_all=True)
-        return identify_sessions(parts, labels or (), model=model, effects=ids, own=own, keep_all=True)
+            return identify(parts[0], model=model, effects=ids, own=own, keep_all=True, sets=whole)
+        return identify_sessions(parts, labels or (), model=model, effects=ids, own=own, keep_all=True, sets=whole)
 
     found = diagnose(
         sessions,
@@ -167,7 +170,8 @@ def improve(
         steps.append(_step(steps[-1], words, identified(found.sessions, ()), aside))
     for k, name in enumerate(found.accepted):
         progress(f"adding {name}", 0.9 + 0.1 * k / len(found.accepted))
-        steps.append(_step(steps[-1], name, identified(found.sessions, found.accepted[: k + 1]), aside))
+        over = found.sets if k + 1 == len(found.accepted) else ()
+        steps.append(_step(steps[-1], name, identified(found.sessions, found.accepted[: k + 1], over), aside))
     progress("done", 1.0)
     return Improvement(found, tuple(steps))
 
@@ -206,6 +210,9 @@ def entries(improvement: Improvement, data: str, each: Sequence[str], made: str,
                 sessions=_parts(improvement, step, each),
                 effects=step.result.effects,
                 change=step.change,
+                alternatives=tuple(
+                    Alternative(effects=one.effects, probability=one.probability) for one in step.result.averaged
+                ),
                 data=data,
                 used=joint.assembly.problem.n_readings,
                 set_aside=step.set_aside if isinstance(step.result, Result) else (),

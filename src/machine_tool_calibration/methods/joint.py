@@ -10,16 +10,24 @@ import numpy as np
 
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.methods.averaging import averaged_map
 from machine_tool_calibration.methods.build import rejected_readings, sharing_variant
 from machine_tool_calibration.methods.fitted import fit_sessions, joint_models
 from machine_tool_calibration.methods.identify import sound
 from machine_tool_calibration.methods.joint_agreement import Agreement, agreement
-from machine_tool_calibration.methods.joint_map import joint_map
 from machine_tool_calibration.methods.joint_model import CommonModels, common_models
 from machine_tool_calibration.methods.joint_spread import StatedAngles, stated
 from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.model.model import MethodModel
-from machine_tool_calibration.model.result import ErrorMap, Estimate, Rejected, plain, spread_document
+from machine_tool_calibration.model.result import (
+    EffectSet,
+    ErrorMap,
+    Estimate,
+    Rejected,
+    averaged_document,
+    plain,
+    spread_document,
+)
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["JointResult", "identify_sessions", "joint_models"]
@@ -41,6 +49,7 @@ class JointResult:
         model_names: variant of each session's model.
         rejected: readings kept out, for each session.
         observations: readings recorded in each session.
+        averaged: sets of effects over which the map is the mean; empty where it is that of the models alone.
     """
 
     labels: tuple[str, ...]
@@ -53,6 +62,7 @@ class JointResult:
     model_names: tuple[str, ...]
     rejected: tuple[tuple[Rejected, ...], ...]
     observations: tuple[int, ...]
+    averaged: tuple[EffectSet, ...] = ()
 
     @property
     def joint(self) -> JointFit:
@@ -124,6 +134,7 @@ class JointResult:
             "degrees_of_freedom": solution.degrees_of_freedom,
             "p_value": self.fit.p_value,
             "effects": list(self.effects),
+            "averaged_over": averaged_document(self.averaged),
             "spread": [spread_document(size) for size in self.fit.stated.sizes],
             "scatter_factor": self.fit.stated.scatter,
             "sessions": [
@@ -155,6 +166,7 @@ def identify_sessions(
     effects: Sequence[str] = (),
     own: Sequence[Effect] = (),
     keep_all: bool = False,
+    sets: Sequence[EffectSet] = (),
 ) -> JointResult:
     """Identify one machine from several sessions, of the same or of different methods.
 
@@ -165,6 +177,7 @@ def identify_sessions(
         effects: ids of physical effects to add, in every session in which they can act.
         own: the user's own effects, beside the catalogue.
         keep_all: use all readings; otherwise those that stand out of all others of their session are set aside.
+        sets: of effects that the readings do not tell apart, over which the map is the mean.
 
     Raises:
         ModelError: as for `joint_models`; a session that contradicts itself; or too few readings.
@@ -182,17 +195,24 @@ def identify_sessions(
     agreed = agreement(joint, common, labels, _spread(common))
     if angles is not None:
         agreed = replace(agreed, statement=agreed.statement + angles.hidden)
+    error_map, averaged = averaged_map(
+        fitted.error_map,
+        effects,
+        sets,
+        lambda others: fit_sessions(sessions, labels, model=model, effects=others, own=own).error_map,
+    )
     return JointResult(
         labels=tuple(labels),
         fit=joint,
         angles=angles,
         common=common,
-        error_map=joint_map(joint, common, angles),
+        error_map=error_map,
         agreement=agreed,
         effects=tuple(effects),
         model_names=fitted.model_names,
         rejected=tuple(rejected),
         observations=tuple(len(session.readings) for session in sessions),
+        averaged=averaged,
     )
 
 

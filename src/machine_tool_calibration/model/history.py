@@ -9,9 +9,9 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.model.result import Estimate
+from machine_tool_calibration.model.result import EffectSet, Estimate
 
-__all__ = ["Coefficient", "Entry", "History", "Part"]
+__all__ = ["Alternative", "Coefficient", "Entry", "History", "Part"]
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 
@@ -27,6 +27,13 @@ class Coefficient(_Record):
     value: Number
     standard_uncertainty: Number
     unit: str
+
+
+class Alternative(_Record):
+    """A set of effects over which the map is averaged, with its probability."""
+
+    effects: tuple[str, ...]
+    probability: Number
 
 
 class Part(_Record):
@@ -57,6 +64,7 @@ class Entry(_Record):
         sessions: those that were fitted together; empty for one session.
         effects: ids of the effects that were added to it.
         change: what it has and its parent has not, in a few words.
+        alternatives: sets of effects that the readings do not tell apart, over which its map is the mean.
         data: fingerprint of the readings; another one means other readings.
         used: number of readings in the fit.
         set_aside: rows of readings that were taken for outliers, of one session.
@@ -78,6 +86,7 @@ class Entry(_Record):
     sessions: tuple[Part, ...] = ()
     effects: tuple[str, ...] = ()
     change: str = ""
+    alternatives: tuple[Alternative, ...] = ()
     data: str
     used: int
     set_aside: tuple[int, ...] = ()
@@ -89,6 +98,10 @@ class Entry(_Record):
     map_uncertainty_rms: Number | None = None
     map_change_rms: Number | None = None
     parameters: tuple[Coefficient, ...] = ()
+
+    def sets(self) -> list[EffectSet]:
+        """The alternatives as an identification takes them."""
+        return [EffectSet(one.effects, one.probability) for one in self.alternatives]
 
     def estimates(self) -> list[Estimate]:
         """The coefficients as an identification gives them."""

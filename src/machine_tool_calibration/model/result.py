@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,7 +13,7 @@ from machine_tool_calibration.model.fit import Fit, JointFit
 from machine_tool_calibration.model.model import NotDetermined
 from machine_tool_calibration.model.stated import FamilySize
 
-__all__ = ["ErrorMap", "Estimate", "Rejected", "Result", "plain", "spread_document"]
+__all__ = ["EffectSet", "ErrorMap", "Estimate", "Rejected", "Result", "averaged_document", "plain", "spread_document"]
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,14 @@ class Rejected:
 
     row: int
     reason: str
+
+
+@dataclass(frozen=True)
+class EffectSet:
+    """A set of effects and the probability that it is these that are in the readings."""
+
+    effects: tuple[str, ...]
+    probability: float
 
 
 @dataclass(frozen=True)
@@ -69,6 +77,7 @@ class Result:
         model_name: free or rigid_body, or the method's own variant.
         rejected: readings that were kept out.
         observations: number of readings recorded.
+        averaged: sets of effects over which the map is the mean; empty where it is that of the model alone.
     """
 
     fit: Fit
@@ -77,6 +86,7 @@ class Result:
     model_name: str
     rejected: tuple[Rejected, ...]
     observations: int
+    averaged: tuple[EffectSet, ...] = ()
 
     @property
     def joint(self) -> JointFit:
@@ -137,6 +147,7 @@ class Result:
             "degrees_of_freedom": joint.solution.degrees_of_freedom,
             "p_value": joint.p_value,
             "effects": list(self.effects),
+            "averaged_over": averaged_document(self.averaged),
             "parameters": [
                 {"name": e.name, "value": e.value, "standard_uncertainty": e.standard_uncertainty, "unit": e.unit}
                 for e in self.parameters
@@ -157,6 +168,11 @@ def spread_document(size: FamilySize) -> dict[str, Any]:
         "interval": [size.low, size.high],
         "probability": size.probability,
     }
+
+
+def averaged_document(sets: Sequence[EffectSet]) -> list[dict[str, Any]]:
+    """The sets of effects over which a map is the mean."""
+    return [{"effects": list(one.effects), "probability": one.probability} for one in sets]
 
 
 def _whole_terms(fit: Fit) -> dict[str, str]:

@@ -91,7 +91,7 @@ def _arrows(panel: Axes, step: Step, size: float) -> None:
     for k in np.unique(pool.setup):
         panel.plot([], [], "-", color=color(int(k)), label=pool.setup_names[int(k)])
     if len(np.unique(pool.setup)) <= _LISTED:
-        panel.legend(fontsize=7, ncols=8, loc="upper center", bbox_to_anchor=(0.5, -0.11), frameon=False)
+        panel.legend(fontsize=7, ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.11), frameon=False)
     # Room for the arrows, which do not count as data.
     corners = np.array([place.min(axis=0), place.max(axis=0)]) + 1.6 * _LENGTH * extent * np.array([[-1.0], [1.0]])
     panel.plot(*corners.T, ls="")
