@@ -16,6 +16,7 @@ from scipy.special import logsumexp
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.diagnosis.evidence import Block, Gram, Metric, table
 from machine_tool_calibration.diagnosis.priors import ACCEPTED
+from machine_tool_calibration.estimation.variance_components import factor_of_sum
 
 __all__ = ["Chance", "chance_of", "null_sets"]
 
@@ -137,7 +138,7 @@ def _folded(null: Gram, metric: Metric) -> Metric:
     if not len(used):
         return Metric(metric.ratio, metric.log_prior, metric.half, np.zeros((len(metric.half), null.data.shape[1])))
     s = tau[used]
-    lower = np.linalg.cholesky(np.eye(len(used)) + null.spread[np.ix_(used, used)] * np.outer(s, s))
+    lower = factor_of_sum(null.spread[np.ix_(used, used)] * np.outer(s, s))
     return Metric(
         metric.ratio, metric.log_prior, metric.half, np.linalg.solve(lower, s[:, None] * null.spread_data[used])
     )

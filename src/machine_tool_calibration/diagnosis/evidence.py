@@ -17,7 +17,7 @@ from scipy.special import log_ndtr, ndtr
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.diagnosis.priors import SCALE_STEP, SMALLEST_SIGNAL
-from machine_tool_calibration.estimation.variance_components import DECLARED_WORTH, fold, log_prior, ratio_grid
+from machine_tool_calibration.estimation.variance_components import DECLARED_WORTH, factor_of_sum, fold, log_prior, ratio_grid
 
 __all__ = ["Block", "Gram", "Metric", "Point", "Table", "metrics", "table"]
 
@@ -126,8 +126,8 @@ class Metric:
     def beside(self, gram: Gram, columns: IntArray, scale: Array) -> Metric:
         """With columns of given scales (standard deviations of their coefficients) folded in as well."""
         inner, data = self.inner(gram, columns, slice(None)), self.data(gram)[columns]
-        core = np.eye(len(columns)) + inner[:, columns] * np.outer(scale, scale)
-        lower = np.linalg.cholesky(core)
+        core = inner[:, columns] * np.outer(scale, scale)
+        lower = factor_of_sum(core)
         half = np.linalg.solve(lower, scale[:, None] * np.column_stack([inner, data]))
         log_prior_ = self.log_prior - float(np.log(np.diag(lower)).sum())
         k = inner.shape[1]

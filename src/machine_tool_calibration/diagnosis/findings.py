@@ -100,7 +100,7 @@ def basis_of(inner: Array, place: slice) -> Array:
     """(k, r) combinations of columns that are orthonormal outside the model, without what the model takes up."""
     own = inner[place, place]
     size = np.diag(own)
-    largest = max(float(size.max(initial=0.0)), np.finfo(float).tiny)
+    largest = max(float(size.max(initial=0.0)), 1e-100)
     # A column with next to nothing left is not blown up.
     scale = np.sqrt(np.where(size > _RANK * largest, size, largest))
     values, vectors = np.linalg.eigh(own / np.outer(scale, scale))

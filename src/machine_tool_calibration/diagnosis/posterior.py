@@ -139,19 +139,26 @@ class _Search:
         beside = table(self.gram, self.blocks, self.metrics_beside(members), len(self.log_odds))
         prior = sum(self.log_odds[k] + m.log_rest for k, m in members.items())
         self.keep(members, prior + float(beside.log_null[0]))
-        for k, point in enumerate(beside.best):
-            if point is None or k in members:
-                continue
+        for k in range(len(beside.best)):
+            if k not in members:
+                self.keep_beside(members, k, beside)
+        return beside
+
+    def keep_beside(self, members: dict[int, Member], k: int, beside: Table) -> None:
+        """The set of some members and another candidate, from the table beside these members."""
+        point = beside.best[k]
+        if point is not None:
+            prior = sum(self.log_odds[j] + m.log_rest for j, m in members.items())
             weight = prior + self.log_odds[k] + float(beside.log_evidence[k, 0])
             self.keep({**members, k: Member(point, float(beside.log_rest[k]))}, weight)
-        return beside
 
     def polish(self, members: dict[int, Member]) -> None:
         """Every member of a set at the point that is best beside the others."""
         for k in list(members):
             others = {j: m for j, m in members.items() if j != k}
-            if _points(others) not in self.grown:
-                self.grow(others)
+            beside = table(self.gram, self.blocks, self.metrics_beside(others), len(self.log_odds))
+            # Of the set alone: what rules out signs of the others was judged beside this member.
+            self.keep_beside(others, k, beside)
             members = self.found[frozenset(members)][1]
 
 

@@ -17,7 +17,7 @@ from scipy.special import logsumexp
 
 from machine_tool_calibration.arrays import Array, IntArray
 
-__all__ = ["DECLARED_WORTH", "Components", "Folded", "components", "fold", "log_prior", "ratio_grid"]
+__all__ = ["DECLARED_WORTH", "Components", "Folded", "components", "factor_of_sum", "fold", "log_prior", "ratio_grid"]
 
 DECLARED_WORTH = 20.0
 """Readings that the declared uncertainty is worth as knowledge of the noise: a misfit of many readings outweighs it."""
@@ -82,12 +82,12 @@ def fold(inner: Array, cross: Array, family: IntArray, ratio: tuple[float, ...])
     if not len(used):
         return Folded(0.0, np.zeros((0, cross.shape[1])))
     s = tau[used]
-    lower = _factor(inner[np.ix_(used, used)] * np.outer(s, s))
+    lower = factor_of_sum(inner[np.ix_(used, used)] * np.outer(s, s))
     half = np.linalg.solve(lower, s[:, None] * cross[used])
     return Folded(2.0 * float(np.log(np.diag(lower)).sum()), np.asarray(half, dtype=np.float64))
 
 
-def _factor(matrix: Array) -> Array:
+def factor_of_sum(matrix: Array) -> Array:
     """Lower factor of I plus a positive semidefinite matrix, which rounding may have made indefinite."""
     try:
         return np.asarray(np.linalg.cholesky(np.eye(len(matrix)) + matrix), dtype=np.float64)
