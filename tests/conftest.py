@@ -40,8 +40,23 @@ os.environ["ROS_DOMAIN_ID"] = str(_claims.enter_context(free_domain(range(1, 102
 _FIRST = (
     "packaging/test_lint.py",
     "nodes/test_mishaps.py",
-    "nodes/test_commands.py",
+    "nodes/test_measurement.py",
     "diagnosis/test_diagnose.py",
+    "nodes/test_processes.py",
+    "diagnosis/test_direct.py",
+    "nodes/test_commands.py",
+    "methods/rotary_axis/test_arrangements.py",
+    "nodes/test_probe.py",
+    "cli/test_plan.py",
+    "nodes/test_diagnosis.py",
+    "methods/joint/test_pairs.py",
+    "nodes/test_methods.py",
+    "methods/tracking/test_statistics.py",
+    "nodes/test_documentation.py",
+    "methods/step_diagonal/test_statistics.py",
+    "nodes/test_instrument.py",
+    "methods/rotary_axis/test_statistics.py",
+    "nodes/test_player.py",
 )
 
 

@@ -27,6 +27,8 @@ NAMES = ("axis_simulator", "rotary_pointer", "instrument", "procedure", "estimat
 def test_stops_within_two_seconds_in_the_middle_of_work(bench, number):
     graph = bench.graph(NAMES, simulated_time=number == signal.SIGINT)
     operator = bench.operator(graph)
+    if number == signal.SIGTERM:  # before the work, on the same graph
+        every_parameter_is_described_and_has_the_default_of_the_example(operator)
     begin(operator)
     # all of them at work, the estimator too, which takes longest to start
     assert operator.wait(lambda: len(operator.readings) >= 2 and operator.estimator.number("readings") > 0, PATIENCE)
@@ -116,8 +118,7 @@ def test_what_is_wrong_is_said_in_one_line():
         assert said.startswith(f"{name}: ") and message in said
 
 
-def test_every_parameter_is_described_and_has_the_default_of_the_example(bench):
-    operator = bench.operator(bench.graph(NAMES, simulated_time=False))
+def every_parameter_is_described_and_has_the_default_of_the_example(operator):
     check_descriptions(operator)
     check_examples(operator)
 

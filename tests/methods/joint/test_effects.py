@@ -21,7 +21,7 @@ def _two_trackers(several: SimpleNamespace, seed: int, size: float | None) -> Jo
 
 def test_a_time_constant_is_shared(several: SimpleNamespace, many: Any) -> None:
     normalised = []
-    some = many.part(0.4)
+    some = many.part(0.25)
     for seed in range(0, 2 * some.count, 2):
         found = {p.name: p for p in _two_trackers(several, seed, 6e-6).parameters}
         for name, true in (("first/warmup_y.a", 6e-6), ("second/warmup_y.a", 6e-6), ("warmup_y.tau", 900.0)):

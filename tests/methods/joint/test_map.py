@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,16 +27,17 @@ def _errors(result: JointResult, simulated: Simulated) -> np.ndarray:
     return left
 
 
-def test_normalised_errors_and_chi_square(several: SimpleNamespace) -> None:
+def test_normalised_errors_and_chi_square(several: SimpleNamespace, many: Any) -> None:
     normalised, chi = [], []
-    for seed in range(25):
+    some = many.part(0.4)
+    for seed in range(some.count):
         simulated = [several.measured(name, seed) for name in ("tracker", "run", "grid")]
         result = identify_sessions([s.session for s in simulated], ["tracker", "run", "grid"])
         error, uncertainty = _errors(result, simulated[0]), result.error_map.uncertainty
         normalised.append(np.mean((error / uncertainty)[uncertainty > 1e-12] ** 2))
         chi.append(result.fit.reduced_chi_square)
-    assert 0.9 < np.mean(normalised) < 1.1
-    assert 0.98 < np.mean(chi) < 1.02
+    assert np.mean(normalised) == pytest.approx(1.0, abs=some.off(0.035))
+    assert np.mean(chi) == pytest.approx(1.0, abs=some.off(0.007))
 
 
 def test_together_is_better_than_alone(several: SimpleNamespace) -> None:

@@ -73,7 +73,7 @@ def _normalised(result: JointResult, simulated: Simulated) -> float:
 )
 def test_one_map_with_the_right_uncertainty(one: str, other: str, many: Any) -> None:
     found, chi, wrong = [], [], 0
-    some = many.part(0.4)
+    some = many.part(0.25)
     for seed in range(some.count):
         simulated = [_measured(name, seed) for name in (one, other)]
         result = identify_sessions([s.session for s in simulated], [one, other])

@@ -76,9 +76,7 @@ def test_against_brute_force(make):
     normal = np.array([p.normal for p in model.description.workpiece])
     motion = np.column_stack([normal, position[:, 0] * normal[:, 1] - position[:, 1] * normal[:, 0]])
     off = np.eye(n_points) - motion @ np.linalg.pinv(motion)
-    np.testing.assert_allclose(
-        content["workpiece_form_u"], np.sqrt(np.diag(off @ full[k:, k:] @ off)), rtol=1e-6
-    )
+    np.testing.assert_allclose(content["workpiece_form_u"], np.sqrt(np.diag(off @ full[k:, k:] @ off)), rtol=1e-6)
     place = names.index("EYC(C3)")
     np.testing.assert_allclose(content["EYC_u"][2], np.sqrt(full[place, place]), rtol=1e-6)
     # position error at one node: E_X = EXX + EXY - y C0Y, Eq. (4)
