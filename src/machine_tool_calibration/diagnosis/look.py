@@ -33,7 +33,7 @@ _LEADING = (1, 2, 4)
 _ABSORBED, _ROUNDED = 1e-4, 1e-7
 # Share of a column's squares that its variation within the runs is at least taken for, and squares of a column of
 # zeros.
-_CONSTANT, _NONE = 1e-10, 1e-100
+_CONSTANT, _NONE = 1e-6, 1e-100
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups
 from machine_tool_calibration.diagnosis.leverage import Reach, reach, taken
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.problem import Part
@@ -432,12 +432,11 @@ def _blocks(reached: Reach) -> list[IntArray]:
 def _runs(model: MethodModel) -> tuple[IntArray, IntArray]:
     """Order of the readings run by run, and the run of each in that order."""
     readings = model.observations.readings
-    keys = [readings.repeat.astype(float), readings.setup.astype(float)]
-    if "target" in readings.labels:
-        keys.append(np.unique(readings.labels["target"], return_inverse=True)[1].astype(float))
+    others = [readings.labels["target"]] if "target" in readings.labels else []
     # Deviations of a place along x and along y stand beside each other, and are two runs.
-    keys += [np.round(readings.columns[name], 6) for name in ("gx", "gy", "gz") if name in readings.columns]
-    run = np.unique(np.stack(keys), axis=1, return_inverse=True)[1].reshape(-1)
+    others += [np.round(readings.columns[name], 6) for name in ("gx", "gy", "gz") if name in readings.columns]
+    numbered = [np.unique(values, return_inverse=True)[1].reshape(-1) for values in others]
+    run = groups(readings.repeat, readings.setup, *numbered)
     order = np.argsort(run, kind="stable")
     return order, run[order]
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray
 
-__all__ = ["Normal", "solve_normal"]
+__all__ = ["Normal", "covariance_root", "solve_normal"]
 
 # Eigenvalue of the normal matrix, scaled by the columns' norms, below which a direction is not determined.
 _RANK = 1e-12
@@ -18,14 +18,30 @@ _LOOSE = 1e-6
 
 @dataclass(frozen=True)
 class Normal:
-    """Solution of small normal equations under constraints."""
+    """Solution of small normal equations under constraints; the covariance is half @ half.T."""
 
     step: Array
     covariance: Array
+    half: Array
     undetermined: Array
     determined: BoolArray
     gain: float
     rank: int
+
+
+def covariance_root(total: Array, squares: Array, constraints: Array) -> Array:
+    """(m, r) root of the covariance of the first m unknowns of a Gram matrix, at the place where that was formed.
+
+    That of a solution belongs to the step before: where unknowns are nearly interchangeable, the two differ in what is
+    told least.
+
+    Args:
+        total: (m + k, m + k).
+        squares: (m + k,) squared norms of the columns before the points were eliminated.
+        constraints: (c, m) the datum.
+    """
+    m = constraints.shape[1]
+    return solve_normal(total[:m, :m], np.zeros(m), constraints, np.zeros(len(constraints)), squares[:m]).half
 
 
 def solve_normal(
@@ -77,4 +93,4 @@ def solve_normal(
     if null.shape[1]:
         null = np.linalg.qr(null / np.linalg.norm(null, axis=0))[0]
     gain = float(2 * right @ step - step @ matrix @ step)
-    return Normal(step, half @ half.T, null, determined, gain, int(good.sum()))
+    return Normal(step, half @ half.T, half, null, determined, gain, int(good.sum()))

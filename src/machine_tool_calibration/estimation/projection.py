@@ -34,13 +34,13 @@ class Projected:
     names: tuple[str, ...] = ()
 
 
-def project(total: Array, squares: Array, covariance: Array, k: int, names: tuple[str, ...] = ()) -> Projected:
+def project(total: Array, squares: Array, half: Array, k: int, names: tuple[str, ...] = ()) -> Projected:
     """Project the model off the last k columns and the residual.
 
     Args:
         total: (m + k + 1) square reduced Gram matrix of [model, further columns, residual] at the solution.
         squares: (m + k + 1,) squared norms of the columns before the points were eliminated.
-        covariance: (m, m) of the model's shared unknowns under its datum.
+        half: (m, r) root of the covariance of the model's shared unknowns under its datum.
         k: number of further columns.
         names: of these.
     """
@@ -49,6 +49,8 @@ def project(total: Array, squares: Array, covariance: Array, k: int, names: tupl
     # At the solution the residual has nothing left along the model; where the model is nearly degenerate, what the
     # iteration left over would be blown up by the covariance.
     cross[:, -1] = 0.0
-    response = covariance @ cross
-    gram = total[m:, m:] - cross.T @ response
+    # The covariance itself is not formed: its largest entries would leave rounding in what is told well.
+    seen = half.T @ cross
+    response = half @ seen
+    gram = total[m:, m:] - seen.T @ seen
     return Projected((gram + gram.T) / 2, squares[m:], np.diag(total)[m:].copy(), response[:, :k], names)

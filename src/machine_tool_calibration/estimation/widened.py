@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, IntArray, groups
 from machine_tool_calibration.estimation.elimination import Rows
 from machine_tool_calibration.estimation.problem import Part
 
@@ -65,7 +65,10 @@ def _by_block(block: IntArray, blocks: int, group: IntArray, shapes: Array) -> t
     """
     d, n = shapes.shape
     there = np.flatnonzero((group >= 0) & (block >= 0))
-    pairs, which = np.unique(np.stack([block[there], group[there]]), axis=1, return_inverse=True)
+    which = groups(block[there], group[there])
+    first = np.full(int(which.max(initial=-1)) + 1, len(there))
+    np.minimum.at(first, which, np.arange(len(there)))
+    pairs = np.stack([block[there][first], group[there][first]])
     begin = np.searchsorted(pairs[0], np.arange(blocks))
     slot = np.arange(pairs.shape[1]) - begin[pairs[0]]
     most = int(slot.max(initial=-1)) + 1
@@ -75,5 +78,5 @@ def _by_block(block: IntArray, blocks: int, group: IntArray, shapes: Array) -> t
     member[pairs[0], slot] = pairs[1]
     index = (member[:, :, None] * d + np.arange(d)).reshape(blocks, most * d)
     columns = np.zeros((most, d, n))
-    columns[slot[which.reshape(-1)], :, there] = shapes[:, there].T
+    columns[slot[which], :, there] = shapes[:, there].T
     return index, columns.reshape(most * d, n)

@@ -19,6 +19,7 @@ from scipy import special
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.effects.error_motion import polynomials
+from machine_tool_calibration.estimation.normal import covariance_root
 from machine_tool_calibration.estimation.projection import project
 from machine_tool_calibration.estimation.solve import gram
 from machine_tool_calibration.machine.error_motions import SQUARENESS, parse_motion
@@ -281,7 +282,9 @@ def _scores(
     theta[old] = joint.solution.theta
     total, squares = gram(wide.problem, theta, joint.solution.local)
     order = np.concatenate([old, new, [len(theta)]])
-    projected = project(total[np.ix_(order, order)], squares[order], joint.solution.covariance, len(new))
+    total, squares = total[np.ix_(order, order)], squares[order]
+    half = covariance_root(total, squares, joint.assembly.problem.constraints)
+    projected = project(total, squares, half, len(new))
     start = np.cumsum([0, *(len(entry.columns) for entry in candidates)])
     return projected.gram[:-1, :-1], projected.gram[:-1, -1], start, projected.squares[:-1]
 

@@ -11,6 +11,7 @@ from scipy import special
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.estimation.normal import covariance_root
 from machine_tool_calibration.estimation.problem import Part, Problem
 from machine_tool_calibration.estimation.projection import Projected, project
 from machine_tool_calibration.estimation.solve import Solution, gram, solve
@@ -215,7 +216,9 @@ def screen_joint(joint: JointFit, terms: Sequence[Sequence[Term]]) -> Projected:
     total, squares = gram(wide.problem, theta, joint.solution.local)
     order = np.concatenate([known, new, [len(theta)]])
     names = tuple(wide.parameters[k].name.replace(_FURTHER, "", 1) for k in new)
-    return project(total[np.ix_(order, order)], squares[order], joint.solution.covariance, len(new), names)
+    total, squares = total[np.ix_(order, order)], squares[order]
+    half = covariance_root(total, squares, old.problem.constraints)
+    return project(total, squares, half, len(new), names)
 
 
 def _further(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, IntArray, groups
 from machine_tool_calibration.model.observations import Observations
 
 __all__ = ["Family", "reproducibility"]
@@ -70,7 +70,7 @@ def reproducibility(observations: Observations) -> tuple[Family, ...]:
     keys = [readings.setup, readings.repeat]
     if observations.session.method == "rotary_axis" and "target" in readings.labels:
         keys.append(np.unique(readings.labels["target"], return_inverse=True)[1].reshape(-1))
-    run = _numbered(np.unique(np.stack(keys), axis=1, return_inverse=True)[1].reshape(-1))
+    run = _numbered(groups(*keys))
     mounting = np.cumsum(np.r_[0, np.diff(readings.setup) != 0])[: len(readings)]
     families = [Family("run", run, _smooth(time, run))]
     if not np.array_equal(run, _numbered(mounting)):
@@ -119,7 +119,7 @@ def _of_direct(observations: Observations) -> Iterator[Family]:
     moved = [j for j in range(3) if np.ptp(position[:, j]) > _STILL] if len(position) else []
     if len(moved) >= 2:
         readings = observations.readings
-        run = np.unique(np.stack([readings.setup, readings.repeat]), axis=1, return_inverse=True)[1].reshape(-1)
+        run = groups(readings.setup, readings.repeat)
         yield Family("run", run, _smooth(_time(observations), run))
         yield from _rows(observations, moved)
         return

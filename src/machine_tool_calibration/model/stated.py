@@ -16,7 +16,7 @@ import numpy as np
 from scipy import special
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.estimation.normal import solve_normal
+from machine_tool_calibration.estimation.normal import covariance_root, solve_normal
 from machine_tool_calibration.estimation.problem import Part, Problem
 from machine_tool_calibration.estimation.projection import project
 from machine_tool_calibration.estimation.reduction import gram, single_blas
@@ -155,7 +155,7 @@ def state(joint: JointFit) -> Stated:
     )
     theta = np.concatenate([solution.theta, np.zeros(u)])
     total, squares = gram(wide, theta, solution.local)
-    projected = project(total, squares, solution.covariance, u).gram
+    projected = project(total, squares, _root(joint, total, squares), u).gram
     projected[-1, -1] = solution.chi_square
     freedom = solution.degrees_of_freedom
     found = components(projected, place, freedom)
@@ -185,6 +185,14 @@ def state(joint: JointFit) -> Stated:
         for part, own, model in zip(parts, families, joint.assembly.models, strict=True)
     )
     return Stated(tuple(parts), stated, scatter, sizes, tried[int(np.argmax(weights))].random, functions, left)
+
+
+def _root(joint: JointFit, total: Array, squares: Array) -> Array:
+    """Root of the covariance, with what is expected of random unknowns, which is not in the matrix."""
+    if joint.random is None:
+        return covariance_root(total, squares, joint.assembly.problem.constraints)
+    values, vectors = np.linalg.eigh(joint.solution.covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 @dataclass(frozen=True)

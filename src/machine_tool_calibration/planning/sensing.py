@@ -161,7 +161,7 @@ def _outside(model: MethodModel, columns: Array) -> tuple[Array, Array]:
     )
     rows = problem.constraints[:, :m]
     normal = solve_normal(total[:m, :m], total[:m, -1], rows, np.zeros(len(rows)), squares[:m])
-    projected = project(total, squares, normal.covariance, k)
+    projected = project(total, squares, normal.half, k)
     return projected.gram[:-1, :-1], projected.squares[:-1]
 
 
