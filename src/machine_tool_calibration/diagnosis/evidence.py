@@ -17,7 +17,13 @@ from scipy.special import log_ndtr, ndtr
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.diagnosis.priors import SCALE_STEP, SMALLEST_SIGNAL
-from machine_tool_calibration.estimation.variance_components import DECLARED_WORTH, factor_of_sum, fold, log_prior, ratio_grid
+from machine_tool_calibration.estimation.variance_components import (
+    DECLARED_WORTH,
+    factor_of_sum,
+    fold,
+    log_prior,
+    ratio_grid,
+)
 
 __all__ = ["Block", "Gram", "Metric", "Point", "Table", "metrics", "table"]
 
