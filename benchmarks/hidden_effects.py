@@ -1,8 +1,8 @@
 """How often is a hidden effect found, called by its right name, and the map put right?
 
 Simulated sessions of random machines: with nothing hidden (with and without a spread between setups), with one hidden
-effect, with two, with one that is in no catalogue, and an axis run by ISO 230-2 with warm-up and backlash. The simulator
-calculates readings from geometry and shares no formula with the estimator.
+effect, with two, with one that is in no catalogue, and an axis run by ISO 230-2 with warm-up and backlash. The
+simulator calculates readings from geometry and shares no formula with the estimator.
 
     python benchmarks/hidden_effects.py --trials 40 --output rates.md
 """
