@@ -1,4 +1,4 @@
-"""Sizes of what does not reproduce: against the dense restricted likelihood, integrated over the noise by quadrature."""
+"""Sizes of what does not reproduce: against the dense restricted likelihood, and integration over the noise."""
 
 from __future__ import annotations
 

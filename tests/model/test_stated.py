@@ -183,7 +183,9 @@ def test_a_declared_uncertainty_three_times_too_small_is_corrected(plan: str) ->
             assert fit.stated.scatter == pytest.approx(3.0, rel=chance)
 
 
-@pytest.mark.parametrize(("plan", "quantity"), [("tracking_2d", "position_error"), ("probing_cross", "workpiece_error")])
+@pytest.mark.parametrize(
+    ("plan", "quantity"), [("tracking_2d", "position_error"), ("probing_cross", "workpiece_error")]
+)
 def test_spread_between_mountings_is_found_and_in_the_maps_uncertainty(plan: str, quantity: str) -> None:
     uncertainty, chance = [], []
     for size in (0.0, 4.0):

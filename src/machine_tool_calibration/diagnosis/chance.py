@@ -139,6 +139,5 @@ def _folded(null: Gram, metric: Metric) -> Metric:
         return Metric(metric.ratio, metric.log_prior, metric.half, np.zeros((len(metric.half), null.data.shape[1])))
     s = tau[used]
     lower = factor_of_sum(null.spread[np.ix_(used, used)] * np.outer(s, s))
-    return Metric(
-        metric.ratio, metric.log_prior, metric.half, np.linalg.solve(lower, s[:, None] * null.spread_data[used])
-    )
+    half_data = np.asarray(np.linalg.solve(lower, s[:, None] * null.spread_data[used]))
+    return Metric(metric.ratio, metric.log_prior, metric.half, half_data)
