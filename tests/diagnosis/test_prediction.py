@@ -14,9 +14,7 @@ from machine_tool_calibration.diagnosis.look import Look, look_at
 from machine_tool_calibration.diagnosis.pool import Pool
 from machine_tool_calibration.diagnosis.prediction import Prediction, predictions
 from machine_tool_calibration.effects.catalogue import catalogue
-from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.methods.identify import build_model
-from machine_tool_calibration.model.effect_terms import add_effects
 from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
@@ -24,8 +22,8 @@ from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulat
 EFFECT = "backlash_y"
 
 
-def fit_of(part: Session, added: Sequence[Effect]) -> JointFit:
-    return fit_models([add_effects(build_model(part)[0], list(added))])
+def fit_of(parts: Sequence[Session]) -> JointFit:
+    return fit_models([build_model(part)[0] for part in parts])
 
 
 def with_effect(only_in: int | None) -> Session:
@@ -39,10 +37,10 @@ def with_effect(only_in: int | None) -> Session:
 
 
 def predicted(session: Session) -> tuple[Prediction, ...]:
-    fit = fit_of(session, ())
+    fit = fit_of([session])
     candidates, _ = effect_candidates(Pool(fit), [catalogue()[EFFECT]])
     look: Look = look_at(fit, candidates, [], np.random.default_rng(1), 1, side_by_side=False)
-    return predictions(session, replace(look, accepted=(EFFECT,)), fit_of)[EFFECT]
+    return predictions([session], replace(look, accepted=(EFFECT,)), fit_of)[EFFECT]
 
 
 def test_a_real_effect_predicts_every_part() -> None:
@@ -71,10 +69,10 @@ def test_such_an_effect_is_refused_although_it_is_probable() -> None:
 
 def test_without_an_accepted_effect_there_is_nothing_to_predict() -> None:
     session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=4)).session
-    fit = fit_of(session, ())
+    fit = fit_of([session])
     look = look_at(fit, effect_candidates(Pool(fit), [catalogue()[EFFECT]])[0], [], np.random.default_rng(1), 1,
                    side_by_side=False)  # fmt: skip
-    assert predictions(session, look, fit_of) == {}
+    assert predictions([session], look, fit_of) == {}
 
 
 @pytest.mark.parametrize(
