@@ -111,12 +111,10 @@ def test_readings_are_those_of_the_simulator(bench, finish, case):
 
 
 def the_demonstration_holds_the_map_against_the_truth(bench, session):
-    """The machine of the site, with backlash; the readings have no noise."""
+    """Readings without noise, all of one direction: what the table errs by is found to nanometres."""
     (bench.folder / "site.yaml").write_text((bench.folder / "site1.yaml").read_text())
-    measured = SimpleNamespace(output=bench.folder, session=session)
-    without, found = (judged(measured, identify(session, effects=names)) for names in ([], ["backlash_c"]))
-    assert found.before == without.before > 1e-6
-    assert without.rms > 1e-6 > 100 * found.rms
+    found = judged(SimpleNamespace(output=bench.folder, session=session), identify(session))
+    assert found.before > 1e-6 > 1000 * found.rms
 
 
 def _session(operator):

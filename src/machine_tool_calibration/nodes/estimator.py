@@ -102,7 +102,7 @@ class Estimator(Node):
         declare(
             self,
             "sets",
-            399,
+            199,
             "simulated data sets in which nothing is missing; they decide what chance can do",
             low=199,
             high=99_999,
