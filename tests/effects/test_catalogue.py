@@ -19,6 +19,7 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.identify import build_model, identify
 from machine_tool_calibration.model.effect_terms import effect_term
 from machine_tool_calibration.model.fit import Fit, fit_models, screen
+from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import (
     PRESETS,
@@ -230,11 +231,23 @@ def injected(name: str, plan: str, sigmas: float = 30.0, seed: int = 7) -> Sessi
     return simulate(spec(plan, seed, effects=(FlawSpec(id=name, amplitude=3e-6 * sigmas / strength),))).session
 
 
+@cache
+def recovered(name: str) -> Result:
+    """The result with an effect in the model that is hidden in the session."""
+    return identify(injected(name, SHOWN[name][0]), effects=[name])
+
+
+@cache
+def sound(plan: str) -> tuple[Session, Result]:
+    """A session in which nothing is hidden, and its result."""
+    session = simulate(spec(plan, 23)).session
+    return session, identify(session)
+
+
 @pytest.mark.parametrize("name", SHOWN)
 def test_a_hidden_effect_explains_what_it_did(name: str) -> None:
     plan, cosine = SHOWN[name]
-    session = injected(name, plan)
-    without, found = identify(session).fit.solution, identify(session, effects=[name]).fit.solution
+    without, found = identify(injected(name, plan)).fit.solution, recovered(name).fit.solution
     gained = without.chi_square - found.chi_square
     # 30 standard uncertainties are 900 in chi-square; what a column does not follow stays.
     assert gained > 900 * cosine**2 - 4 * 30
@@ -250,7 +263,7 @@ def test_a_hidden_effect_is_recovered_within_its_uncertainty(name: str) -> None:
     wanted = change(name, plan)
     fit, effect = fitted(plan), catalogue()[name]
     strength = float(np.sqrt(screen(fit, wanted[None]).gram[0, 0]))
-    result = identify(injected(name, plan), effects=[name])
+    result = recovered(name)
     coefficient = next(e for e in result.parameters if e.name == f"{name}.{effect.coefficients[0].name}")
     assert abs(coefficient.value) > 5 * coefficient.standard_uncertainty
     truth = _coefficient_of(wanted * 30.0 / strength, fit, effect.columns(fit.model.observations))
@@ -281,8 +294,8 @@ def test_nothing_is_found_where_nothing_is(name: str) -> None:
 
 @pytest.mark.parametrize(("plan", "name"), [(plan, name) for plan, names in TAKEN_UP.items() for name in names])
 def test_what_the_model_takes_up_is_said_and_does_no_harm(plan: str, name: str) -> None:
-    session = simulate(spec(plan, 23)).session
-    without, with_effect = identify(session), identify(session, effects=[name])
+    session, without = sound(plan)
+    with_effect = identify(session, effects=[name])
     assert name in {n.name for n in with_effect.not_determined}
     np.testing.assert_array_equal(with_effect.error_map.error, without.error_map.error)
 
