@@ -18,7 +18,7 @@ from machine_tool_calibration.diagnosis.outliers import Outlier, find_outliers
 from machine_tool_calibration.diagnosis.places import mean_places
 from machine_tool_calibration.diagnosis.pool import Pool
 from machine_tool_calibration.diagnosis.prediction import Prediction, predictions
-from machine_tool_calibration.diagnosis.priors import ACCEPTED, CONTRADICTED, GROSS, LIKELY
+from machine_tool_calibration.diagnosis.priors import ACCEPTED, CONTRADICTED, GROSS, LIKELY, SURE
 from machine_tool_calibration.diagnosis.structure import structure_candidates
 from machine_tool_calibration.effects.catalogue import catalogue, find_effects
 from machine_tool_calibration.effects.effect import Effect
@@ -234,6 +234,9 @@ def _search(
     fitted, accepted, refused = [first], list[Effect](), dict[str, str]()
     for name in look.accepted:
         effect = next(e for e in known if e.id == name)
+        if not look.of(name).plausible:
+            refused[name] = "no machine or instrument has such a size"
+            continue
         against = [p for p in predicted.get(name, ()) if p.speaks_against]
         if against:
             refused[name] = f"it does not predict {against[0].what} that are left out"
@@ -275,7 +278,10 @@ def _verdict(look: Look, fits: Sequence[JointFit], accepted: bool) -> str:
         left = max((s.share for s in look.left), default=0.0) * fits[-1].solution.chi_square
         if not accepted or left > taken:
             return "unexplained"
-    return "missing_effect" if accepted else "unexplained" if look.unknown > ACCEPTED else "adequate"
+    if accepted:
+        return "missing_effect"
+    # That something is missing is sure, also where its likeliest cause cannot be it or would spoil the map.
+    return "unexplained" if look.unknown > ACCEPTED or look.nothing < 1.0 - SURE else "adequate"
 
 
 def _contradicted(look: Look, fits: Sequence[JointFit]) -> bool:

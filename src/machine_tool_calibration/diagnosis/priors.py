@@ -15,6 +15,7 @@ __all__ = [
     "SCALE_STEP",
     "SMALLEST_SIGNAL",
     "STRUCTURE",
+    "SURE",
     "THE_SAME",
 ]
 
@@ -28,6 +29,9 @@ effects."""
 
 ACCEPTED = 0.5
 """Posterior probability from which an effect is named as missing: it is in the model more likely than not."""
+
+SURE = 0.95
+"""Posterior probability that something is missing from which it is said although no effect can be named."""
 
 LIKELY = 0.2
 """Posterior probability from which an effect is called likely: what one would look at next."""

@@ -65,6 +65,11 @@ def _verdict(diagnosis: Diagnosis) -> str:
         names = [_title(diagnosis, name) for name in diagnosis.accepted]
         what = names[0] if len(names) == 1 else f"{len(names)} effects: {', '.join(names)}"
         return f"The model lacks {what}."
+    if diagnosis.verdict == "unexplained" and look.unknown < 1.0 - look.nothing - look.unknown:
+        return (
+            f"Something is missing (probability {probability(1.0 - look.nothing)}), and these readings do not tell "
+            "which effect it is: none is named as the cause."
+        )
     if diagnosis.verdict == "unexplained":
         return "The model lacks something that no effect of the catalogue explains. No effect is named as the cause."
     if diagnosis.verdict == "outliers":
