@@ -138,12 +138,3 @@ def test_rounding_is_no_structure() -> None:
     assert found.verdict == "adequate"
     assert found.accepted == ()
     assert not found.look.structure
-
-
-def test_an_effect_that_would_spoil_the_map_is_not_added() -> None:
-    flaw = FlawSpec(id="station_drift", amplitude=6e-6)
-    spec = SimulationSpec(plan=PRESETS["rotary_axis"], seed=4, effects=(flaw,))
-    found = diagnose(simulate(spec).session, seed=1)
-    assert found.accepted == ("linear_drift",)
-    assert "station_drift" not in found.accepted
-    assert "no longer determines the machine's errors" in found.excluded["station_drift"]

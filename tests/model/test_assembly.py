@@ -114,7 +114,11 @@ def test_too_few_readings():
     model = line(X)
     model = replace(
         model,
-        observations=replace(model.observations, readings=model.observations.readings.select(np.arange(2))),
+        observations=replace(
+            model.observations,
+            readings=model.observations.readings.select(np.arange(2)),
+            path=model.observations.path[:2],
+        ),
         terms=(Term("scale", model.terms[0].parameters, X[None, :2]),),
     )
     with pytest.raises(ModelError, match="too few readings: 2 for 2 unknowns"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpe
 CASES = [
     ("tracking_2d", FlawSpec(id="backlash_y", size=1.5e-6), "direction of approach of y"),
     ("rotary_axis", FlawSpec(id="backlash_c", size=1.3e-5), "direction of approach of c"),
-    ("step_diagonal_three_orders", FlawSpec(id="dead_path", size=3.0), "air"),
+    ("step_diagonal_three_orders", FlawSpec(id="dead_path", size=3.0), "air|humidity"),
     ("probing_cross", FlawSpec(id="probe_pretravel", amplitude=4e-6), "direction of the surface's normal"),
     ("iso230_2", FlawSpec(id="backlash_x", size=2e-6), "direction of approach of x"),
 ]
@@ -44,7 +45,7 @@ def test_every_method_has_its_pictures(plan: str, flaw: FlawSpec, shows_over: st
     assert np.sort(measured) == pytest.approx(np.sort(1e6 * found.look.fit.fits[0].residuals))
     assert over.get_ylabel() == "residual, µm"
     assert found.accepted == (flaw.id,)
-    assert shows_over in over.get_xlabel()
+    assert re.search(shows_over, over.get_xlabel())
 
 
 def test_files(tmp_path: Path) -> None:

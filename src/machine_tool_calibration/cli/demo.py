@@ -32,10 +32,9 @@ _HIDDEN = {
     "tracking": {
         "backlash_x": (0.8e-6, 2.5e-6),
         "backlash_y": (0.8e-6, 2.5e-6),
-        "pointer_radial_error": (2e-6, 5e-6),
     },
     # In the few minutes of a step diagonal its own unknowns take up what drifts; what depends on the direction shows.
-    "step_diagonal": {"backlash_x": (1.5e-6, 4e-6), "backlash_y": (1.5e-6, 4e-6)},
+    "step_diagonal": {"backlash_x": (3e-6, 6e-6), "backlash_y": (3e-6, 6e-6)},
     "rotary_axis": {"backlash_c": (5e-6, 2e-5)},
     "probing": {"backlash_y": (4e-6, 8e-6)},
     "direct": {"backlash_x": (1e-6, 4e-6)},

@@ -25,7 +25,7 @@ from machine_tool_calibration.estimation.variance_components import (
     ratio_grid,
 )
 
-__all__ = ["Block", "Gram", "Metric", "Point", "Table", "metrics", "table"]
+__all__ = ["Block", "Gram", "Metric", "Point", "Table", "metric_at", "metrics", "table"]
 
 # Most scales of one effect; a probability below which its logarithm is calculated apart.
 _MOST_SCALES = 7
@@ -148,13 +148,14 @@ class Metric:
 def metrics(gram: Gram) -> list[Metric]:
     """One for every size of what does not reproduce."""
     ratios = ratio_grid(int(gram.family.max(initial=-1)) + 1)
-    both = np.column_stack([gram.cross, gram.spread_data])
-    out = []
-    for ratio, prior in zip(ratios, log_prior(ratios), strict=True):
-        folded = fold(gram.spread, both, gram.family, ratio)
-        k = gram.cross.shape[1]
-        out.append(Metric(ratio, float(prior) - 0.5 * folded.log_determinant, folded.half[:, :k], folded.half[:, k:]))
-    return out
+    return [metric_at(gram, ratio, float(prior)) for ratio, prior in zip(ratios, log_prior(ratios), strict=True)]
+
+
+def metric_at(gram: Gram, ratio: tuple[float, ...], prior: float = 0.0) -> Metric:
+    """That of one size of each family, in units of the noise, with the logarithm of its prior."""
+    folded = fold(gram.spread, np.column_stack([gram.cross, gram.spread_data]), gram.family, ratio)
+    k = gram.cross.shape[1]
+    return Metric(ratio, prior - 0.5 * folded.log_determinant, folded.half[:, :k], folded.half[:, k:])
 
 
 @dataclass(frozen=True)

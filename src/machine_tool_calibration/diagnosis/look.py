@@ -79,6 +79,7 @@ class Look:
         false_alarms: share of data sets without any effect in which one would have been accepted.
         sets: ids of the effects of every set that matters, with its probability; structures without a cause are
             `unknown`.
+        spread: size of every family of what does not reproduce beside the most probable effects, in units of the noise.
     """
 
     fit: JointFit
@@ -93,6 +94,7 @@ class Look:
     nothing: float
     false_alarms: float
     sets: tuple[tuple[tuple[str, ...], float], ...]
+    spread: dict[str, float]
 
     def of(self, effect: str) -> Finding:
         """What was found of the effect of an id."""
@@ -159,6 +161,7 @@ def look_at(
         nothing=next((float(p) for s, p in zip(found.sets, found.probability, strict=True) if not s), 0.0),
         false_alarms=chance.false_alarms,
         sets=_named_sets(columns, found),
+        spread=dict(zip(columns.pool.spread()[2], found.metric.ratio, strict=True)),
     )
 
 

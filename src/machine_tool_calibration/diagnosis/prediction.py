@@ -8,14 +8,14 @@ around the readings at hand loses there what it seems to win.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from machine_tool_calibration.arrays import IntArray
 from machine_tool_calibration.diagnosis.candidates import Shaped, shaped_at
-from machine_tool_calibration.diagnosis.evidence import Block, Gram, metrics, table
+from machine_tool_calibration.diagnosis.evidence import Block, Gram, metric_at, table
 from machine_tool_calibration.diagnosis.look import Look
 from machine_tool_calibration.diagnosis.pool import Pool
 from machine_tool_calibration.effects.effect import Effect
@@ -76,14 +76,17 @@ def predictions(
         return {}
     found = [(look.of(name).candidate.effect, look.of(name).shape) for name in names]
     effects = [(effect, shape) for effect, shape in found if effect is not None]
-    whole = _log_factors(look.fit, effects)
+    whole = _log_factors(look.fit, effects, look.spread)
     out: dict[str, list[Prediction]] = {name: [] for name in names}
     for what, parts in _divisions(sessions):
+        if what == "cycles" and look.fit.random is not None:
+            # What is expected of random unknowns is drawn from the readings: a cycle alone expects something else.
+            continue
         gains, readings = [], 0
         for k in range(1 + max(int(part.max(initial=-1)) for part in parts)):
             left = [s.with_readings(s.readings.select(part != k)) for s, part in zip(sessions, parts, strict=True)]
             try:
-                gains.append(whole - _log_factors(fit_of(left), effects))
+                gains.append(whole - _log_factors(fit_of(left), effects, look.spread))
             except (CalibrationError, np.linalg.LinAlgError):
                 continue
             readings += sum(int((part == k).sum()) for part in parts)
@@ -94,11 +97,21 @@ def predictions(
     return {name: tuple(own) for name, own in out.items() if own}
 
 
-def _log_factors(fit: JointFit, effects: Sequence[tuple[Effect, tuple[float, ...]]]) -> np.ndarray:
-    """(effects,) logarithm of the Bayes factor of each beside the others."""
+def _log_factors(
+    fit: JointFit, effects: Sequence[tuple[Effect, tuple[float, ...]]], sizes: Mapping[str, float]
+) -> np.ndarray:
+    """(effects,) logarithm of the Bayes factor of each beside the others.
+
+    What does not reproduce has the same size for all readings and for a part of them: only so do the two compare.
+
+    Args:
+        fit: of all readings, or of a part.
+        effects: at their nonlinear coefficients.
+        sizes: of what does not reproduce, by family, in units of the noise.
+    """
     pool = Pool(fit)
     shaped = [shaped_at(pool, effect, shape) for effect, shape in effects]
-    spread, family, _ = pool.spread()
+    spread, family, names = pool.spread()
     columns = np.concatenate([*(s.columns for s in shaped), spread])
     projected = pool.screen(columns).gram
     k = len(columns) - len(spread)
@@ -113,7 +126,12 @@ def _log_factors(fit: JointFit, effects: Sequence[tuple[Effect, tuple[float, ...
         fit.solution.degrees_of_freedom,
     )
     blocks = _blocks(shaped)
-    base, out = metrics(gram), np.zeros(len(blocks))
+    # Where a part has one run in each mounting, they are one family.
+    ratio = tuple(sizes.get(name, 0.0) for name in names)
+    if "mounting" in sizes and "mounting" not in names and "run" in names:
+        merged = float(np.hypot(sizes.get("run", 0.0), sizes["mounting"]))
+        ratio = tuple(merged if name == "run" else size for name, size in zip(names, ratio, strict=True))
+    base, out = [metric_at(gram, ratio)], np.zeros(len(blocks))
     for j, block in enumerate(blocks):
         others = [o for i, o in enumerate(blocks) if i != j]
         place = np.concatenate([np.zeros(0, dtype=np.int64), *(np.arange(o.place.start, o.place.stop) for o in others)])

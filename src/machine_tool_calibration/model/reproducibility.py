@@ -43,6 +43,11 @@ class Family:
     shapes: Array
 
     @property
+    def of_runs(self) -> bool:
+        """Whether it is of runs, mountings or passes: of the measurement, and not a pattern that a part may have."""
+        return not self.name.startswith("rows")
+
+    @property
     def count(self) -> int:
         """Number of groups."""
         return int(self.group.max(initial=-1)) + 1
@@ -67,13 +72,17 @@ def reproducibility(observations: Observations) -> tuple[Family, ...]:
         return tuple(family for family in _of_direct(observations) if family.shapes.any())
     time = _time(observations)
     readings = observations.readings
+    # Readings are in the order of time, in whatever order they are given.
+    order = np.argsort(time, kind="stable")
     keys = [readings.setup, readings.repeat]
     if observations.session.method == "rotary_axis" and "target" in readings.labels:
         keys.append(np.unique(readings.labels["target"], return_inverse=True)[1].reshape(-1))
     run = _numbered(groups(*keys))
-    mounting = np.cumsum(np.r_[0, np.diff(readings.setup) != 0])[: len(readings)]
+    mounting = np.empty(len(readings), dtype=np.int64)
+    mounting[order] = np.cumsum(np.r_[0, np.diff(readings.setup[order]) != 0])[: len(readings)]
     families = [Family("run", run, _smooth(time, run))]
-    if not np.array_equal(run, _numbered(mounting)):
+    mounting = _numbered(mounting)
+    if not np.array_equal(run, mounting):
         families.append(Family("mounting", mounting, _smooth(time, mounting)))
     return tuple(family for family in families if family.shapes.any())
 

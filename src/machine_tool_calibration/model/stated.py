@@ -139,7 +139,8 @@ def state(joint: JointFit) -> Stated:
         joint: of one or several sessions.
     """
     problem, solution = joint.stripped, joint.solution
-    families = [reproducibility(model.observations) for model in joint.assembly.models]
+    # Rows of a plate that differ are the part's, as far as the map is concerned.
+    families = [tuple(f for f in reproducibility(m.observations) if f.of_runs) for m in joint.assembly.models]
     parts, place, names = _widened(problem, families)
     m, u = problem.size, len(place)
     if not u and joint.random is None:

@@ -43,7 +43,7 @@ class Separation:
     @property
     def separates(self) -> bool:
         """Whether they would no longer look alike."""
-        return self.cosine_after < ALIKE
+        return self.kind is not None and self.cosine_after < ALIKE
 
 
 @dataclass(frozen=True)

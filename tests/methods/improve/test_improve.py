@@ -109,7 +109,7 @@ def test_direct_readings_see_the_tool_point_itself() -> None:
 def test_steps_become_entries_of_a_history() -> None:
     spec = SimulationSpec(plan=PRESETS["tracking_2d"], seed=77, effects=(FlawSpec(id="backlash_y", size=2e-6),))
     done = improve(simulate(spec).session, sets=199)
-    first, last = entries(done, "sha256-1", "2026-01-01T00:00:00+00:00", "improve")
+    first, last = entries(done, "sha256-1", ["sha256-1"], "2026-01-01T00:00:00+00:00", "improve")
     assert (first.effects, last.effects) == ((), ("backlash_y",))
     assert last.rms_residual == done.steps[1].result.rms_residual
     assert [p.name for p in last.parameters] == ["backlash_y.b"]
@@ -118,7 +118,7 @@ def test_steps_become_entries_of_a_history() -> None:
     bare = replace(done.steps[1], map_rms=None, map_uncertainty=None, map_change=None)
     assert bare.left_at_tool is None
     assert done.left_at_tool(bare) is None
-    assert entries(replace(done, steps=(bare,)), "sha256-1", "2026", "improve")[0].map_rms is None
+    assert entries(replace(done, steps=(bare,)), "sha256-1", ["sha256-1"], "2026", "improve")[0].map_rms is None
 
 
 def test_progress_rises_to_one() -> None:

@@ -17,7 +17,12 @@ PLANS: dict[str, dict[str, Any]] = {
     "tracker": {"method": "tracking_interferometer", "dimension": 3, "x": NODES, "y": NODES, "z": NODES},
     "run": {"method": "direct", "kind": "iso230_2", "axis": "x", "repeats": 3, "count": 6},
     "grid": {"method": "direct", "kind": "grid_plate", "count": 6},
-    "diagonals": {"method": "step_diagonal", "blocks": 10, "step": (0.04, 0.04, 0.04)},
+    "diagonals": {
+        "method": "step_diagonal",
+        "blocks": 10,
+        "step": (0.04, 0.04, 0.04),
+        "diagonals": ("ppp", "npp", "pnp"),
+    },
 }
 
 

@@ -11,7 +11,7 @@ import pytest
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.joint import JointResult, identify_sessions
 from machine_tool_calibration.methods.joint_model import common_models
-from machine_tool_calibration.methods.joint_spread import settled, stated
+from machine_tool_calibration.methods.joint_spread import random_of, settled, stated
 from machine_tool_calibration.methods.rigid_body import map_field
 from machine_tool_calibration.methods.step_diagonal import build
 from machine_tool_calibration.model.fit import fit_models
@@ -34,7 +34,7 @@ def _errors(result: JointResult, simulated: Simulated) -> tuple[np.ndarray, np.n
 
     Both without what all readings leave open.
     """
-    tables, fit = result.common.tables, result.stated
+    tables, fit = result.common.tables, result.joint
     place = {p.name: k for k, p in enumerate(fit.assembly.parameters)}
     labels = [label for table in tables for label in table.labels]
     index = np.array([place[label] for label in labels])
@@ -81,12 +81,12 @@ def test_the_map_has_the_right_uncertainty(
     assert wrong <= 1
 
 
-def test_a_step_diagonal_by_itself_says_the_same(several: SimpleNamespace) -> None:
+def test_a_step_diagonal_by_itself_says_the_same(several: SimpleNamespace, reproducible: None) -> None:
     """The mean over sizes and shapes from the normal equations of any fit is that of the single session."""
     session = several.measured("diagonals", 1, _random(1, 5e-6)).session
     alone = build(session)
     common = common_models([alone], [""])
-    fit = fit_models(settled(common.models, [""], common.angles))
+    fit = fit_models(settled(common.models, [""], common.angles), random=random_of(common.angles))
     found = stated(fit, common.angles)
     assert found is not None and alone.spread is not None and alone.spread.posterior is not None
     assert found.size == pytest.approx(alone.spread.posterior.size, rel=1e-4)
@@ -94,7 +94,7 @@ def test_a_step_diagonal_by_itself_says_the_same(several: SimpleNamespace) -> No
     place = {p.name: k for k, p in enumerate(fit.assembly.parameters)}
     own = identify(session).error_map.content
     last = [place[f"EXX({node})"] for node in ("0", "0.4")]
-    theta, covariance = found.fit.solution.theta[last], found.fit.solution.covariance[np.ix_(last, last)]
+    theta, covariance = fit.published.theta[last], fit.published.covariance[np.ix_(last, last)]
     along = np.array([-1.0, 1.0])
     assert along @ theta == pytest.approx(own["x"][-1, 0], abs=1e-10)
     assert np.sqrt(along @ covariance @ along) == pytest.approx(own["x_u"][-1, 0], rel=1e-3)

@@ -74,7 +74,7 @@ def test_spheres_help_at_the_edges_more_than_on_the_part(plan):
     assert without["position_error"].max() > 1.3 * with_spheres["position_error"].max()  # Fig. 20(b)
 
 
-def test_uncertainty_is_in_proportion_to_that_of_a_touch(plan):
+def test_uncertainty_is_in_proportion_to_that_of_a_touch(plan, reproducible):
     once, twice = expanded(plan()), expanded(plan(touch=2.76e-6))
     np.testing.assert_allclose(twice["workpiece_error"], 2 * once["workpiece_error"], rtol=1e-9)
 

@@ -73,7 +73,7 @@ def test_fewer_unknowns_less_uncertainty(simulated):
 
 
 @pytest.mark.parametrize(("effect", "size"), [("backlash_x", 2e-6), ("linear_drift", 1e-9), ("dead_path", 0.3)])
-def test_parameters_of_effects(effect, size, simulated, many):
+def test_parameters_of_effects(effect, size, simulated, many, reproducible):
     """An effect's coefficient within its uncertainty, over runs; the uncertainty is neither too large nor too small."""
     scores = []
     count = many.part(2.0).count  # each tells of one value only
