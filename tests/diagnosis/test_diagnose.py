@@ -39,7 +39,7 @@ def test_false_alarms_stay_rare_with_and_without_a_spread_between_setups() -> No
         ("tracking_2d", "pointer_radial_error", 4e-6),
         ("tracking_3d", "thermal_expansion_x", 6e-6),
         ("rotary_axis", "backlash_c", 2e-6),
-        ("step_diagonal", "dead_path", 3e-6),
+        ("step_diagonal", "backlash_y", 3e-6),
         ("probing_cross", "probe_pretravel", 3e-6),
         ("probing_cam", "workpiece_thermal", 6e-6),
     ],
