@@ -106,13 +106,9 @@ def show_improvement(done: Improvement) -> None:
 
 
 def _words(done: Improvement) -> str:
-    from machine_tool_calibration.diagnosis.quantities import quantity
 
-    found, first, last = done.diagnosis, done.steps[0], done.steps[-1]
-    fell = (
-        f"the residual falls from {quantity(first.result.rms_residual, 'm')} to "
-        f"{quantity(last.result.rms_residual, 'm')} RMS (declared uncertainty {quantity(found.noise.declared, 'm')})."
-    )
+    found = done.diagnosis
+    fell = _what_falls(done)
     if found.accepted:
         return f"Added {', '.join(found.accepted)}: {fell}"
     if found.verdict == "outliers":
@@ -123,6 +119,22 @@ def _words(done: Improvement) -> str:
             "`mtcal diagnose` says on what they depend."
         )
     return "Nothing was added: this measurement shows no missing effect."
+
+
+def _what_falls(done: Improvement) -> str:
+    """The residual; where unknown angles had taken up what is now in the model, the error left at the tool point."""
+    from machine_tool_calibration.diagnosis.quantities import quantity, residual_change
+
+    first, last = done.steps[0], done.steps[-1]
+    declared = f"declared uncertainty {quantity(done.diagnosis.noise.declared, 'm')}"
+    residual = residual_change(first.result.rms_residual, last.result.rms_residual)
+    before, after = (done.left_at_tool(step) for step in (first, last))
+    if last.result.rms_residual < first.result.rms_residual or before is None or after is None or after >= before:
+        return f"{residual} ({declared})."
+    return (
+        f"the error left at the tool point falls from {quantity(before, 'm')} to {quantity(after, 'm')} "
+        f"RMS (k = 2); {residual} ({declared})."
+    )
 
 
 def _steps(done: Improvement) -> TextTable:

@@ -8,7 +8,16 @@ from typing import Any
 
 from machine_tool_calibration.model.result import Estimate
 
-__all__ = ["duration", "micrometres", "probability", "quantity", "range_of", "sizes_in_words", "spread_words"]
+__all__ = [
+    "duration",
+    "micrometres",
+    "probability",
+    "quantity",
+    "range_of",
+    "residual_change",
+    "sizes_in_words",
+    "spread_words",
+]
 
 # Probability from which what does not reproduce is told with a size.
 _SURE = 0.9
@@ -89,6 +98,22 @@ def range_of(low: float, high: float, unit: str) -> str:
     if low == -high:
         return f"±{quantity(high, unit)}"
     return f"{quantity(low, unit)} to {quantity(high, unit)}"
+
+
+def residual_change(before: float, after: float) -> str:
+    """How the residual of a better model stands to that of the first one.
+
+    Args:
+        before: RMS with the first model, m.
+        after: RMS with the better one, m; larger where unknowns with a variance of their own, such as small angles,
+            had taken up what the better model explains.
+    """
+    if after < before:
+        return f"the residual falls from {quantity(before, 'm')} to {quantity(after, 'm')} RMS"
+    return (
+        f"the residual is {quantity(after, 'm')} RMS after {quantity(before, 'm')}, "
+        "as free unknowns had taken up what is in the model now"
+    )
 
 
 def sizes_in_words(parameters: Sequence[Estimate]) -> str:

@@ -10,7 +10,13 @@ from machine_tool_calibration.diagnosis.consequence import Consequence, rms
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.look import Structure
 from machine_tool_calibration.diagnosis.pool import Pool
-from machine_tool_calibration.diagnosis.quantities import probability, quantity, sizes_in_words, spread_words
+from machine_tool_calibration.diagnosis.quantities import (
+    probability,
+    quantity,
+    residual_change,
+    sizes_in_words,
+    spread_words,
+)
 from machine_tool_calibration.model.result import spread_document
 from machine_tool_calibration.planning.advice import Advice, Separation
 from machine_tool_calibration.session.session import Session
@@ -116,10 +122,7 @@ def _found(diagnosis: Diagnosis, name: str, change: Consequence | None, advice: 
         moved = ""
         if change.map_change_rms is not None:
             moved = f", and the errors at the tool point move by {quantity(change.map_change_rms, 'm')} RMS"
-        words.append(
-            f"With it in the model the residual falls from {quantity(change.rms_before, 'm')} to "
-            f"{quantity(change.rms_after, 'm')} RMS{moved}."
-        )
+        words.append(f"With it in the model {residual_change(change.rms_before, change.rms_after)}{moved}.")
     words.append(f"The probability that it is missing is {probability(found.probability)}.")
     predicted = diagnosis.predicted.get(name, ())
     if predicted:
