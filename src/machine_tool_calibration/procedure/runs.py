@@ -14,10 +14,9 @@ from machine_tool_calibration.session.description import Direct, RotaryAxis, Ste
 
 __all__ = ["diagonal_positions", "diagonal_steps", "direct_steps", "rotary_steps", "sensing_direction"]
 
-Position = dict[str, float]
 
 
-def diagonal_positions(description: StepDiagonal, index: int) -> list[Position]:
+def diagonal_positions(description: StepDiagonal, index: int) -> list[dict[str, float]]:
     """Commanded positions of a setup's run: single-axis moves in the order that its id ends with, or x, y, z.
 
     Args:
