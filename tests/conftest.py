@@ -85,6 +85,10 @@ class Many:
         """Fewer or more, for measurements that tell much or little each."""
         return Many(max(2, round(share * self.count)))
 
+    def at_most(self, rate: float) -> float:
+        """How often what happens at a rate may happen: with two standard deviations of chance."""
+        return self.count * rate + 2.0 * (self.count * rate * (1.0 - rate)) ** 0.5
+
 
 @pytest.fixture(scope="session")
 def many(pytestconfig: pytest.Config) -> Many:
