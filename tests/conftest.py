@@ -68,7 +68,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """The statistics of a few simulated measurements are tests; those of hundreds are benchmarks."""
-    parser.addoption("--runs", type=int, default=25, help="simulated measurements of a statistical test (default 25)")
+    parser.addoption("--runs", type=int, default=12, help="simulated measurements of a statistical test (default 12)")
 
 
 @dataclass(frozen=True)
