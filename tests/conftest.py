@@ -40,7 +40,7 @@ os.environ["ROS_DOMAIN_ID"] = str(_claims.enter_context(free_domain(range(1, 102
 _FIRST = (
     "packaging/test_lint.py",
     "nodes/test_mishaps.py",
-    "nodes/test_measurement.py",
+    "nodes/test_whole.py",
     "diagnosis/test_diagnose.py",
     "nodes/test_processes.py",
     "diagnosis/test_direct.py",
