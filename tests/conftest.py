@@ -40,7 +40,7 @@ os.environ["ROS_DOMAIN_ID"] = str(_claims.enter_context(free_domain(range(1, 102
 _FIRST = (
     "packaging/test_lint.py",
     "nodes/test_mishaps.py",
-    "nodes/test_measurement.py",
+    "nodes/test_whole.py",
     "diagnosis/test_diagnose.py",
     "nodes/test_processes.py",
     "diagnosis/test_direct.py",
@@ -68,7 +68,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """The statistics of a few simulated measurements are tests; those of hundreds are benchmarks."""
-    parser.addoption("--runs", type=int, default=25, help="simulated measurements of a statistical test (default 25)")
+    parser.addoption("--runs", type=int, default=12, help="simulated measurements of a statistical test (default 12)")
 
 
 @dataclass(frozen=True)
@@ -84,6 +84,10 @@ class Many:
     def part(self, share: float) -> "Many":
         """Fewer or more, for measurements that tell much or little each."""
         return Many(max(2, round(share * self.count)))
+
+    def at_most(self, rate: float) -> float:
+        """How often what happens at a rate may happen: with two standard deviations of chance."""
+        return self.count * rate + 2.0 * (self.count * rate * (1.0 - rate)) ** 0.5
 
 
 @pytest.fixture(scope="session")

@@ -4,15 +4,16 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.diagnosis.consequence import consequences, map_change, map_rms
-from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.result import ErrorMap
-from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
+from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec
+
+from ..diagnosed import diagnosed
 
 
 def test_two_effects_found_are_told_with_both_in_the_model() -> None:
     effects = (FlawSpec(id="backlash_y", amplitude=1.5e-6), FlawSpec(id="backlash_x", amplitude=1.2e-6))
-    found = diagnose(simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=31, effects=effects)).session, sets=199)
+    found = diagnosed(SimulationSpec(plan=PRESETS["tracking_2d"], seed=31, effects=effects))
     assert set(found.accepted) == {"backlash_x", "backlash_y"}
     changes = consequences(found, most=2)
     assert list(changes)[:2] == list(found.accepted)
@@ -29,12 +30,12 @@ def test_two_effects_found_are_told_with_both_in_the_model() -> None:
 
 
 def test_a_share_in_the_readings_is_told_only_where_the_data_tell_it() -> None:
-    found = diagnose(simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=101)).session, sets=199)
+    found = diagnosed(SimulationSpec(plan=PRESETS["tracking_2d"], seed=101))
     changes = consequences(found)
     # Nothing is missing: no candidate's share is larger than its uncertainty.
     assert all(change.signal_rms is None for change in changes.values())
     strong = SimulationSpec(plan=PRESETS["tracking_2d"], seed=7, effects=(FlawSpec(id="backlash_y", size=2e-6),))
-    change = consequences(diagnose(simulate(strong).session, sets=199))["backlash_y"]
+    change = consequences(diagnosed(strong))["backlash_y"]
     assert change.signal_largest == pytest.approx(2e-6, rel=0.1)
     assert change.signal_rms is not None
     assert change.signal_rms < 2e-6

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Any
+
 import pytest
+from scipy.stats import binom
 
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.leverage import leverage
@@ -13,12 +15,14 @@ from machine_tool_calibration.methods.improve import improve
 from machine_tool_calibration.model.fit import fit_models, screen
 from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, Spread, simulate
 
+from ..diagnosed import diagnosed
+
 SIGMA = 3e-7
 
 
 def look(plan: str, seed: int, *flaws: FlawSpec, **changes: object) -> Diagnosis:
     spec = SimulationSpec(plan=PRESETS[plan], seed=seed, effects=flaws, **changes)  # type: ignore[arg-type]
-    return diagnose(simulate(spec).session, seed=seed)
+    return diagnosed(spec)
 
 
 @pytest.mark.parametrize("plan", ["tracking_2d", "tracking_3d", "rotary_axis", "step_diagonal", "probing_cross"])
@@ -26,11 +30,11 @@ def test_nothing_missing_is_called_adequate(plan: str) -> None:
     assert look(plan, 101).verdict == "adequate"
 
 
-def test_false_alarms_stay_rare_with_and_without_a_spread_between_setups() -> None:
-    for spread in (Spread(), Spread(slope=0.4 * SIGMA, bow=0.4 * SIGMA)):
-        alarms = sum(look("tracking_2d", 500 + k, spread=spread).verdict != "adequate" for k in range(30))
-        # One in twenty, and two standard deviations of chance.
-        assert alarms <= 30 * 0.05 + 2 * np.sqrt(30 * 0.05 * 0.95)
+def test_false_alarms_stay_rare_with_and_without_a_spread_between_setups(many: Any) -> None:
+    spreads = (Spread(), Spread(slope=0.4 * SIGMA, bow=0.4 * SIGMA))
+    seeds = range(500, 500 + many.part(2 / 3).count)
+    alarms = [look("tracking_2d", seed, spread=one).verdict != "adequate" for one in spreads for seed in seeds]
+    assert sum(alarms) <= many.part(4 / 3).at_most(0.05)
 
 
 @pytest.mark.parametrize(
@@ -99,7 +103,8 @@ def test_chips_are_named_by_row_and_nothing_else() -> None:
 
 
 def test_the_same_seed_gives_the_same_answer_to_the_last_bit() -> None:
-    one, two = (look("tracking_2d", 9, FlawSpec(id="backlash_x", amplitude=1e-6)) for _ in range(2))
+    spec = SimulationSpec(plan=PRESETS["tracking_2d"], seed=9, effects=(FlawSpec(id="backlash_x", amplitude=1e-6),))
+    one, two = (diagnose(simulate(spec).session, seed=9) for _ in range(2))
     assert [r.candidate.name for r in one.ranked] == [r.candidate.name for r in two.ranked]
     assert [r.p_value for r in one.ranked] == [r.p_value for r in two.ranked]
 
@@ -113,16 +118,19 @@ def test_an_effect_in_the_model_is_not_looked_for_again() -> None:
     assert "backlash_y" not in {r.candidate.name for r in found.ranked}
 
 
-def test_detectable_sizes_are_found_that_often() -> None:
-    """An effect of the stated smallest size is found in about 80 of 100 sessions."""
+def test_detectable_sizes_are_found_that_often(many: Any) -> None:
+    """An effect of the stated smallest size is found in about 80 of 100 sessions, one of half the size seldom."""
     spec = SimulationSpec(plan=PRESETS["tracking_2d"], seed=4)
     size = diagnose(simulate(spec).session, seed=1).look.of("backlash_y").detectable["b"]
-    hits = 0
-    for k in range(40):
-        flaw = FlawSpec(id="backlash_y", size=size)
-        session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=2000 + k, effects=(flaw,))).session
-        hits += "backlash_y" in diagnose(session, seed=k).accepted
-    assert 24 <= hits <= 39
+
+    def found(share: float, runs: int) -> int:
+        flaw = FlawSpec(id="backlash_y", size=share * size)
+        return sum("backlash_y" in look("tracking_2d", 2000 + k, flaw).accepted for k in range(runs))
+
+    full, half = many.part(0.8).count, many.part(0.4).count
+    low, high = binom.interval(0.998, full, 0.8)
+    assert low <= found(1.0, full) <= high
+    assert found(0.5, half) < half / 2
 
 
 @pytest.mark.parametrize("plan", ["tracking_2d", "rotary_axis", "probing_cross", "step_diagonal"])

@@ -15,6 +15,8 @@ from machine_tool_calibration.diagnosis.document import diagnosis_document
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, simulate
 
+from ..diagnosed import diagnosed
+
 VERDICTS = {
     "adequate": SimulationSpec(plan=PRESETS["tracking_2d"], seed=101),
     "missing_effect": SimulationSpec(
@@ -47,7 +49,7 @@ CANDIDATE = {
 
 @cache
 def found(verdict: str) -> tuple[Diagnosis, dict[str, Any]]:
-    diagnosis = diagnose(simulate(VERDICTS[verdict]).session, sets=199)
+    diagnosis = diagnosed(VERDICTS[verdict])
     return diagnosis, diagnosis_document(diagnosis)
 
 

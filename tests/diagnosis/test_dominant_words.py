@@ -2,13 +2,14 @@
 
 import pytest
 
-from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.diagnosis.document import diagnosis_document
 from machine_tool_calibration.diagnosis.dominant_words import dominant_words
 from machine_tool_calibration.diagnosis.report import diagnosis_report
 from machine_tool_calibration.planning.advice import Advice
 from machine_tool_calibration.planning.dominant import Dominant, Remedy
-from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
+from machine_tool_calibration.simulation import PRESETS, SimulationSpec
+
+from ..diagnosed import diagnosed
 
 SHARES = {"readings": 0.1, "angular errors": 0.84, "time": 0.06}
 FOUND = Dominant(
@@ -42,7 +43,7 @@ def test_words_of_the_other_causes(cause: str, words: str) -> None:
 
 
 def test_a_diagnosis_says_it_where_it_is_not_the_scatter() -> None:
-    found = diagnose(simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=101)).session, sets=199)
+    found = diagnosed(SimulationSpec(plan=PRESETS["tracking_2d"], seed=101))
     report = diagnosis_report(found, Advice(dominant=FOUND), {})
     assert any("add the diagonal nnp" in words for words in report.words)
     document = diagnosis_document(found, Advice(dominant=FOUND))

@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.diagnosis.consequence import consequences
-from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.quantities import quantity
 from machine_tool_calibration.diagnosis.report import Report, TextTable, diagnosis_report
 from machine_tool_calibration.diagnosis.verdict_words import mounted_more_than_once
 from machine_tool_calibration.planning.what_to_measure import what_to_measure
 from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, simulate
+
+from ..diagnosed import diagnosed
 
 SPECS = {
     "adequate": SimulationSpec(plan=PRESETS["tracking_2d"], seed=101),
@@ -34,7 +36,7 @@ SPECS = {
 
 @cache
 def report(name: str) -> tuple[Diagnosis, Report]:
-    found = diagnose(simulate(SPECS[name]).session, sets=199)
+    found = diagnosed(SPECS[name])
     return found, diagnosis_report(found, what_to_measure(found), consequences(found))
 
 

@@ -4,11 +4,11 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.recording.session_from_bag import session_from_bag
 from machine_tool_calibration.session.reader import read_session
@@ -88,12 +88,13 @@ def test_run_in_a_namespace_without_recording(tmp_path, bench):
         (["run", "tracking_2d", "--site", "no.yaml"], "mtcal: no.yaml: cannot be read: No such file or directory"),
     ],
 )
-def test_what_is_wrong_is_said_in_one_line(tmp_path, arguments, message):
-    ended = mtcal(*arguments, folder=tmp_path)
-    assert ended.returncode == 1
-    assert ended.stderr.startswith(message)
-    assert len(ended.stderr.strip().splitlines()) == 1
-    assert list(Path(tmp_path).iterdir()) == []
+def test_what_is_wrong_is_said_in_one_line(tmp_path, monkeypatch, capsys, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    assert run(arguments) == 1
+    said = capsys.readouterr().err
+    assert said.startswith(message)
+    assert len(said.strip().splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_procedure_that_fails_keeps_what_was_measured(tmp_path, bench):

@@ -4,11 +4,9 @@ import os
 import re
 import subprocess
 import sys
-from importlib import import_module
 from pathlib import Path
 
 import pytest
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import PointCloud2
 
 from machine_tool_calibration.nodes.clouds import columns
@@ -18,16 +16,14 @@ from machine_tool_calibration.recording.graph import GRAPH_TOPICS
 from machine_tool_calibration.recording.session_to_bag import session_to_bag
 from machine_tool_calibration.session.open import open_measurement
 
-from .conftest import ORIGIN, PATIENCE, SITE, collected
+from .conftest import ORIGIN, PATIENCE
+from .heard import check_content, check_services, check_topics, hear
 from .pages import FOLDER, PAGES, anchors, message_of, rows, sections
 
 SOURCE = Path(__file__).parents[2] / "src/machine_tool_calibration/nodes"
 SESSION = Path(__file__).parents[1] / "data" / "tracking_2d"
 NODES = ("recorder", "axis_simulator", "rotary_pointer", "instrument", "procedure", "estimator")
-IGNORED = {"/rosout", "/parameter_events"}
-ELSEWHERE = {"probe/trigger", "player/status"}
 FACTS = ["publisher", "QoS", "rate", "frame", "subscribe"]
-NOISY = {**SITE, "noise": 3e-7, "effects": [{"id": "backlash_y", "size": 2e-6}]}
 
 
 @pytest.mark.parametrize("name", rows())
@@ -77,87 +73,6 @@ def test_the_recorder_subscribes_to_every_topic_that_is_described():
     for name, topic in recorded.items():
         assert (topic.type, topic.latched) == (rows()[name].type, "transient local" in rows()[name].qos), name
         assert rows()[name].qos.endswith(f"depth {topic.depth}"), name
-
-
-def shown(profile):
-    words = ["reliable" if profile.reliability == ReliabilityPolicy.RELIABLE else "best effort"]
-    if profile.durability == DurabilityPolicy.TRANSIENT_LOCAL:
-        words.append("transient local")
-    return ", ".join(words)
-
-
-def check_topics(node):
-    """Whether the topics that there are have the type and the QoS of the table."""
-    table = rows()
-    for name, types in node.get_topic_names_and_types():
-        if name in IGNORED:
-            continue
-        key = name if name in table else name[1:]
-        assert key in table, f"{name} is not in msg_docs/README.md"
-        assert types == [table[key].type], name
-        for publisher in node.get_publishers_info_by_topic(name):
-            assert re.sub(r", depth \d+", "", table[key].qos) == shown(publisher.qos_profile), name
-            if publisher.qos_profile.history == HistoryPolicy.KEEP_LAST:  # discovery does not always tell
-                assert table[key].qos.endswith(f"depth {publisher.qos_profile.depth}"), name
-
-
-def hear(operator):
-    """Subscribe to every topic; gives the newest message of each, by name."""
-    heard = {}
-    for name, row in rows().items():
-        package, _, kind = row.type.split("/")
-        latched = "transient local" in row.qos
-        durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
-        operator._node.create_subscription(
-            getattr(import_module(f"{package}.msg"), kind),
-            name,
-            lambda message, name=name: heard.__setitem__(name, message),
-            QoSProfile(depth=100, durability=durability),
-        )
-    return heard
-
-
-def check_content(name, message):
-    """Whether what a message holds is explained."""
-    (section,) = sections()[name]
-    if section.type.endswith("/PointCloud2"):
-        assert {field.name for field in message.fields} == set(section.names), name
-    if section.type.endswith("/DiagnosticArray"):
-        for status in message.status:
-            for entry in status.values:
-                assert entry.key in section.names or entry.key.startswith(f"{status.name}."), (name, entry.key)
-    if name == "reading":
-        assert set(message.name) <= set(section.names)
-
-
-def test_topics_services_and_contents_are_those_of_the_running_nodes(bench, finish):
-    graph = bench.graph(NODES, site=NOISY)
-    operator = bench.operator(graph)
-    heard = hear(operator)
-    finish(operator)
-    collected(operator, 128)
-    for service in ("compare", "improve"):
-        operator.call(f"estimator/{service}", PATIENCE)
-    node = operator._node
-    wanted = {f"/{name.strip('/')}" for name in rows()}
-    assert operator.wait(lambda: wanted <= {name for name, _ in node.get_topic_names_and_types()}, PATIENCE)
-    # this program's own subscriptions make topics too; those of the other nodes are looked at by themselves
-    missing = ELSEWHERE | {"truth/table"}
-    assert operator.wait(lambda: set(rows()) - missing <= set(heard), PATIENCE), set(rows()) - missing - set(heard)
-    check_topics(node)
-    for name, message in heard.items():
-        check_content(name, message)
-    assert len(heard["diagnosis"].status) > 3
-    check_services(operator, NODES)
-
-
-def check_services(operator, names):
-    text = "\n".join(PAGES.values())
-    assert operator.wait(lambda: all(operator.has_node(name) for name in names), PATIENCE)
-    for name in names:
-        for service, types in operator._node.get_service_names_and_types_by_node(name, "/"):
-            if types == ["std_srvs/srv/Trigger"]:
-                assert f"`{service[1:]}`" in text, service
 
 
 def test_topics_of_the_probe_and_the_player(bench):

@@ -29,11 +29,16 @@ def check(operator):
     assert all(np.diff(table["time"]) > 0)
 
 
-def test_every_partner_killed_and_started_again(bench):
+def test_a_partner_that_starts_late_and_every_partner_killed_and_started_again(bench):
     # a partner may take long to come back where others keep the machine busy
     graph = bench.graph(procedure=LONG, more={"procedure": {"patience": PATIENCE}})
+    graph.stop(["instrument"])
     operator = bench.operator(graph)
-    begin(operator)
+    assert operator.wait(lambda: operator.procedure.entries.get("waiting_for") == "instrument", PATIENCE)
+    operator.call("procedure/start", PATIENCE)
+    assert operator.wait(lambda: operator.procedure.entries["state"] == "running", PATIENCE)
+    assert operator.wait(lambda: operator.procedure.message == "waiting for instrument", PATIENCE)
+    graph.start("instrument")
     for count, name in ((40, "instrument"), (130, "rotary_pointer"), (220, "axis_simulator")):
         reaches(operator, count)
         assert graph.kill(name) == -signal.SIGKILL
@@ -64,18 +69,6 @@ def test_a_partner_that_stays_dead_is_an_error_that_can_be_resumed(bench):
 
     before = len(operator.readings)
     assert operator.wait(goes_on, PATIENCE), operator.procedure
-    check(operator)
-
-
-def test_a_partner_that_starts_late_is_waited_for(bench):
-    graph = bench.graph(procedure=LONG, more={"procedure": {"patience": PATIENCE}})
-    graph.stop(["instrument"])
-    operator = bench.operator(graph)
-    assert operator.wait(lambda: operator.procedure.entries.get("waiting_for") == "instrument", PATIENCE)
-    operator.call("procedure/start", PATIENCE)
-    assert operator.wait(lambda: operator.procedure.entries["state"] == "running", PATIENCE)
-    assert operator.wait(lambda: operator.procedure.message == "waiting for instrument", PATIENCE)
-    graph.start("instrument")
     check(operator)
 
 

@@ -10,11 +10,12 @@ import pandas as pd
 import pytest
 
 from machine_tool_calibration.diagnosis.consequence import consequences
-from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.methods.improve import improve
 from machine_tool_calibration.plots.diagnosis import draw_diagnosis, save_diagnosis
 from machine_tool_calibration.plots.improve import draw_improvement, save_improvement
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
+
+from ..diagnosed import diagnosed
 
 CASES = [
     ("tracking_2d", FlawSpec(id="backlash_y", size=1.5e-6), "direction of approach of y"),
@@ -67,6 +68,6 @@ def test_files(tmp_path: Path) -> None:
 
 
 def test_without_a_candidate_that_was_added_the_picture_says_less() -> None:
-    session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=101)).session
-    figure = draw_diagnosis(diagnose(session, sets=199), {})
+    found = diagnosed(SimulationSpec(plan=PRESETS["tracking_2d"], seed=101))
+    figure = draw_diagnosis(found, {})
     assert not figure.axes[1].axison

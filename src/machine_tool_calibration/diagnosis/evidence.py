@@ -192,29 +192,28 @@ def table(gram: Gram, blocks: Sequence[Block], tried: Sequence[Metric], candidat
         candidates: how many there are.
     """
     b = len(gram.squares)
-    scales = [_scales(gram, block) for block in blocks]
     by_size: dict[int, list[int]] = {}
     for k, block in enumerate(blocks):
-        if len(scales[k]):
-            by_size.setdefault(len(block.unit), []).append(k)
+        by_size.setdefault(len(block.unit), []).append(k)
     data = np.array([metric.data(gram) for metric in tried])
     squares = np.array([metric.squares(gram) for metric in tried])
     points: list[list[tuple[float, float, Point]]] = [[] for _ in range(candidates)]
     evidence = [[np.full(b, -np.inf)] for _ in range(candidates)]
     for size, every in by_size.items():
+        scales = _scales(gram, [blocks[k] for k in every])
+        showing = [(k, own) for k, own in zip(every, scales, strict=True) if len(own)]
         step = max(int(_AT_ONCE / (len(tried) * size * b)), 1)
-        for mine in (every[first : first + step] for first in range(0, len(every), step)):
-            padded = np.full((len(mine), max(len(scales[k]) for k in mine)), np.nan)
-            for row, k in enumerate(mine):
-                padded[row, : len(scales[k])] = scales[k]
-            logs, uncut = _evidence(gram, [blocks[k] for k in mine], padded, tried, data, squares)
-            for k, own, whole in zip(mine, logs, uncut, strict=True):
-                block = blocks[k]
-                share = block.log_share - float(np.log(len(scales[k])))
-                own = own[: len(scales[k])] + share
-                evidence[block.candidate].append(_log_sum(own))
-                at = int(np.argmax(own[:, 0]))
-                points[block.candidate].append((float(own[at, 0]), float(whole[at]), Point(k, float(scales[k][at]))))
+        for mine in (showing[first : first + step] for first in range(0, len(showing), step)):
+            padded = np.full((len(mine), max(len(own) for _, own in mine)), np.nan)
+            for row, (_, own) in enumerate(mine):
+                padded[row, : len(own)] = own
+            logs, uncut = _evidence(gram, [blocks[k] for k, _ in mine], padded, tried, data, squares)
+            share = np.array([blocks[k].log_share - np.log(len(own)) for k, own in mine])
+            logs = np.where(np.isnan(padded)[..., None], -np.inf, logs + share[:, None, None])
+            for (k, own), each, whole, total in zip(mine, logs, uncut, _log_sum(logs.swapaxes(0, 1)), strict=True):
+                at = int(np.argmax(each[:, 0]))
+                evidence[blocks[k].candidate].append(total)
+                points[blocks[k].candidate].append((float(each[at, 0]), float(whole[at]), Point(k, float(own[at]))))
     total = np.array([_log_sum(np.array(own)) for own in evidence]).reshape(candidates, b)
     found = [max(own, key=lambda entry: entry[0]) if own else None for own in points]
     return Table(
@@ -233,14 +232,18 @@ def _log_sum(logs: Array) -> Array:
         return np.asarray(finite + np.log(np.exp(logs - finite).sum(axis=0)))
 
 
-def _scales(gram: Gram, block: Block) -> Array:
-    """Scales of a block, from half the plausible size down to where nothing would show; none where nothing shows."""
-    own = gram.inner[block.place, block.place] * np.outer(block.unit, block.unit)
-    signal = float(np.sqrt(max(np.linalg.eigvalsh(own)[-1], 0.0))) if len(own) else 0.0
-    if signal <= 0:
-        return np.zeros(0)
-    steps = int(np.clip(np.floor(np.log(max(signal / SMALLEST_SIGNAL, 1.0)) / np.log(SCALE_STEP)), 0, _MOST_SCALES - 1))
-    return np.asarray(SCALE_STEP ** -np.arange(steps + 1.0))
+def _scales(gram: Gram, blocks: Sequence[Block]) -> list[Array]:
+    """Scales of blocks of as many columns each, from half the plausible size down to where nothing would show.
+
+    None where nothing shows at all.
+    """
+    columns = np.array([np.arange(block.place.start, block.place.stop) for block in blocks])
+    unit = np.array([block.unit for block in blocks])
+    own = gram.inner[columns[:, :, None], columns[:, None, :]] * unit[:, :, None] * unit[:, None, :]
+    signal = np.sqrt(np.maximum(np.linalg.eigvalsh(own)[:, -1], 0.0)) if unit.shape[1] else np.zeros(len(blocks))
+    steps = np.floor(np.log(np.maximum(signal / SMALLEST_SIGNAL, 1.0)) / np.log(SCALE_STEP))
+    every = SCALE_STEP ** -np.arange(float(_MOST_SCALES))
+    return [every[: int(n) + 1] if shows else every[:0] for n, shows in zip(steps, signal > 0, strict=True)]
 
 
 def _evidence(

@@ -73,7 +73,7 @@ class Recorder(Node):
     def close(self) -> None:
         """Take what has come, end the bag and say what it holds."""
         try:
-            self._take()
+            self._take(last=True)
             self.bag.close()
         except RecordingError as error:
             self.trouble = str(error)
@@ -130,14 +130,14 @@ class Recorder(Node):
         offered = tuple(with_depth(tap.topic, tap.type, profile) for profile in tap.offered)
         self.bag.add_topic(tap.topic, tap.type, qos=offered, type_hash=tap.type_hash or None)
 
-    def _take(self) -> None:
+    def _take(self, *, last: bool = False) -> None:
         if self._waiting:
             # in simulated time nothing can be dated before the first clock message; the middleware keeps what comes
             self._waiting = now(self) == 0
             if self._waiting:
                 return
         simulated = use_sim_time(self)
-        for message in self.taps.take():
+        for message in self.taps.take(last=last):
             self._taken += 1
             time = (message.simulated or now(self)) if simulated else message.received
             self._guarded(self._write, message, time)

@@ -2,13 +2,15 @@
 
 The executor of this release that is fast enough cannot give a message's times, so nobody spins these
 subscriptions: whoever owns them takes what has come, every few milliseconds. The middleware stamps each message when it
-arrives, so the times do not depend on when it is taken.
+is sent and when it arrives, so the times do not depend on when it is taken. Of two topics one may arrive late where
+others keep the machine busy: in simulated time messages and ticks of the clock are put in order by when they were sent.
 """
 
 from __future__ import annotations
 
 import importlib
-from collections import deque
+import time
+from bisect import bisect_right
 from dataclasses import dataclass, field, replace
 
 import rclpy
@@ -29,8 +31,10 @@ _MOST_AT_ONCE = 2000  # messages of one topic, so that no topic keeps the others
 _NO_NUMBER = 2**64 - 1
 # What any publisher of a clock can give; a lost tick costs no more than its step.
 _CLOCK = Qos(depth=1000, reliability="best_effort")
-# ns that a message may be taken later than a tick that came after it
+# ns that a message waits for a tick that was sent after it, so that none before it is missing
 _OVERTAKEN = 1_000_000_000
+# ticks that are kept for messages that are still on their way
+_KEPT = 2_000
 
 
 @dataclass(frozen=True)
@@ -41,9 +45,9 @@ class Taken:
         topic: absolute name.
         data: as it came.
         received: by the system's clock.
-        sent: by the system's clock.
+        sent: by the system's clock; when it was received, if the middleware does not tell.
         number: that the publisher gave it.
-        simulated: what the simulated clock showed when it was received; 0 if that is not known.
+        simulated: what the simulated clock showed when it was sent; 0 if that is not known.
     """
 
     topic: str
@@ -120,8 +124,8 @@ class Taps:
         self.taps: dict[str, Tap] = {}
         kind = "rosgraph_msgs/msg/Clock"
         self._clock = Tap(clock, kind, _CLOCK, self._subscribe(clock, kind, _CLOCK)) if clock else None
-        self._ticks: deque[Taken] = deque()
-        self._simulated = 0
+        self._ticks: list[tuple[int, int]] = []  # when each was sent, and what it shows
+        self._undated: list[Taken] = []
 
     def add(self, topic: str, message_type: str, request: Qos | None = None) -> Tap:
         """Subscribe to a topic by its absolute name.
@@ -174,35 +178,40 @@ class Taps:
             self._hidden.destroy_subscription(self._clock.subscription)
             self._clock = Tap(topic, kind, request, self._subscribe(topic, kind, request))
 
-    def take(self) -> list[Taken]:
-        """All that has come, in the order of its coming."""
+    def take(self, *, last: bool = False) -> list[Taken]:
+        """What has come, in the order of its coming; in simulated time in that of its sending, as far as it is dated.
+
+        Args:
+            last: whether nothing more will be taken: then no message waits for ticks.
+        """
         taken: list[Taken] = []
         for tap in self.taps.values():
             self._take(tap, taken)
-        taken.sort(key=lambda message: message.received)
-        return taken if self._clock is None else self._dated(taken)
+        if self._clock is not None:
+            return self._dated(self._clock, taken, last)
+        return sorted(taken, key=lambda message: message.received)
 
-    def _dated(self, taken: list[Taken]) -> list[Taken]:
-        """The messages with the simulated time at which each was received, however late they are taken."""
-        assert self._clock is not None
-        self._hear_clock(self._clock)  # after the messages, so that no tick before one of them is missing
-        dated = []
-        for message in taken:
-            while self._ticks and (self._ticks[0].received <= message.received or not self._simulated):
-                self._tick()
-            dated.append(replace(message, simulated=self._simulated))
-        # A message that came while others were being taken is still to be dated by the ticks of that moment.
-        while len(self._ticks) > 1 and self._ticks[1].received < self._ticks[-1].received - _OVERTAKEN:
-            self._tick()
-        return dated
+    def _dated(self, clock: Tap, taken: list[Taken], last: bool) -> list[Taken]:
+        """Messages with the simulated time at which each was sent, however late they come or are taken."""
+        self._hear_clock(clock)
+        told, overdue = self._ticks[-1][0] if self._ticks else 0, time.time_ns() - _OVERTAKEN
+        ready, waiting = [], []
+        for message in (*self._undated, *taken):
+            (ready if last or message.sent < told or message.received < overdue else waiting).append(message)
+        self._undated = waiting
+        return [replace(m, simulated=self._shown(m.sent)) for m in sorted(ready, key=lambda m: m.sent)]
+
+    def _shown(self, sent: int) -> int:
+        """What the last tick before shows; what is older than all of them belongs to the first."""
+        before = bisect_right(self._ticks, sent, key=lambda tick: tick[0])
+        return self._ticks[max(before - 1, 0)][1] if self._ticks else 0
 
     def _hear_clock(self, clock: Tap) -> None:
         ticks: list[Taken] = []
         self._take(clock, ticks)
-        self._ticks.extend(sorted(ticks, key=lambda tick: tick.received))
-
-    def _tick(self) -> None:
-        self._simulated = from_message(deserialize_message(self._ticks.popleft().data, Clock).clock)
+        if ticks:
+            new = [(tick.sent, from_message(deserialize_message(tick.data, Clock).clock)) for tick in ticks]
+            self._ticks = sorted([*self._ticks[-_KEPT:], *new])
 
     def close(self) -> None:
         """Unsubscribe."""
@@ -218,7 +227,8 @@ class Taps:
                 data, info = found
                 number = info["publication_sequence_number"] or 0
                 tap.count(number)
-                taken.append(Taken(tap.topic, data, info["received_timestamp"], info["source_timestamp"], number))
+                received, sent = info["received_timestamp"], info["source_timestamp"]
+                taken.append(Taken(tap.topic, data, received, sent or received, number))
 
     def _subscribe(self, topic: str, message_type: str, request: Qos) -> Subscription:
         return self._hidden.create_subscription(

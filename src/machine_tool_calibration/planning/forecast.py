@@ -123,12 +123,14 @@ def forecast(
     candidates, excluded = effect_candidates(Pool(fit.joint), list(catalogue(own).values()))
     needed = float(np.log(max(len(candidates), 1.0 / EFFECT)))
     visible, absorbed = [], []
+    stacked = [block.columns for candidate in candidates for block in candidate.shapes]
+    each = iter(_outside(fit, stacked))
     for candidate in candidates:
         effect = candidate.effect
         assert effect is not None
         best: Visible | None = None
         for block in candidate.shapes:
-            inner, seen = _outside(fit, block.columns)
+            inner, seen = next(each)
             named = block.coefficients
             strength = inner * np.array([max(abs(c.low), abs(c.high)) / 2.0 for c in named]) ** 2
             for k in np.flatnonzero(seen):
@@ -145,8 +147,13 @@ def forecast(
     return Forecast(result, planned.seconds, tuple(visible), tuple(absorbed), excluded, warming, limits)
 
 
-def _outside(fit: Fit, columns: Array) -> tuple[Array, BoolArray]:
-    """(k,) squared norms of columns outside the model, over the uncertainty, and which are seen at all."""
-    projected = screen(fit, columns)
+def _outside(fit: Fit, stacked: Sequence[Array]) -> list[tuple[Array, BoolArray]]:
+    """Of each block of (k, n) columns the squared norms outside the model, and which are seen at all.
+
+    In one pass: the model is the same for all.
+    """
+    projected = screen(fit, np.concatenate([np.zeros((0, len(fit.model.observations))), *stacked]))
     inner = np.diag(projected.gram)[:-1]
-    return inner, np.asarray(inner > _SEEN * projected.squares[:-1])
+    seen = np.asarray(inner > _SEEN * projected.squares[:-1])
+    ends = np.cumsum([len(columns) for columns in stacked])
+    return list(zip(np.split(inner, ends)[:-1], np.split(seen, ends)[:-1], strict=True))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -10,6 +11,15 @@ import pytest
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.methods.improve import Improvement, entries, improve
 from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, simulate
+
+
+@cache
+def improved(seed: int, backlash: float = 0.0) -> tuple[Improvement, list[float]]:
+    """The loop on a tracking interferometer's session, with backlash of Y, and the shares of progress that it told."""
+    shares: list[float] = []
+    effects = (FlawSpec(id="backlash_y", size=backlash),) if backlash else ()
+    session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=seed, effects=effects)).session
+    return improve(session, sets=199, progress=lambda what, share: shares.append(share)), shares
 
 
 def map_error(done: Improvement, step: int, truth: dict[str, list[list[float]]]) -> float:
@@ -30,7 +40,7 @@ def map_error(done: Improvement, step: int, truth: dict[str, list[list[float]]])
 def test_the_hidden_effect_is_added_and_everything_falls() -> None:
     spec = SimulationSpec(plan=PRESETS["tracking_2d"], seed=77, effects=(FlawSpec(id="backlash_y", size=2e-6),))
     simulated = simulate(spec)
-    done = improve(simulated.session, sets=199)
+    done, _ = improved(77, 2e-6)
     assert [s.change for s in done.steps] == ["", "backlash_y"]
     assert [s.label for s in done.steps] == ["first model", "+ backlash_y"]
     first, last = done.steps
@@ -64,7 +74,7 @@ def test_what_is_left_can_be_compared_between_models() -> None:
 
 
 def test_nothing_is_added_where_nothing_is_missing() -> None:
-    done = improve(simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=101)).session, sets=199)
+    done, _ = improved(101)
     assert [s.change for s in done.steps] == [""]
 
 
@@ -107,8 +117,7 @@ def test_direct_readings_see_the_tool_point_itself() -> None:
 
 
 def test_steps_become_entries_of_a_history() -> None:
-    spec = SimulationSpec(plan=PRESETS["tracking_2d"], seed=77, effects=(FlawSpec(id="backlash_y", size=2e-6),))
-    done = improve(simulate(spec).session, sets=199)
+    done, _ = improved(77, 2e-6)
     first, last = entries(done, "sha256-1", ["sha256-1"], "2026-01-01T00:00:00+00:00", "improve")
     assert (first.effects, last.effects) == ((), ("backlash_y",))
     assert last.rms_residual == done.steps[1].result.rms_residual
@@ -122,8 +131,6 @@ def test_steps_become_entries_of_a_history() -> None:
 
 
 def test_progress_rises_to_one() -> None:
-    shares: list[float] = []
-    session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=101)).session
-    improve(session, sets=199, progress=lambda what, share: shares.append(share))
+    _, shares = improved(101)
     assert shares == sorted(shares)
     assert shares[-1] == 1.0

@@ -1,0 +1,71 @@
+"""What running nodes publish and serve, held against msg_docs."""
+
+import re
+from importlib import import_module
+
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+from .conftest import PATIENCE
+from .pages import PAGES, rows, sections
+
+IGNORED = {"/rosout", "/parameter_events"}
+
+
+def shown(profile):
+    words = ["reliable" if profile.reliability == ReliabilityPolicy.RELIABLE else "best effort"]
+    if profile.durability == DurabilityPolicy.TRANSIENT_LOCAL:
+        words.append("transient local")
+    return ", ".join(words)
+
+
+def check_topics(node):
+    """Whether the topics that there are have the type and the QoS of the table."""
+    table = rows()
+    for name, types in node.get_topic_names_and_types():
+        if name in IGNORED:
+            continue
+        key = name if name in table else name[1:]
+        assert key in table, f"{name} is not in msg_docs/README.md"
+        assert types == [table[key].type], name
+        for publisher in node.get_publishers_info_by_topic(name):
+            assert re.sub(r", depth \d+", "", table[key].qos) == shown(publisher.qos_profile), name
+            if publisher.qos_profile.history == HistoryPolicy.KEEP_LAST:  # discovery does not always tell
+                assert table[key].qos.endswith(f"depth {publisher.qos_profile.depth}"), name
+
+
+def hear(operator):
+    """Subscribe to every topic; gives the newest message of each, by name."""
+    heard = {}
+    for name, row in rows().items():
+        package, _, kind = row.type.split("/")
+        latched = "transient local" in row.qos
+        durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
+        operator._node.create_subscription(
+            getattr(import_module(f"{package}.msg"), kind),
+            name,
+            lambda message, name=name: heard.__setitem__(name, message),
+            QoSProfile(depth=100, durability=durability),
+        )
+    return heard
+
+
+def check_content(name, message):
+    """Whether what a message holds is explained."""
+    (section,) = sections()[name]
+    if section.type.endswith("/PointCloud2"):
+        assert {field.name for field in message.fields} == set(section.names), name
+    if section.type.endswith("/DiagnosticArray"):
+        for status in message.status:
+            for entry in status.values:
+                assert entry.key in section.names or entry.key.startswith(f"{status.name}."), (name, entry.key)
+    if name == "reading":
+        assert set(message.name) <= set(section.names)
+
+
+def check_services(operator, names):
+    text = "\n".join(PAGES.values())
+    assert operator.wait(lambda: all(operator.has_node(name) for name in names), PATIENCE)
+    for name in names:
+        for service, types in operator._node.get_service_names_and_types_by_node(name, "/"):
+            if types == ["std_srvs/srv/Trigger"]:
+                assert f"`{service[1:]}`" in text, service

@@ -1,0 +1,143 @@
+"""One measurement in simulated time: its readings, topics, map and recording."""
+
+import json
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.recording.cdr import joint_state
+from machine_tool_calibration.recording.graph import GRAPH_TOPICS
+from machine_tool_calibration.recording.reader import BagReader
+from machine_tool_calibration.recording.session_from_bag import session_from_bag
+
+from .conftest import ORIGIN, PATIENCE, PROCEDURE, SITE, Bench, begin, collected, ended
+from .heard import check_content, check_services, check_topics, hear
+from .pages import rows
+from .reference import reference
+from .test_measurement import readings, since_first
+
+NODES = ("recorder", "axis_simulator", "rotary_pointer", "instrument", "procedure", "estimator")
+
+EFFECTS = {
+    **SITE,
+    "effects": [{"id": "backlash_x", "size": 2e-6}],
+    "pointer": {"zero_offset": 3e-5, "radial": {"2": [1.0e-6, -0.5e-6]}},
+}
+
+# what any program can do: no package of ours, only messages of ROS
+SUBSCRIBER = """
+import json, struct, sys
+import rclpy
+from rclpy.qos import QoSProfile, DurabilityPolicy
+from sensor_msgs.msg import PointCloud2
+rclpy.init()
+node = rclpy.create_node("second_program")
+got = []
+qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+node.create_subscription(PointCloud2, "error_map", got.append, qos)
+for _ in range(600):
+    rclpy.spin_once(node, timeout_sec=0.1)
+    if got:
+        break
+message = got[0]
+fields = [(f.name, f.offset, f.datatype) for f in message.fields]
+rows = [struct.unpack_from("<9d", bytes(message.data), i * message.point_step) for i in range(message.width)]
+print(json.dumps({"fields": fields, "rows": rows}))
+"""
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory, ros_domain):
+    """One measurement that is recorded and heard; the estimator comes late, and is asked for everything."""
+    bench = Bench(tmp_path_factory.mktemp("whole"), ros_domain)
+    with bench.stack:
+        graph = bench.graph(NODES, site=EFFECTS)
+        graph.stop(["estimator"])
+        operator = bench.operator(graph)
+        heard = hear(operator)
+        begin(operator)
+        ended(operator)
+        assert operator.wait(lambda: len(operator.readings) >= 128, PATIENCE)
+        graph.start("estimator")  # one that comes late gets every reading
+        collected(operator, 128)
+        identified = json.loads(operator.call("estimator/identify", PATIENCE))
+        assert operator.wait(lambda: bool(operator.document) and operator.error_map is not None, PATIENCE)
+        first = operator.document
+        printed = subprocess.run(
+            [sys.executable, "-c", SUBSCRIBER], capture_output=True, text=True, timeout=900, check=True
+        )
+        operator.call("estimator/compare", PATIENCE)
+        improved = json.loads(operator.call("estimator/improve", PATIENCE))
+        assert operator.wait(lambda: operator.document != first, PATIENCE)
+        yield SimpleNamespace(
+            graph=graph, operator=operator, heard=heard, identified=identified, document=json.loads(first),
+            second_program=json.loads(printed.stdout), improved=improved, bag=bench.folder / "bag1",
+        )  # fmt: skip
+
+
+def test_readings_are_those_of_the_simulator(whole):
+    operator = whole.operator
+    table = readings(operator)
+    expected = reference(PROCEDURE, EFFECTS)
+    assert np.abs(since_first(operator, table["displacement"]) - expected).max() < 1e-12
+    assert np.ptp(expected) > 0.1
+    assert set(table["dir_x"]) == {-1.0, 1.0}
+    assert operator.procedure.number("recoveries") == 0
+    assert all(np.diff(table["time"]) > 0)
+    stamps = [message.header.stamp.sec + message.header.stamp.nanosec * 1e-9 for message in operator.readings]
+    assert np.allclose(np.diff(stamps), np.diff(table["time"]), atol=1e-6)
+    assert {"temperature_air", "temperature_work", "air_pressure", "relative_humidity"} <= set(table)
+
+
+def test_the_map_reaches_a_second_program(whole):
+    assert whole.identified["observations"] == whole.identified["used"] == 128
+    latched = whole.second_program
+    assert [name for name, _, _ in latched["fields"]] == ["x", "y", "z", "ex", "ey", "ez", "ux", "uy", "uz"]
+    assert all(kind == 8 for _, _, kind in latched["fields"])  # FLOAT64
+    table = np.array(latched["rows"])
+    assert table[:, 3:5].tolist() == [row[:2] for row in whole.document["error_map"]["position_error"]]
+    assert np.isnan(table[:, 5]).all()  # the plane says nothing of z
+
+
+def test_topics_services_and_contents_are_those_of_the_documents(whole):
+    operator, heard = whole.operator, whole.heard
+    node = operator._node
+    wanted = {f"/{name.strip('/')}" for name in rows()}
+    assert operator.wait(lambda: wanted <= {name for name, _ in node.get_topic_names_and_types()}, PATIENCE)
+    # this program's own subscriptions make topics too; those of the other nodes are looked at by themselves
+    missing = {"probe/trigger", "player/status", "truth/table"}
+    assert operator.wait(lambda: set(rows()) - missing <= set(heard), PATIENCE), set(rows()) - missing - set(heard)
+    check_topics(node)
+    for name, message in heard.items():
+        check_content(name, message)
+    assert len(heard["diagnosis"].status) > 3
+    check_services(operator, NODES)
+
+
+def test_a_recording_in_simulated_time_holds_everything_at_its_time(whole):
+    whole.graph.stop(["recorder"])  # which takes what has come
+    bag = BagReader(whole.bag)
+    # whatever was published is there, the probe's trigger and the clock excepted
+    assert {topic.name for topic in GRAPH_TOPICS} - {name[1:] for name in bag.topics} <= {
+        "probe/trigger",
+        "truth/table",
+    }
+    assert bag.topics["/reading"].qos[0].depth == 20000  # so that a replay latches them all
+    begin, end = (round((ORIGIN + seconds) * 1e9) for seconds in (0.0, 600.0))
+    times = [message.log_time for message in bag.messages()]
+    assert begin <= min(times) and max(times) < end
+    # a reading is captured at the end of the dwell, and logged before the next move ends
+    stamped = [(message.log_time, joint_state(message.data).stamp) for message in bag.messages(["/reading"])]
+    late = np.array([(logged - stamp) * 1e-9 for logged, stamp in stamped])
+    assert len(late) == 128 and np.median(late) == pytest.approx(0.05, abs=1e-6)
+    session = session_from_bag(whole.bag)
+    effects = whole.improved["effects"]
+    assert "backlash_x" in effects
+    # But for the map, which is over the sets of effects that the readings do not tell apart.
+    over = {"averaged_over", "error_map"}
+    own, published = identify(session, effects=effects).document(), json.loads(whole.operator.document)
+    assert {k: v for k, v in own.items() if k not in over} == {k: v for k, v in published.items() if k not in over}
