@@ -98,7 +98,8 @@ class Fit(Shown):
 
         Columns: `motion` (EXX, ECY, C0Y, …), `position` on its axis in `position_unit` (m or rad; NaN for a
         squareness), `value` and standard uncertainty `u` in `unit` (m or rad), `determined`. Without rows where each
-        point has unknowns of its own instead (a tracking interferometer with the model `free`).
+        point has unknowns of its own instead (a tracking interferometer with the model `free`). The straightness of a
+        step diagonal holds the slopes from which its squareness is read: not both are to be added up.
         """
         return tables.error_motions(self.result)
 

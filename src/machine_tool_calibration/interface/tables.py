@@ -75,7 +75,8 @@ def error_motions(result: Result | JointResult) -> pd.DataFrame:
     Returns:
         `motion` (EXX, ECY, C0Y, …), `position` on its axis (NaN for a squareness) in the unit `position_unit` (m, or
         rad of a rotary axis), `value` and standard uncertainty `u` in `unit` (m or rad), `determined`. Without rows
-        where the model has no error motions but every point by itself.
+        where the model has no error motions but every point by itself. The straightness of a step diagonal holds the
+        slopes from which its squareness is read.
     """
     values = _joint(result) if isinstance(result, JointResult) else _single(result)
     rows = [
@@ -111,12 +112,22 @@ def _single(result: Result) -> Iterator[_Value]:
         axis = (session.description.machine.axis or "C").upper()
         for name in (f"E{component}{axis}" for component in "XYZABC"):
             yield from _curve(name, content[axis.lower()], content[name], content[f"{name}_u"])
+    elif session.method == "step_diagonal":
+        yield from _profiles(content)
     else:
         yield from _unknowns(result)
-        for name in SQUARENESS:
-            if name in content.get("squareness", {}):
-                found = content["squareness"]
-                yield _Value(name, np.nan, found[name], found[f"{name}_u"])
+
+
+def _profiles(content: Mapping[str, Any]) -> Iterator[_Value]:
+    """Of a step diagonal, in the coordinate system of its map."""
+    for axis in "xyz":
+        for j, component in enumerate("XYZ"):
+            value, u = content[axis][:, j], content[f"{axis}_u"][:, j]
+            yield from _curve(f"E{component}{axis.upper()}", content[f"{axis}_position"], value, u)
+    found = content["squareness"]
+    for name in SQUARENESS:
+        if name in found:
+            yield _Value(name, np.nan, found[name], found[f"{name}_u"])
 
 
 def _tables(tables: Mapping[str, Any]) -> Iterator[_Value]:
