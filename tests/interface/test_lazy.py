@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from functools import cached_property
@@ -55,3 +56,8 @@ def test_the_type_checker_is_told_the_same_homes() -> None:
 def test_an_unknown_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="no attribute 'calibrate'"):
         mtcal.calibrate  # type: ignore[attr-defined]  # noqa: B018
+
+
+def test_the_reference_holds_every_public_name() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "reference.md").read_text(encoding="utf-8")
+    assert sorted(re.findall(r"^\.\. auto\w+:: (\w+)$", page, re.MULTILINE)) == sorted(mtcal.__all__)

@@ -78,12 +78,15 @@ class Comparison(Shown):
 
     @property
     def regions(self) -> pd.DataFrame:
-        """Bins of each axis: `axis`, from `low` to `high` (m or rad), and the columns of `setups`."""
+        """Bins of each axis.
+
+        Columns: `axis`, from `low` to `high` (m or rad), and those of `setups`.
+        """
         return self._of_each("regions")
 
     @property
     def approaches(self) -> pd.DataFrame:
-        """Each axis that was approached from both sides: what the residuals differ by.
+        """What the residuals of the two directions of approach of an axis differ by.
 
         Columns: `axis`, readings `forward` and `backward`, mean `difference` (m), `displacement` of the axis that it
         stands for (m or rad; minus twice the half width of a backlash), each with its standard uncertainty `_u`,
@@ -102,7 +105,10 @@ class Comparison(Shown):
 
     @property
     def worst(self) -> pd.DataFrame:
-        """Readings with the largest studentized residuals: `row`, `setup`, `residual` (m), `studentized`."""
+        """Readings with the largest studentized residuals.
+
+        Columns: `row`, `setup`, `residual` (m), `studentized`; of several sessions `session` first.
+        """
         return _table(self._document["worst"])
 
     @property
@@ -209,7 +215,7 @@ class Diagnosis(Shown):
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """Ids of the effects that are missing, the surest first: what `fit.add` takes; empty where none is named."""
+        """Ids of the effects that are missing, the surest first, as `fit.add` takes them; empty where none is named."""
         return self.found.accepted
 
     @property
@@ -237,9 +243,9 @@ class Diagnosis(Shown):
 
     @property
     def outliers(self) -> pd.DataFrame:
-        """Readings that were set aside: `row` of the recording, `studentized`, `deviation` (m).
+        """Readings that were set aside.
 
-        Of several sessions `session` comes first.
+        Columns: `row` of the recording, `studentized`, `deviation` (m); of several sessions `session` first.
         """
         labels = self.found.labels
         rows = [

@@ -103,9 +103,9 @@ def catalogue(own: Sequence[PhysicalEffect] = ()) -> pd.DataFrame:
         own: effects of the user's own, listed too.
 
     Returns:
-        Columns `title`, `formula`, `enters` (position: it displaces the functional point; reading: it changes the
-        reading itself), `coefficients` (name and SI unit of each), `needs` (columns of the session), `methods` and
-        `instruments` (in which it can act; empty: all) and `source`, all text; tuples of text where there are several.
+        Texts in the columns `title`, `formula`, `enters` (`position` if it displaces the functional point, `reading` if
+        it changes the reading itself) and `source`; tuples of texts in `coefficients` (name and SI unit of each),
+        `needs` (columns of the session), `methods` and `instruments` (in which it can act; all where empty).
 
     Raises:
         ModelError: one of the user's own has the id of another effect.

@@ -58,7 +58,7 @@ class Fit(Shown):
 
     @property
     def datum(self) -> str:
-        """What the data cannot fix and was chosen: origin, orientation; in words."""
+        """Origin and orientation, which the data cannot fix and which were chosen, in words."""
         return str(self._document["datum"])
 
     @property
@@ -68,7 +68,7 @@ class Fit(Shown):
 
     @property
     def reduced_chi_square(self) -> float:
-        """Weighted sum of squared residuals over the degrees of freedom: 1 if model and declared uncertainty fit."""
+        """Weighted sum of squared residuals over the degrees of freedom; 1 if model and declared uncertainty fit."""
         return self.result.joint.reduced_chi_square
 
     @property
@@ -134,7 +134,10 @@ class Fit(Shown):
 
     @cached_property
     def rejected(self) -> pd.DataFrame:
-        """Readings that were kept out of the fit: `row` of the recording, `reason`, and of several sessions which."""
+        """Readings that were kept out of the fit.
+
+        Columns: `row` of the recording (from 0) and `reason`; of several sessions `session` first.
+        """
         several = [] if isinstance(self.result, Result) else ["session"]
         return pd.DataFrame(self._document["rejected"], columns=[*several, "row", "reason"])
 

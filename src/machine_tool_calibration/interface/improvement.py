@@ -50,7 +50,7 @@ class Improvement(Shown):
 
     @cached_property
     def fits(self) -> tuple[Fit, ...]:
-        """Every model: the first one, the one without readings that do not belong to the rest, one for each effect."""
+        """Every model, the first one, the one without readings that do not belong to the rest, one for each effect."""
         kept = replace(self.measurement, sessions=self.done.diagnosis.sessions)
         return tuple(
             Fit(kept if step.set_aside else self.measurement, step.result, self.variant, self.own, keep_all=True)
