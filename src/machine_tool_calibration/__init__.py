@@ -1,3 +1,71 @@
-"""Calibration of machine tools: geometric errors from displacement readings."""
+"""Calibration of machine tools: geometric errors from displacement readings.
+
+What people need in a notebook is here; everything else is in the folders of the package::
+
+    import machine_tool_calibration as mtcal
+
+    session = mtcal.load("session")
+    fit = mtcal.identify(session)
+    better = fit.add(fit.diagnose().effects)
+
+Nothing is imported before it is asked for.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.errors import CalibrationError
+    from machine_tool_calibration.interface.diagnosis import Comparison, Diagnosis
+    from machine_tool_calibration.interface.effects import Effect, catalogue
+    from machine_tool_calibration.interface.identification import Fit, identify
+    from machine_tool_calibration.interface.improvement import Improvement, improve, plot_improvement
+    from machine_tool_calibration.interface.session import Measurement, load, simulate
 
 __version__ = "0.1.0"
+
+__all__ = [
+    "CalibrationError",
+    "Comparison",
+    "Diagnosis",
+    "Effect",
+    "Fit",
+    "Improvement",
+    "Measurement",
+    "catalogue",
+    "identify",
+    "improve",
+    "load",
+    "plot_improvement",
+    "simulate",
+]
+
+if not TYPE_CHECKING:
+    # Where each name is; a type checker reads the imports above instead.
+    _HOME = {
+        "CalibrationError": "errors",
+        "Comparison": "interface.diagnosis",
+        "Diagnosis": "interface.diagnosis",
+        "Effect": "interface.effects",
+        "Fit": "interface.identification",
+        "Improvement": "interface.improvement",
+        "Measurement": "interface.session",
+        "catalogue": "interface.effects",
+        "identify": "interface.identification",
+        "improve": "interface.improvement",
+        "load": "interface.session",
+        "plot_improvement": "interface.improvement",
+        "simulate": "interface.session",
+    }
+
+    def __getattr__(name):
+        if name not in _HOME:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        from importlib import import_module
+
+        value = globals()[name] = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+        return value
+
+    def __dir__():
+        return sorted({*globals(), *__all__})

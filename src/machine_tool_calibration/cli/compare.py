@@ -11,9 +11,11 @@ from machine_tool_calibration.cli.diagnosing import model_options, own_effects, 
 from machine_tool_calibration.cli.output import console, json_option, session_labels, write_json
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from machine_tool_calibration.diagnosis.comparison import Comparison, JointComparison
 
-__all__ = ["command"]
+__all__ = ["command", "show_comparison"]
 
 
 @click.command("compare")
@@ -69,7 +71,7 @@ def command(
 
         write_json(comparison_document(comparison))
     else:
-        _show(comparison)
+        show_comparison(console(), comparison)
     if output is not None or against:
         saved(_write(comparison, output or Path(), against))
 
@@ -83,7 +85,7 @@ def _several(comparison: JointComparison, output: Path | None, against: tuple[st
     if as_json:
         write_json(joint_document(comparison))
     else:
-        _show(comparison)
+        show_comparison(console(), comparison)
     if output is not None or against:
         folder = output or Path()
         pictures = draw_joint(comparison, folder, against)
@@ -92,14 +94,14 @@ def _several(comparison: JointComparison, output: Path | None, against: tuple[st
         saved([*pictures, table])
 
 
-def _show(comparison: Comparison | JointComparison) -> None:
+def show_comparison(screen: Console, comparison: Comparison | JointComparison) -> None:
+    """In words first, then the tables."""
     from rich.text import Text
 
     from machine_tool_calibration.diagnosis.compare_tables import comparison_tables, joint_tables
     from machine_tool_calibration.diagnosis.compare_words import in_words, joint_in_words
     from machine_tool_calibration.diagnosis.comparison import Comparison
 
-    screen = console()
     if isinstance(comparison, Comparison):
         words, tables = in_words(comparison), comparison_tables(comparison)
     else:

@@ -167,7 +167,7 @@ def _tell(story: _Story) -> None:
     )
     show_result(screen, measured)
     screen.print("\n[bold]2. Diagnosed and improved[/]")
-    show_improvement(story.improvement)
+    show_improvement(screen, story.improvement)
     screen.print("\n[bold]3. The truth[/], which nothing before has seen")
     screen.print(_reveal(story), markup=False)
     _tell_map(measured.session.method, story.before, story.after, story.improvement.steps[-1].map_uncertainty)

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from machine_tool_calibration.cli.diagnosing import bar, model_options, own_effects, saved, search_options, show_table
 from machine_tool_calibration.cli.output import console, json_option, session_labels, write_json
 
-__all__ = ["command"]
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from machine_tool_calibration.diagnosis.diagnose import Diagnosis
+    from machine_tool_calibration.planning.conclusions import Conclusions
+
+__all__ = ["command", "show_diagnosis"]
 
 
 @click.command("diagnose")
@@ -51,7 +58,6 @@ def command(
     """
     from machine_tool_calibration.diagnosis.diagnose import diagnose
     from machine_tool_calibration.diagnosis.document import diagnosis_document
-    from machine_tool_calibration.diagnosis.report import diagnosis_report
     from machine_tool_calibration.planning.conclusions import SEARCH, conclude
     from machine_tool_calibration.session.open import open_measurement
 
@@ -77,8 +83,21 @@ def command(
     if as_json:
         write_json(diagnosis_document(found, then.advice, then.changes))
         return
-    report = diagnosis_report(found, then.advice, then.changes, 0 if everything else 8)
-    screen = console()
+    show_diagnosis(console(), found, then, 0 if everything else 8)
+
+
+def show_diagnosis(screen: Console, found: Diagnosis, then: Conclusions, shown: int = 8) -> None:
+    """In words first, then the tables.
+
+    Args:
+        screen: where.
+        found: the diagnosis.
+        then: what follows from it.
+        shown: how many candidates beside the accepted ones; 0 for all.
+    """
+    from machine_tool_calibration.diagnosis.report import diagnosis_report
+
+    report = diagnosis_report(found, then.advice, then.changes, shown)
     for paragraph in report.words:
         screen.print(paragraph, markup=False)
     for table in report.tables:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,15 +11,18 @@ import numpy as np
 from machine_tool_calibration.cli.diagnosing import show_table
 from machine_tool_calibration.cli.direct_words import direct_tables, scatter_words
 from machine_tool_calibration.cli.figures import figures
-from machine_tool_calibration.cli.output import console
 from machine_tool_calibration.diagnosis.quantities import spread_words
 from machine_tool_calibration.diagnosis.text_table import TextTable
 from machine_tool_calibration.model.unknown_words import unknown_in_words
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
+    from machine_tool_calibration.effects.effect import Effect
+    from machine_tool_calibration.model.fit import JointFit
     from machine_tool_calibration.session.session import Session
 
-__all__ = ["grouped", "measured", "show_result", "shown", "verdict"]
+__all__ = ["grouped", "meanings", "measured", "show_result", "shown", "verdict"]
 
 _MOST_ROWS = 40
 _MOST_NAMES = 8
@@ -28,19 +31,33 @@ _UNITS = {"m": (1e6, "µm"), "rad": (1e6, "µrad"), "m/s": (3.6e9, "µm/h"), "ra
 _PLACE = re.compile(r".*\.([xyz]|dead_path)")
 
 
+def meanings(fit: JointFit, ids: Sequence[str], own: Sequence[Effect]) -> dict[str, str]:
+    """What the coefficients of the effects in the model are, by the name under which each is published."""
+    from machine_tool_calibration.effects.catalogue import find_effects
+
+    out = {}
+    for index, model in enumerate(fit.assembly.models):
+        parameters = {p.name: p for p in model.parameters}
+        for effect in find_effects(ids, own):
+            for name, what in effect.meanings(model.observations).items():
+                if name in parameters:
+                    out[fit.assembly.published(index, parameters[name])] = what
+    return out
+
+
 def show_result(
-    document: Mapping[str, Any], opened: Iterable[Session], meanings: Mapping[str, str] | None = None
+    screen: Console, document: Mapping[str, Any], opened: Iterable[Session], meanings: Mapping[str, str] | None = None
 ) -> None:
     """Print a result document.
 
     Args:
+        screen: where.
         document: of the result.
         opened: the sessions that were identified.
         meanings: what coefficients of effects are, by name.
     """
     from rich.table import Table
 
-    screen = console()
     for session in opened:
         screen.print(measured(session))
     if document["effects"]:
@@ -64,7 +81,7 @@ def show_result(
         screen.print(document["agreement"]["statement"])
     for reason, rows in grouped((str(entry["row"]), entry["reason"]) for entry in document["rejected"]):
         screen.print(f"not used: {'rows' if ',' in rows else 'row'} {rows} (the first row is 0): {reason}")
-    _show_parameters(document, meanings or {})
+    _show_parameters(screen, document, meanings or {})
     for why, names in grouped((entry["name"], entry["why"]) for entry in document["not_determined"]):
         screen.print(f"not determined: {names}: {why}")
     screen.print(f"datum: {document['datum']}")
@@ -130,8 +147,7 @@ def grouped(entries: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
     ]
 
 
-def _show_parameters(document: Mapping[str, Any], meanings: Mapping[str, str]) -> None:
-    screen = console()
+def _show_parameters(screen: Console, document: Mapping[str, Any], meanings: Mapping[str, str]) -> None:
     single = [entry for entry in document["parameters"] if not _TABLE.fullmatch(entry["name"])]
     effects = document["effects"]
     added = tuple(f"{effect}." for effect in effects)
@@ -156,10 +172,10 @@ def _show_parameters(document: Mapping[str, Any], meanings: Mapping[str, str]) -
         note = f"{left} more; --json gives all of them" if left else ""
         heads = ("name", "value", "u (k = 1)", "U (k = 2)", "unit", "what it is")
         show_table(screen, TextTable("Parameters", heads, tuple(rows), note))
-    _show_tables(document)
+    _show_tables(screen, document)
 
 
-def _show_tables(document: Mapping[str, Any]) -> None:
+def _show_tables(screen: Console, document: Mapping[str, Any]) -> None:
     """Each table of an error motion in one row; none of what is not determined."""
     lost = {entry["name"] for entry in document["not_determined"]}
     tables: dict[str, list[Mapping[str, Any]]] = {}
@@ -177,7 +193,7 @@ def _show_tables(document: Mapping[str, Any]) -> None:
         rows.append((name, str(len(own)), *texts, unit))
     if rows:
         heads = ("name", "values", "smallest", "largest", "U (k = 2) at most", "unit")
-        show_table(console(), TextTable("Error motions", heads, tuple(rows), "--json gives every value"))
+        show_table(screen, TextTable("Error motions", heads, tuple(rows), "--json gives every value"))
 
 
 def shown(value: float, uncertainty: float, unit: str, place: bool = False) -> tuple[str, str, str, str]:

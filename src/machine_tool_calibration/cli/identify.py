@@ -8,12 +8,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from machine_tool_calibration.cli.current_model import current_models
-from machine_tool_calibration.cli.identified import show_result
+from machine_tool_calibration.cli.identified import meanings, show_result
 from machine_tool_calibration.cli.output import console, json_option, plain, session_labels, to_json, write_json
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from machine_tool_calibration.effects.effect import Effect
     from machine_tool_calibration.model.fit import JointFit
     from machine_tool_calibration.model.result import Result
@@ -88,7 +86,8 @@ def command(
     if "formulation" in document:
         _show_profiles(document)
     else:
-        show_result(document, opened, {} if fit is None else _meanings(fit, document["effects"], own))
+        known = {} if fit is None else meanings(fit, document["effects"], own)
+        show_result(console(), document, opened, known)
     for path in written:
         console().print(f"written: {path}")
 
@@ -112,24 +111,8 @@ def _identified(
         return result.document(), result.fit.joint, result
     from machine_tool_calibration.methods.joint import identify_sessions
 
-    joint = identify_sessions(
-        opened, session_labels(paths), model=model, effects=effects, own=own, keep_all=keep_all
-    )
+    joint = identify_sessions(opened, session_labels(paths), model=model, effects=effects, own=own, keep_all=keep_all)
     return joint.document(), joint.fit, None
-
-
-def _meanings(fit: JointFit, ids: Sequence[str], own: list[Effect]) -> dict[str, str]:
-    """What the coefficients of the effects in the model are, by the name under which each is published."""
-    from machine_tool_calibration.effects.catalogue import find_effects
-
-    out = {}
-    for index, model in enumerate(fit.assembly.models):
-        parameters = {p.name: p for p in model.parameters}
-        for effect in find_effects(ids, own):
-            for name, what in effect.meanings(model.observations).items():
-                if name in parameters:
-                    out[fit.assembly.published(index, parameters[name])] = what
-    return out
 
 
 def _by_history(

@@ -13,6 +13,8 @@ from machine_tool_calibration.cli.output import console, json_option, note, sess
 from machine_tool_calibration.errors import CalibrationError
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from machine_tool_calibration.diagnosis.report import TextTable
     from machine_tool_calibration.methods.improve import Improvement, Step
 
@@ -86,7 +88,7 @@ def command(
         if as_json:
             write_json(improvement_document(done))
         else:
-            show_improvement(done)
+            show_improvement(console(), done)
     finally:
         saved([*drawn, *told.written])
         if told.words:
@@ -96,9 +98,8 @@ def command(
         raise CalibrationError("; ".join(failed))
 
 
-def show_improvement(done: Improvement) -> None:
+def show_improvement(screen: Console, done: Improvement) -> None:
     """In words first, then a row for every step and before and after side by side."""
-    screen = console()
     screen.print(_words(done), markup=False)
     show_table(screen, _steps(done))
     if len(done.steps) > 1:

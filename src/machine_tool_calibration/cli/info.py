@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from machine_tool_calibration.session.session import Session
     from machine_tool_calibration.session.summary import ColumnSummary, SessionSummary
 
-__all__ = ["command", "topic_names", "topic_option"]
+__all__ = ["command", "show_session", "topic_names", "topic_option"]
 
 _MICRO = 1e6
 # Displacements that are all smaller, m, are deviations: shown in micrometres.
@@ -78,7 +78,7 @@ def command(measurement: Path, topics: tuple[str, ...], as_json: bool) -> None:
         if bag is not None:
             _show_bag(out, bag, absent)
         if session is not None and summary is not None:
-            _show_session(out, session, summary)
+            show_session(out, session, summary)
     if summary is not None and summary.problem:
         raise CalibrationError(summary.problem)
 
@@ -152,7 +152,8 @@ def _show_bag(out: Console, bag: BagReader, absent: str) -> None:
         out.print(f"No measurement in it: {absent.split(': ', 1)[-1]}")
 
 
-def _show_session(out: Console, session: Session, summary: SessionSummary) -> None:
+def show_session(out: Console, session: Session, summary: SessionSummary) -> None:
+    """Setups and columns of a session."""
     from machine_tool_calibration.diagnosis.text_table import TextTable
 
     duration = "" if summary.duration is None else f" in {_time(summary.duration)}"

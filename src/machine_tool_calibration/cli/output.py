@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "console",
+    "distinct",
     "error_console",
     "json_option",
     "note",
@@ -47,7 +48,11 @@ def json_option(function: Command) -> Command:
 
 def session_labels(paths: Sequence[Path]) -> list[str]:
     """Names of several sessions: those of their folders, numbered where they repeat."""
-    names = [path.resolve().stem for path in paths]
+    return distinct([path.resolve().stem for path in paths])
+
+
+def distinct(names: Sequence[str]) -> list[str]:
+    """The names, numbered where they repeat."""
     return [f"{name}#{k + 1}" if names.count(name) > 1 else name for k, name in enumerate(names)]
 
 

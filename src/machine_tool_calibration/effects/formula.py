@@ -27,7 +27,7 @@ from machine_tool_calibration.effects.expression import parse, registry
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.model.observations import Observations
 
-__all__ = ["FormulaEffect", "formula_effect", "read_effects"]
+__all__ = ["FormulaEffect", "checked_definition", "formula_effect", "read_effects"]
 
 _UNITS = {
     "time": "s", "x": "m", "y": "m", "z": "m", "c": "rad", "azimuth": "rad", "elevation": "rad", "path": "m",
@@ -184,8 +184,17 @@ def formula_effect(definition: dict[str, Any], source: str = "formula") -> Formu
     Raises:
         ModelError: something in it is wrong; one line that says what and where.
     """
+    return FormulaEffect(checked_definition(definition, source))
+
+
+def checked_definition(definition: dict[str, Any], source: str) -> _Definition:
+    """A definition as a record.
+
+    Raises:
+        ModelError: a key is missing, unknown or of a wrong kind.
+    """
     try:
-        return FormulaEffect(_Definition.model_validate(definition))
+        return _Definition.model_validate(definition)
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])

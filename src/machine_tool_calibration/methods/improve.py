@@ -17,7 +17,7 @@ from machine_tool_calibration.model.history import Alternative, Coefficient, Ent
 from machine_tool_calibration.model.result import EffectSet, Estimate, Result
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["Improvement", "Step", "entries", "improve"]
+__all__ = ["Improvement", "Step", "entries", "improve", "left_at_tool", "step_after"]
 
 
 @dataclass(frozen=True)
@@ -108,10 +108,15 @@ class Improvement:
         The expanded uncertainty (k = 2) that the step itself knows of, and how far its map is from that of the last
         step: what a model lacks moves its map by more than its own residuals tell.
         """
-        if step.left_at_tool is None:
-            return None
-        off = map_change(step.result.error_map, self.steps[-1].result.error_map)
-        return float(np.hypot(2.0 * step.left_at_tool, off or 0.0))
+        return left_at_tool(step, self.steps[-1])
+
+
+def left_at_tool(step: Step, last: Step) -> float | None:
+    """That of one step on the way to a last one, m; None where the method maps no position errors."""
+    if step.left_at_tool is None:
+        return None
+    off = map_change(step.result.error_map, last.result.error_map)
+    return float(np.hypot(2.0 * step.left_at_tool, off or 0.0))
 
 
 def improve(
@@ -164,19 +169,27 @@ def improve(
         progress=lambda what, share: progress(what, 0.9 * share),
     )
     aside = tuple(outlier.row for one in found.set_aside for outlier in sorted(one, key=lambda o: o.row))
-    steps = [_step(None, "", identified(sessions, ()), ())]
+    steps = [step_after(None, "", identified(sessions, ()), ())]
     if aside:
         words = f"{len(aside)} reading{'' if len(aside) == 1 else 's'} set aside"
-        steps.append(_step(steps[-1], words, identified(found.sessions, ()), aside))
+        steps.append(step_after(steps[-1], words, identified(found.sessions, ()), aside))
     for k, name in enumerate(found.accepted):
         progress(f"adding {name}", 0.9 + 0.1 * k / len(found.accepted))
         over = found.sets if k + 1 == len(found.accepted) else ()
-        steps.append(_step(steps[-1], name, identified(found.sessions, found.accepted[: k + 1], over), aside))
+        steps.append(step_after(steps[-1], name, identified(found.sessions, found.accepted[: k + 1], over), aside))
     progress("done", 1.0)
     return Improvement(found, tuple(steps))
 
 
-def _step(before: Step | None, change: str, result: Result | JointResult, aside: tuple[int, ...]) -> Step:
+def step_after(before: Step | None, change: str, result: Result | JointResult, aside: tuple[int, ...]) -> Step:
+    """A model as a step of a way.
+
+    Args:
+        before: the step before it; None for the first.
+        change: what it has and that one has not: an effect's id, or words.
+        result: of its identification.
+        aside: rows of the readings that were left out.
+    """
     return Step(
         change=change,
         result=result,

@@ -11,13 +11,22 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.diagnosis.comparison import Comparison, JointComparison
 from machine_tool_calibration.plots.residuals import alike, color, draw_arrows, draw_residuals, grids, planes
-from machine_tool_calibration.plots.style import COLORS
+from machine_tool_calibration.plots.style import COLORS, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["chosen_covariates", "draw", "draw_against", "draw_fit", "draw_joint", "draw_map", "draw_setups"]
+__all__ = [
+    "chosen_covariates",
+    "draw",
+    "draw_against",
+    "draw_fit",
+    "draw_joint",
+    "draw_map",
+    "draw_setups",
+    "figures",
+]
 
 _PANELS = 6
 # Correlation above which two covariates make the same picture.
@@ -38,17 +47,18 @@ def draw(comparison: Comparison, folder: Path, against: Sequence[str] = ()) -> l
     Raises:
         ModelError: an unknown covariate.
     """
+    return save(figures(comparison, against), folder, 100)
+
+
+def figures(comparison: Comparison, against: Sequence[str] = ()) -> dict[str, Figure]:
+    """The same pictures by name, not written."""
     names = list(against) or chosen_covariates(comparison)
-    figures = {
-        "measured_predicted.png": draw_fit(comparison),
-        "residuals.png": draw_against(comparison, names),
-        "residual_map.png": draw_map(comparison),
-        "setups.png": draw_setups(comparison),
+    return {
+        "measured_predicted": draw_fit(comparison),
+        "residuals": draw_against(comparison, names),
+        "residual_map": draw_map(comparison),
+        "setups": draw_setups(comparison),
     }
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, figure in figures.items():
-        figure.savefig(folder / name, dpi=100)
-    return [folder / name for name in figures]
 
 
 def draw_joint(comparison: JointComparison, folder: Path, against: Sequence[str] = ()) -> list[Path]:

@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.plots.style import save
 from machine_tool_calibration.session.session import Session
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw", "draw_map", "draw_positioning", "draw_tables"]
+__all__ = ["draw", "draw_map", "draw_positioning", "draw_tables", "figures"]
 
 # Share of the drawing's width that the largest error takes.
 _LENGTH = 0.08
@@ -25,21 +26,21 @@ def draw(session: Session, result: Mapping[str, Any], folder: Path) -> list[Path
     """Write the pictures of a result document into a folder.
 
     Returns:
-        The files: one for each run by ISO 230-2, the tables, and the map where it fills a plane.
+        The files.
     """
+    return save(figures(session, result), folder, 120)
+
+
+def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:
+    """One for each run by ISO 230-2, the tables, and the map where it fills a plane."""
     content = result["error_map"]
-    folder.mkdir(parents=True, exist_ok=True)
-    figures = {f"iso230_2_{run['setup']}": draw_positioning(run) for run in content.get("iso230_2", ())}
+    out = {f"iso230_2_{run['setup']}": draw_positioning(run) for run in content.get("iso230_2", ())}
     if any("nodes" in table for table in content["tables"].values()):
-        figures["tables"] = draw_tables(content["tables"])
+        out["tables"] = draw_tables(content["tables"])
     points = _numbers(content["points"]).reshape(-1, 3)
     if len(points) and (np.ptp(points, axis=0) > 1e-6).sum() >= 2:
-        figures["map"] = draw_map(content)
-    files = []
-    for name, figure in figures.items():
-        files.append(folder / f"{name}.png")
-        figure.savefig(files[-1], dpi=120)
-    return files
+        out["map"] = draw_map(content)
+    return out
 
 
 def draw_positioning(run: Mapping[str, Any]) -> Figure:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,7 +11,7 @@ import pandas as pd
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.pool import Pool
-from machine_tool_calibration.methods.improve import Improvement, Step
+from machine_tool_calibration.methods.improve import Improvement, Step, left_at_tool
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.plots.residuals import axis_label, color, grids, planes
 
@@ -18,7 +19,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_improvement", "residual_table", "save_improvement", "step_table"]
+    from machine_tool_calibration.session.session import Session
+
+__all__ = ["draw_improvement", "draw_steps", "residual_table", "save_improvement", "step_table"]
 
 # Methods whose readings lie along runs, where arrows would lie on each other.
 _ALONG = {"step_diagonal": "path", "rotary_axis": "c"}
@@ -28,16 +31,27 @@ _LISTED = 8
 
 def draw_improvement(improvement: Improvement) -> Figure:
     """The residual and the uncertainty of the map after every change, and maps of the residuals, to the same scale."""
+    diagnosis = improvement.diagnosis
+    return draw_steps(improvement.steps, diagnosis.sessions, diagnosis.noise.declared)
+
+
+def draw_steps(steps: Sequence[Step], sessions: Sequence[Session], declared: float) -> Figure:
+    """The same of any models of the same measurement, one after the other.
+
+    Args:
+        steps: the models, at least one.
+        sessions: that were fitted.
+        declared: standard uncertainty of a reading, m.
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(15, 5.2), layout="constrained")
     fall, before, after = figure.subplots(1, 3, width_ratios=[1, 1.15, 1.15])
-    _fall(fall, improvement)
-    first, last = improvement.steps[0], improvement.steps[-1]
+    _fall(fall, steps, declared)
+    first, last = steps[0], steps[-1]
     # Outliers would hide everything else: the first picture is of the readings that are kept.
-    if len(improvement.steps) > 1 and last.set_aside:
-        first = improvement.steps[1] if len(improvement.steps) > 2 else first
-    sessions = improvement.diagnosis.sessions
+    if len(steps) > 2 and last.set_aside:
+        first = steps[1]
     method = sessions[0].method if len(sessions) == 1 else ""
     size = _size(first)
     for panel, step, title in ((before, first, "before"), (after, last, "after")):
@@ -50,16 +64,14 @@ def draw_improvement(improvement: Improvement) -> Figure:
     return figure
 
 
-def _fall(panel: Axes, improvement: Improvement) -> None:
-    steps = improvement.steps
+def _fall(panel: Axes, steps: Sequence[Step], declared: float) -> None:
     at = np.arange(len(steps))
     panel.plot(at, [1e6 * s.result.rms_residual for s in steps], "o-", color="tab:red", label="residual, RMS")
-    left = [improvement.left_at_tool(s) for s in steps]
+    left = [left_at_tool(step, steps[-1]) for step in steps]
     tool = [np.nan if value is None else 1e6 * value for value in left]
     if np.isfinite(tool).any():
         panel.plot(at, tool, "s-", color="tab:blue", label="left at the tool point (k = 2), RMS")
-    declared = 1e6 * improvement.diagnosis.noise.declared
-    panel.axhline(declared, color="0.3", ls=":", label="declared uncertainty of a reading")
+    panel.axhline(1e6 * declared, color="0.3", ls=":", label="declared uncertainty of a reading")
     panel.set_xticks(at, [s.label for s in steps], rotation=20, ha="right", fontsize=8)
     panel.set_ylim(0.0)
     panel.margins(x=0.15)

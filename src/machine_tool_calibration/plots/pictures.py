@@ -5,13 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any
 
 from machine_tool_calibration.plots.error_map import draw_map
+from machine_tool_calibration.plots.style import save
 from machine_tool_calibration.plots.tables import draw_tables
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["draw", "draw_common"]
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["common_figures", "draw", "draw_common", "figures"]
 
 
 def draw(session: Session, result: Mapping[str, Any], folder: Path) -> list[Path]:
@@ -27,26 +31,36 @@ def draw(session: Session, result: Mapping[str, Any], folder: Path) -> list[Path
     Returns:
         The files.
     """
-    name = "tracking" if session.method == "tracking_interferometer" else session.method
-    try:
-        module = import_module(f"machine_tool_calibration.plots.{name}")
-    except ModuleNotFoundError:
-        return draw_common(result, folder)
-    method = cast("Callable[[Session, Mapping[str, Any], Path], list[Path]] | None", getattr(module, "draw", None))
+    method: Callable[[Session, Mapping[str, Any], Path], list[Path]] | None = _of_method(session, "draw")
     return draw_common(result, folder) if method is None else method(session, result, folder)
+
+
+def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:
+    """The same pictures by name, not written."""
+    method: Callable[[Session, Mapping[str, Any]], dict[str, Figure]] | None = _of_method(session, "figures")
+    return common_figures(result) if method is None else method(session, result)
 
 
 def draw_common(result: Mapping[str, Any], folder: Path) -> list[Path]:
     """Write the map and the tables of error motions of any result, also of several sessions together."""
+    return save(common_figures(result), folder)
+
+
+def common_figures(result: Mapping[str, Any]) -> dict[str, Figure]:
+    """The map and the tables of error motions of any result, where there are any."""
     content = result.get("error_map") or {}
     mapped = content.get("points") and content.get("position_error")
-    figures = {
-        "error_map.png": draw_map(content) if mapped else None,
-        "error_motions.png": draw_tables(result.get("parameters", ())),
+    drawn = {
+        "error_map": draw_map(content) if mapped else None,
+        "error_motions": draw_tables(result.get("parameters", ())),
     }
-    written = []
-    for name, figure in figures.items():
-        if figure is not None:
-            figure.savefig(folder / name, dpi=110)
-            written.append(folder / name)
-    return written
+    return {name: figure for name, figure in drawn.items() if figure is not None}
+
+
+def _of_method(session: Session, name: str) -> Any:
+    """A function of the method's own module of pictures, if it has one."""
+    own = "tracking" if session.method == "tracking_interferometer" else session.method
+    try:
+        return getattr(import_module(f"machine_tool_calibration.plots.{own}"), name, None)
+    except ModuleNotFoundError:
+        return None

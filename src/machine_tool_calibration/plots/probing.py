@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.plots.style import save
 from machine_tool_calibration.session.description import Probing
 from machine_tool_calibration.session.session import Session
 
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw", "draw_axes", "draw_probing", "draw_table", "draw_workpiece"]
+__all__ = ["draw", "draw_axes", "draw_probing", "draw_table", "draw_workpiece", "figures"]
 
 # Share of the drawing's width that the largest error takes.
 _LENGTH = 0.08
@@ -29,10 +30,13 @@ def draw(session: Session, result: Mapping[str, Any], folder: Path) -> list[Path
     Returns:
         The files.
     """
+    return save(figures(session, result), folder)
+
+
+def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:
+    """The pictures of a result document by name, the first one first to be looked at."""
     assert isinstance(session.description, Probing)
-    file = folder / "probing.png"
-    draw_probing(session.description, result["error_map"]).savefig(file, dpi=110)
-    return [file]
+    return {"probing": draw_probing(session.description, result["error_map"])}
 
 
 def draw_probing(description: Probing, content: Mapping[str, Any]) -> Figure:

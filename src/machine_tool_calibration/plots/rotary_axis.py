@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.plots.style import save
 from machine_tool_calibration.session.description import RotaryAxis
 from machine_tool_calibration.session.session import Session
 
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw", "draw_arrangement", "draw_motions"]
+__all__ = ["draw", "draw_arrangement", "draw_motions", "figures"]
 
 
 def draw(session: Session, result: Mapping[str, Any], folder: Path) -> list[Path]:
@@ -25,18 +26,16 @@ def draw(session: Session, result: Mapping[str, Any], folder: Path) -> list[Path
     Returns:
         The files.
     """
+    return save(figures(session, result), folder, 120)
+
+
+def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:
+    """The pictures of a result document by name, the first one first to be looked at."""
     description = session.description
     assert isinstance(description, RotaryAxis)
     axis = (description.machine.axis or "C").upper()
-    folder.mkdir(parents=True, exist_ok=True)
-    files = []
-    for name, figure in (
-        ("error_motions", draw_motions(result["error_map"], axis)),
-        ("arrangement", draw_arrangement(result["error_map"], axis)),
-    ):
-        files.append(folder / f"{name}.png")
-        figure.savefig(files[-1], dpi=120)
-    return files
+    content = result["error_map"]
+    return {"error_motions": draw_motions(content, axis), "arrangement": draw_arrangement(content, axis)}
 
 
 def draw_motions(content: Mapping[str, Any], axis: str = "C") -> Figure:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,6 +23,7 @@ __all__ = [
     "NOMINAL",
     "new_figure",
     "round_down",
+    "save",
     "scale_bar",
     "spaced",
 ]
@@ -39,6 +42,14 @@ def new_figure(width: float, height: float, title: str = "") -> Figure:
     if title:
         figure.suptitle(title, fontsize="medium")
     return figure
+
+
+def save(figures: Mapping[str, Figure], folder: Path, dpi: int = 110) -> list[Path]:
+    """Write pictures as PNG files of their names into a folder, which is made where it is missing."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, figure in figures.items():
+        figure.savefig(folder / f"{name}.png", dpi=dpi)
+    return [folder / f"{name}.png" for name in figures]
 
 
 def round_down(value: float) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.plots.error_map import draw_map
-from machine_tool_calibration.plots.style import BAND, COLORS, NOMINAL, new_figure
+from machine_tool_calibration.plots.style import BAND, COLORS, NOMINAL, new_figure, save
 from machine_tool_calibration.plots.tables import draw_tables
 from machine_tool_calibration.session.session import Session
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from machine_tool_calibration.model.fit import Fit
 
-__all__ = ["draw", "draw_map", "draw_residuals", "draw_stations"]
+__all__ = ["draw", "draw_map", "draw_residuals", "draw_stations", "figures"]
 
 
 def draw(session: Session, result: Mapping[str, Any], folder: Path) -> list[Path]:
@@ -29,17 +29,14 @@ def draw(session: Session, result: Mapping[str, Any], folder: Path) -> list[Path
     Returns:
         The files.
     """
-    figures = {
-        "error_map.png": draw_map(result["error_map"]),
-        "stations.png": draw_stations(result["error_map"]),
-        "error_motions.png": draw_tables(result.get("parameters", ())),
-    }
-    written = []
-    for name, figure in figures.items():
-        if figure is not None:
-            figure.savefig(folder / name, dpi=110)
-            written.append(folder / name)
-    return written
+    return save(figures(session, result), folder)
+
+
+def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:
+    """The pictures of a result document by name, the first one first to be looked at."""
+    out = {"error_map": draw_map(result["error_map"]), "stations": draw_stations(result["error_map"])}
+    motions = draw_tables(result.get("parameters", ()))
+    return out if motions is None else out | {"error_motions": motions}
 
 
 def draw_stations(content: Mapping[str, Any]) -> Figure:

@@ -1,0 +1,296 @@
+"""Where a model fails, and which physical effect it lacks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+from machine_tool_calibration.diagnosis.compare import compare
+from machine_tool_calibration.diagnosis.comparison import Comparison as OneComparison
+from machine_tool_calibration.diagnosis.comparison import JointComparison
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis as Found
+from machine_tool_calibration.diagnosis.diagnose import diagnose
+from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
+from machine_tool_calibration.interface.show import Shown, chosen, notebook, printed
+from machine_tool_calibration.methods.joint import JointResult
+from machine_tool_calibration.model.result import Result
+from machine_tool_calibration.planning.conclusions import Conclusions, conclude
+from machine_tool_calibration.session.session import Session
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Comparison", "Diagnosis"]
+
+_VERDICTS = {
+    "adequate": "nothing is missing that these readings show",
+    "unexplained": "something is missing that no effect of the catalogue explains",
+    "outliers": "no effect is missing; readings that do not belong to the rest",
+}
+
+
+@dataclass(frozen=True, repr=False)
+class Comparison(Shown):
+    """A model held against its readings: how well it fits, and where it fails.
+
+    Attributes:
+        found: all that was calculated, as the package itself uses it.
+    """
+
+    found: OneComparison | JointComparison
+
+    @classmethod
+    def of(cls, result: Result | JointResult) -> Comparison:
+        """That of a result with its own readings."""
+        if isinstance(result, Result):
+            return cls(compare(result))
+        each = tuple(compare(fit, effects=result.effects) for fit in result.fit.fits)
+        return cls(JointComparison(result.fit, result.labels, each))
+
+    @cached_property
+    def residuals(self) -> pd.DataFrame:
+        """Every reading with what was predicted and every covariate, as `comparison.csv` of `mtcal compare`; SI.
+
+        Columns: `row` (from 0), `setup`, `repeat`, `measured`, `predicted`, `residual` (m), `studentized` (residual
+        over its own standard uncertainty; NaN where the model has a reading for itself), and all that was recorded.
+        """
+        from machine_tool_calibration.diagnosis.compare_document import comparison_columns, joint_columns
+
+        found = self.found
+        columns = comparison_columns(found) if isinstance(found, OneComparison) else joint_columns(found)
+        return pd.DataFrame(dict(columns))
+
+    @property
+    def setups(self) -> pd.DataFrame:
+        """Each setup, worst first.
+
+        Columns: `name`, `readings`, `rms` (m), `reduced_chi_square`, `share` of the whole sum of squares, `mean`
+        residual (m) and `slope` over time (m/s) with standard uncertainties `mean_u` and `slope_u`; NaN where the
+        model takes it up; `worst_row`, the reading with the largest studentized residual. Several sessions have
+        `session` besides.
+        """
+        return _table(self._document["setups"])
+
+    @property
+    def regions(self) -> pd.DataFrame:
+        """Bins of each axis.
+
+        Columns: `axis`, from `low` to `high` (m or rad), and those of `setups`.
+        """
+        return self._of_each("regions")
+
+    @property
+    def approaches(self) -> pd.DataFrame:
+        """What the residuals of the two directions of approach of an axis differ by.
+
+        Columns: `axis`, readings `forward` and `backward`, mean `difference` (m), `displacement` of the axis that it
+        stands for (m or rad; minus twice the half width of a backlash), each with its standard uncertainty `_u`,
+        `p_value`; NaN where the model takes it up.
+        """
+        return self._of_each("approaches")
+
+    @property
+    def trends(self) -> pd.DataFrame:
+        """How the residuals change with each covariate, the most significant first.
+
+        Columns: `covariate`, its `span`, `slope` of the residuals (m per unit) and `added`, the slope that the model
+        would find, each with its standard uncertainty `_u`, `p_value`; NaN where the model takes it up.
+        """
+        return self._of_each("trends")
+
+    @property
+    def worst(self) -> pd.DataFrame:
+        """Readings with the largest studentized residuals.
+
+        Columns: `row`, `setup`, `residual` (m), `studentized`; of several sessions `session` first.
+        """
+        return _table(self._document["worst"])
+
+    @property
+    def headline(self) -> str:
+        """How well the model fits, in one line."""
+        return str(self._document["summary"])
+
+    def report(self) -> str:
+        """What `mtcal compare` prints: by setup and repeat, by region, by direction of approach, over covariates."""
+        from machine_tool_calibration.cli.compare import show_comparison
+
+        return printed(lambda screen: show_comparison(screen, self.found))
+
+    def document(self) -> dict[str, Any]:
+        """The same for programs, as `mtcal compare --json` writes it (`mtcal-comparison/1`)."""
+        from machine_tool_calibration.cli.output import plain
+
+        copied: dict[str, Any] = plain(self._document)
+        return copied
+
+    def plot(self, picture: str = "residuals", *, against: Sequence[str] = (), session: str | None = None) -> Figure:
+        """One of the pictures of `mtcal compare`.
+
+        Args:
+            picture: `residuals` (over covariates), `measured_predicted`, `residual_map` or `setups`.
+            against: covariates for `residuals`; those that tell most if empty.
+            session: of several sessions, the label of the one to draw; the first one if absent.
+
+        Raises:
+            CalibrationError: no such picture, covariate or session.
+        """
+        from machine_tool_calibration.errors import CalibrationError
+        from machine_tool_calibration.plots.compare import draw_setups, figures
+
+        one = self.found
+        if isinstance(one, JointComparison):
+            if picture == "setups" and session is None:
+                return notebook(draw_setups(one))
+            labels = one.labels
+            if session is not None and session not in labels:
+                raise CalibrationError(f"no session {session!r}; there are {', '.join(labels)}")
+            one = one.sessions[0 if session is None else labels.index(session)]
+        for name in against:
+            one.covariate(name)
+        return chosen(figures(one, against), picture)
+
+    @cached_property
+    def _document(self) -> dict[str, Any]:
+        from machine_tool_calibration.diagnosis.compare_document import comparison_document, joint_document
+
+        found = self.found
+        return comparison_document(found) if isinstance(found, OneComparison) else joint_document(found)
+
+    def _of_each(self, key: str) -> pd.DataFrame:
+        """A list of the document as a table, of several sessions one below the other."""
+        parts = self._document.get("sessions", [self._document])
+        rows = [
+            {**({"session": part["label"]} if "label" in part else {}), **entry, **entry.get("fit", {})}
+            for part in parts
+            for entry in part[key]
+        ]
+        return _table(rows).drop(columns="fit", errors="ignore")
+
+
+def _table(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
+    """Records as a table, with NaN for what they do not hold."""
+    return pd.DataFrame([{key: np.nan if value is None else value for key, value in row.items()} for row in rows])
+
+
+@dataclass(frozen=True, repr=False)
+class Diagnosis(Shown):
+    """Which physical effects a model lacks, how sure that is, and what to measure to be surer.
+
+    Attributes:
+        found: all that was calculated, as the package itself uses it.
+        variant: of the method's model that was asked for; None for the default.
+        own: the user's own effects, looked for beside the catalogue.
+    """
+
+    found: Found
+    variant: str | None = None
+    own: tuple[PhysicalEffect, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        sessions: Sequence[Session],
+        labels: Sequence[str] | None,
+        variant: str | None,
+        effects: Sequence[str],
+        own: tuple[PhysicalEffect, ...],
+        *,
+        seed: int,
+        sets: int,
+    ) -> Diagnosis:
+        """That of one session, or of several with their labels."""
+        found = diagnose(sessions, labels, model=variant, effects=effects, own=own, seed=seed, sets=sets)
+        return cls(found, variant, own)
+
+    @property
+    def verdict(self) -> str:
+        """`adequate`, `missing_effect`, `unexplained` or `outliers`."""
+        return self.found.verdict
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Ids of the effects that are missing, the surest first, as `fit.add` takes them; empty where none is named."""
+        return self.found.accepted
+
+    @property
+    def probability(self) -> pd.Series[float]:
+        """Probability that each effect is missing, by its id, the most probable first."""
+        ranked = {finding.name: finding.probability for finding in self.found.ranked if finding.rank}
+        return pd.Series(ranked, name="probability", dtype=float).rename_axis("effect")
+
+    @property
+    def nothing(self) -> float:
+        """Probability that nothing is missing, neither an effect of the catalogue nor anything unknown."""
+        return self.found.look.nothing
+
+    @cached_property
+    def candidates(self) -> pd.DataFrame:
+        """Every effect that was looked for, by its id, the most probable first; SI.
+
+        Columns: `probability`, `p_value` (chance of doing as well, paid for the whole search), `delta_bic`,
+        `plausible` (whether such a size occurs), `rms_before` and `rms_after` of the residuals (m), `map_change_rms`
+        (m; NaN where it was not worked out).
+        """
+        from machine_tool_calibration.plots.diagnosis import candidate_table
+
+        return candidate_table(self.found, self.conclusions.changes).set_index("effect")
+
+    @property
+    def outliers(self) -> pd.DataFrame:
+        """Readings that were set aside.
+
+        Columns: `row` of the recording, `studentized`, `deviation` (m); of several sessions `session` first.
+        """
+        labels = self.found.labels
+        rows = [
+            {
+                **({} if labels is None else {"session": labels[k]}),
+                "row": outlier.row,
+                "studentized": outlier.studentized,
+                "deviation": outlier.deviation,
+            }
+            for k, own in enumerate(self.found.set_aside)
+            for outlier in own
+        ]
+        several = [] if labels is None else ["session"]
+        return pd.DataFrame(rows, columns=[*several, "row", "studentized", "deviation"])
+
+    @cached_property
+    def conclusions(self) -> Conclusions:
+        """What each candidate would change, and what to measure next; worked out when it is first asked for."""
+        return conclude(self.found, model=self.variant, own=self.own, progress=lambda what, share: None)
+
+    @property
+    def headline(self) -> str:
+        """The verdict in one line."""
+        if self.verdict != "missing_effect":
+            return _VERDICTS[self.verdict]
+        sure = (f"{name} (probability {self.probability[name]:.2f})" for name in self.effects)
+        return f"missing: {', '.join(sure)}"
+
+    def report(self) -> str:
+        """What `mtcal diagnose` prints: what is missing, look-alikes, what to measure next, what would not show."""
+        from machine_tool_calibration.cli.diagnose import show_diagnosis
+
+        return printed(lambda screen: show_diagnosis(screen, self.found, self.conclusions))
+
+    def document(self) -> dict[str, Any]:
+        """The same for programs, as `mtcal diagnose --json` writes it (`mtcal-diagnosis/1`)."""
+        from machine_tool_calibration.cli.output import plain
+        from machine_tool_calibration.diagnosis.document import diagnosis_document
+
+        then = self.conclusions
+        made: dict[str, Any] = plain(diagnosis_document(self.found, then.advice, then.changes))
+        return made
+
+    def plot(self) -> Figure:
+        """The picture of `mtcal diagnose`: probabilities, what adding the effects does, what the residuals follow."""
+        from machine_tool_calibration.plots.diagnosis import draw_diagnosis
+
+        return notebook(draw_diagnosis(self.found, self.conclusions.changes))

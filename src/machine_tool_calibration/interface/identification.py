@@ -1,0 +1,296 @@
+"""Identify a machine's errors, and what can be done with the result."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
+from machine_tool_calibration.interface import tables
+from machine_tool_calibration.interface.diagnosis import Comparison, Diagnosis
+from machine_tool_calibration.interface.effects import split_effects
+from machine_tool_calibration.interface.session import Measurement, Source, load, one_below_the_other
+from machine_tool_calibration.interface.show import Shown, chosen, printed
+from machine_tool_calibration.methods.identify import identify as identify_one
+from machine_tool_calibration.methods.joint import JointResult, identify_sessions
+from machine_tool_calibration.model.result import Result
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Fit", "identify"]
+
+
+@dataclass(frozen=True, repr=False)
+class Fit(Shown):
+    """The machine's errors from one measurement, each with its uncertainty.
+
+    Attributes:
+        measurement: the readings.
+        result: all that was calculated, as the package itself uses it.
+        variant: of the method's model that was asked for; None for the default.
+        own: the user's own effects, known beside the catalogue.
+        keep_all: whether readings that stand out of all others were kept.
+    """
+
+    measurement: Measurement
+    result: Result | JointResult
+    variant: str | None = None
+    own: tuple[PhysicalEffect, ...] = ()
+    keep_all: bool = False
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Ids of the physical effects in the model."""
+        return self.result.effects
+
+    @property
+    def model(self) -> str:
+        """Variant of the method's model, such as `free` or `rigid_body`; of several sessions each one once."""
+        return self.result.model_name
+
+    @property
+    def datum(self) -> str:
+        """Origin and orientation, which the data cannot fix and which were chosen, in words."""
+        return str(self._document["datum"])
+
+    @property
+    def rms_residual(self) -> float:
+        """Root mean square of measured minus predicted, m."""
+        return self.result.rms_residual
+
+    @property
+    def reduced_chi_square(self) -> float:
+        """Weighted sum of squared residuals over the degrees of freedom; 1 if model and declared uncertainty fit."""
+        return self.result.joint.reduced_chi_square
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Readings minus unknowns."""
+        return self.result.joint.solution.degrees_of_freedom
+
+    @property
+    def p_value(self) -> float:
+        """Probability of so large a sum of squares if the model is right and the declared uncertainty too."""
+        return self.result.joint.p_value
+
+    @cached_property
+    def error_map(self) -> pd.DataFrame:
+        """Position errors of the functional point, actual minus commanded, one place a row; SI.
+
+        Columns: `x y z` the place, m; `ex ey ez` the error, m; `ux uy uz` its standard uncertainty, m (an expanded
+        uncertainty U, k = 2, is twice that); `determined_x determined_y determined_z`: where False, error and
+        uncertainty are NaN. Step diagonals have `axis` besides, rotary axes `target` and the angle (`c`, rad). A place
+        is there more than once where an effect tells directions of approach apart.
+        """
+        return tables.error_map(self.result)
+
+    @cached_property
+    def error_motions(self) -> pd.DataFrame:
+        """Error motions and squareness errors named as in ISO 230-1, one value a row.
+
+        Columns: `motion` (EXX, ECY, C0Y, …), `position` on its axis in `position_unit` (m or rad; NaN for a
+        squareness), `value` and standard uncertainty `u` in `unit` (m or rad), `determined`. Without rows where each
+        point has unknowns of its own instead (a tracking interferometer with the model `free`). The straightness of a
+        step diagonal holds the slopes from which its squareness is read: not both are to be added up.
+        """
+        return tables.error_motions(self.result)
+
+    @cached_property
+    def workpiece(self) -> pd.DataFrame:
+        """Errors of a probed workpiece's points by the point's id; without rows for other methods.
+
+        Columns: nominal place `x y`, m, and outward normal `nx ny`; `error` along the normal with its standard
+        uncertainty `u`, m, and `determined`; `form`, the same without what a shift and turn of the whole workpiece
+        explain, `u_form`, m, and `form_determined`.
+        """
+        return tables.workpiece(self.result)
+
+    @cached_property
+    def parameters(self) -> pd.DataFrame:
+        """Every unknown of the model by name.
+
+        Columns: `value` and standard uncertainty `u` in `unit` (SI), `determined`, `meaning` in words, `why_not`:
+        where it is not determined value and uncertainty are NaN, and this is the reason.
+        """
+        return tables.parameters(self.result, self._document, self._meanings)
+
+    @cached_property
+    def residuals(self) -> pd.DataFrame:
+        """Every reading that takes part in the fit, one a row; SI.
+
+        Columns: `row` of the recording (from 0), `measured`, `predicted`, `residual` (measured minus predicted),
+        `u_declared` (standard uncertainty), m, and the other columns as recorded; of several sessions `session` first.
+        """
+        frames = [tables.residuals(fit) for fit in self.result.joint.fits]
+        return one_below_the_other(self.measurement.labels, frames)
+
+    @cached_property
+    def rejected(self) -> pd.DataFrame:
+        """Readings that were kept out of the fit.
+
+        Columns: `row` of the recording (from 0) and `reason`; of several sessions `session` first.
+        """
+        several = [] if isinstance(self.result, Result) else ["session"]
+        return pd.DataFrame(self._document["rejected"], columns=[*several, "row", "reason"])
+
+    def error_at(self, position: npt.ArrayLike) -> tuple[Array, Array]:
+        """Position error anywhere in what was measured, by linear interpolation of the map.
+
+        Args:
+            position: (3,) or (n, 3) commanded x, y, z, m.
+
+        Returns:
+            Error, and its standard uncertainty, two arrays of the same shape, m; NaN outside of what was measured and
+            in a direction that is not determined.
+
+        Raises:
+            CalibrationError: not such positions, or the map has no points.
+        """
+        from machine_tool_calibration.maps import error_map_from_points
+
+        found = self.result.error_map
+        error, u = error_map_from_points(found.points, found.error, found.uncertainty)(np.asarray(position, float))
+        return error, u
+
+    @property
+    def headline(self) -> str:
+        """What it is, in one line."""
+        count = self.result.joint.assembly.problem.n_readings
+        added = f" with {', '.join(self.effects)}" if self.effects else ""
+        return (
+            f"{self.measurement.method.replace('_', ' ')}, model {self.model}{added}: {count} readings, "
+            f"residual {1e6 * self.rms_residual:.3f} µm RMS, reduced chi-square {self.reduced_chi_square:.2f}"
+        )
+
+    def report(self) -> str:
+        """What `mtcal identify` prints: how well it fits, the errors with their uncertainty, what is not determined."""
+        from machine_tool_calibration.cli.identified import show_result
+
+        sessions = self.measurement.sessions
+        return printed(lambda screen: show_result(screen, self._document, sessions, self._meanings))
+
+    def document(self) -> dict[str, Any]:
+        """The same for programs, as `mtcal identify --json` writes it (`mtcal-result/1`); None is not determined."""
+        from machine_tool_calibration.cli.output import plain
+
+        copied: dict[str, Any] = plain(self._document)
+        return copied
+
+    @property
+    def pictures(self) -> tuple[str, ...]:
+        """Names of the pictures that `plot` draws."""
+        return tuple(self._figures())
+
+    def plot(self, picture: str | None = None) -> Figure:
+        """One of the pictures of `mtcal identify --plot`.
+
+        Args:
+            picture: one of `pictures`; the method's most telling one if absent.
+
+        Returns:
+            A figure that no window shows; a notebook does, and `savefig` writes it.
+
+        Raises:
+            CalibrationError: there is none of that name.
+        """
+        return chosen(self._figures(), picture)
+
+    def compare(self) -> Comparison:
+        """Hold the model against the readings of the fit: how well it fits, and where it fails."""
+        return Comparison.of(self.result)
+
+    def diagnose(self, *, seed: int = 1, sets: int = 199) -> Diagnosis:
+        """Look for physical effects that the model lacks, among those of the catalogue and the user's own.
+
+        Args:
+            seed: of the simulated data sets.
+            sets: simulated data sets in which nothing is missing: they check how often chance does as well.
+
+        Raises:
+            ModelError: the data does not allow the model.
+        """
+        several = self.measurement.labels if len(self.measurement.sessions) > 1 else None
+        return Diagnosis.of(
+            self.measurement.sessions, several, self.variant, self.effects, self.own, seed=seed, sets=sets
+        )
+
+    def add(self, effects: str | PhysicalEffect | Sequence[str | PhysicalEffect]) -> Fit:
+        """The same measurement with further effects in the model.
+
+        Args:
+            effects: ids, as `diagnosis.effects` gives them, or effects of the user's own.
+
+        Raises:
+            ModelError: an effect is unknown, in the model already, or needs what was not recorded.
+        """
+        ids, own = split_effects(effects, self.own)
+        return _fitted(self.measurement, self.variant, (*self.effects, *ids), own, self.keep_all)
+
+    @cached_property
+    def _document(self) -> dict[str, Any]:
+        return self.result.document()
+
+    @cached_property
+    def _meanings(self) -> dict[str, str]:
+        from machine_tool_calibration.cli.identified import meanings
+
+        return meanings(self.result.joint, self.effects, self.own)
+
+    def _figures(self) -> dict[str, Figure]:
+        from machine_tool_calibration.plots.pictures import common_figures, figures
+        from machine_tool_calibration.plots.tracking import draw_residuals
+
+        if not isinstance(self.result, Result):
+            return common_figures(self._document)
+        drawn = figures(self.measurement.sessions[0], self._document)
+        return drawn | {"residuals": draw_residuals(self.result.fit)}
+
+
+def identify(
+    session: Source | Sequence[Source],
+    *,
+    model: str | None = None,
+    effects: str | PhysicalEffect | Sequence[str | PhysicalEffect] = (),
+    own: Sequence[PhysicalEffect] = (),
+    keep_all: bool = False,
+) -> Fit:
+    """Identify the machine's errors from one session, or from several of the same machine together.
+
+    Args:
+        session: what `load` gave, or whatever `load` takes.
+        model: variant of the method's model, such as `free` or `rigid_body`; the method's default if absent.
+        effects: physical effects to add to the model: ids, or effects of the user's own.
+        own: effects of the user's own that `diagnose` shall look for beside the catalogue.
+        keep_all: use all readings, also those that stand out of all others.
+
+    Raises:
+        SessionError: a session cannot be read.
+        ModelError: the data does not allow the model, an effect is unknown or needs what was not recorded, or what is
+            identified cannot be.
+    """
+    ids, known = split_effects(effects, own)
+    return _fitted(load(session), model, ids, known, keep_all)
+
+
+def _fitted(
+    measurement: Measurement,
+    variant: str | None,
+    effects: Sequence[str],
+    own: tuple[PhysicalEffect, ...],
+    keep_all: bool,
+) -> Fit:
+    sessions, labels = measurement.sessions, measurement.labels
+    result: Result | JointResult
+    if len(sessions) == 1:
+        result = identify_one(sessions[0], model=variant, effects=effects, own=own, keep_all=keep_all)
+    else:
+        result = identify_sessions(sessions, labels, model=variant, effects=effects, own=own, keep_all=keep_all)
+    return Fit(measurement, result, variant, own, keep_all)

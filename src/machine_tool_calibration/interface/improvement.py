@@ -1,0 +1,185 @@
+"""A model made better step by step, and the error that falls."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+
+from machine_tool_calibration.diagnosis.noise import noise_of
+from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.interface.diagnosis import Diagnosis
+from machine_tool_calibration.interface.effects import split_effects
+from machine_tool_calibration.interface.identification import Fit
+from machine_tool_calibration.interface.session import Measurement, Source, load
+from machine_tool_calibration.interface.show import Shown, notebook, printed
+from machine_tool_calibration.methods.improve import Improvement as Done
+from machine_tool_calibration.methods.improve import Step, step_after
+from machine_tool_calibration.methods.improve import improve as improve_models
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Improvement", "improve", "plot_improvement"]
+
+
+@dataclass(frozen=True, repr=False)
+class Improvement(Shown):
+    """The models on the way from the first one to the best.
+
+    Attributes:
+        measurement: the readings.
+        done: all that was calculated, as the package itself uses it.
+        variant: of the method's model that was asked for; None for the default.
+        own: the user's own effects, looked for beside the catalogue.
+    """
+
+    measurement: Measurement
+    done: Done
+    variant: str | None = None
+    own: tuple[PhysicalEffect, ...] = ()
+
+    @property
+    def diagnosis(self) -> Diagnosis:
+        """Of the first model."""
+        return Diagnosis(self.done.diagnosis, self.variant, self.own)
+
+    @cached_property
+    def fits(self) -> tuple[Fit, ...]:
+        """Every model, the first one, the one without readings that do not belong to the rest, one for each effect."""
+        kept = replace(self.measurement, sessions=self.done.diagnosis.sessions)
+        return tuple(
+            Fit(kept if step.set_aside else self.measurement, step.result, self.variant, self.own, keep_all=True)
+            for step in self.done.steps
+        )
+
+    @property
+    def best(self) -> Fit:
+        """The last model. Where look-alikes move its map differently, the map is their mean."""
+        return self.fits[-1]
+
+    @property
+    def history(self) -> pd.DataFrame:
+        """The error step by step, one model a row; SI, root mean squares.
+
+        Columns: `change` against the row before, `effects` in the model, `readings` used, `rms_residual` (m),
+        `reduced_chi_square`, and of the position errors `map_rms` (m), `map_change_rms` (m, against the row before),
+        `map_uncertainty_rms` and `left_at_tool_rms` (standard uncertainties, m); NaN where the method maps none.
+        """
+        from machine_tool_calibration.plots.improve import step_table
+
+        table = step_table(self.done)
+        numbers = [name for name in table if name not in ("change", "effects", "readings")]
+        return table.astype(dict.fromkeys(numbers, float))
+
+    @property
+    def residuals(self) -> pd.DataFrame:
+        """Every reading with `residual_before` and `residual_after` (m; NaN where it was set aside)."""
+        from machine_tool_calibration.plots.improve import residual_table
+
+        return residual_table(self.done)
+
+    @property
+    def headline(self) -> str:
+        """What was added and how far the residual fell, in one line."""
+        first, last = self.done.steps[0].result, self.done.steps[-1].result
+        added = self.done.diagnosis.accepted
+        return (
+            f"{'added ' + ', '.join(added) if added else 'nothing added'}; residual "
+            f"{1e6 * first.rms_residual:.3f} → {1e6 * last.rms_residual:.3f} µm RMS"
+        )
+
+    def report(self) -> str:
+        """What `mtcal improve` prints: a row for every step, before and after side by side."""
+        from machine_tool_calibration.cli.improve import show_improvement
+
+        return printed(lambda screen: show_improvement(screen, self.done))
+
+    def document(self) -> dict[str, Any]:
+        """The same for programs, as `mtcal improve --json` writes it (`mtcal-improvement/1`)."""
+        from machine_tool_calibration.cli.output import plain
+        from machine_tool_calibration.methods.improve_document import improvement_document
+
+        made: dict[str, Any] = plain(improvement_document(self.done))
+        return made
+
+    def plot(self) -> Figure:
+        """The picture of `mtcal improve`: the error falling, and the residuals before and after."""
+        from machine_tool_calibration.plots.improve import draw_improvement
+
+        return notebook(draw_improvement(self.done))
+
+
+def improve(
+    session: Source | Sequence[Source],
+    *,
+    model: str | None = None,
+    effects: str | PhysicalEffect | Sequence[str | PhysicalEffect] = (),
+    own: Sequence[PhysicalEffect] = (),
+    seed: int = 1,
+    sets: int = 199,
+) -> Improvement:
+    """Find the missing effects, add them one after the other, and identify with each.
+
+    As `mtcal improve` does, without writing a history. Nothing is added unless the diagnosis names it as the cause;
+    readings that do not belong to the rest are left out first.
+
+    Args:
+        session: what `load` gave, or whatever `load` takes.
+        model: variant of the method's model; the method's default if absent.
+        effects: in the first model already: ids, or effects of the user's own.
+        own: effects of the user's own that are looked for beside the catalogue.
+        seed: of the simulated data sets.
+        sets: simulated data sets in which nothing is missing.
+
+    Raises:
+        SessionError: a session cannot be read.
+        ModelError: the data does not allow the model, or an effect is unknown.
+    """
+    measurement = load(session)
+    ids, known = split_effects(effects, own)
+    sessions, several = measurement.sessions, len(measurement.sessions) > 1
+    labels = measurement.labels if several else None
+    done = improve_models(sessions, labels, model=model, effects=ids, own=known, seed=seed, sets=sets)
+    return Improvement(measurement, done, model, known)
+
+
+def plot_improvement(fits: Sequence[Fit]) -> Figure:
+    """The error falling from one model to the next, and the residuals of the first and the last one.
+
+    Args:
+        fits: of the same measurement, in the order in which they are to be drawn.
+
+    Returns:
+        A figure that no window shows; a notebook does, and `savefig` writes it.
+
+    Raises:
+        CalibrationError: no fits, something else, or fits of different measurements.
+    """
+    from machine_tool_calibration.plots.improve import draw_steps
+
+    models = tuple(fits) if isinstance(fits, list | tuple) else (fits,)
+    if not models or not all(isinstance(fit, Fit) for fit in models):
+        raise CalibrationError("an improvement is drawn of a list of fits, as `identify` and `add` give them")
+    described = [[session.description for session in fit.measurement.sessions] for fit in models]
+    if any(own != described[0] for own in described):
+        raise CalibrationError("an improvement is drawn of fits of the same measurement")
+    steps = list[Step]()
+    for fit in models:
+        before = steps[-1] if steps else None
+        steps.append(step_after(before, _change(before, fit), fit.result, ()))
+    first = models[0]
+    declared = noise_of(first.result.joint.fits[0]).declared
+    return notebook(draw_steps(steps, first.measurement.sessions, declared))
+
+
+def _change(before: Step | None, fit: Fit) -> str:
+    """What a fit has and the one before has not."""
+    if before is None:
+        return ""
+    added = [name for name in fit.effects if name not in before.result.effects]
+    return " + ".join(added) or f"model {fit.model}"

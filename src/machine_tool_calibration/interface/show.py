@@ -1,0 +1,82 @@
+"""How what the interface returns shows itself: one line, the text of the command line, a notebook, a picture."""
+
+from __future__ import annotations
+
+import io
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from functools import partial
+from html import escape
+from typing import TYPE_CHECKING
+
+from machine_tool_calibration.errors import CalibrationError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from rich.console import Console
+
+__all__ = ["Shown", "chosen", "notebook", "printed"]
+
+# Columns of a text, as the commands have in a file.
+_WIDTH = 120
+
+
+class Shown(ABC):
+    """A result that says in one line what it is, and in a notebook everything that the command line prints of it."""
+
+    @property
+    @abstractmethod
+    def headline(self) -> str:
+        """What it is, in one line."""
+
+    @abstractmethod
+    def report(self) -> str:
+        """What the command line prints of it."""
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {self.headline}>"
+
+    def _repr_html_(self) -> str:
+        """For notebooks."""
+        return f"<p><b>{escape(self.headline)}</b></p>\n<pre>{escape(self.report())}</pre>"
+
+
+def printed(show: Callable[[Console], None]) -> str:
+    """What a command prints, as text.
+
+    Args:
+        show: prints to the screen that it is given.
+    """
+    from rich.console import Console
+
+    text = io.StringIO()
+    # Of a file, wherever this runs: neither a notebook nor a terminal changes it.
+    show(Console(file=text, width=_WIDTH, highlight=False, force_terminal=False, force_jupyter=False, no_color=True))
+    return text.getvalue()
+
+
+def chosen(figures: Mapping[str, Figure], name: str | None) -> Figure:
+    """One of several pictures; the first one without a name.
+
+    Raises:
+        CalibrationError: there is none of that name.
+    """
+    if name is None and figures:
+        name = next(iter(figures))
+    if name is None or name not in figures:
+        known = f"there are {', '.join(figures)}" if figures else "there is nothing to draw"
+        raise CalibrationError(f"no picture {name!r}; {known}" if name else known)
+    return notebook(figures[name])
+
+
+def notebook(figure: Figure) -> Figure:
+    """The same figure, which a notebook shows as a picture also where pyplot was never imported."""
+    # A notebook asks the object itself: only pyplot would tell it how to show figures, and pyplot is not needed here.
+    vars(figure)["_repr_png_"] = partial(_png, figure)
+    return figure
+
+
+def _png(figure: Figure) -> bytes:
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png", dpi=100)
+    return picture.getvalue()

@@ -1,0 +1,250 @@
+"""A result as tables: the same columns whatever the method, NaN and a flag where the data does not determine a value.
+
+SI units. `u…` are standard uncertainties (k = 1); an expanded uncertainty U (k = 2) is twice as large.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from machine_tool_calibration.machine.error_motions import SQUARENESS, parse_motion
+from machine_tool_calibration.methods.joint import JointResult
+from machine_tool_calibration.model.fit import Fit
+from machine_tool_calibration.model.result import Result
+from machine_tool_calibration.session.description import Probing, RotaryAxis
+from machine_tool_calibration.session.writer import readings_frame
+
+__all__ = ["error_map", "error_motions", "parameters", "residuals", "workpiece"]
+
+_ENTRY = re.compile(r"(E[XYZABC][XYZABC])\((.+)\)")
+
+
+@dataclass(frozen=True)
+class _Value:
+    """One value of an error motion; its position is NaN for a squareness."""
+
+    motion: str
+    position: float
+    value: float
+    u: float
+
+
+def error_map(result: Result | JointResult) -> pd.DataFrame:
+    """Position errors, one place a row.
+
+    Returns:
+        `x y z` (m) the place, `ex ey ez` (m) the error there, `ux uy uz` (m) its standard uncertainty,
+        `determined_x` … whether the data determines it; where not, error and uncertainty are NaN. First come what the
+        method has besides: the `axis` along which a step diagonal gives them, `target` and angle (`c`, rad) of a
+        rotary axis.
+    """
+    found = result.error_map
+    columns: dict[str, Any] = {}
+    if isinstance(result, Result):
+        columns |= _places(result)
+    known = np.isfinite(found.error) & np.isfinite(found.uncertainty)
+    error, uncertainty = np.where(known, found.error, np.nan), np.where(known, found.uncertainty, np.nan)
+    columns |= {axis: found.points[:, j] for j, axis in enumerate("xyz")}
+    columns |= {f"e{axis}": error[:, j] for j, axis in enumerate("xyz")}
+    columns |= {f"u{axis}": uncertainty[:, j] for j, axis in enumerate("xyz")}
+    columns |= {f"determined_{axis}": known[:, j] for j, axis in enumerate("xyz")}
+    return pd.DataFrame(columns)
+
+
+def _places(result: Result) -> dict[str, Any]:
+    """What a method says of the places of its map besides where they are."""
+    content, session = result.error_map.content, result.fit.model.observations.session
+    if session.method == "step_diagonal":
+        return {"axis": np.repeat(list("xyz"), [len(content[axis]) for axis in "xyz"])}
+    if isinstance(session.description, RotaryAxis):
+        axis = (session.description.machine.axis or "C").lower()
+        targets = content["target_ids"]
+        return {"target": targets * len(content[axis]), axis: np.repeat(content[axis], len(targets))}
+    return {}
+
+
+def error_motions(result: Result | JointResult) -> pd.DataFrame:
+    """Error motions and squareness errors, named as in ISO 230-1, one value a row.
+
+    Returns:
+        `motion` (EXX, ECY, C0Y, …), `position` on its axis (NaN for a squareness) in the unit `position_unit` (m, or
+        rad of a rotary axis), `value` and standard uncertainty `u` in `unit` (m or rad), `determined`. Without rows
+        where the model has no error motions but every point by itself. The straightness of a step diagonal holds the
+        slopes from which its squareness is read.
+    """
+    values = _joint(result) if isinstance(result, JointResult) else _single(result)
+    rows = [
+        {
+            "motion": entry.motion,
+            "position": entry.position,
+            "position_unit": "" if entry.motion in SQUARENESS else "rad" if entry.motion[2] in "ABC" else "m",
+            "value": entry.value if _known(entry) else np.nan,
+            "u": entry.u if _known(entry) else np.nan,
+            "unit": "rad" if entry.motion in SQUARENESS or parse_motion(entry.motion).is_rotation else "m",
+            "determined": _known(entry),
+        }
+        for entry in values
+    ]
+    return pd.DataFrame(rows, columns=["motion", "position", "position_unit", "value", "u", "unit", "determined"])
+
+
+def _known(entry: _Value) -> bool:
+    return bool(np.isfinite(entry.value) and np.isfinite(entry.u))
+
+
+def _joint(result: JointResult) -> Iterator[_Value]:
+    content = result.error_map.content
+    yield from _tables(content["tables"])
+    yield from _tables(content.get("rotary", {}))
+
+
+def _single(result: Result) -> Iterator[_Value]:
+    content, session = result.error_map.content, result.fit.model.observations.session
+    if "tables" in content:
+        yield from _tables(content["tables"])
+    elif isinstance(session.description, RotaryAxis):
+        axis = (session.description.machine.axis or "C").upper()
+        for name in (f"E{component}{axis}" for component in "XYZABC"):
+            yield from _curve(name, content[axis.lower()], content[name], content[f"{name}_u"])
+    elif session.method == "step_diagonal":
+        yield from _profiles(content)
+    else:
+        yield from _unknowns(result)
+
+
+def _profiles(content: Mapping[str, Any]) -> Iterator[_Value]:
+    """Of a step diagonal, in the coordinate system of its map."""
+    for axis in "xyz":
+        for j, component in enumerate("XYZ"):
+            value, u = content[axis][:, j], content[f"{axis}_u"][:, j]
+            yield from _curve(f"E{component}{axis.upper()}", content[f"{axis}_position"], value, u)
+    found = content["squareness"]
+    for name in SQUARENESS:
+        if name in found:
+            yield _Value(name, np.nan, found[name], found[f"{name}_u"])
+
+
+def _tables(tables: Mapping[str, Any]) -> Iterator[_Value]:
+    for name, table in tables.items():
+        if "nodes" in table:
+            yield from _curve(name, table["nodes"], table["value"], table["value_u"])
+        else:
+            yield _Value(name, np.nan, float(table["value"]), float(table["value_u"]))
+
+
+def _curve(name: str, position: Any, value: Any, u: Any) -> Iterator[_Value]:
+    for entry in zip(position, value, u, strict=True):
+        yield _Value(name, *(float(number) for number in entry))
+
+
+def _unknowns(result: Result) -> Iterator[_Value]:
+    """Error motions among the model's unknowns, those of a rotary table at the angles of its setups."""
+    told = {estimate.name: estimate for estimate in result.parameters}
+    setups = result.fit.model.observations.session.description.setups
+    angle = {setup.id: float(getattr(setup, "c", np.nan)) for setup in setups}
+    for parameter in result.fit.model.parameters:
+        match = _ENTRY.fullmatch(parameter.name)
+        if match is None and parameter.name not in SQUARENESS:
+            continue
+        name, place = (parameter.name, None) if match is None else match.groups()
+        position = np.nan if place is None else angle[place] if place in angle else float(place)
+        estimate = told.get(parameter.name)
+        value, u = (np.nan, np.nan) if estimate is None else (estimate.value, estimate.standard_uncertainty)
+        yield _Value(name, position, value, u)
+
+
+def parameters(result: Result | JointResult, document: Mapping[str, Any], meanings: Mapping[str, str]) -> pd.DataFrame:
+    """Every unknown of the model, by name.
+
+    Args:
+        result: of the identification.
+        document: its document.
+        meanings: what coefficients of effects are, by name.
+
+    Returns:
+        `value` and standard uncertainty `u` in `unit`, `determined`, `meaning` in words, and `why_not` the data
+        determines it.
+    """
+    from machine_tool_calibration.model.unknown_words import unknown_in_words
+
+    units = {parameter.name: parameter.unit for parameter in result.joint.assembly.parameters}
+    rows = [
+        {
+            "name": entry["name"],
+            "value": entry["value"],
+            "u": entry["standard_uncertainty"],
+            "unit": entry["unit"],
+            "determined": True,
+            "why_not": "",
+        }
+        for entry in document["parameters"]
+    ]
+    rows += [
+        {
+            "name": entry["name"],
+            "value": np.nan,
+            "u": np.nan,
+            "unit": units.get(entry["name"], ""),
+            "determined": False,
+            "why_not": entry["why"],
+        }
+        for entry in document["not_determined"]
+    ]
+    for row in rows:
+        what = meanings.get(row["name"]) or unknown_in_words(row["name"], document["effects"])
+        row["meaning"] = "" if what == row["name"] else what
+    columns = ["name", "value", "u", "unit", "determined", "meaning", "why_not"]
+    return pd.DataFrame(rows, columns=columns).set_index("name")
+
+
+def residuals(fit: Fit) -> pd.DataFrame:
+    """Every reading of one session that takes part in a fit.
+
+    Returns:
+        `row` of the recording (from 0), `measured`, `predicted` and `residual` (measured minus predicted), the declared
+        standard uncertainty `u_declared`, all in m; then the reading's other columns as they were recorded.
+    """
+    observations = fit.model.observations
+    readings = observations.readings
+    recorded = readings_frame(observations.session.with_readings(readings)).drop(columns="displacement")
+    own = pd.DataFrame(
+        {
+            "row": readings.row,
+            "measured": readings.displacement,
+            "predicted": fit.predicted,
+            "residual": fit.residuals,
+            "u_declared": fit.model.sigma,
+        }
+    )
+    return pd.concat([own, recorded], axis=1)
+
+
+def workpiece(result: Result | JointResult) -> pd.DataFrame:
+    """Errors of a probed workpiece's points, by the point's id; without rows for other methods.
+
+    Returns:
+        Nominal place `x y` (m) and outward normal `nx ny`, `error` along it with `u`, and `form`, the same without what
+        a shift and turn of the whole workpiece explain, with `u_form` (m); `determined`, `form_determined`.
+    """
+    names = ["point", "x", "y", "nx", "ny", "error", "u", "determined", "form", "u_form", "form_determined"]
+    description = result.fit.model.observations.session.description if isinstance(result, Result) else None
+    if not isinstance(description, Probing):
+        return pd.DataFrame(columns=names).set_index("point")
+    content = result.error_map.content
+    frame = pd.DataFrame({"point": content["workpiece_points"]})
+    place = {point.id: (*point.position[:2], *point.normal[:2]) for point in description.workpiece}
+    frame[["x", "y", "nx", "ny"]] = [place[point] for point in content["workpiece_points"]]
+    for name, key, u, flag in (
+        ("error", "workpiece_error", "u", "determined"),
+        ("form", "workpiece_form", "u_form", "form_determined"),
+    ):
+        frame[name], frame[u] = content[key], content[f"{key}_u"]
+        frame[flag] = frame[[name, u]].notna().all(axis=1)
+        frame.loc[~frame[flag], [name, u]] = np.nan
+    return frame[names].set_index("point")

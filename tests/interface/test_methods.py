@@ -1,0 +1,234 @@
+"""The whole loop for every method; tables, documents and texts are those of the command line."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import machine_tool_calibration as mtcal
+from machine_tool_calibration.cli.main import run
+
+MACHINE = Path(__file__).parents[2] / "config" / "machines" / "five_axis_vertical.yaml"
+SESSIONS: dict[str, dict[str, Any]] = {
+    "tracking_interferometer": {"plan": "paper_003", "effects": {"backlash_y": 2e-6}, "repeats": 1},
+    "rotary_axis": {"plan": "rotary_axis", "effects": {"backlash_c": 2e-5}, "repeats": 1, "angles": list(range(6))},
+    "probing": {"plan": "probing_cross", "effects": "probe_pretravel", "repeats": 1, "angles": [0.0, 1.5]},
+    "direct": {"plan": "iso230_2", "effects": {"backlash_x": 1.5e-6}, "repeats": 2},
+    "step_diagonal": {"plan": "step_diagonal", "repeats": 1, "blocks": 4},
+}
+
+
+@dataclass(frozen=True)
+class Case:
+    """A session in a folder, its fit, and what the command line says of it."""
+
+    folder: Path
+    fit: mtcal.Fit
+    document: dict[str, Any]
+
+
+def said(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    capsys.readouterr()
+    assert run(list(words)) == 0
+    return capsys.readouterr().out
+
+
+@pytest.fixture(scope="module", params=SESSIONS)
+def folder(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    path = tmp_path_factory.mktemp("loop") / request.param
+    mtcal.simulate(seed=3, **SESSIONS[request.param]).save(path)
+    yield path
+
+
+@pytest.fixture(scope="module")
+def fit(folder: Path) -> mtcal.Fit:
+    return mtcal.identify(folder)
+
+
+def numbers(values: Any) -> np.ndarray:
+    """A list of a document, where None is NaN."""
+    return np.array(values, dtype=float)
+
+
+def motion(fit: mtcal.Fit, name: str) -> pd.DataFrame:
+    return fit.error_motions[fit.error_motions["motion"] == name]
+
+
+def test_identify_says_what_the_command_says(folder: Path, fit: mtcal.Fit, capsys: pytest.CaptureFixture[str]) -> None:
+    document = json.loads(said(capsys, "identify", str(folder), "--json"))
+    assert json.loads(json.dumps(fit.document())) == document
+    assert fit.report() == said(capsys, "identify", str(folder))
+    known = fit.parameters[fit.parameters["determined"]]
+    assert [*known.index] == [entry["name"] for entry in document["parameters"]]
+    np.testing.assert_array_equal(known["value"], [entry["value"] for entry in document["parameters"]])
+    np.testing.assert_array_equal(known["u"], [entry["standard_uncertainty"] for entry in document["parameters"]])
+    lost = fit.parameters[~fit.parameters["determined"]]
+    assert [*lost.index] == [entry["name"] for entry in document["not_determined"]]
+    assert lost[["value", "u"]].isna().all(axis=None)
+    assert (lost["why_not"] != "").all()
+    assert np.sqrt(np.mean(fit.residuals["residual"] ** 2)) == pytest.approx(document["rms_residual"], rel=1e-12)
+    assert fit.rms_residual == document["rms_residual"]
+    assert fit.reduced_chi_square == document["reduced_chi_square"]
+
+
+def test_the_map_is_that_of_the_document(fit: mtcal.Fit) -> None:
+    content, frame = fit.document()["error_map"], fit.error_map
+    error, u = frame[["ex", "ey", "ez"]].to_numpy(), frame[["ux", "uy", "uz"]].to_numpy()
+    known = frame[[f"determined_{axis}" for axis in "xyz"]].to_numpy()
+    np.testing.assert_array_equal(known, np.isfinite(error))
+    np.testing.assert_array_equal(known, np.isfinite(u))
+    assert known.any()
+    if fit.measurement.method == "step_diagonal":
+        expected, expected_u = (np.concatenate([content[f"{a}{end}"] for a in "xyz"]) for end in ("", "_u"))
+        assert [*frame["axis"].unique()] == ["x", "y", "z"]
+    else:
+        expected, expected_u = numbers(content["position_error"]), numbers(content["position_error_u"])
+    dimension = expected.shape[1]
+    np.testing.assert_array_equal(error[:, :dimension], expected)
+    np.testing.assert_array_equal(u[:, :dimension], expected_u)
+    assert not known[:, dimension:].any()
+    if "points" in content:
+        np.testing.assert_array_equal(frame[["x", "y", "z"]], content["points"])
+
+
+def test_error_motions_are_those_of_the_document(fit: mtcal.Fit) -> None:
+    content, frame = fit.document()["error_map"], fit.error_motions
+    assert (frame["determined"] == frame["value"].notna()).all()
+    method = fit.measurement.method
+    if method == "tracking_interferometer":
+        assert frame.empty
+        assert "EXX" in set(mtcal.identify(fit.measurement, model="rigid_body").error_motions["motion"])
+    elif method == "direct":
+        assert set(frame["motion"]) == {"EXX"}
+        np.testing.assert_array_equal(frame["value"], numbers(content["tables"]["EXX"]["value"]))
+        np.testing.assert_array_equal(frame["u"], numbers(content["tables"]["EXX"]["value_u"]))
+        np.testing.assert_array_equal(frame["position"], content["tables"]["EXX"]["nodes"])
+    elif method == "step_diagonal":
+        for j, name in enumerate(("EXX", "EYX", "EZX")):
+            np.testing.assert_array_equal(motion(fit, name)["value"], numbers(content["x"])[:, j])
+            np.testing.assert_array_equal(motion(fit, name)["u"], numbers(content["x_u"])[:, j])
+            np.testing.assert_array_equal(motion(fit, name)["position"], content["x_position"])
+        assert motion(fit, "C0Y")["u"].item() == content["squareness"]["C0Y_u"]
+        assert motion(fit, "C0Y")["unit"].item() == "rad"
+    else:
+        for name in ("EXC", "EYC", "ECC"):
+            np.testing.assert_array_equal(motion(fit, name)["value"], numbers(content[name]))
+            np.testing.assert_array_equal(motion(fit, name)["u"], numbers(content[f"{name}_u"]))
+            np.testing.assert_array_equal(motion(fit, name)["position"], content["c"])
+            assert set(motion(fit, name)["position_unit"]) == {"rad"}
+        assert set(motion(fit, "ECC")["unit"]) == {"rad"}
+        assert set(motion(fit, "EXC")["unit"]) == {"m"}
+    if method == "probing":
+        np.testing.assert_array_equal(fit.workpiece["error"], numbers(content["workpiece_error"]))
+        np.testing.assert_array_equal(fit.workpiece["u_form"], numbers(content["workpiece_form_u"]))
+        assert [*fit.workpiece.index] == content["workpiece_points"]
+    else:
+        assert fit.workpiece.empty
+
+
+def test_compare_says_what_the_command_says(folder: Path, fit: mtcal.Fit, capsys: pytest.CaptureFixture[str]) -> None:
+    assert fit.rejected.empty  # the command holds the model against all readings
+    comparison = fit.compare()
+    document = json.loads(said(capsys, "compare", str(folder), "--json"))
+    assert json.loads(json.dumps(comparison.document())) == document
+    assert comparison.report() == said(capsys, "compare", str(folder))
+    assert [*comparison.setups["name"]] == [entry["name"] for entry in document["setups"]]
+    np.testing.assert_array_equal(
+        comparison.setups["mean"].astype(float), numbers([entry["mean"] for entry in document["setups"]])
+    )
+    np.testing.assert_array_equal(comparison.residuals["residual"], fit.residuals["residual"])
+    assert len(comparison.regions) == len(document["regions"])
+    assert len(comparison.trends) == len(document["trends"])
+
+
+def test_the_loop(folder: Path, fit: mtcal.Fit) -> None:
+    if folder.name == "tracking_interferometer":  # whose diagnosis is in docs/python.md
+        assert fit.add("backlash_y").parameters.loc["backlash_y.b", "determined"]
+        return
+    diagnosis = fit.diagnose(sets=19)
+    assert diagnosis.probability.between(0, 1).all()
+    better = fit.add(diagnosis.effects)
+    assert better.effects == diagnosis.effects
+    if folder.name in ("rotary_axis", "direct"):
+        (put_in,) = SESSIONS[folder.name]["effects"]
+        assert diagnosis.effects == (put_in,)
+        assert diagnosis.verdict == "missing_effect"
+        assert better.rms_residual < 0.3 * fit.rms_residual
+        size = better.parameters.loc[f"{put_in}.b"]
+        assert abs(size["value"] - SESSIONS[folder.name]["effects"][put_in]) < 4 * size["u"]
+        assert f"{put_in} (probability" in repr(diagnosis)
+    else:
+        assert better.rms_residual == fit.rms_residual
+    assert better.plot().canvas.manager is None  # no window
+    figure = mtcal.plot_improvement([fit, better])
+    assert figure.axes[0].get_title() == "The error falls"
+
+
+def test_diagnose_says_what_the_command_says(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mtcal.simulate(seed=3, **SESSIONS["direct"]).save(tmp_path / "run")
+    diagnosis = mtcal.identify(tmp_path / "run").diagnose()
+    document = json.loads(said(capsys, "diagnose", str(tmp_path / "run"), "--json"))
+    assert json.loads(json.dumps(diagnosis.document())) == document
+    for entry in document["candidates"]:
+        assert diagnosis.probability[entry["effect"]] == entry["probability"]
+    assert diagnosis.candidates.loc["backlash_x", "plausible"]
+    assert 0 <= diagnosis.nothing < 0.01
+    # The text of the same diagnosis, without searching again.
+    monkeypatch.setattr("machine_tool_calibration.diagnosis.diagnose.diagnose", lambda *a, **k: diagnosis.found)
+    monkeypatch.setattr("machine_tool_calibration.planning.conclusions.conclude", lambda *a, **k: diagnosis.conclusions)
+    assert diagnosis.report() == said(capsys, "diagnose", str(tmp_path / "run"))
+    assert "&lt;" in diagnosis._repr_html_()
+    assert "\n" not in repr(diagnosis)
+
+
+def test_improve_says_what_the_command_says(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("machine_tool_calibration.cli.improve.draw", lambda done, folder: ([], ""))
+    mtcal.simulate(seed=3, **SESSIONS["direct"]).save(tmp_path / "run")
+    improvement = mtcal.improve(tmp_path / "run")
+    words = ("improve", str(tmp_path / "run"), "--no-history")
+    document = json.loads(said(capsys, *words, "--json"))
+    assert json.loads(json.dumps(improvement.document())) == document
+    monkeypatch.setattr("machine_tool_calibration.methods.improve.improve", lambda *a, **k: improvement.done)
+    assert improvement.report() == said(capsys, *words)
+    rms = [step["rms_residual"] for step in document["steps"]]
+    np.testing.assert_array_equal(improvement.history["rms_residual"], rms)
+    assert improvement.diagnosis.effects == improvement.best.effects == ("backlash_x",)
+    assert improvement.best.document() == improvement.document()["result"]
+    assert improvement.plot().canvas.manager is None
+    assert "\n" not in repr(improvement)
+
+
+def test_several_sessions(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, plan in (("square", {"plan": "grid_plate", "count": 5}), ("line", {"plan": "iso230_2"})):
+        mtcal.simulate(**plan, repeats=1, seed=2, machine=MACHINE).save(tmp_path / name)  # type: ignore[arg-type]
+    paths = [tmp_path / "square", tmp_path / "line"]
+    session = mtcal.load(*paths)
+    assert mtcal.load(paths).labels == session.labels == ("square", "line")
+    assert [*session.readings["session"].unique()] == ["square", "line"]
+    fit = mtcal.identify(session)
+    words = [str(path) for path in paths]
+    document = json.loads(said(capsys, "identify", *words, "--json"))
+    assert json.loads(json.dumps(fit.document())) == document
+    assert fit.report() == said(capsys, "identify", *words)
+    content = document["error_map"]
+    np.testing.assert_array_equal(fit.error_map[["ex", "ey", "ez"]], numbers(content["position_error"]))
+    np.testing.assert_array_equal(fit.error_map[["ux", "uy", "uz"]], numbers(content["position_error_u"]))
+    np.testing.assert_array_equal(motion(fit, "EXX")["value"], numbers(content["tables"]["EXX"]["value"]))
+    assert motion(fit, "C0Y")["value"].item() == content["tables"]["C0Y"]["value"]
+    comparison = fit.compare()
+    assert comparison.report() == said(capsys, "compare", *words)
+    assert {*comparison.trends["session"]} == {"square", "line"}
+    assert len(comparison.residuals) == len(fit.residuals) == document["used"]
+    assert fit.plot("error_motions").canvas.manager is None
+    assert comparison.plot("residual_map", session="line").canvas.manager is None

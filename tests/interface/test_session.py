@@ -1,0 +1,134 @@
+"""Loading and simulating, effects of the user's own, what results look like, and what goes wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import machine_tool_calibration as mtcal
+from machine_tool_calibration.errors import ModelError, SessionError
+
+
+@pytest.fixture(scope="module")
+def session() -> mtcal.Measurement:
+    return mtcal.simulate("iso230_2", effects={"backlash_x": 1.5e-6}, repeats=2, seed=3)
+
+
+@pytest.fixture(scope="module")
+def fit(session: mtcal.Measurement) -> mtcal.Fit:
+    return mtcal.identify(session)
+
+
+def test_a_session_comes_back_from_its_folder(session: mtcal.Measurement, tmp_path: Path) -> None:
+    session.save(tmp_path / "run")
+    again = mtcal.load(str(tmp_path / "run"))
+    pd.testing.assert_frame_equal(again.readings, session.readings)
+    assert again.truth is None
+    assert session.truth is not None
+    assert session.truth["effects"][0]["id"] == "backlash_x"
+    with pytest.raises(SessionError, match="holds a session already"):
+        session.save(tmp_path / "run")
+    assert mtcal.load(session, tmp_path / "run").labels == ("iso230_2", "run")
+    assert mtcal.load(session, session).labels == ("iso230_2#1", "iso230_2#2")
+
+
+def test_simulate_takes_what_the_command_takes() -> None:
+    sized = mtcal.simulate("tracking_2d", effects={"warmup_x": {"size": 4e-6, "tau": 900.0}}, repeats=1, seed=1)
+    assert sized.truth is not None
+    (effect,) = sized.truth["effects"]
+    assert (effect["size"], effect["tau"]) == (4e-6, 900.0)
+    lost = mtcal.simulate("iso230_2", missing=0.3, seed=1).readings["displacement"]
+    assert 0 < lost.isna().mean() < 0.6
+    quiet = mtcal.simulate("direct", noise_factor=0.0, seed=1)
+    assert mtcal.identify(quiet).rms_residual < 0.1 * quiet.sessions[0].sigma
+
+
+def test_repr_is_one_line_and_html_is_escaped(session: mtcal.Measurement, fit: mtcal.Fit, tmp_path: Path) -> None:
+    session.save(tmp_path / "a<b>&c")
+    loaded = mtcal.load(tmp_path / "a<b>&c")
+    for shown in (loaded, fit, fit.compare()):
+        assert "\n" not in repr(shown)
+        assert repr(shown).startswith(f"<{type(shown).__name__}: ")
+        html = shown._repr_html_()
+        assert html.startswith("<p><b>") and html.endswith("</pre>")
+    html = loaded._repr_html_()
+    assert "a&lt;b&gt;&amp;c" in html
+    assert "a<b>" not in html
+    assert repr(mtcal.load(session, loaded)).count("iso230_2: direct") == 1
+
+
+def test_a_picture_shows_itself_in_a_notebook(fit: mtcal.Fit) -> None:
+    figure = fit.plot("residuals")
+    assert figure._repr_png_().startswith(b"\x89PNG")  # type: ignore[attr-defined]
+
+
+def test_what_is_not_determined_is_flagged(fit: mtcal.Fit) -> None:
+    assert not fit.error_map["determined_y"].any()
+    assert fit.error_map[["ey", "uy"]].isna().all(axis=None)
+    assert fit.error_map["determined_x"].all()
+    error, u = fit.error_at(fit.error_map.loc[:2, ["x", "y", "z"]])
+    np.testing.assert_array_equal(error[:, 0], fit.error_map.loc[:2, "ex"])
+    np.testing.assert_array_equal(np.isnan(u), [[False, True, True]] * 3)
+    assert np.isnan(fit.error_at([9.0, 0.0, 0.0])[0]).all()
+
+
+def test_an_own_effect_is_found_and_added(session: mtcal.Measurement, fit: mtcal.Fit) -> None:
+    bend = mtcal.Effect(
+        "bend", "q * x * (0.4 - x) * dir_x", enters="x", coefficients={"q": {"unit": "1/m", "low": -1e-3, "high": 1e-3}}
+    )
+    assert repr(bend) == "<Effect bend: e_x = q * x * (0.4 - x) * dir_x>"
+    assert "bend" in mtcal.catalogue([bend]).index
+    assert "bend" not in mtcal.catalogue().index
+    known = mtcal.identify(session, own=[bend])
+    assert known.effects == ()
+    assert "bend" in known.diagnose(sets=19).probability
+    added = known.add(["backlash_x", "bend"])
+    assert added.effects == ("backlash_x", "bend")
+    assert fit.add(bend).parameters.loc["bend.q", "determined"]
+    np.testing.assert_allclose(fit.add(bend).result.fit.residuals, known.add("bend").result.fit.residuals)
+
+
+def test_readings_that_do_not_belong_are_out_of_the_last_fits() -> None:
+    session = mtcal.simulate("iso230_2", effects={"backlash_x": 1.5e-6}, chips=0.04, seed=8)
+    improvement = mtcal.improve(session, sets=19)
+    aside = improvement.diagnosis.outliers
+    assert len(aside) == len(improvement.done.steps[-1].set_aside) > 0
+    assert [len(fit.measurement.readings) for fit in improvement.fits][-1] == len(session.readings) - len(aside)
+    assert improvement.history["readings"].iloc[-1] == len(session.readings) - len(aside)
+    left = improvement.residuals.set_index("row")["residual_after"]
+    assert left[aside["row"]].isna().all()
+
+
+def test_bad_input_is_one_line(session: mtcal.Measurement, fit: mtcal.Fit, tmp_path: Path) -> None:
+    def own(formula: str) -> mtcal.Effect:
+        return mtcal.Effect("mine", formula, enters="x", coefficients={"q": ("m", -1.0, 1.0)})
+
+    other = mtcal.identify(mtcal.simulate("straightness", seed=4))
+    cases = {
+        "nothing to load": lambda: mtcal.load(),
+        "not int": lambda: mtcal.load(5),  # type: ignore[arg-type]
+        "no such file or folder": lambda: mtcal.identify(tmp_path / "nowhere"),
+        "neither a session": lambda: mtcal.load(tmp_path),
+        "no plan 'stars'": lambda: mtcal.simulate("stars"),
+        "stars": lambda: mtcal.simulate("iso230_2", stars=3),
+        "does not occur in direct": lambda: mtcal.simulate("iso230_2", effects="dead_path"),
+        "unknown effect 'backlsh'": lambda: mtcal.identify(session, effects="backlsh"),
+        "named twice": lambda: mtcal.identify(session, effects="backlash_x").add("backlash_x"),
+        "in the catalogue already": lambda: mtcal.catalogue([own("q * dir_x"), own("q * dir_x")]),
+        "does not hold the coefficient": lambda: own("dir_x"),
+        "effect mine: enters": lambda: mtcal.Effect("mine", "q", enters="w", coefficients={"q": ("m", -1.0, 1.0)}),
+        "no picture 'stars'; there are": lambda: fit.plot("stars"),
+        "no picture 'moon'; there are": lambda: fit.compare().plot("moon"),
+        "there is no covariate": lambda: fit.compare().plot(against=["moon"]),
+        "of a list of fits": lambda: mtcal.plot_improvement([]),
+        "of the same measurement": lambda: mtcal.plot_improvement([fit, other]),
+    }
+    for words, wrong in cases.items():
+        with pytest.raises(mtcal.CalibrationError, match=words) as caught:
+            wrong()
+        assert "\n" not in str(caught.value)
+    with pytest.raises(ModelError):
+        mtcal.identify(session, model="stars")
