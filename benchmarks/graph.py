@@ -17,9 +17,9 @@ from pathlib import Path
 
 import yaml
 
-from machine_tool_calibration.nodes.domain import claimed_domain
 from machine_tool_calibration.nodes.graph import Graph, Program
 from machine_tool_calibration.nodes.operator import Operator
+from machine_tool_calibration.nodes.ros.domain import claimed_domain
 from machine_tool_calibration.nodes.shared import procedure_file
 
 NODES = ("recorder", "axis_simulator", "rotary_pointer", "instrument", "estimator", "procedure")

@@ -22,13 +22,13 @@ import numpy as np
 import threadpoolctl
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.diagnosis.candidates import effect_candidates
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
-from machine_tool_calibration.diagnosis.pool import Pool
+from machine_tool_calibration.diagnosis.search.candidates import effect_candidates
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.methods.identify import build_model, identify
 from machine_tool_calibration.model.fit import fit_models, screen
+from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import FLAWS, PRESETS, FlawSpec, SimulationSpec, Spread, simulate
 

@@ -131,12 +131,11 @@ def timed_twice(work: Callable[[], Any]) -> tuple[Any, float, float]:
 
 def run_mtcal(data: Data) -> Answer:
     """The solver of `mtcal identify`."""
-    from machine_tool_calibration.estimation.layout import group_points
-    from machine_tool_calibration.estimation.multilateration import MultilaterationPart
     from machine_tool_calibration.estimation.points import points_in_inner_datum
-    from machine_tool_calibration.estimation.problem import Problem
+    from machine_tool_calibration.estimation.problem import Problem, group_points
     from machine_tool_calibration.estimation.solve import solve
-    from machine_tool_calibration.methods.tracking_datum import NetworkMotion
+    from machine_tool_calibration.methods.tracking.datum import NetworkMotion
+    from machine_tool_calibration.methods.tracking.multilateration import MultilaterationPart
 
     k, blocks = len(data.dense), np.arange(16).reshape(4, 4)
     beams = data.beams()

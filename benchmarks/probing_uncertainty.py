@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from machine_tool_calibration.methods.probing_forecast import forecast
+from machine_tool_calibration.methods.probing.forecast import forecast
+from machine_tool_calibration.procedure.workpiece import read_workpiece, workpiece_entries
 from machine_tool_calibration.session.description import Probing, WorkpiecePoint
-from machine_tool_calibration.workpiece import read_workpiece, workpiece_entries
 
 PART = Path(__file__).parent.parent / "config" / "workpieces" / "cross_pocket.yaml"
 ANGLES = (0, 75, 130, 210)

@@ -27,13 +27,14 @@ from machine_tool_calibration.recording.cdr import (
     JOINT_STATE,
     NUMBERS,
     JointStateReader,
+    definition_of,
     encode,
     encode_joint_state,
     joint_state,
     numbers,
     part,
+    typestore,
 )
-from machine_tool_calibration.recording.definitions import definition_of, typestore
 from machine_tool_calibration.recording.reader import BagReader
 from machine_tool_calibration.recording.recover import recover
 from machine_tool_calibration.recording.writer import BagWriter

@@ -13,10 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from machine_tool_calibration.session.description import Direct
+from machine_tool_calibration.session.folder import read_session, readings_frame, write_session
 from machine_tool_calibration.session.parse import parse_description
-from machine_tool_calibration.session.reader import read_session
 from machine_tool_calibration.session.session import Readings, Session
-from machine_tool_calibration.session.writer import readings_frame, write_session
 
 DESCRIPTION = """format: mtcal-session/1
 method: direct

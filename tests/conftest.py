@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from machine_tool_calibration.nodes.domain import free_domain
+from machine_tool_calibration.nodes.ros.domain import free_domain
 
 # The same examples every time, and no limit of the wall clock; HYPOTHESIS_PROFILE=explore looks for new ones.
 settings.register_profile("repeatable", deadline=None, derandomize=True)

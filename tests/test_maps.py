@@ -13,7 +13,7 @@ import pytest
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.maps import FIELDS, PositionErrors, error_map_from_message, error_map_from_points
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.session.open import open_measurement
+from machine_tool_calibration.recording.open import open_measurement
 
 DATA = Path(__file__).parent / "data"
 SLOPES = np.array([[1e-5, -2e-5, 0.0], [3e-5, 1e-5, 2e-5], [0.0, -1e-5, 4e-5]])

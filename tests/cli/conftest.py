@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from machine_tool_calibration.session.writer import write_session
+from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
 

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from machine_tool_calibration.cli.main import run
-from machine_tool_calibration.session.reader import read_session
+from machine_tool_calibration.session.folder import read_session
 
 DATA = Path(__file__).parents[1] / "data" / "foreign"
 PLATE = [

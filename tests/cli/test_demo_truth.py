@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from machine_tool_calibration.cli.demo import _HIDDEN
-from machine_tool_calibration.cli.demo_truth import COMPARED, judged
-from machine_tool_calibration.cli.truth import map_error
+from machine_tool_calibration.cli.demo import _HIDDEN, COMPARED, judged, map_error
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.nodes.site import Moment, Site, SiteSpec
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from machine_tool_calibration.cli.main import run
-from machine_tool_calibration.session.writer import write_session
+from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
 SETS = ["--sets", "199"]

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.cli.main import run
-from machine_tool_calibration.diagnosis.effect_page import effects_table
-from machine_tool_calibration.diagnosis.injected import inject, where_it_shows
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.effects.formula import formula_effect
+from machine_tool_calibration.planning.injected import inject, where_it_shows
+from machine_tool_calibration.reports.effect_page import effects_table
 
 DOCS = Path(__file__).parents[2] / "docs" / "effects"
 OWN = """

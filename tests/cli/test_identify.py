@@ -11,7 +11,7 @@ import pytest
 
 from machine_tool_calibration.cli.identified import grouped, shown, verdict
 from machine_tool_calibration.cli.main import run
-from machine_tool_calibration.session.writer import write_session
+from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, TrackingPlan, simulate
 
 DATA = Path(__file__).parents[1] / "data"

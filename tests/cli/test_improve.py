@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from machine_tool_calibration.cli.main import run
-from machine_tool_calibration.session.history_file import read_history
-from machine_tool_calibration.session.open import open_measurement
+from machine_tool_calibration.recording.open import open_measurement
+from machine_tool_calibration.reports.history_file import read_history
 
 SETS = ["--sets", "199"]
 Run = pytest.CaptureFixture[str]

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from machine_tool_calibration.cli.main import BROKEN_PIPE, run
-from machine_tool_calibration.session.history_file import read_history
+from machine_tool_calibration.reports.history_file import read_history
 
 Shown = pytest.CaptureFixture[str]
 PICTURES = {"improve.png", "improve.csv", "residuals.csv"}

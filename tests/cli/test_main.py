@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from machine_tool_calibration import __version__, cli
-from machine_tool_calibration.cli import verbs
+from machine_tool_calibration.cli import main as verbs
 from machine_tool_calibration.cli.main import group, run
 
 VERB = '''

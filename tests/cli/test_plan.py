@@ -10,8 +10,7 @@ import pytest
 
 from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.planning.forecast import forecast
-from machine_tool_calibration.planning.planned import planned_session
+from machine_tool_calibration.planning.forecast import forecast, planned_session
 from machine_tool_calibration.procedure import plan, read_procedure
 from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.simulation import FlawSpec, SimulationSpec, TrackingPlan, simulate

@@ -8,15 +8,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from machine_tool_calibration.diagnosis.compare import compare
-from machine_tool_calibration.diagnosis.compare_document import comparison_columns, comparison_document
-from machine_tool_calibration.diagnosis.compare_words import in_words
+from machine_tool_calibration.diagnosis.compare import compare, residual_sums
 from machine_tool_calibration.diagnosis.comparison import Comparison
-from machine_tool_calibration.diagnosis.covariates import bins, covariates
-from machine_tool_calibration.diagnosis.sums import residual_sums
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.identify import build_model, identify
 from machine_tool_calibration.model.fit import fit_models
+from machine_tool_calibration.reports.comparison import comparison_columns, comparison_document, in_words
+from machine_tool_calibration.residuals.covariates import bins, covariates
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, measured_again, simulate
 

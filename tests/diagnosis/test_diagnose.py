@@ -8,11 +8,11 @@ import pytest
 from scipy.stats import binom
 
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
-from machine_tool_calibration.diagnosis.leverage import leverage
+from machine_tool_calibration.diagnosis.improve import improve
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.methods.identify import build_model, identify
-from machine_tool_calibration.methods.improve import improve
 from machine_tool_calibration.model.fit import fit_models, screen
+from machine_tool_calibration.residuals.leverage import leverage
 from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, Spread, simulate
 
 from ..diagnosed import diagnosed

@@ -9,11 +9,11 @@ import pytest
 
 from machine_tool_calibration.diagnosis.consequence import consequences
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
-from machine_tool_calibration.diagnosis.document import diagnosis_document
-from machine_tool_calibration.diagnosis.quantities import quantity
-from machine_tool_calibration.diagnosis.verdict_words import verdict_words
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.planning.what_to_measure import what_to_measure
+from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
+from machine_tool_calibration.reports.quantities import quantity
+from machine_tool_calibration.reports.verdict import verdict_words
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from machine_tool_calibration.estimation.layout import group_points
-from machine_tool_calibration.estimation.problem import LinearPart, PriorRows, Problem
+from machine_tool_calibration.estimation.problem import LinearPart, PriorRows, Problem, group_points
 
 SIGMA = 3e-7
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from machine_tool_calibration.estimation.layout import Group, group_points, group_rows
+from machine_tool_calibration.estimation.problem import Group, group_points, group_rows
 
 
 def places(groups: list[Group], point, block) -> None:

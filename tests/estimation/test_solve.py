@@ -11,8 +11,7 @@ import pytest
 
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation import reduction as module
-from machine_tool_calibration.estimation.layout import group_rows
-from machine_tool_calibration.estimation.problem import FunctionPart, LinearPart, PriorRows, Problem
+from machine_tool_calibration.estimation.problem import FunctionPart, LinearPart, PriorRows, Problem, group_rows
 from machine_tool_calibration.estimation.solve import solve, solve_normal
 
 NO_DATUM = np.zeros((0, 0))

@@ -9,7 +9,7 @@ import pytest
 
 from machine_tool_calibration.estimation.problem import Problem
 from machine_tool_calibration.estimation.reduction import gram
-from machine_tool_calibration.estimation.widened import Functions, WidenedPart
+from machine_tool_calibration.estimation.variance_components import Functions, WidenedPart
 
 
 def explicit(families: list[Functions], sigma: np.ndarray) -> np.ndarray:

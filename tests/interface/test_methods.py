@@ -184,7 +184,9 @@ def test_diagnose_says_what_the_command_says(
     assert 0 <= diagnosis.nothing < 0.01
     # The text of the same diagnosis, without searching again.
     monkeypatch.setattr("machine_tool_calibration.diagnosis.diagnose.diagnose", lambda *a, **k: diagnosis.found)
-    monkeypatch.setattr("machine_tool_calibration.planning.conclusions.conclude", lambda *a, **k: diagnosis.conclusions)
+    monkeypatch.setattr(
+        "machine_tool_calibration.planning.what_to_measure.conclude", lambda *a, **k: diagnosis.conclusions
+    )
     assert diagnosis.report() == said(capsys, "diagnose", str(tmp_path / "run"))
     assert "&lt;" in diagnosis._repr_html_()
     assert "\n" not in repr(diagnosis)
@@ -199,7 +201,7 @@ def test_improve_says_what_the_command_says(
     words = ("improve", str(tmp_path / "run"), "--no-history")
     document = json.loads(said(capsys, *words, "--json"))
     assert json.loads(json.dumps(improvement.document())) == document
-    monkeypatch.setattr("machine_tool_calibration.methods.improve.improve", lambda *a, **k: improvement.done)
+    monkeypatch.setattr("machine_tool_calibration.diagnosis.improve.improve", lambda *a, **k: improvement.done)
     assert improvement.report() == said(capsys, *words)
     rms = [step["rms_residual"] for step in document["steps"]]
     np.testing.assert_array_equal(improvement.history["rms_residual"], rms)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.machine.chain import Chain
-from machine_tool_calibration.machine.table import interpolation
-from machine_tool_calibration.machine.tables import MachineTable, axis_nodes, linear_axis_errors
+from machine_tool_calibration.machine.error_motions import interpolation
+from machine_tool_calibration.model.rigid_body import MachineTable, axis_nodes, linear_axis_errors
 
 NODES = np.array([0.0, 0.1, 0.3])
 

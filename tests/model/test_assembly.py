@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.estimation.layout import group_rows
-from machine_tool_calibration.estimation.problem import LinearPart
+from machine_tool_calibration.estimation.problem import LinearPart, group_rows
 from machine_tool_calibration.model.fit import fit_models
-from machine_tool_calibration.model.model import Constraint, MethodModel, Prior, assemble
+from machine_tool_calibration.model.model import Constraint, MethodModel, Parameter, Prior, Term, assemble
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.result import ErrorMap, Result, plain
-from machine_tool_calibration.model.terms import Parameter, Term
 from machine_tool_calibration.session.parse import describe
 from machine_tool_calibration.session.session import Readings, Session
 

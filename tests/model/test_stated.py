@@ -10,16 +10,14 @@ import pytest
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.estimation import variance_components
-from machine_tool_calibration.estimation.layout import group_rows
-from machine_tool_calibration.estimation.problem import LinearPart, Part
+from machine_tool_calibration.estimation.problem import LinearPart, Part, group_rows
 from machine_tool_calibration.estimation.variance_components import DECLARED_WORTH, log_prior
 from machine_tool_calibration.methods.identify import build_model
 from machine_tool_calibration.model.fit import Fit, JointFit, fit_models
-from machine_tool_calibration.model.model import MethodModel
+from machine_tool_calibration.model.model import MethodModel, Parameter, Term
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.reproducibility import reproducibility
 from machine_tool_calibration.model.result import ErrorMap
-from machine_tool_calibration.model.terms import Parameter, Term
 from machine_tool_calibration.session.parse import describe
 from machine_tool_calibration.session.session import Readings, Session
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, Spread, simulate

@@ -13,9 +13,8 @@ from std_msgs.msg import String
 
 from machine_tool_calibration.nodes.graph import Graph, Program
 from machine_tool_calibration.nodes.operator import Operator
-from machine_tool_calibration.nodes.qos import LATCHED, READINGS
-from machine_tool_calibration.nodes.stamps import to_message
-from machine_tool_calibration.recording.session_to_bag import reading_columns
+from machine_tool_calibration.nodes.ros.messages import LATCHED, READINGS, to_message
+from machine_tool_calibration.recording.session_bag import reading_columns
 from machine_tool_calibration.session.parse import description_yaml
 from machine_tool_calibration.session.session import Session
 

@@ -6,9 +6,14 @@ from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from machine_tool_calibration.nodes.qos import COMMAND, STATE
-from machine_tool_calibration.nodes.stamps import duration_message, from_message, to_message
-from machine_tool_calibration.nodes.status import values
+from machine_tool_calibration.nodes.ros.messages import (
+    COMMAND,
+    STATE,
+    duration_message,
+    from_message,
+    to_message,
+    values,
+)
 
 from .conftest import ORIGIN, PATIENCE
 

@@ -10,8 +10,8 @@ import pytest
 
 from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.recording.session_from_bag import session_from_bag
-from machine_tool_calibration.session.reader import read_session
+from machine_tool_calibration.recording.session_bag import session_from_bag
+from machine_tool_calibration.session.folder import read_session
 
 from .conftest import PROCEDURE, SITE
 

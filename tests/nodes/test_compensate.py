@@ -18,8 +18,7 @@ from geometry_msgs.msg import PointStamped
 from rclpy.executors import SingleThreadedExecutor
 from sensor_msgs.msg import PointCloud2
 
-from machine_tool_calibration.nodes.clouds import cloud
-from machine_tool_calibration.nodes.qos import LATCHED
+from machine_tool_calibration.nodes.ros.messages import LATCHED, cloud
 
 from .conftest import PATIENCE
 

@@ -14,9 +14,9 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.nodes.qos import LATCHED
-from machine_tool_calibration.session.open import open_measurement
-from machine_tool_calibration.session.writer import write_session
+from machine_tool_calibration.nodes.ros.messages import LATCHED
+from machine_tool_calibration.recording.open import open_measurement
+from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.simulation.simulate import simulate
 from machine_tool_calibration.simulation.spec import FlawSpec, SimulationSpec
 from machine_tool_calibration.simulation.tracking_run import TrackingPlan

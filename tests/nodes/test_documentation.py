@@ -9,12 +9,11 @@ from pathlib import Path
 import pytest
 from sensor_msgs.msg import PointCloud2
 
-from machine_tool_calibration.nodes.clouds import columns
 from machine_tool_calibration.nodes.graph import Graph, Program
-from machine_tool_calibration.nodes.qos import LATCHED
+from machine_tool_calibration.nodes.ros.messages import LATCHED, columns
 from machine_tool_calibration.recording.graph import GRAPH_TOPICS
-from machine_tool_calibration.recording.session_to_bag import session_to_bag
-from machine_tool_calibration.session.open import open_measurement
+from machine_tool_calibration.recording.open import open_measurement
+from machine_tool_calibration.recording.session_bag import session_to_bag
 
 from .conftest import ORIGIN, PATIENCE
 from .heard import check_content, check_services, check_topics, hear

@@ -12,13 +12,13 @@ from pathlib import Path
 import pytest
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.nodes import domain
-from machine_tool_calibration.nodes.domain import claimed_domain, domains_with_nodes, free_domain
+from machine_tool_calibration.nodes.ros import domain
+from machine_tool_calibration.nodes.ros.domain import claimed_domain, domains_with_nodes, free_domain
 
 HOLDER = """
 import os, sys
 user = int(sys.argv[1])
-from machine_tool_calibration.nodes.domain import free_domain
+from machine_tool_calibration.nodes.ros.domain import free_domain
 if user:
     os.setgid(user)
     os.setuid(user)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from machine_tool_calibration.nodes.process import default_environment
+from machine_tool_calibration.nodes.ros.process import default_environment
 
 SETTINGS = ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY", "ROS_LOG_DIR", "ROS_HOME")
 

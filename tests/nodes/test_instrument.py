@@ -13,7 +13,7 @@ from sensor_msgs.msg import Temperature
 from std_msgs.msg import Float64MultiArray
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.nodes.qos import LATCHED, SLOW, STATE
+from machine_tool_calibration.nodes.ros.messages import LATCHED, SLOW, STATE
 
 from .conftest import PATIENCE, SITE
 

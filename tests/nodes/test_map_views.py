@@ -14,9 +14,9 @@ from visualization_msgs.msg import Marker
 
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.result import ErrorMap, Result
-from machine_tool_calibration.nodes.clouds import columns
-from machine_tool_calibration.nodes.map_views import AXIS_FIELDS, MOST_ARROWS, arrows, axis_cloud
-from machine_tool_calibration.session.open import open_measurement
+from machine_tool_calibration.nodes.publications import AXIS_FIELDS, MOST_ARROWS, arrows, axis_cloud
+from machine_tool_calibration.nodes.ros.messages import columns
+from machine_tool_calibration.recording.open import open_measurement
 
 ROOT = Path(__file__).parents[2]
 

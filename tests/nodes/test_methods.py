@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
-from machine_tool_calibration.cli.demo_truth import judged
+from machine_tool_calibration.cli.demo import judged
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.nodes.shared import procedure_file
 from machine_tool_calibration.simulation.simulate import simulate
@@ -119,8 +119,8 @@ def the_demonstration_holds_the_map_against_the_truth(bench, session):
 
 def _session(operator):
     from machine_tool_calibration.session.collect import Collector
+    from machine_tool_calibration.session.description import Place
     from machine_tool_calibration.session.parse import parse_description
-    from machine_tool_calibration.session.place import Place
 
     collector = Collector(parse_description(operator.session, "session"), Place("session", "reading"))
     for message in operator.readings:

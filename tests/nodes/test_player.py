@@ -19,16 +19,15 @@ from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.nodes.clouds import columns
 from machine_tool_calibration.nodes.graph import Graph, Program
 from machine_tool_calibration.nodes.operator import Operator
-from machine_tool_calibration.nodes.qos import LATCHED as LATCHED_QOS
-from machine_tool_calibration.nodes.stamps import from_message
+from machine_tool_calibration.nodes.ros.messages import LATCHED as LATCHED_QOS
+from machine_tool_calibration.nodes.ros.messages import columns, from_message
 from machine_tool_calibration.recording.cdr import JOINT_STATE, TEXT, encode, encode_joint_state
-from machine_tool_calibration.recording.qos import LATCHED, RELIABLE
-from machine_tool_calibration.recording.session_to_bag import session_to_bag
+from machine_tool_calibration.recording.metadata import LATCHED, RELIABLE
+from machine_tool_calibration.recording.open import open_measurement
+from machine_tool_calibration.recording.session_bag import session_to_bag
 from machine_tool_calibration.recording.writer import BagWriter
-from machine_tool_calibration.session.open import open_measurement
 
 from .conftest import PATIENCE
 

@@ -9,9 +9,9 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.nodes.graph import Graph, Program
 from machine_tool_calibration.session.collect import Collector
+from machine_tool_calibration.session.description import Place
 from machine_tool_calibration.session.parse import parse_description
-from machine_tool_calibration.session.place import Place
-from machine_tool_calibration.simulation.workpieces import cam
+from machine_tool_calibration.simulation.probing_run import cam
 
 from .conftest import ORIGIN, PATIENCE, WHOLE, begin, ended
 

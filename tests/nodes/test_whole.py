@@ -12,7 +12,7 @@ from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.recording.cdr import joint_state
 from machine_tool_calibration.recording.graph import GRAPH_TOPICS
 from machine_tool_calibration.recording.reader import BagReader
-from machine_tool_calibration.recording.session_from_bag import session_from_bag
+from machine_tool_calibration.recording.session_bag import session_from_bag
 
 from .conftest import ORIGIN, PATIENCE, PROCEDURE, SITE, Bench, begin, collected, ended
 from .heard import check_content, check_services, check_topics, hear

@@ -11,7 +11,7 @@ from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.result import Estimate
-from machine_tool_calibration.session.reader import read_session
+from machine_tool_calibration.session.folder import read_session
 from machine_tool_calibration.session.session import Session
 
 ROOT = Path(__file__).parents[2]

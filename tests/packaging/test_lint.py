@@ -17,5 +17,11 @@ def test_mypy() -> None:
     check("mypy", "--no-error-summary", "--cache-dir", str(Path(sys.prefix, "mypy_cache")))
 
 
+def test_imports_run_downwards_from_room_to_room() -> None:
+    linter = Path(sys.executable).with_name("lint-imports")
+    done = subprocess.run([linter, "--no-cache"], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
 def test_ruff() -> None:
     check("ruff", "check", "--no-cache", ".")

@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from machine_tool_calibration.cli.verbs import _built_in
+from machine_tool_calibration.cli.main import _built_in
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -95,7 +95,7 @@ def test_progress_is_told(simulated: Simulated) -> None:
 
 def test_effects_that_are_in_the_model_keep_their_shape(simulated: Simulated) -> None:
     """A time constant, which is an unknown of the model, and a number of harmonics, which is not."""
-    from machine_tool_calibration.planning.assumptions import present_effects
+    from machine_tool_calibration.planning.what_to_measure import present_effects
 
     warm = FlawSpec(id="warmup_y", size=3e-5, parameters={"tau": 900.0})
     flaws = (warm, FlawSpec(id="pointer_radial_error", amplitude=4e-6))

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from machine_tool_calibration.diagnosis.consequence import consequences
-from machine_tool_calibration.methods.improve import improve
+from machine_tool_calibration.diagnosis.improve import improve
 from machine_tool_calibration.plots.diagnosis import draw_diagnosis, save_diagnosis
 from machine_tool_calibration.plots.improve import draw_improvement, save_improvement
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate

@@ -7,10 +7,9 @@ import pytest
 from matplotlib.collections import EllipseCollection, LineCollection
 
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.plots.error_map import draw_map
+from machine_tool_calibration.plots.error_map import draw_map, draw_tables, read_tables
 from machine_tool_calibration.plots.pictures import draw_common
 from machine_tool_calibration.plots.style import round_down, spaced
-from machine_tool_calibration.plots.tables import draw_tables, read_tables
 from machine_tool_calibration.plots.tracking import draw, draw_residuals, draw_stations
 from machine_tool_calibration.simulation import SimulationSpec, TrackingPlan, simulate
 

@@ -8,7 +8,7 @@ import yaml
 
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.procedure import parse_procedure, plan, read_procedure
-from machine_tool_calibration.workpiece import read_workpiece
+from machine_tool_calibration.procedure.workpiece import read_workpiece
 
 CONFIG = Path(__file__).parents[2] / "config"
 

@@ -1,8 +1,7 @@
 import pytest
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.procedure.motion import AxisLimits
-from machine_tool_calibration.procedure.trajectory import Trajectory, check_command
+from machine_tool_calibration.procedure.motion import AxisLimits, Trajectory, check_command
 
 LIMITS = {"x": AxisLimits(0.2, 1.0), "y": AxisLimits(0.2, 1.0)}
 TRAVEL = {"x": (0.0, 0.4), "y": (0.0, 0.4)}

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.recording.cdr import JOINT_STATE, NUMBERS, TEXT, encode, encode_joint_state, part
-from machine_tool_calibration.recording.qos import LATCHED, RELIABLE
+from machine_tool_calibration.recording.metadata import LATCHED, RELIABLE
 from machine_tool_calibration.recording.writer import BagWriter
 
 START = 1_700_000_000_000_000_000

@@ -3,7 +3,7 @@
 import pytest
 
 from machine_tool_calibration.recording.graph import with_depth
-from machine_tool_calibration.recording.qos import Qos
+from machine_tool_calibration.recording.metadata import Qos
 
 UNKNOWN = Qos(history="unknown", depth=0, durability="transient_local")
 

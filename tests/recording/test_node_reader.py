@@ -22,8 +22,8 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from machine_tool_calibration.recording.reader import BagReader
-from machine_tool_calibration.recording.session_to_bag import session_to_bag
-from machine_tool_calibration.session.reader import read_session
+from machine_tool_calibration.recording.session_bag import session_to_bag
+from machine_tool_calibration.session.folder import read_session
 
 ROOT = Path(__file__).parents[2]
 DATA = Path(__file__).parents[1] / "data"

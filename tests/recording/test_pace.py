@@ -1,4 +1,4 @@
-from machine_tool_calibration.recording.pace import Pace
+from machine_tool_calibration.nodes.player import Pace
 
 SECOND = 1_000_000_000
 

@@ -14,7 +14,7 @@ from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.recording.errors import RecordingError
 from machine_tool_calibration.recording.reader import BagReader, Message
 from machine_tool_calibration.recording.recover import recover
-from machine_tool_calibration.recording.session_from_bag import session_from_bag
+from machine_tool_calibration.recording.session_bag import session_from_bag
 
 
 def whole(path: Path) -> list[Message]:

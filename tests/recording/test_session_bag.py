@@ -11,16 +11,14 @@ import pytest
 
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.recording.cdr import JOINT_STATE, TEXT, encode, encode_joint_state, part
+from machine_tool_calibration.recording.open import open_measurement
 from machine_tool_calibration.recording.reader import BagReader
-from machine_tool_calibration.recording.session_from_bag import session_from_bag
-from machine_tool_calibration.recording.session_to_bag import reading_columns, session_to_bag
+from machine_tool_calibration.recording.session_bag import reading_columns, session_from_bag, session_to_bag
 from machine_tool_calibration.recording.tables import save_table, tables
 from machine_tool_calibration.recording.writer import BagWriter
-from machine_tool_calibration.session.open import open_measurement
+from machine_tool_calibration.session.folder import read_session, readings_frame
 from machine_tool_calibration.session.parse import description_yaml, parse_description
-from machine_tool_calibration.session.reader import read_session
 from machine_tool_calibration.session.session import Readings, Session
-from machine_tool_calibration.session.writer import readings_frame
 
 DATA = Path(__file__).parents[1] / "data"
 NAMES = ("tracking_2d", "rotary_axis", "step_diagonal", "probing_cross")

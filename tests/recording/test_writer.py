@@ -123,7 +123,7 @@ def test_metadata_file_has_the_keys_of_version_9(small_bag: Callable[..., Path])
 def test_every_standard_type_has_a_definition_that_others_parse() -> None:
     from rosbags.typesys import get_types_from_msg
 
-    from machine_tool_calibration.recording.definitions import definition_of
+    from machine_tool_calibration.recording.cdr import definition_of
     from machine_tool_calibration.recording.graph import GRAPH_TOPICS
 
     for kind in {topic.type for topic in GRAPH_TOPICS}:

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.recording.session_to_bag import reading_columns
+from machine_tool_calibration.recording.session_bag import reading_columns
 from machine_tool_calibration.session import collect
 from machine_tool_calibration.session.collect import Collector
-from machine_tool_calibration.session.place import Place
-from machine_tool_calibration.session.reader import read_session
+from machine_tool_calibration.session.description import Place
+from machine_tool_calibration.session.folder import read_session
 
 DATA = Path(__file__).parents[1] / "data"
 

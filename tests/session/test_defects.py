@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.session.reader import read_session
+from machine_tool_calibration.session.folder import read_session
 
 
 def message(folder: Path) -> str:

@@ -11,7 +11,7 @@ import pytest
 
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.checks import check_session
-from machine_tool_calibration.session.reader import read_session
+from machine_tool_calibration.session.folder import read_session
 
 DATA = Path(__file__).parents[1] / "data"
 METHODS = ["tracking_2d", "step_diagonal", "rotary_axis", "probing_cross"]

@@ -9,8 +9,8 @@ import pytest
 
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.session.enough import on_a_line
-from machine_tool_calibration.session.reader import read_session
+from machine_tool_calibration.session.checks.enough import on_a_line
+from machine_tool_calibration.session.folder import read_session
 
 
 def message(folder: Path) -> str:

@@ -8,10 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.session.folder import description_yaml, read_session, write_session
 from machine_tool_calibration.session.parse import parse_description
-from machine_tool_calibration.session.reader import read_session
 from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.session.writer import description_yaml, write_session
 
 DATA = Path(__file__).parents[1] / "data"
 NAMES = ("tracking_2d", "rotary_axis", "step_diagonal", "probing_cross")

@@ -12,8 +12,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.session.folder import read_session
 from machine_tool_calibration.session.parse import parse_description
-from machine_tool_calibration.session.reader import read_session
 from machine_tool_calibration.session.yaml_text import load_yaml
 
 DATA = Path(__file__).parents[1] / "data"

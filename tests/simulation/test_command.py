@@ -8,7 +8,7 @@ import yaml
 from machine_tool_calibration import simulation
 from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.session.reader import read_session
+from machine_tool_calibration.session.folder import read_session
 from machine_tool_calibration.simulation import (
     MachineSpec,
     SimulationSpec,

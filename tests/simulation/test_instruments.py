@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.simulation import Pointer, aim, distance, mirror_path, probed, sensed_path
-from machine_tool_calibration.simulation.air import deviation, refractivity, vapour_pressure
-from machine_tool_calibration.simulation.laser import across, tilted
-from machine_tool_calibration.simulation.tracking import beam_direction
+from machine_tool_calibration.simulation.flaws_reading import deviation, refractivity, vapour_pressure
+from machine_tool_calibration.simulation.sensors import across, beam_direction, tilted
 
 
 def test_pointing_uses_all_four_quadrants():

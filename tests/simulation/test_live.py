@@ -14,7 +14,7 @@ from machine_tool_calibration.simulation import (
     random_environment,
     simulate,
 )
-from machine_tool_calibration.simulation.tracking import sensed_path
+from machine_tool_calibration.simulation.sensors import sensed_path
 
 
 def test_live_readings_are_those_of_the_session():

@@ -55,7 +55,7 @@ def command(
     mtcal compare measurements/cube measurements/grid_plate
     """
     from machine_tool_calibration.diagnosis.compare import compare, compare_sessions
-    from machine_tool_calibration.session.open import open_measurement
+    from machine_tool_calibration.recording.open import open_measurement
 
     sessions, own = [open_measurement(path) for path in measurements], own_effects(files)
     if len(sessions) > 1:
@@ -67,7 +67,7 @@ def command(
     for name in against:
         comparison.covariate(name)
     if as_json:
-        from machine_tool_calibration.diagnosis.compare_document import comparison_document
+        from machine_tool_calibration.reports.comparison import comparison_document
 
         write_json(comparison_document(comparison))
     else:
@@ -79,8 +79,8 @@ def command(
 def _several(comparison: JointComparison, output: Path | None, against: tuple[str, ...], *, as_json: bool) -> None:
     import pandas as pd
 
-    from machine_tool_calibration.diagnosis.compare_document import joint_columns, joint_document
     from machine_tool_calibration.plots.compare import draw_joint
+    from machine_tool_calibration.reports.comparison import joint_columns, joint_document
 
     if as_json:
         write_json(joint_document(comparison))
@@ -98,9 +98,9 @@ def show_comparison(screen: Console, comparison: Comparison | JointComparison) -
     """In words first, then the tables."""
     from rich.text import Text
 
-    from machine_tool_calibration.diagnosis.compare_tables import comparison_tables, joint_tables
-    from machine_tool_calibration.diagnosis.compare_words import in_words, joint_in_words
     from machine_tool_calibration.diagnosis.comparison import Comparison
+    from machine_tool_calibration.reports.comparison import in_words, joint_in_words
+    from machine_tool_calibration.reports.comparison_tables import comparison_tables, joint_tables
 
     if isinstance(comparison, Comparison):
         words, tables = in_words(comparison), comparison_tables(comparison)
@@ -116,8 +116,8 @@ def show_comparison(screen: Console, comparison: Comparison | JointComparison) -
 def _write(comparison: Comparison, folder: Path, against: tuple[str, ...]) -> list[Path]:
     import pandas as pd
 
-    from machine_tool_calibration.diagnosis.compare_document import comparison_columns
     from machine_tool_calibration.plots.compare import draw
+    from machine_tool_calibration.reports.comparison import comparison_columns
 
     pictures = draw(comparison, folder, against)
     table = folder / "comparison.csv"

@@ -49,7 +49,7 @@ def command(measurement: Path, plot: Path | None, as_json: bool) -> None:
     mtcal compare-formulations measurements/diagonals --plot profiles.png
     """
     from machine_tool_calibration.methods.step_diagonal.compare import compare_formulations
-    from machine_tool_calibration.session.open import open_measurement
+    from machine_tool_calibration.recording.open import open_measurement
 
     comparison = compare_formulations(open_measurement(measurement))
     if plot is not None:

@@ -2,22 +2,81 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from machine_tool_calibration.cli.foreign_options import SectionedCommand, foreign_options, is_asked, mapping_from
-from machine_tool_calibration.cli.foreign_preview import foreign_document, show_preview
 from machine_tool_calibration.cli.info import topic_names, topic_option
 from machine_tool_calibration.cli.output import console, json_option, note, write_json
 from machine_tool_calibration.errors import CalibrationError
 
 if TYPE_CHECKING:
-    from machine_tool_calibration.session.foreign import Imported
+    from machine_tool_calibration.importing import Imported
     from machine_tool_calibration.session.session import Session
 
-__all__ = ["command"]
+__all__ = ["command", "foreign_document", "show_preview"]
+
+
+_FIRST = 6
+_BESIDE = ("setup", "repeat", "target", "point")
+
+
+def foreign_document(imported: Imported) -> dict[str, Any]:
+    """The preview as a document: what was read from where, the first readings, and remarks."""
+    from machine_tool_calibration.session.folder import readings_frame
+
+    return {
+        "rows": imported.rows,
+        "readings": len(imported.session.readings),
+        "columns": {role: {"column": column, "unit": unit} for role, (column, unit) in imported.columns.items()},
+        "description": imported.session.description.model_dump(mode="json", exclude_none=True),
+        "first": readings_frame(imported.session).head(_FIRST).to_dict(orient="records"),
+        "notes": imported.notes,
+    }
+
+
+def show_preview(imported: Imported, *, whole: bool) -> None:
+    """Print what was read.
+
+    Args:
+        imported: the table.
+        whole: also the first readings and the text of session.yaml; otherwise remarks only.
+    """
+    from rich.markup import escape
+    from rich.table import Table
+
+    from machine_tool_calibration.session.folder import readings_frame
+    from machine_tool_calibration.session.parse import description_yaml
+
+    session = imported.session
+    if whole:
+        out = console()
+        out.print(f"[bold]{escape(session.source)}[/]: {imported.rows} rows, {len(session.readings)} readings")
+        table = Table("quantity", "column", "unit", box=None, pad_edge=False)
+        for role, (column, unit) in imported.columns.items():
+            table.add_row(role, escape(column), unit)
+        out.print(table)
+        frame = readings_frame(session).head(_FIRST)
+        table = Table(title="first readings, in SI units (m, rad, s)", title_justify="left", box=None, pad_edge=False)
+        for name in frame:
+            table.add_column(str(name), justify="left" if name in _BESIDE else "right")
+        for row in frame.itertuples(index=False):
+            table.add_row(*(_shown(value) for value in row))
+        out.print(table)
+        out.print("session.yaml:", style="bold")
+        out.print(escape(description_yaml(session.description).rstrip()))
+    for text in imported.notes:
+        note(text)
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, float):
+        return "" if math.isnan(value) else f"{value:.9g}"
+    return str(value)
+
 
 _TABLES = (".csv", ".parquet")
 _TEXTS = (".csv", ".txt", ".tsv", ".dat", ".asc")
@@ -80,7 +139,7 @@ def command(
       mtcal convert x_axis.csv x_axis --table iso230-2 --axis x --column position=Position \\
         --unit mm --unit deviation=um --chain w-X-b-t --uncertainty 0.3um
     """
-    from machine_tool_calibration.session.open import is_session_folder
+    from machine_tool_calibration.recording.open import is_session_folder
 
     names = topic_names(topics)
     if not source.exists():
@@ -121,10 +180,10 @@ def command(
 
 def _imported(source: Path, setup_name: str | None, foreign: dict[str, Any]) -> Imported | None:
     """The session of a foreign table, if the command line speaks of one."""
-    from machine_tool_calibration.session.reader import DESCRIPTION_FILE, OBSERVATIONS_FILE
+    from machine_tool_calibration.session.folder import DESCRIPTION_FILE, OBSERVATIONS_FILE
 
     if is_asked(foreign):
-        from machine_tool_calibration.session.foreign import import_table, parse_mapping
+        from machine_tool_calibration.importing import import_table, parse_mapping
 
         content, name = mapping_from(foreign)
         return import_table(source, parse_mapping(content, name), name=setup_name)
@@ -140,14 +199,14 @@ def _imported(source: Path, setup_name: str | None, foreign: dict[str, Any]) -> 
 
 def _opened(source: Path, names: dict[str, str]) -> Session:
     """The measurement, unchecked: what is converted need not be enough for its method."""
-    from machine_tool_calibration.session.open import open_measurement
+    from machine_tool_calibration.recording.open import open_measurement
 
     return open_measurement(source, names, check=False)
 
 
 def _written(session: Session, target: Path, form: str, start: int, namespace: str) -> dict[str, Any]:
-    from machine_tool_calibration.recording.session_to_bag import session_to_bag
-    from machine_tool_calibration.session.writer import write_session
+    from machine_tool_calibration.recording.session_bag import session_to_bag
+    from machine_tool_calibration.session.folder import write_session
 
     if form == "bag":
         session_to_bag(session, target, start=start, namespace=namespace)
@@ -160,7 +219,7 @@ def _written(session: Session, target: Path, form: str, start: int, namespace: s
 
 def _save_readings(session: Session, target: Path, form: str) -> None:
     from machine_tool_calibration.recording.tables import save_table
-    from machine_tool_calibration.session.writer import readings_frame
+    from machine_tool_calibration.session.folder import readings_frame
 
     _check_ending(target, form)
     file = target if target.suffix == f".{form}" else target / f"observations.{form}"

@@ -9,23 +9,162 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
+from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.cli import diagnosing
-from machine_tool_calibration.cli.demo_truth import COMPARED, judged
 from machine_tool_calibration.cli.measuring import bar, graph_options, show_files, show_result
 from machine_tool_calibration.cli.output import console, json_option, plain, write_json
-from machine_tool_calibration.cli.truth import MapError
-from machine_tool_calibration.diagnosis.quantities import quantity
+from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.nodes.measurement import Measured, Setting, free_folder, measure
 from machine_tool_calibration.nodes.shared import procedure_file
-from machine_tool_calibration.nodes.site import SiteSpec
+from machine_tool_calibration.nodes.site import Moment, Site, SiteSpec, read_site
 from machine_tool_calibration.plots.pictures import draw
+from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.simulation import FlawSpec
 from machine_tool_calibration.simulation.flaws import find_flaw
 
 if TYPE_CHECKING:
-    from machine_tool_calibration.methods.improve import Improvement
+    from machine_tool_calibration.diagnosis.improve import Improvement
 
-__all__ = ["command"]
+__all__ = ["COMPARED", "MapError", "command", "judged", "map_error"]
+
+
+@dataclass(frozen=True)
+class MapError:
+    """Difference of an identified map from the truth, after the datum has been taken out.
+
+    Attributes:
+        difference: (n, d) identified minus true position error, m.
+        rms: root mean square length of the difference, m.
+        largest: greatest length of the difference, m.
+        before: the same RMS for a map that says that the machine has no errors, m.
+    """
+
+    difference: Array
+    rms: float
+    largest: float
+    before: float
+
+
+def map_error(points: Array, identified: Array, true: Array, free: Array | None = None) -> MapError:
+    """Compare a map with the truth.
+
+    Self-calibration fixes neither where the origin of the coordinates is nor how they are turned: the rigid motion that
+    fits best is taken out of both.
+
+    Args:
+        points: (n, d) commanded positions, m; d is 2 or 3.
+        identified: (n, d) identified position error, m; a point with NaN is left out.
+        true: (n, d) true position error, m.
+        free: (k, n, d) further displacements that the measurement leaves open; they are taken out as well.
+    """
+    known = np.all(np.isfinite(identified), axis=1)
+    points, identified, true = points[known], identified[known], true[known]
+    more = np.zeros((0, *points.shape)) if free is None else free[:, known]
+    difference = _without(points, identified - true, more)
+    before = _without(points, true, more)
+    length = np.linalg.norm(difference, axis=1)
+    return MapError(
+        difference=difference,
+        rms=float(np.sqrt(np.mean(length**2))),
+        largest=float(length.max()),
+        before=float(np.sqrt(np.mean(np.sum(before**2, axis=1)))),
+    )
+
+
+def _without(points: Array, field: Array, more: Array) -> Array:
+    """A field of small displacements without its best-fitting shift and turn, and what else is free."""
+    n, d = points.shape
+    turns = [(0, 1)] if d == 2 else [(0, 1), (0, 2), (1, 2)]
+    columns = np.zeros((n, d, d + len(turns)))
+    columns[:, range(d), range(d)] = 1.0
+    for index, (i, j) in enumerate(turns):
+        columns[:, i, d + index] = -points[:, j]
+        columns[:, j, d + index] = points[:, i]
+    flat = np.hstack([columns.reshape(n * d, -1), more.reshape(len(more), n * d).T])
+    motion, *_ = np.linalg.lstsq(flat, field.ravel(), rcond=None)
+    return np.asarray(field - (flat @ motion).reshape(n, d))
+
+
+COMPARED = {
+    "tracking_interferometer": "map of the tool's position",
+    "step_diagonal": "map of the tool's position along the axes",
+    "probing": "map of the tool's position over the grid",
+    "rotary_axis": "map of where the table carries the targets",
+    "direct": "model of the axis's deviations in both directions",
+}
+"""What of each method is compared with the truth."""
+
+
+def judged(measured: Measured, result: Result) -> MapError:
+    """How far what was identified is from the truth, shift and turn taken out.
+
+    The truth is the machine's own errors, without the hidden effect; for direct deviations, whose map says what the
+    axis does from either side, with it.
+    """
+    spec = read_site(str(measured.output / "site.yaml"))
+    method = measured.session.method
+    if method == "direct":
+        return _deviations(Site(spec), result)
+    site = Site(spec.model_copy(update={"effects": ()}))
+    points, found = result.error_map.points, result.error_map.error
+    if method == "rotary_axis":
+        return map_error(points, found, *_carried(site, result))
+    flat = method == "probing" or getattr(measured.session.description, "dimension", 3) == 2
+    axes = slice(0, 2 if flat else 3)
+    return map_error(points[:, axes], found[:, axes], _positions(site, points)[:, axes])
+
+
+def _positions(site: Site, points: Array) -> Array:
+    """(n, 3) true error of the tool's position at commanded points, m."""
+    upwards = dict.fromkeys("xyz", 1)
+    rows = [dict(zip("xyz", (float(v) for v in row), strict=True)) for row in points]
+    return np.asarray(np.array([site.functional_point(Moment(0.0, row, upwards)) for row in rows]) - points)
+
+
+def _carried(site: Site, result: Result) -> tuple[Array, Array]:
+    """Where the table carries each point of the map.
+
+    Returns:
+        (n, 3) its true error, m: that of an ideal turn taken off; and (6, n, 3) what a shift and a turn of the targets
+        on the table would make, which cannot be told from where the targets are.
+    """
+    content, points = result.error_map.content, result.error_map.points
+    angles = np.asarray(content["c"], dtype=float)
+    sign = float(result.fit.model.observations.session.rotation_sign)
+    out, free = np.zeros_like(points), np.zeros((6, *points.shape))
+    of_point = np.repeat(angles, len(points) // len(angles))
+    for c in angles:
+        origin, turn = site.table(Moment(0.0, {"c": float(c)}, {"c": 1}))
+        cosine, sine = np.cos(sign * c), np.sin(sign * c)
+        ideal = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+        mine = of_point == c
+        out[mine] = points[mine] @ (turn @ ideal.T - np.eye(3)).T + origin
+        for j in range(3):
+            free[j, mine] = ideal[:, j]
+            free[3 + j, mine] = np.cross(ideal[:, j], points[mine])
+    return out, free
+
+
+def _deviations(site: Site, result: Result) -> MapError:
+    """Deviations along what each reading senses, as the model says and as they are; their mean taken out."""
+    observations = result.fit.model.observations
+    readings, names = observations.readings, "xyz"
+    true = []
+    for k, position in enumerate(observations.position):
+        commanded = dict(zip(names, (float(v) for v in position), strict=True))
+        approach = {a: int(readings.columns[f"dir_{a}"][k]) for a in names if f"dir_{a}" in readings.columns}
+        moment = Moment(float(readings.column("time")[k]), commanded, dict.fromkeys(names, 1) | approach)
+        true.append((site.functional_point(moment) - position) @ observations.direction[k])
+    actual = np.array(true) - np.mean(true)
+    found = readings.displacement - result.fit.residuals
+    difference = (found - found.mean() - actual)[:, None]
+    return MapError(
+        difference=difference,
+        rms=float(np.sqrt(np.mean(difference**2))),
+        largest=float(np.abs(difference).max()),
+        before=float(np.sqrt(np.mean(actual**2))),
+    )
+
 
 # What may be hidden with each method, with the smallest and the largest size; and what is measured.
 _HIDDEN = {
@@ -140,7 +279,7 @@ def _hidden(method: str, seed: int, wanted: str | None) -> FlawSpec | None:
 
 
 def _story(seed: int, hidden: FlawSpec | None, measured: Measured, progress: Any) -> _Story:
-    from machine_tool_calibration.methods.improve import improve
+    from machine_tool_calibration.diagnosis.improve import improve
     from machine_tool_calibration.model.result import Result
     from machine_tool_calibration.plots.improve import save_improvement
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from machine_tool_calibration.diagnosis.diagnose import Diagnosis
-    from machine_tool_calibration.planning.conclusions import Conclusions
+    from machine_tool_calibration.planning.what_to_measure import Conclusions
 
 __all__ = ["command", "show_diagnosis"]
 
@@ -57,9 +57,9 @@ def command(
     mtcal diagnose measurements/cube measurements/cube_again
     """
     from machine_tool_calibration.diagnosis.diagnose import diagnose
-    from machine_tool_calibration.diagnosis.document import diagnosis_document
-    from machine_tool_calibration.planning.conclusions import SEARCH, conclude
-    from machine_tool_calibration.session.open import open_measurement
+    from machine_tool_calibration.planning.what_to_measure import SEARCH, conclude
+    from machine_tool_calibration.recording.open import open_measurement
+    from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
 
     sessions = [open_measurement(path) for path in measurements]
     labels = session_labels(measurements) if len(sessions) > 1 else None
@@ -95,7 +95,7 @@ def show_diagnosis(screen: Console, found: Diagnosis, then: Conclusions, shown: 
         then: what follows from it.
         shown: how many candidates beside the accepted ones; 0 for all.
     """
-    from machine_tool_calibration.diagnosis.report import diagnosis_report
+    from machine_tool_calibration.reports.diagnosis import diagnosis_report
 
     report = diagnosis_report(found, then.advice, then.changes, shown)
     for paragraph in report.words:

@@ -43,8 +43,8 @@ def command(ids: tuple[str, ...], files: tuple[Path, ...], gallery: Path | None,
     mtcal effects backlash_x warmup_y
     mtcal effects --effects-file my_effects.yaml my_creep --gallery pictures
     """
-    from machine_tool_calibration.diagnosis.effect_page import effect_document
     from machine_tool_calibration.effects.catalogue import catalogue, find_effects
+    from machine_tool_calibration.reports.effect_page import effect_document
 
     own = own_effects(files)
     chosen = find_effects(ids, own) if ids else list(catalogue(own).values())
@@ -66,7 +66,7 @@ def command(ids: tuple[str, ...], files: tuple[Path, ...], gallery: Path | None,
 def _list(effects: Sequence[Effect]) -> None:
     from rich.text import Text
 
-    from machine_tool_calibration.diagnosis.effect_page import effects_table
+    from machine_tool_calibration.reports.effect_page import effects_table
 
     screen = console()
     show_table(screen, effects_table(effects))
@@ -78,8 +78,8 @@ def _describe(effect: Effect) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    from machine_tool_calibration.diagnosis.effect_page import coefficients_in_words, shown_table
-    from machine_tool_calibration.diagnosis.injected import where_it_shows
+    from machine_tool_calibration.planning.injected import where_it_shows
+    from machine_tool_calibration.reports.effect_page import coefficients_in_words, shown_table
 
     screen = console()
     enters = "displaces the functional point" if effect.kind == "position" else "changes the reading itself"

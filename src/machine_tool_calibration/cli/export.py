@@ -2,30 +2,91 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from machine_tool_calibration.cli.current_model import current_model
-from machine_tool_calibration.cli.export_warnings import bad_fit, unused_model
+from machine_tool_calibration.cli.diagnosing import current_model
 from machine_tool_calibration.cli.info import topic_names, topic_option
 from machine_tool_calibration.cli.output import console, json_option, note, session_labels, write_json
-from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.errors import CalibrationError, SessionError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from rich.console import Console
 
     from machine_tool_calibration.effects.effect import Effect
+    from machine_tool_calibration.export.error_states import ErrorStates
+    from machine_tool_calibration.export.preview import Left
     from machine_tool_calibration.methods.axis_tables import AxisTables
-    from machine_tool_calibration.methods.error_states import ErrorStates
     from machine_tool_calibration.model.fit import JointFit
-    from machine_tool_calibration.session.controller_tables.preview import Left
+    from machine_tool_calibration.session.session import Session
 
-__all__ = ["command"]
+__all__ = ["bad_fit", "command", "unused_model"]
+
+
+# Chance below which readings contradict the model, as `mtcal identify` has it.
+_CHANCE = 1e-3
+
+
+def bad_fit(fit: JointFit, content: Mapping[str, Any]) -> str | None:
+    """The words of `mtcal identify` if the readings scatter about the model beyond chance; None otherwise.
+
+    Args:
+        fit: of all sessions.
+        content: of the error map.
+    """
+    from machine_tool_calibration.cli.identified import verdict
+
+    if not fit.p_value < _CHANCE:
+        return None
+    words = verdict({"reduced_chi_square": fit.reduced_chi_square, "p_value": fit.p_value, "error_map": content})
+    return f"warning: {words}"
+
+
+def unused_model(
+    session: Session, path: Path, effects: Collection[str], fit: JointFit | None, *, effects_only: bool = False
+) -> str | None:
+    """That the session's history holds a better model than the one used, and how to use it; None if it does not.
+
+    Args:
+        session: all its readings.
+        path: where it was read; the history is in it or beside it.
+        effects: ids in the model that was used.
+        fit: of that model; None if it is of other readings too, so that no figures can be compared.
+        effects_only: whether to say how by effects, as for several sessions together.
+    """
+    from machine_tool_calibration.reports.history_file import fingerprint, history_path, read_history
+
+    kept = history_path(path)
+    try:
+        entry = read_history(kept).in_use
+    except SessionError as error:
+        return f"warning: {error}"
+    if entry is None or entry.data != fingerprint(session):
+        return None
+    more = [name for name in entry.effects if name not in effects]
+    aside = () if effects_only else entry.set_aside
+    if not more and not aside:
+        return None
+    chi = entry.reduced_chi_square
+    figures = ""
+    if fit is not None and chi is not None:
+        if chi >= fit.reduced_chi_square:
+            return None
+        figures = f" (chi²/ν {chi:.2f} instead of {fit.reduced_chi_square:.2f})"
+    what = [", ".join(more)] if more else []
+    what += [f"{len(aside)} reading{'' if len(aside) == 1 else 's'} set aside"] if aside else []
+    how = " ".join(f"--effect {name}" for name in more) if effects_only else "--from-history"
+    return (
+        f"note: {kept} holds a better model, number {entry.number}, with {' and '.join(what)}{figures}; "
+        f"it was not used: {how} does"
+    )
+
 
 _FORMATS = ("linuxcnc", "linuxcnc-trims", "isg", "etalon", "csv", "json")
 
@@ -80,8 +141,8 @@ def command(
     mtcal export session --format isg --from-history   with the effects that `mtcal improve` found
     """
     from machine_tool_calibration.effects.formula import read_effects
-    from machine_tool_calibration.session.controller_tables import read_tables, write_tables
-    from machine_tool_calibration.session.controller_tables.preview import preview
+    from machine_tool_calibration.export import read_tables, write_tables
+    from machine_tool_calibration.export.preview import preview
 
     if from_history and (len(measurements) > 1 or effects):
         raise click.UsageError("--from-history is for one session, without --effect.")
@@ -146,11 +207,10 @@ class _Found:
 
 def _identified(paths: tuple[Path, ...], chosen: _Chosen, topics: dict[str, str]) -> _Found:
     from machine_tool_calibration.effects.catalogue import find_effects
+    from machine_tool_calibration.export.error_states import error_states
     from machine_tool_calibration.methods.axis_tables import axis_tables, joint_axis_tables
-    from machine_tool_calibration.methods.error_states import error_states
-    from machine_tool_calibration.methods.identify import identify
-    from machine_tool_calibration.methods.joint import identify_sessions
-    from machine_tool_calibration.session.open import open_measurement
+    from machine_tool_calibration.methods.identify import identify, identify_sessions
+    from machine_tool_calibration.recording.open import open_measurement
 
     sessions = [open_measurement(path, topics) for path in paths]
     source = " + ".join(session.source for session in sessions)

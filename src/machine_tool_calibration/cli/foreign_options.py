@@ -145,7 +145,7 @@ def mapping_from(given: dict[str, Any]) -> tuple[dict[str, Any], str]:
         click.UsageError: an option that is not of its form.
         CalibrationError: a mapping file that cannot be read.
     """
-    from machine_tool_calibration.session.foreign.mapping import FORMAT, read_mapping
+    from machine_tool_calibration.importing.mapping import FORMAT, read_mapping
 
     path = given["mapping"]
     content: dict[str, Any] = {} if path is None else dict(read_mapping(path))
@@ -210,7 +210,7 @@ def _pairs(option: str, texts: Sequence[str]) -> dict[str, str]:
 
 
 def _units(texts: Sequence[str]) -> dict[str, str]:
-    from machine_tool_calibration.session.foreign.units import dimension
+    from machine_tool_calibration.importing.units import dimension
 
     return {(name.strip() if mark else dimension(unit)): unit for name, mark, unit in map(_unit, texts)}
 

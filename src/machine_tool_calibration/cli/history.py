@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.current_model import no_model
-from machine_tool_calibration.cli.diagnosing import show_table
+from machine_tool_calibration.cli.diagnosing import no_model, show_table
 from machine_tool_calibration.cli.output import console, json_option, note, write_json
 from machine_tool_calibration.errors import CalibrationError
 
 if TYPE_CHECKING:
-    from machine_tool_calibration.diagnosis.report import TextTable
-    from machine_tool_calibration.model.history import Entry, History
+    from machine_tool_calibration.diagnosis.history import Entry, History
+    from machine_tool_calibration.reports.diagnosis import TextTable
 
 __all__ = ["command"]
 
@@ -42,7 +41,7 @@ def command(
     mtcal history measurements/cube --compare 1 2
     mtcal history measurements/cube --undo
     """
-    from machine_tool_calibration.session.history_file import history_path, read_history, update_history
+    from machine_tool_calibration.reports.history_file import history_path, read_history, update_history
 
     if undo and use is not None:
         raise click.UsageError("Give either --undo or --use.")
@@ -72,8 +71,8 @@ def command(
 
 
 def _listed(history: History) -> TextTable:
-    from machine_tool_calibration.diagnosis.quantities import micrometres
-    from machine_tool_calibration.diagnosis.report import TextTable
+    from machine_tool_calibration.reports.diagnosis import TextTable
+    from machine_tool_calibration.reports.quantities import micrometres
 
     rows = tuple(
         (
@@ -98,8 +97,8 @@ def _listed(history: History) -> TextTable:
 
 
 def _compared(one: Entry, other: Entry) -> TextTable:
-    from machine_tool_calibration.diagnosis.quantities import micrometres, quantity
-    from machine_tool_calibration.diagnosis.report import TextTable
+    from machine_tool_calibration.reports.diagnosis import TextTable
+    from machine_tool_calibration.reports.quantities import micrometres, quantity
 
     def row(name: str, first: str, second: str) -> tuple[str, str, str]:
         return (name, first, second)

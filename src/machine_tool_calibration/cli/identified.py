@@ -3,28 +3,276 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from machine_tool_calibration.cli.diagnosing import show_table
-from machine_tool_calibration.cli.direct_words import direct_tables, scatter_words
-from machine_tool_calibration.cli.figures import figures
-from machine_tool_calibration.diagnosis.quantities import spread_words
-from machine_tool_calibration.diagnosis.text_table import TextTable
-from machine_tool_calibration.model.unknown_words import unknown_in_words
+from machine_tool_calibration.reports.quantities import TextTable, spread_words
+from machine_tool_calibration.reports.unknowns import unknown_in_words
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
 
     from machine_tool_calibration.effects.effect import Effect
     from machine_tool_calibration.model.fit import JointFit
     from machine_tool_calibration.session.session import Session
 
-__all__ = ["grouped", "meanings", "measured", "show_result", "shown", "verdict"]
+__all__ = [
+    "direct_tables",
+    "figures",
+    "grouped",
+    "meanings",
+    "measured",
+    "scatter_words",
+    "show_result",
+    "shown",
+    "verdict",
+]
 
-_MOST_ROWS = 40
+
+# Chance of the residuals below which the model is in doubt.
+_DOUBTFUL = 0.01
+_PUBLISHED = ("x", "y", "z", "workpiece_error", "workpiece_form")
+_MOTION = re.compile(r"E[XYZABC][XYZABC]")
+
+
+def figures(document: dict[str, Any]) -> list[tuple[str, str]]:
+    """What the result of a session says, in words and micrometres."""
+    rows = [
+        ("readings used", f"{document['used']} of {document['observations']}"),
+        ("RMS residual", f"{document['rms_residual'] * 1e6:.3f} µm"),
+    ]
+    chi = document.get("reduced_chi_square")
+    if chi is not None:
+        rows.append(("reduced chi-square", f"{chi:.2f} (1 if the model and the declared uncertainty are right)"))
+    error_map = document.get("error_map") or {}
+    error, uncertainty = _array(error_map.get("position_error")), _array(error_map.get("position_error_u"))
+    if error.size:
+        rows.append(("points of the map", _points(error_map.get("points"), len(error))))
+        known = np.isfinite(error).any()
+        text = f"{_rms(error):.2f} µm RMS, {_largest(error):.2f} µm at most" if known else "not determined"
+        rows.append(("error of position", text + (_lost(error) if known else "")))
+    if np.isfinite(uncertainty).any():
+        rows.append(
+            (
+                "its uncertainty U (k = 2)",
+                f"{2 * _rms(uncertainty):.2f} µm RMS, {2 * _largest(uncertainty):.2f} µm at most{_if_right(document)}",
+            )
+        )
+    rows += _motions(error_map)
+    missing = document.get("not_determined") or []
+    if missing:
+        names = ", ".join(entry["name"] for entry in missing[:6])
+        rows.append(("not determined", f"{names}{' …' if len(missing) > 6 else ''}"))
+    return rows
+
+
+def _lost(error: np.ndarray) -> str:
+    """Directions in which no point has a value."""
+    lost = [axis for axis, known in zip("xyz", np.isfinite(error).any(axis=0), strict=False) if not known]
+    return f"; not determined along {', '.join(lost)}" if lost else ""
+
+
+def _points(points: Any, count: int) -> str:
+    """How many, and why one place may be there more than once."""
+    places = len({tuple(point) for point in points}) if points else count
+    if places == count:
+        return str(count)
+    return f"{count}, at {places} places: a place counts once for each direction of approach that an effect tells apart"
+
+
+def _motions(content: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Largest value and uncertainty of what a map holds beside positions."""
+    out = []
+    for name, value in content.items():
+        known = name in _PUBLISHED or _MOTION.fullmatch(name)
+        if not known or f"{name}_u" not in content or not isinstance(value, list):
+            continue
+        found, u = (np.array(content[key], dtype=float).reshape(-1) for key in (name, f"{name}_u"))
+        good = np.isfinite(found)
+        title = f"errors of {name.upper()}" if name in ("x", "y", "z") else name.replace("_", " ")
+        if not good.any():
+            out.append((title, "not determined"))
+            continue
+        unit = "µrad" if _MOTION.fullmatch(name) and name[1] in "ABC" else "µm"
+        text = (
+            f"{1e6 * np.abs(found[good]).max():.2f} {unit} at most, U (k = 2) at most {2e6 * u[good].max():.2f} {unit}"
+        )
+        out.append((title, text + ("" if good.all() else f"; {int((~good).sum())} of {len(good)} not determined")))
+    return out
+
+
+def _if_right(document: dict[str, Any]) -> str:
+    """A warning where the readings speak against the model on which the uncertainty rests."""
+    p = document.get("p_value")
+    return ", if the model were right" if p is not None and p < _DOUBTFUL else ""
+
+
+def _array(value: Any) -> np.ndarray:
+    return np.array(value, dtype=float) if value else np.zeros((0, 3))
+
+
+def _rms(vectors: np.ndarray) -> float:
+    """Root mean square length of the vectors of which anything is known, micrometres."""
+    known = vectors[np.isfinite(vectors).any(axis=1)]
+    return float(np.sqrt(np.mean(np.nansum(known**2, axis=1)))) * 1e6
+
+
+def _largest(vectors: np.ndarray) -> float:
+    """Greatest length of a vector, micrometres."""
+    return float(np.sqrt(np.max(np.nansum(vectors**2, axis=1)))) * 1e6
+
+
+# Chance below which a step or a parameter counts as significant.
+_SIGNIFICANT = 0.01
+_MOST_ROWS = 12
+# Runs in each direction that ISO 230-2:2014 asks for.
+_RUNS = 5
+# Figures of ISO 230-2:2014 in the order of a test report; up and down, then both.
+_FIGURES = (
+    ("B", "reversal error B", ("", "", "B")),
+    ("B_mean", "mean reversal error", ("", "", "B_mean")),
+    ("R", "repeatability R", ("R_up", "R_down", "R")),
+    ("E", "systematic deviation E", ("E_up", "E_down", "E")),
+    ("M", "mean deviation, range M", ("", "", "M")),
+    ("A", "accuracy A", ("A_up", "A_down", "A")),
+)
+
+
+def scatter_words(content: Mapping[str, Any], p_value: float) -> str | None:
+    """How the readings scatter, what was declared, and which of them the uncertainties use; None for other methods."""
+    scatter = content.get("scatter")
+    if scatter is None or scatter["found"] is None:
+        return None
+    found, declared = 1e6 * scatter["found"], 1e6 * scatter["declared"]
+    both = f"scatter {_three(found)} µm, declared {_three(declared)} µm"
+    if scatter["uncertainties_from"] == "scatter":
+        return (
+            f"The readings scatter {scatter['factor']:.1f} times their declared uncertainty about the model ({both}): "
+            "standard uncertainties use the scatter. Whether something is missing in the model, `mtcal diagnose` says."
+        )
+    if p_value is not None and p_value > 1 - 1e-3:
+        return (
+            f"The readings scatter less than declared about the model ({both}): standard uncertainties use what was "
+            f"declared; from the scatter alone they would be {_three(found / declared)} times as large."
+        )
+    return f"The model fits the readings within their declared uncertainty ({both}): standard uncertainties use it."
+
+
+def direct_tables(content: Mapping[str, Any]) -> Iterator[Table | TextTable | str]:
+    """Tables and sentences, in the order in which they are read."""
+    plate = content.get("plate")
+    if plate:
+        yield _plate_table(plate)
+        yield from _plate_words(plate)
+    for run in content.get("iso230_2") or ():
+        yield _run_table(run)
+
+
+def _plate_table(plate: Mapping[str, Any]) -> Table:
+    table = _plate_heads(
+        f"step by step, over {plate['places']} deviations (sizes ± U, k = 2, from the scatter that is left)",
+        ("model", "unknowns", "RMS / µm", "scatter / µm", "p of the step", "sizes"),
+    )
+    for step in plate["steps"]:
+        table.add_row(
+            step["model"],
+            str(step["unknowns"]),
+            f"{1e6 * step['rms']:.3f}",
+            f"{1e6 * step['scatter']:.3f}",
+            _chance(step["p_value"]) if "p_value" in step else "",
+            "\n".join(_size(p) for p in step["parameters"]),
+        )
+    return table
+
+
+def _plate_words(plate: Mapping[str, Any]) -> Iterator[str]:
+    steps = plate["steps"]
+    told = [p for step in steps[1:3] for p in step["parameters"] if p["value"] is not None]
+    good = [p["name"].split(".")[0] if "-" not in p["name"] else _plain(p["name"]) for p in told if _is(p)]
+    not_good = [p["name"].split(".")[0] if "-" not in p["name"] else _plain(p["name"]) for p in told if not _is(p)]
+    words = []
+    if good:
+        words.append(f"Significant (p < {_SIGNIFICANT}): {', '.join(good)}.")
+    if not_good:
+        words.append(f"Not significant: {', '.join(not_good)}.")
+    if len(steps) > 3:
+        more = "significant" if steps[3]["p_value"] < _SIGNIFICANT else "not significant"
+        fell = 1e6 * (steps[2]["scatter"] - steps[3]["scatter"])
+        words.append(f"Curves beyond that are {more}" + (f" (they take {fell:.2f} µm)." if fell > 0 else "."))
+    yield " ".join(words)
+    if plate["set_aside"]:
+        rows = plate["set_aside"]
+        shown = ", ".join(str(row) for row in rows[:_MOST_ROWS]) + (" …" if len(rows) > _MOST_ROWS else "")
+        yield (
+            f"Left out of these steps, but not of the fit: {'rows' if len(rows) > 1 else 'row'} {shown} (the first row "
+            "is 0), far out of all others. `mtcal improve` sets them aside."
+        )
+
+
+def _run_table(run: Mapping[str, Any]) -> TextTable:
+    counts = [min(run["count_up"] or [0]), min(run["count_down"] or [0])]
+    rows = []
+    for key, title, names in _FIGURES:
+        texts = [_micro(run.get(name)) if name else "" for name in names]
+        if any(text not in ("", "–") for text in texts):
+            rows.append((title, *texts, _micro(run.get(f"{key}_U"))))
+    title = (
+        f"{run['axis']} by ISO 230-2: setup {run['setup']}, {len(run['position'])} positions, runs: {counts[0]} up, "
+        f"{counts[1]} down (µm)"
+    )
+    notes = [run["note"].removesuffix(".")] if run.get("note") else []
+    if min(counts) < _RUNS:
+        notes.append(
+            f"ISO 230-2 asks for {_RUNS} runs in each direction; with fewer the figures are for information, and "
+            + ("repeatability and accuracy cannot be told" if max(counts) < 2 else "repeatability is uncertain")
+        )
+    return TextTable(title, ("figure", "up", "down", "both", "U (k = 2)"), tuple(rows), "; ".join(notes))
+
+
+def _plate_heads(title: str, heads: Sequence[str]) -> Table:
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+    for k, head in enumerate(heads):
+        table.add_column(head, justify="left" if k == 0 or head == "sizes" else "right")
+    return table
+
+
+def _is(parameter: Mapping[str, Any]) -> bool:
+    return parameter["p_value"] is not None and parameter["p_value"] < _SIGNIFICANT
+
+
+def _plain(name: str) -> str:
+    return name.replace(".s", "").replace("-", "−")
+
+
+def _size(parameter: Mapping[str, Any]) -> str:
+    from machine_tool_calibration.reports.quantities import quantity
+
+    name = _plain(parameter["name"].removesuffix(".angle"))
+    if parameter["value"] is None:
+        return f"{name} not determined"
+    size = quantity(parameter["value"], parameter["unit"], parameter["standard_uncertainty"])
+    return f"{name} = {size}" + ("" if _is(parameter) else " (not significant)")
+
+
+def _chance(value: float) -> str:
+    return "< 1e-12" if value < 1e-12 else f"{value:.1e}" if value < 1e-3 else f"{value:.3f}"
+
+
+def _micro(value: float | None) -> str:
+    return "–" if value is None else f"{1e6 * value:.2f}"
+
+
+def _three(value: float) -> str:
+    return f"{value:.3g}"
+
+
+_MOST_ROWS_IDENTIFIED = 40
 _MOST_NAMES = 8
 _TABLE = re.compile(r"((?:.*[./])?E[XYZABC][XYZABC])\((.+)\)")
 _UNITS = {"m": (1e6, "µm"), "rad": (1e6, "µrad"), "m/s": (3.6e9, "µm/h"), "rad/s": (3.6e9, "µrad/h")}
@@ -161,7 +409,7 @@ def _show_parameters(screen: Console, document: Mapping[str, Any], meanings: Map
     # Effects first, then what is of the machine (squareness), then what is of the setups.
     single.sort(key=lambda entry: 0 if is_added(entry["name"]) else 1 + ("." in entry["name"]))
     rows = []
-    for entry in single[:_MOST_ROWS]:
+    for entry in single[:_MOST_ROWS_IDENTIFIED]:
         name = entry["name"]
         place = _PLACE.fullmatch(name) is not None
         what = meanings.get(name) or unknown_in_words(name, effects)

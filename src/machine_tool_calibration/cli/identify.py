@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from machine_tool_calibration.cli.current_model import current_models
+from machine_tool_calibration.cli.diagnosing import current_models
 from machine_tool_calibration.cli.identified import meanings, show_result
 from machine_tool_calibration.cli.output import console, json_option, plain, session_labels, to_json, write_json
 
@@ -63,7 +63,7 @@ def command(
     mtcal identify session --from-history
     mtcal identify tracking grid_plate --json
     """
-    from machine_tool_calibration.session.open import open_measurement
+    from machine_tool_calibration.recording.open import open_measurement
 
     own: list[Effect] = []
     if effects_file:
@@ -109,7 +109,7 @@ def _identified(
     if len(opened) == 1:
         result = identify(opened[0], model=model, effects=effects, own=own, keep_all=keep_all)
         return result.document(), result.fit.joint, result
-    from machine_tool_calibration.methods.joint import identify_sessions
+    from machine_tool_calibration.methods.identify import identify_sessions
 
     joint = identify_sessions(opened, session_labels(paths), model=model, effects=effects, own=own, keep_all=keep_all)
     return joint.document(), joint.fit, None
@@ -119,8 +119,7 @@ def _by_history(
     opened: list[Session], paths: tuple[Path, ...], own: list[Effect]
 ) -> tuple[dict[str, Any], JointFit | None, Result | None]:
     """By the current model: its variant, its effects, and without the readings that it sets aside."""
-    from machine_tool_calibration.methods.identify import identify
-    from machine_tool_calibration.methods.joint import identify_sessions
+    from machine_tool_calibration.methods.identify import identify, identify_sessions
 
     entry, kept, asides = current_models(opened, paths)
     labels = session_labels(paths)

@@ -2,23 +2,87 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from machine_tool_calibration.cli.diagnosing import bar, model_options, own_effects, saved, search_options, show_table
-from machine_tool_calibration.cli.improve_kept import Kept, draw, keep
 from machine_tool_calibration.cli.output import console, json_option, note, session_labels, write_json
-from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.errors import CalibrationError, SessionError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from machine_tool_calibration.diagnosis.report import TextTable
-    from machine_tool_calibration.methods.improve import Improvement, Step
+    from machine_tool_calibration.diagnosis.history import History
+    from machine_tool_calibration.diagnosis.improve import Improvement, Step
+    from machine_tool_calibration.reports.diagnosis import TextTable
+    from machine_tool_calibration.session.session import Session
 
-__all__ = ["command", "show_improvement"]
+__all__ = ["Kept", "command", "draw", "keep", "show_improvement"]
+
+
+@dataclass(frozen=True)
+class Kept:
+    """What became of the history.
+
+    Attributes:
+        written: the file, if it was changed.
+        words: a remark.
+        failure: why it could not be written.
+    """
+
+    written: tuple[Path, ...] = ()
+    words: str = ""
+    failure: str = ""
+
+
+def keep(done: Improvement, sessions: Sequence[Session], path: Path) -> Kept:
+    """Put the models into the history; a failure is told, and loses nothing else.
+
+    Args:
+        done: what was done.
+        sessions: of which readings.
+        path: the history's file.
+    """
+    from machine_tool_calibration.diagnosis.improve import entries
+    from machine_tool_calibration.reports.history_file import fingerprint, update_history
+
+    prints = [fingerprint(session) for session in sessions]
+    made = entries(done, fingerprint(*sessions), prints, datetime.now(UTC).isoformat(timespec="seconds"), "improve")
+    before: list[History] = []
+
+    def grown(old: History) -> History:
+        before.append(old)
+        return old.grown(made)
+
+    try:
+        new = update_history(path, grown)
+    except SessionError as error:
+        return Kept(failure=f"{error}; the models are not kept (--no-history does without)")
+    old = before[-1]
+    if new == old:
+        return Kept(words=f"{path} holds these models already: unchanged, model {new.current} is the current one")
+    if len(new.models) == len(old.models):
+        return Kept((path,), f"no new model in the history; model {new.current} is the current one now")
+    return Kept((path,))
+
+
+def draw(done: Improvement, folder: Path) -> tuple[list[Path], str]:
+    """Write pictures and numbers.
+
+    Returns:
+        The files, or why they could not be written.
+    """
+    from machine_tool_calibration.plots.improve import save_improvement
+
+    try:
+        return save_improvement(done, folder), ""
+    except OSError as error:
+        return [], f"{error.filename or folder}: cannot be written: {error.strerror}; -o names another folder"
 
 
 @click.command("improve")
@@ -56,10 +120,10 @@ def command(
     mtcal improve measurements/cube --effect backlash_y
     mtcal improve measurements/cube measurements/cube_again
     """
-    from machine_tool_calibration.methods.improve import improve
-    from machine_tool_calibration.methods.improve_document import improvement_document
-    from machine_tool_calibration.session.history_file import history_path, read_history
-    from machine_tool_calibration.session.open import open_measurement
+    from machine_tool_calibration.diagnosis.improve import improve
+    from machine_tool_calibration.recording.open import open_measurement
+    from machine_tool_calibration.reports.history_file import history_path, read_history
+    from machine_tool_calibration.reports.improvement import improvement_document
 
     sessions = [open_measurement(path) for path in measurements]
     labels = session_labels(measurements) if len(sessions) > 1 else None
@@ -124,7 +188,7 @@ def _words(done: Improvement) -> str:
 
 def _what_falls(done: Improvement) -> str:
     """The residual; where unknown angles had taken up what is now in the model, the error left at the tool point."""
-    from machine_tool_calibration.diagnosis.quantities import quantity, residual_change
+    from machine_tool_calibration.reports.quantities import quantity, residual_change
 
     first, last = done.steps[0], done.steps[-1]
     declared = f"declared uncertainty {quantity(done.diagnosis.noise.declared, 'm')}"
@@ -139,8 +203,8 @@ def _what_falls(done: Improvement) -> str:
 
 
 def _steps(done: Improvement) -> TextTable:
-    from machine_tool_calibration.diagnosis.quantities import micrometres, probability, sizes_in_words
-    from machine_tool_calibration.diagnosis.report import TextTable
+    from machine_tool_calibration.reports.diagnosis import TextTable
+    from machine_tool_calibration.reports.quantities import micrometres, probability, sizes_in_words
 
     rows = []
     chance = {f.name: f.probability for f in done.diagnosis.ranked}
@@ -179,8 +243,8 @@ def _steps(done: Improvement) -> TextTable:
 
 
 def _side_by_side(done: Improvement) -> TextTable:
-    from machine_tool_calibration.diagnosis.quantities import micrometres, probability
-    from machine_tool_calibration.diagnosis.report import TextTable
+    from machine_tool_calibration.reports.diagnosis import TextTable
+    from machine_tool_calibration.reports.quantities import micrometres, probability
 
     def pair(name: str, values: list[str]) -> tuple[str, str, str]:
         return (name, values[0], values[1])

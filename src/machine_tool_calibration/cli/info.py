@@ -53,9 +53,9 @@ def command(measurement: Path, topics: tuple[str, ...], as_json: bool) -> None:
     mtcal info bag --topic reading=/cell_2/reading
     """
     from machine_tool_calibration.recording.errors import RecordingError
-    from machine_tool_calibration.recording.graph_topics import find_topics
+    from machine_tool_calibration.recording.graph import find_topics
+    from machine_tool_calibration.recording.open import is_session_folder, open_measurement
     from machine_tool_calibration.recording.reader import BagReader, is_bag
-    from machine_tool_calibration.session.open import is_session_folder, open_measurement
     from machine_tool_calibration.session.summary import summarize
 
     names = topic_names(topics)
@@ -132,7 +132,7 @@ def _document(
 
 
 def _show_bag(out: Console, bag: BagReader, absent: str) -> None:
-    from machine_tool_calibration.diagnosis.text_table import TextTable
+    from machine_tool_calibration.reports.quantities import TextTable
 
     size = sum(file.stat().st_size for file in bag.files)
     try:
@@ -154,7 +154,7 @@ def _show_bag(out: Console, bag: BagReader, absent: str) -> None:
 
 def show_session(out: Console, session: Session, summary: SessionSummary) -> None:
     """Setups and columns of a session."""
-    from machine_tool_calibration.diagnosis.text_table import TextTable
+    from machine_tool_calibration.reports.quantities import TextTable
 
     duration = "" if summary.duration is None else f" in {_time(summary.duration)}"
     method = summary.method.replace("_", " ")

@@ -7,19 +7,179 @@ source, so that it comes at once and a broken verb harms no other.
 
 from __future__ import annotations
 
+import ast
+import importlib
 import os
+import pkgutil
 import sys
 from collections.abc import Sequence
-from typing import NoReturn
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Any, NoReturn
 
 import click
 
-from machine_tool_calibration import __version__
-from machine_tool_calibration.cli.output import one_line
-from machine_tool_calibration.cli.verbs import OutputClosedError, Verbs
+from machine_tool_calibration import __version__, cli
+from machine_tool_calibration.cli.output import note, one_line
 from machine_tool_calibration.errors import CalibrationError
 
-__all__ = ["group", "main", "run"]
+__all__ = ["PLUGIN_GROUP", "OutputClosedError", "Verbs", "group", "main", "run"]
+
+
+PLUGIN_GROUP = "machine_tool_calibration.commands"
+ROS_MODULES = ("rclpy", "rosgraph_msgs", "sensor_msgs", "std_msgs", "std_srvs", "trajectory_msgs", "diagnostic_msgs")
+SECTIONS = {
+    "Measure": ("demo", "workpiece", "plan", "run", "simulate"),
+    "Identify": ("info", "identify", "compare-formulations"),
+    "Find what the model lacks": ("compare", "diagnose", "improve", "history", "effects"),
+    "Recordings and exchange": ("record", "play", "recover", "convert", "export"),
+}
+
+
+class OutputClosedError(Exception):
+    """Whatever read the standard output has gone."""
+
+
+@dataclass(frozen=True)
+class _BuiltIn:
+    """A verb of this package: its module and the first paragraph of its help."""
+
+    module: str
+    summary: str
+
+
+class Verbs(click.Group):
+    """A click group whose commands are the modules of this package and the installed plugins."""
+
+    def __init__(self, *args: object, **kwargs: object) -> None:
+        super().__init__(*args, **kwargs)  # type: ignore[arg-type]
+        self._found: dict[str, _BuiltIn] | None = None
+        self._plugins: dict[str, EntryPoint] | None = None
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the verb.
+
+        Raises:
+            OutputClosedError: instead of the BrokenPipeError that click would answer with exit status 1.
+        """
+        try:
+            result = super().invoke(ctx)
+            sys.stdout.flush()
+        except BrokenPipeError as error:
+            raise OutputClosedError from error
+        return result
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names of the verbs, plugins last."""
+        return [*sorted(self._modules()), *sorted(self._entry_points())]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """The verb of that name; None if there is none.
+
+        Raises:
+            CalibrationError: the verb is there but cannot be loaded.
+        """
+        if cmd_name in self._modules():
+            return _load(cmd_name, self._modules()[cmd_name].module)
+        if cmd_name in self._entry_points():
+            return _load_plugin(self._entry_points()[cmd_name])
+        return None
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the verbs by what they are for, without importing those of this package."""
+        summaries = {name: verb.summary for name, verb in self._modules().items()}
+        known = [name for names in SECTIONS.values() for name in names]
+        sections = SECTIONS | {"More": tuple(sorted(set(summaries) - set(known)))}
+        for title, names in sections.items():
+            rows = [(name, _first_sentence(summaries[name])) for name in names if name in summaries]
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows)
+        plugins = [(name, _load_plugin(entry)) for name, entry in sorted(self._entry_points().items())]
+        rows = [(name, _first_sentence(_paragraph(command.help))) for name, command in plugins if command is not None]
+        if rows:
+            with formatter.section("Plugins"):
+                formatter.write_dl(rows)
+
+    def _modules(self) -> dict[str, _BuiltIn]:
+        if self._found is None:
+            self._found = _built_in()
+        return self._found
+
+    def _entry_points(self) -> dict[str, EntryPoint]:
+        if self._plugins is None:
+            found = entry_points(group=PLUGIN_GROUP)
+            self._plugins = {entry.name: entry for entry in found if entry.name not in self._modules()}
+        return self._plugins
+
+
+def _built_in() -> dict[str, _BuiltIn]:
+    """The verbs among the modules of this package, by name."""
+    verbs = {}
+    for path in cli.__path__:
+        for module in pkgutil.iter_modules([path]):
+            file = f"{module.name}/__init__.py" if module.ispkg else f"{module.name}.py"
+            summary = _summary(Path(path) / file)
+            if summary is not None and not module.name.startswith("_"):
+                verbs[module.name.replace("_", "-")] = _BuiltIn(f"{cli.__name__}.{module.name}", summary)
+    return verbs
+
+
+def _summary(source: Path) -> str | None:
+    """First paragraph of the help of the module's `command`; None if the module is no verb."""
+    try:
+        tree = ast.parse(source.read_bytes())
+    except OSError:
+        return None
+    except (SyntaxError, ValueError):
+        return "(cannot be loaded)"
+    for node in tree.body:
+        if isinstance(node, ast.FunctionDef) and node.name == "command":
+            return _paragraph(ast.get_docstring(node) or ast.get_docstring(tree))
+        targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+        if any(isinstance(target, ast.Name) and target.id == "command" for target in targets):
+            return _paragraph(ast.get_docstring(tree))
+    return None
+
+
+def _paragraph(text: str | None) -> str:
+    return one_line((text or "").strip().split("\n\n")[0])
+
+
+def _first_sentence(text: str) -> str:
+    return text.split(". ")[0].rstrip(".")
+
+
+def _load(name: str, module: str) -> click.Command:
+    try:
+        command = importlib.import_module(module).command
+    except ModuleNotFoundError as error:
+        if error.name and error.name.split(".")[0] in ROS_MODULES:
+            raise CalibrationError(
+                f"`mtcal {name}` needs ROS 2 ({error.name} is missing): source your ROS 2 installation, or "
+                "pip install 'machine_tool_calibration[ros]'"
+            ) from error
+        raise CalibrationError(f"`mtcal {name}` cannot be loaded: {error}") from error
+    except Exception as error:
+        raise CalibrationError(f"`mtcal {name}` cannot be loaded: {type(error).__name__}: {error}") from error
+    if not isinstance(command, click.Command):
+        raise CalibrationError(f"`mtcal {name}` cannot be loaded: {module}.command is no click command")
+    return command
+
+
+def _load_plugin(entry: EntryPoint) -> click.Command | None:
+    """The plugin's command; None, with a warning, if it is broken."""
+    try:
+        command = entry.load()
+        if isinstance(command, click.Command):
+            return command
+        problem = f"{entry.value} is no click command"
+    except Exception as error:
+        problem = f"{type(error).__name__}: {error}"
+    note(f"mtcal: warning: the plugin {entry.name!r} is skipped: {one_line(problem)}")
+    return None
+
 
 INTERRUPTED = 130
 BROKEN_PIPE = 141

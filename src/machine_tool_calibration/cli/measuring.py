@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from machine_tool_calibration.cli.figures import figures
+from machine_tool_calibration.cli.identified import figures
 from machine_tool_calibration.cli.output import error_console
 
 if TYPE_CHECKING:

@@ -60,8 +60,8 @@ def command(
 def _show(found: Forecast) -> None:
     from rich.table import Table
 
-    from machine_tool_calibration.diagnosis.dominant_words import dominant_words
-    from machine_tool_calibration.diagnosis.quantities import duration, micrometres, quantity
+    from machine_tool_calibration.reports.diagnosis import dominant_words
+    from machine_tool_calibration.reports.quantities import duration, micrometres, quantity
 
     screen, document = console(), plain(found.document())
     sigma = found.result.fit.model.observations.session.sigma

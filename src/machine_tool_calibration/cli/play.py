@@ -61,7 +61,7 @@ def command(
     from rclpy.executors import ExternalShutdownException
 
     from machine_tool_calibration.nodes.player import Player
-    from machine_tool_calibration.nodes.process import run
+    from machine_tool_calibration.nodes.ros.process import run
     from machine_tool_calibration.recording.reader import BagReader
 
     for entry in remap:

@@ -49,8 +49,8 @@ def command(
     mtcal record
     mtcal record -o bag /cell/instrument/displacement /joint_states
     """
-    from machine_tool_calibration.nodes.process import run
     from machine_tool_calibration.nodes.recorder import Recorder
+    from machine_tool_calibration.nodes.ros.process import run
 
     arguments = ["--ros-args"]
     if namespace:

@@ -128,7 +128,7 @@ def command(
 
 
 def _write(simulated: Simulated, spec: SimulationSpec, folder: Path, overwrite: bool) -> None:
-    from machine_tool_calibration.session.writer import write_session
+    from machine_tool_calibration.session.folder import write_session
 
     truth = folder / "truth.json"
     if truth.exists() and not overwrite:
@@ -195,7 +195,7 @@ def _short(value: Any) -> str:
 
 
 def _list(as_json: bool) -> None:
-    from machine_tool_calibration.diagnosis.text_table import TextTable
+    from machine_tool_calibration.reports.quantities import TextTable
     from machine_tool_calibration.simulation import FLAWS, PRESETS
 
     if as_json:

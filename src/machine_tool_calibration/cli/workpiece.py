@@ -54,7 +54,7 @@ def command(
     mtcal workpiece config/workpieces/cross_pocket.yaml -o points.csv
     mtcal workpiece contour.dxf --spacing 5 --stylus 6 --into probing.yaml -o my_part.yaml
     """
-    from machine_tool_calibration.workpiece import read_workpiece, workpiece_entries
+    from machine_tool_calibration.procedure.workpiece import read_workpiece, workpiece_entries
 
     if into is not None and output is None:
         raise click.UsageError("--into needs --output: the procedure itself is not changed.")
@@ -86,7 +86,7 @@ def _outline(
 ) -> tuple[WorkpiecePoint, ...]:
     from pydantic import ValidationError
 
-    from machine_tool_calibration.workpiece import Workpiece, workpiece_points
+    from machine_tool_calibration.procedure.workpiece import Workpiece, workpiece_points
 
     if spacing is None:
         raise click.UsageError("An outline needs --spacing: how far its points are apart.")
@@ -107,7 +107,7 @@ def _outline(
 
 
 def _write(points: tuple[WorkpiecePoint, ...], into: Path | None, output: Path) -> None:
-    from machine_tool_calibration.workpiece.points_file import points_csv, points_yaml, procedure_with
+    from machine_tool_calibration.procedure.workpiece.points_file import points_csv, points_yaml, procedure_with
 
     if output.exists():
         raise CalibrationError(f"{output}: is there already; choose another file")

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.diagnosis.noise import Noise
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.model.fit import Fit, JointFit
+from machine_tool_calibration.residuals.noise import Noise
 
 __all__ = ["Approach", "Comparison", "JointComparison", "Overall", "Region", "Share", "Trend"]
 

@@ -9,13 +9,13 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
-from machine_tool_calibration.diagnosis.findings import Finding
-from machine_tool_calibration.diagnosis.pool import Pool
+from machine_tool_calibration.diagnosis.search.findings import Finding
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.result import ErrorMap, Estimate
+from machine_tool_calibration.residuals.pool import Pool
 
 __all__ = ["Consequence", "before_and_after", "consequences", "effect_estimates", "map_change", "map_rms", "rms"]
 

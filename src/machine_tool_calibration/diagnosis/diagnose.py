@@ -10,28 +10,73 @@ from functools import partial
 import numpy as np
 import threadpoolctl
 
-from machine_tool_calibration.diagnosis.candidates import effect_candidates
-from machine_tool_calibration.diagnosis.findings import Finding
-from machine_tool_calibration.diagnosis.look import Look, look_at
-from machine_tool_calibration.diagnosis.noise import Noise
-from machine_tool_calibration.diagnosis.outliers import Outlier, find_outliers
-from machine_tool_calibration.diagnosis.places import mean_places
-from machine_tool_calibration.diagnosis.pool import Pool
-from machine_tool_calibration.diagnosis.prediction import Prediction, predictions
-from machine_tool_calibration.diagnosis.priors import ACCEPTED, CONTRADICTED, GROSS, LIKELY, SURE
-from machine_tool_calibration.diagnosis.structure import structure_candidates
+from machine_tool_calibration.diagnosis.search.candidates import effect_candidates
+from machine_tool_calibration.diagnosis.search.findings import Finding
+from machine_tool_calibration.diagnosis.search.look import Look, look_at
+from machine_tool_calibration.diagnosis.search.prediction import Prediction, predictions
+from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, CONTRADICTED, GROSS, LIKELY, SURE
+from machine_tool_calibration.diagnosis.search.structure import structure_candidates
 from machine_tool_calibration.effects.catalogue import catalogue, find_effects
 from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.effects.effect_terms import add_effects
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.build import build_model, sharing_variant
 from machine_tool_calibration.methods.fitted import FittedSessions, fit_sessions
-from machine_tool_calibration.model.effect_terms import add_effects
-from machine_tool_calibration.model.fit import JointFit
+from machine_tool_calibration.model.fit import Fit, JointFit
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import EffectSet, ErrorMap
+from machine_tool_calibration.residuals.noise import Noise, noise_of, same_place
+from machine_tool_calibration.residuals.outliers import Outlier, find_outliers
+from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["Diagnosis", "diagnose"]
+__all__ = ["Diagnosis", "diagnose", "mean_places"]
+
+
+# Chance from which places differ more than their repeats do.
+_DIFFER = 1e-3
+_STILL = 1e-6  # m
+
+
+def mean_places(fit: Fit) -> tuple[Session, Noise] | None:
+    """The session with the mean of the readings of each place, and what its repeats say of the noise.
+
+    A hole that was drilled once and measured five times tells of the machine once. Averaged are direct deviations whose
+    places differ along at least two axes and by more than their repeats do; the readings of a single axis are the
+    machine's own, run after run.
+
+    Args:
+        fit: of the model without further effects.
+
+    Returns:
+        None where nothing is to be averaged.
+    """
+    observations = fit.model.observations
+    session, readings = observations.session, observations.readings
+    if session.method != "direct" or (np.ptp(observations.position, axis=0) > _STILL).sum() < 2:
+        return None
+    place = same_place(observations)
+    count = np.bincount(place)
+    if count.max() < 2:
+        return None
+    noise = noise_of(fit)
+    if noise.lack_of_fit_p is None or noise.lack_of_fit_p > _DIFFER:
+        return None
+    first = np.unique(place, return_index=True)[1]
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        # Differences from the first: what is the same for all stays the same to the last bit.
+        return np.asarray(values[first] + (np.bincount(place, values - values[first][place]) / count)[place[first]])
+
+    averaged = readings.select(first)
+    averaged = replace(
+        averaged,
+        displacement=mean(readings.displacement),
+        columns={name: mean(values) for name, values in readings.columns.items()},
+    )
+    order = np.argsort(averaged.row, kind="stable")
+    return session.with_readings(averaged.select(order)), noise
+
 
 # Growth of the map's uncertainty from which it is no longer determined for any purpose.
 _SPOILT = 30.0

@@ -9,11 +9,11 @@ from machine_tool_calibration.effects.effect import Coefficient, Effect
 from machine_tool_calibration.machine.error_motions import (
     SQUARENESS,
     ErrorMotion,
+    interpolation,
     motion_field,
     parse_motion,
     squareness_field,
 )
-from machine_tool_calibration.machine.table import interpolation
 from machine_tool_calibration.model.observations import Observations
 
 __all__ = ["ErrorMotionEffect", "polynomials", "sensed_lever_arms", "sensed_motion"]

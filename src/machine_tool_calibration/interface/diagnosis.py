@@ -17,9 +17,9 @@ from machine_tool_calibration.diagnosis.diagnose import Diagnosis as Found
 from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.interface.show import Shown, chosen, notebook, printed
-from machine_tool_calibration.methods.joint import JointResult
+from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.model.result import Result
-from machine_tool_calibration.planning.conclusions import Conclusions, conclude
+from machine_tool_calibration.planning.what_to_measure import Conclusions, conclude
 from machine_tool_calibration.session.session import Session
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ class Comparison(Shown):
         Columns: `row` (from 0), `setup`, `repeat`, `measured`, `predicted`, `residual` (m), `studentized` (residual
         over its own standard uncertainty; NaN where the model has a reading for itself), and all that was recorded.
         """
-        from machine_tool_calibration.diagnosis.compare_document import comparison_columns, joint_columns
+        from machine_tool_calibration.reports.comparison import comparison_columns, joint_columns
 
         found = self.found
         columns = comparison_columns(found) if isinstance(found, OneComparison) else joint_columns(found)
@@ -157,7 +157,7 @@ class Comparison(Shown):
 
     @cached_property
     def _document(self) -> dict[str, Any]:
-        from machine_tool_calibration.diagnosis.compare_document import comparison_document, joint_document
+        from machine_tool_calibration.reports.comparison import comparison_document, joint_document
 
         found = self.found
         return comparison_document(found) if isinstance(found, OneComparison) else joint_document(found)
@@ -283,7 +283,7 @@ class Diagnosis(Shown):
     def document(self) -> dict[str, Any]:
         """The same for programs, as `mtcal diagnose --json` writes it (`mtcal-diagnosis/1`)."""
         from machine_tool_calibration.cli.output import plain
-        from machine_tool_calibration.diagnosis.document import diagnosis_document
+        from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
 
         then = self.conclusions
         made: dict[str, Any] = plain(diagnosis_document(self.found, then.advice, then.changes))

@@ -18,8 +18,8 @@ from machine_tool_calibration.interface.diagnosis import Comparison, Diagnosis
 from machine_tool_calibration.interface.effects import split_effects
 from machine_tool_calibration.interface.session import Measurement, Source, load, one_below_the_other
 from machine_tool_calibration.interface.show import Shown, chosen, printed
+from machine_tool_calibration.methods.identify import JointResult, identify_sessions
 from machine_tool_calibration.methods.identify import identify as identify_one
-from machine_tool_calibration.methods.joint import JointResult, identify_sessions
 from machine_tool_calibration.model.result import Result
 
 if TYPE_CHECKING:

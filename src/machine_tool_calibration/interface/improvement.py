@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from machine_tool_calibration.diagnosis.noise import noise_of
+from machine_tool_calibration.diagnosis.improve import Improvement as Done
+from machine_tool_calibration.diagnosis.improve import Step, step_after
+from machine_tool_calibration.diagnosis.improve import improve as improve_models
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.interface.diagnosis import Diagnosis
@@ -17,9 +19,7 @@ from machine_tool_calibration.interface.effects import split_effects
 from machine_tool_calibration.interface.identification import Fit
 from machine_tool_calibration.interface.session import Measurement, Source, load
 from machine_tool_calibration.interface.show import Shown, notebook, printed
-from machine_tool_calibration.methods.improve import Improvement as Done
-from machine_tool_calibration.methods.improve import Step, step_after
-from machine_tool_calibration.methods.improve import improve as improve_models
+from machine_tool_calibration.residuals.noise import noise_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -102,7 +102,7 @@ class Improvement(Shown):
     def document(self) -> dict[str, Any]:
         """The same for programs, as `mtcal improve --json` writes it (`mtcal-improvement/1`)."""
         from machine_tool_calibration.cli.output import plain
-        from machine_tool_calibration.methods.improve_document import improvement_document
+        from machine_tool_calibration.reports.improvement import improvement_document
 
         made: dict[str, Any] = plain(improvement_document(self.done))
         return made

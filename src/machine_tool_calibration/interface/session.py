@@ -44,7 +44,7 @@ class Measurement(Shown):
         The columns are those of `observations.csv` (`time` s, `setup`, `repeat`, `x` `y` `z` m, `c` rad,
         `displacement` m, …); of several sessions `session` comes first. A lost reading has the displacement NaN.
         """
-        from machine_tool_calibration.session.writer import readings_frame
+        from machine_tool_calibration.session.folder import readings_frame
 
         frames = [readings_frame(session) for session in self.sessions]
         return one_below_the_other(self.labels, frames)
@@ -79,7 +79,7 @@ class Measurement(Shown):
         Raises:
             SessionError: a session is already there, or the folder cannot be written.
         """
-        from machine_tool_calibration.session.writer import write_session
+        from machine_tool_calibration.session.folder import write_session
 
         for label, session in zip(self.labels, self.sessions, strict=True):
             own = Path(folder) if len(self.sessions) == 1 else Path(folder) / label
@@ -121,7 +121,7 @@ def load(*sources: Source | Sequence[Source]) -> Measurement:
 
 def _opened(source: Any) -> Iterator[tuple[str, Session, Mapping[str, Any] | None]]:
     """Name, session and truth of each session in a source."""
-    from machine_tool_calibration.session.open import open_measurement
+    from machine_tool_calibration.recording.open import open_measurement
 
     if isinstance(source, str | os.PathLike):
         path = Path(os.fspath(source))

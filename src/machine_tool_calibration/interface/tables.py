@@ -14,11 +14,11 @@ import numpy as np
 import pandas as pd
 
 from machine_tool_calibration.machine.error_motions import SQUARENESS, parse_motion
-from machine_tool_calibration.methods.joint import JointResult
+from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.session.description import Probing, RotaryAxis
-from machine_tool_calibration.session.writer import readings_frame
+from machine_tool_calibration.session.folder import readings_frame
 
 __all__ = ["error_map", "error_motions", "parameters", "residuals", "workpiece"]
 
@@ -171,7 +171,7 @@ def parameters(result: Result | JointResult, document: Mapping[str, Any], meanin
         `value` and standard uncertainty `u` in `unit`, `determined`, `meaning` in words, and `why_not` the data
         determines it.
     """
-    from machine_tool_calibration.model.unknown_words import unknown_in_words
+    from machine_tool_calibration.reports.unknowns import unknown_in_words
 
     units = {parameter.name: parameter.unit for parameter in result.joint.assembly.parameters}
     rows = [

@@ -17,7 +17,39 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.machine.chain import Chain
 
-__all__ = ["SQUARENESS", "ErrorMotion", "lever_arm", "motion_field", "parse_motion", "squareness_field"]
+__all__ = [
+    "SQUARENESS",
+    "ErrorMotion",
+    "interpolation",
+    "lever_arm",
+    "motion_field",
+    "parse_motion",
+    "squareness_field",
+]
+
+
+def interpolation(nodes: Array, position: Array) -> Array:
+    """Weights of the nodes at each position (the probing paper's Eqs. (8)(9)).
+
+    Args:
+        nodes: (k,) increasing positions of the table, m or rad.
+        position: (n,) commanded positions; beyond the last node the last interval is extended.
+
+    Returns:
+        (k, n) weights; each column sums to 1.
+    """
+    k = len(nodes)
+    weights = np.zeros((k, len(position)))
+    if k == 1:
+        weights[0] = 1.0
+        return weights
+    right = np.clip(np.searchsorted(nodes, position, side="right"), 1, k - 1)
+    share = (position - nodes[right - 1]) / (nodes[right] - nodes[right - 1])
+    columns = np.arange(len(position))
+    weights[right - 1, columns] = 1.0 - share
+    weights[right, columns] = share
+    return weights
+
 
 SQUARENESS = ("A0Z", "B0Z", "C0Y")
 _TRANSLATIONS = "XYZ"

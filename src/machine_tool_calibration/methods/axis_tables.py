@@ -11,14 +11,19 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.machine.chain import Chain
-from machine_tool_calibration.machine.error_motions import SQUARENESS, motion_field, parse_motion, squareness_field
-from machine_tool_calibration.machine.table import interpolation
-from machine_tool_calibration.machine.tables import MachineTable
+from machine_tool_calibration.machine.error_motions import (
+    SQUARENESS,
+    interpolation,
+    motion_field,
+    parse_motion,
+    squareness_field,
+)
 from machine_tool_calibration.model.model import NotDetermined
 from machine_tool_calibration.model.result import Estimate, Result
+from machine_tool_calibration.model.rigid_body import MachineTable
 
 if TYPE_CHECKING:
-    from machine_tool_calibration.methods.joint import JointResult
+    from machine_tool_calibration.methods.identify import JointResult
 
 __all__ = ["AxisTable", "AxisTables", "axis_tables", "joint_axis_tables"]
 

@@ -15,11 +15,11 @@ from machine_tool_calibration.session.session import Session
 __all__ = ["build_model", "rejected_readings", "sharing_variant"]
 
 _MODULES = {
-    "tracking_interferometer": "tracking",
+    "tracking_interferometer": "tracking.model",
     "step_diagonal": "step_diagonal",
-    "probing": "probing",
-    "rotary_axis": "rotary_axis",
-    "direct": "direct",
+    "probing": "probing.model",
+    "rotary_axis": "rotary_axis.model",
+    "direct": "direct.model",
 }
 # The variant of each method in which the machine's errors are tables that others can share.
 _SHARING = {"tracking_interferometer": "rigid_body", "step_diagonal": "small_angles"}

@@ -8,13 +8,13 @@ from functools import cached_property
 
 from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.effects.effect_terms import add_effects
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.build import build_model, sharing_variant
-from machine_tool_calibration.methods.joint_effects import with_effects
-from machine_tool_calibration.methods.joint_map import joint_map
-from machine_tool_calibration.methods.joint_model import CommonModels, common_models
-from machine_tool_calibration.methods.joint_spread import random_of, settled, stated
-from machine_tool_calibration.model.effect_terms import add_effects
+from machine_tool_calibration.methods.joint.effects import with_effects
+from machine_tool_calibration.methods.joint.map import joint_map
+from machine_tool_calibration.methods.joint.model import CommonModels, common_models
+from machine_tool_calibration.methods.joint.small_angles import random_of, settled, stated
 from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.session.session import Session

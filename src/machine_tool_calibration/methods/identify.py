@@ -1,22 +1,293 @@
-"""From a session to the machine's errors: the one entry for nodes, command line and programs."""
+"""From one session or several to the machine's errors: the one entry for nodes, commands and programs."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
-from machine_tool_calibration.diagnosis.outliers import set_aside
+import numpy as np
+
 from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.effects.effect_terms import add_effects
+from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.averaging import averaged_map
-from machine_tool_calibration.methods.build import build_model, rejected_readings
-from machine_tool_calibration.methods.fitted import fit_sessions
-from machine_tool_calibration.methods.impossible_sizes import refuse_impossible
-from machine_tool_calibration.model.effect_terms import add_effects
-from machine_tool_calibration.model.result import EffectSet, Rejected, Result
+from machine_tool_calibration.methods.build import build_model, rejected_readings, sharing_variant
+from machine_tool_calibration.methods.fitted import fit_sessions, joint_models
+from machine_tool_calibration.methods.joint.agreement import Agreement, agreement
+from machine_tool_calibration.methods.joint.model import CommonModels, common_models
+from machine_tool_calibration.methods.joint.small_angles import StatedAngles, stated
+from machine_tool_calibration.model.fit import JointFit, fit_models
+from machine_tool_calibration.model.model import MethodModel
+from machine_tool_calibration.model.result import (
+    EffectSet,
+    ErrorMap,
+    Estimate,
+    Rejected,
+    Result,
+    averaged_document,
+    plain,
+    spread_document,
+)
+from machine_tool_calibration.residuals.outliers import set_aside
+from machine_tool_calibration.session.description import TrackingInterferometer
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["build_model", "identify", "rejected_readings", "sound"]
+__all__ = [
+    "JointResult",
+    "build_model",
+    "identify",
+    "identify_sessions",
+    "joint_models",
+    "refuse_impossible",
+    "rejected_readings",
+    "sound",
+]
+
+
+# Position error that no machine tool has, m, and by how many of its uncertainties it must be known.
+_IMPOSSIBLE = 0.01
+_KNOWN = 5.0
+# A station may be off by so many of its stated uncertainties, and by this where none is stated, m.
+_STATED = 10.0
+_UNSTATED = 0.1
+
+
+def refuse_impossible(session: Session, error_map: ErrorMap, *, allow: bool = False) -> None:
+    """Refuse what was identified from readings that contradict the geometry.
+
+    Args:
+        session: the measurement.
+        error_map: what was identified.
+        allow: whether it is accepted nevertheless.
+
+    Raises:
+        ModelError: a position error of centimetres, or a station far from where it is stated to be.
+    """
+    if allow:
+        return
+    size = np.abs(error_map.error)
+    there = np.isfinite(size) & (size > _KNOWN * error_map.uncertainty) & (size > _IMPOSSIBLE)
+    if there.any():
+        k, j = np.argwhere(there)[int(np.argmax(size[there]))]
+        place = ", ".join(f"{1e3 * v:.6g}" for v in error_map.points[k])
+        raise ModelError(
+            f"{session.source}: the position error along {'xyz'[j]} at ({place}) mm comes out as "
+            f"{1e3 * size[k, j]:.3g} mm, which no machine has: check units, columns and signs, and where the "
+            "instrument stood"
+        )
+    description = session.description
+    if not isinstance(description, TrackingInterferometer) or "stations" not in error_map.content:
+        return
+    found, known = error_map.content["stations"], error_map.content["stations_u"]
+    for setup, position, uncertainty in zip(description.setups, found, known, strict=True):
+        off = np.abs(position - np.asarray(setup.position))[: description.dimension]
+        limit = _STATED * setup.position_uncertainty if setup.position_uncertainty else _UNSTATED
+        bad = (off > limit) & (off > _IMPOSSIBLE) & (off > _KNOWN * uncertainty[: description.dimension])
+        if bad.any():
+            j = int(np.argmax(np.where(bad, off, 0.0)))
+            raise ModelError(
+                f"{session.source}: station {setup.id!r} is found {1e3 * off[j]:.3g} mm off its stated position along "
+                f"{'xyz'[j]}: check its position and position_uncertainty, and the columns x, y and z"
+            )
+
+
+@dataclass(frozen=True)
+class JointResult:
+    """Several sessions fitted together.
+
+    Attributes:
+        labels: names of the sessions.
+        fit: of all of them.
+        angles: small angular errors that a step diagonal has as random functions, and all else with the mean over
+            them; None where there are none.
+        common: the models and what they share.
+        error_map: one map.
+        agreement: whether the sessions agree.
+        effects: ids of the effects that were added.
+        model_names: variant of each session's model.
+        rejected: readings kept out, for each session.
+        observations: readings recorded in each session.
+        averaged: sets of effects over which the map is the mean; empty where it is that of the models alone.
+    """
+
+    labels: tuple[str, ...]
+    fit: JointFit
+    angles: StatedAngles | None
+    common: CommonModels
+    error_map: ErrorMap
+    agreement: Agreement
+    effects: tuple[str, ...]
+    model_names: tuple[str, ...]
+    rejected: tuple[tuple[Rejected, ...], ...]
+    observations: tuple[int, ...]
+    averaged: tuple[EffectSet, ...] = ()
+
+    @property
+    def joint(self) -> JointFit:
+        """The fit."""
+        return self.fit
+
+    @property
+    def model_name(self) -> str:
+        """Variants of the sessions' models, each once."""
+        return ", ".join(dict.fromkeys(self.model_names))
+
+    @property
+    def rms_residual(self) -> float:
+        """Root mean square of measured minus predicted, m."""
+        return float(np.sqrt(np.mean(np.concatenate([fit.residuals for fit in self.fit.fits]) ** 2)))
+
+    @property
+    def parameters(self) -> list[Estimate]:
+        """The unknowns that the data determines; those of an instrument carry the session's label."""
+        solution = self.fit.published
+        sigma = np.sqrt(np.diag(solution.covariance).clip(0.0))
+        return [
+            Estimate(p.name, float(p.reference + value), float(u), p.unit)
+            for p, value, u, good in zip(
+                self.fit.assembly.parameters, solution.theta, sigma, solution.is_determined(), strict=True
+            )
+            if good
+        ]
+
+    @property
+    def not_determined(self) -> list[dict[str, str]]:
+        """What no session determines, with the reason."""
+        out = {
+            entry.name: entry.why
+            for model in self.common.models
+            for entry in model.left_out
+            if entry.name.partition(".")[0] in self.effects
+        }
+        names = [p.name for p in self.fit.assembly.parameters]
+        solution = self.fit.solution
+        for k in np.flatnonzero(~solution.is_determined()):
+            direction = solution.undetermined @ solution.undetermined[k]
+            others = [names[j] for j in np.argsort(-np.abs(direction)) if j != k and abs(direction[j]) > 1e-6]
+            why = "no reading depends on it"
+            if others:
+                why = f"the readings do not change if it changes together with {', '.join(others[:4])}"
+            out[names[k]] = why
+        if self.angles is not None:
+            out |= {entry.name: entry.why for entry in self.angles.untold}
+        out |= {entry.name: entry.why for entry in self.error_map.not_determined}
+        return [{"name": name, "why": why} for name, why in out.items()]
+
+    def document(self) -> dict[str, Any]:
+        """The result as a JSON document: that of a single session, with the sessions and their agreement."""
+        solution = self.fit.solution
+        residuals = [fit.residuals for fit in self.fit.fits]
+        return {
+            "format": "mtcal-result/1",
+            "method": "joint",
+            "observations": sum(self.observations),
+            "used": self.fit.assembly.problem.n_readings,
+            "rejected": [
+                {"session": label, "row": r.row, "reason": r.reason}
+                for label, rejected in zip(self.labels, self.rejected, strict=True)
+                for r in rejected
+            ],
+            "rms_residual": self.rms_residual,
+            "reduced_chi_square": self.fit.reduced_chi_square,
+            "degrees_of_freedom": solution.degrees_of_freedom,
+            "p_value": self.fit.p_value,
+            "effects": list(self.effects),
+            "averaged_over": averaged_document(self.averaged),
+            "spread": [spread_document(size) for size in self.fit.stated.sizes],
+            "scatter_factor": self.fit.stated.scatter,
+            "sessions": [
+                {
+                    "label": label,
+                    "method": model.observations.session.method,
+                    "model": name,
+                    "observations": count,
+                    "used": len(model.observations),
+                    "rms_residual": float(np.sqrt(np.mean(values**2))),
+                }
+                for label, model, name, count, values in zip(
+                    self.labels, self.common.models, self.model_names, self.observations, residuals, strict=True
+                )
+            ],
+            "agreement": plain(asdict(self.agreement)),
+            "parameters": [asdict(estimate) for estimate in self.parameters],
+            "not_determined": self.not_determined,
+            "datum": self.common.datum,
+            "error_map": plain(self.error_map.content),
+        }
+
+
+def identify_sessions(
+    sessions: Sequence[Session],
+    labels: Sequence[str],
+    *,
+    model: str | None = None,
+    effects: Sequence[str] = (),
+    own: Sequence[Effect] = (),
+    keep_all: bool = False,
+    sets: Sequence[EffectSet] = (),
+) -> JointResult:
+    """Identify one machine from several sessions, of the same or of different methods.
+
+    Args:
+        sessions: the measurements.
+        labels: their names, all different.
+        model: variant of the methods that have it.
+        effects: ids of physical effects to add, in every session in which they can act.
+        own: the user's own effects, beside the catalogue.
+        keep_all: use all readings; otherwise those that stand out of all others of their session are set aside.
+        sets: of effects that the readings do not tell apart, over which the map is the mean.
+
+    Raises:
+        ModelError: as for `joint_models`; a session that contradicts itself; or too few readings.
+    """
+    rejected = [rejected_readings(session) for session in sessions]
+    if not keep_all:
+        # Each by itself: where an effect is missing, all its residuals are large, and none stands out.
+        pairs = [sound(session, sharing_variant(session, model)) for session in sessions]
+        sessions, rejected = [kept for kept, _ in pairs], [gone for _, gone in pairs]
+    fitted = fit_sessions(sessions, labels, model=model, effects=effects, own=own)
+    joint, common = fitted.joint, fitted.common
+    if common is None:
+        raise ModelError("several sessions are needed to fit them together")
+    angles = stated(joint, common.angles)
+    agreed = agreement(joint, common, labels, _spread(common))
+    if angles is not None:
+        agreed = replace(agreed, statement=agreed.statement + angles.hidden)
+    error_map, averaged = averaged_map(
+        fitted.error_map,
+        effects,
+        sets,
+        lambda others: fit_sessions(sessions, labels, model=model, effects=others, own=own).error_map,
+    )
+    return JointResult(
+        labels=tuple(labels),
+        fit=joint,
+        angles=angles,
+        common=common,
+        error_map=error_map,
+        agreement=agreed,
+        effects=tuple(effects),
+        model_names=fitted.model_names,
+        rejected=tuple(rejected),
+        observations=tuple(len(session.readings) for session in sessions),
+        averaged=averaged,
+    )
+
+
+def _spread(common: CommonModels) -> float:
+    """Reduced chi-square of the sessions fitted one by one, with the datum that each needs alone."""
+    total, freedom = 0.0, 0
+    for model in common.models:
+        alone: MethodModel = common_models([model], [""]).models[0]
+        try:
+            solution = fit_models([alone]).solution
+        except ModelError:
+            continue
+        total, freedom = total + solution.chi_square, freedom + solution.degrees_of_freedom
+    return total / freedom if freedom else 1.0
 
 
 def sound(

@@ -13,11 +13,10 @@ from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.normal import covariance_root
 from machine_tool_calibration.estimation.problem import Part, Problem
-from machine_tool_calibration.estimation.projection import Projected, project
+from machine_tool_calibration.estimation.reduction import Projected, project
 from machine_tool_calibration.estimation.solve import Solution, gram, solve
-from machine_tool_calibration.model.model import Assembly, MethodModel, assemble
+from machine_tool_calibration.model.model import Assembly, MethodModel, Parameter, Term, assemble
 from machine_tool_calibration.model.stated import RandomUnknowns, Stated, state
-from machine_tool_calibration.model.terms import Parameter, Term
 
 __all__ = ["Fit", "JointFit", "fit_models", "screen", "screen_joint"]
 

@@ -1,4 +1,4 @@
-"""From a session to a least-squares problem: the model of one method, and several of them put together."""
+"""From terms to a least-squares problem: the model of one session, and several of them assembled."""
 
 from __future__ import annotations
 
@@ -13,14 +13,52 @@ from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.problem import Part, PriorRows, Problem
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.model.terms import Parameter, Term
 
 if TYPE_CHECKING:
     from machine_tool_calibration.model.fit import Fit
     from machine_tool_calibration.model.result import ErrorMap
     from machine_tool_calibration.model.stated import RandomUnknowns
 
-__all__ = ["Assembly", "Constraint", "MethodModel", "NotDetermined", "Prior", "assemble"]
+__all__ = ["Assembly", "Constraint", "MethodModel", "NotDetermined", "Parameter", "Prior", "Term", "assemble"]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """An unknown.
+
+    Attributes:
+        name: unique in the model.
+        unit: SI, such as m, rad, m/s, 1/K, 1.
+        low: smallest plausible value, if there is one.
+        high: largest plausible value, if there is one.
+        reference: what the unknown is counted from; the published value is reference plus unknown.
+        shared: whether it belongs to the machine, so that several sessions have it in common.
+    """
+
+    name: str
+    unit: str
+    low: float | None = None
+    high: float | None = None
+    reference: float = 0.0
+    shared: bool = False
+
+
+@dataclass(frozen=True)
+class Term:
+    """A physical effect, or a group of unknowns of the method, evaluated for given readings.
+
+    Attributes:
+        name: what it is: an effect's id, an error motion, an instrument's unknown.
+        parameters: k unknowns.
+        columns: (k, n) change of each reading per unit of each unknown.
+        field: (k, n, 3) displacement of the functional point per unit of each unknown, for a map of position errors;
+            None for what changes the reading itself.
+    """
+
+    name: str
+    parameters: tuple[Parameter, ...]
+    columns: Array
+    field: Array | None = None
 
 
 @dataclass(frozen=True)

@@ -18,11 +18,9 @@ from scipy import special
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.estimation.normal import covariance_root, solve_normal
 from machine_tool_calibration.estimation.problem import Part, Problem
-from machine_tool_calibration.estimation.projection import project
-from machine_tool_calibration.estimation.reduction import gram, single_blas
+from machine_tool_calibration.estimation.reduction import gram, project, single_blas
 from machine_tool_calibration.estimation.solve import Solution, local_steps
-from machine_tool_calibration.estimation.variance_components import Components, components
-from machine_tool_calibration.estimation.widened import WidenedPart
+from machine_tool_calibration.estimation.variance_components import Components, WidenedPart, components
 from machine_tool_calibration.model.reproducibility import Family, reproducibility
 
 if TYPE_CHECKING:

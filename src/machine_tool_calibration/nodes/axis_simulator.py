@@ -19,15 +19,23 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.nodes.parameters import declare
-from machine_tool_calibration.nodes.poses import pose_message, quaternion_of
-from machine_tool_calibration.nodes.process import STOP_GRACE, run
-from machine_tool_calibration.nodes.qos import COMMAND, STATE
+from machine_tool_calibration.nodes.ros.messages import (
+    COMMAND,
+    STATE,
+    Level,
+    from_duration,
+    from_message,
+    nanoseconds,
+    now,
+    pose_message,
+    quaternion_of,
+    seconds,
+    status_message,
+    to_message,
+)
+from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run
 from machine_tool_calibration.nodes.site import Moment, Site, read_site
-from machine_tool_calibration.nodes.stamps import from_duration, from_message, nanoseconds, now, seconds, to_message
-from machine_tool_calibration.nodes.status import Level, status_message
-from machine_tool_calibration.procedure.motion import AxisLimits
-from machine_tool_calibration.procedure.trajectory import Trajectory, check_command
+from machine_tool_calibration.procedure.motion import AxisLimits, Trajectory, check_command
 
 __all__ = ["AxisSimulator", "main"]
 

@@ -9,22 +9,22 @@ from pathlib import Path
 from typing import Any
 
 from machine_tool_calibration.diagnosis.compare import compare
-from machine_tool_calibration.diagnosis.compare_document import comparison_document
 from machine_tool_calibration.diagnosis.consequence import Consequence
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
-from machine_tool_calibration.diagnosis.document import diagnosis_document
+from machine_tool_calibration.diagnosis.improve import Improvement, improve
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.effects.formula import read_effects
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.methods.improve import Improvement, improve
-from machine_tool_calibration.methods.improve_document import improvement_document
 from machine_tool_calibration.model.result import Result, plain
-from machine_tool_calibration.nodes.background import Progress
+from machine_tool_calibration.nodes.ros.services import Progress
 from machine_tool_calibration.planning.advice import Advice
-from machine_tool_calibration.planning.conclusions import SEARCH, conclude
+from machine_tool_calibration.planning.what_to_measure import SEARCH, conclude
+from machine_tool_calibration.reports.comparison import comparison_document
+from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
+from machine_tool_calibration.reports.improvement import improvement_document
 from machine_tool_calibration.session.collect import Collector
+from machine_tool_calibration.session.description import Place
 from machine_tool_calibration.session.parse import parse_description
-from machine_tool_calibration.session.place import Place
 from machine_tool_calibration.session.session import Session
 
 __all__ = [

@@ -7,8 +7,7 @@ from collections import deque
 from rclpy.node import Node
 from sensor_msgs.msg import FluidPressure, RelativeHumidity, Temperature
 
-from machine_tool_calibration.nodes.qos import SLOW
-from machine_tool_calibration.nodes.stamps import from_message, nanoseconds
+from machine_tool_calibration.nodes.ros.messages import SLOW, from_message, nanoseconds
 
 __all__ = ["TOPICS", "EnvironmentWatch", "interpolate"]
 

@@ -20,7 +20,6 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from machine_tool_calibration.nodes.background import Background, Progress
 from machine_tool_calibration.nodes.calculation import (
     Diagnosed,
     Identified,
@@ -32,14 +31,10 @@ from machine_tool_calibration.nodes.calculation import (
     identified,
     improved,
 )
-from machine_tool_calibration.nodes.deferred import Answer, DeferredService
-from machine_tool_calibration.nodes.parameters import declare
-from machine_tool_calibration.nodes.process import STOP_GRACE, run
-from machine_tool_calibration.nodes.publications import Publications
-from machine_tool_calibration.nodes.qos import LATCHED, READINGS
-from machine_tool_calibration.nodes.stamps import from_message, now
-from machine_tool_calibration.nodes.status import Level, status_message
-from machine_tool_calibration.nodes.verdict import in_words
+from machine_tool_calibration.nodes.publications import Publications, in_words
+from machine_tool_calibration.nodes.ros.messages import LATCHED, READINGS, Level, from_message, now, status_message
+from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run
+from machine_tool_calibration.nodes.ros.services import Answer, Background, DeferredService, Progress
 
 __all__ = ["Estimator", "main"]
 

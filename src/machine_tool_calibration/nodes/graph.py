@@ -16,7 +16,7 @@ from typing import Any
 import yaml
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.nodes.process import default_environment
+from machine_tool_calibration.nodes.ros.process import default_environment
 
 __all__ = ["Graph", "Program"]
 

@@ -29,18 +29,26 @@ from std_srvs.srv import Trigger
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.instruments.drivers import load_driver
 from machine_tool_calibration.nodes.averaging import Batch, NotYet, Recent, Source, Window
-from machine_tool_calibration.nodes.deferred import Answer, DeferredService
-from machine_tool_calibration.nodes.driver_source import DriverSource, clock_offset
 from machine_tool_calibration.nodes.environment import TOPICS
 from machine_tool_calibration.nodes.optics import make_optics
-from machine_tool_calibration.nodes.parameters import declare
-from machine_tool_calibration.nodes.poses import rotation_of
-from machine_tool_calibration.nodes.process import STOP_GRACE, run
-from machine_tool_calibration.nodes.qos import COMMAND, LATCHED, SLOW, STATE
-from machine_tool_calibration.nodes.simulated_source import SimulatedSource
+from machine_tool_calibration.nodes.ros.messages import (
+    COMMAND,
+    LATCHED,
+    SLOW,
+    STATE,
+    Level,
+    from_message,
+    nanoseconds,
+    now,
+    rotation_of,
+    seconds,
+    status_message,
+    to_message,
+)
+from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run
+from machine_tool_calibration.nodes.ros.services import Answer, DeferredService
+from machine_tool_calibration.nodes.samples import DriverSource, SimulatedSource, clock_offset
 from machine_tool_calibration.nodes.site import Beam, Site, read_site
-from machine_tool_calibration.nodes.stamps import from_message, nanoseconds, now, seconds, to_message
-from machine_tool_calibration.nodes.status import Level, status_message
 from machine_tool_calibration.session.parse import parse_description
 
 __all__ = ["Instrument", "main"]

@@ -15,16 +15,16 @@ import numpy as np
 import yaml
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.nodes.domain import claimed_domain
 from machine_tool_calibration.nodes.graph import Graph, Program
 from machine_tool_calibration.nodes.operator import Operator
+from machine_tool_calibration.nodes.ros.domain import claimed_domain
 from machine_tool_calibration.nodes.site import SiteSpec
 from machine_tool_calibration.procedure import Procedure, plan, read_procedure
 from machine_tool_calibration.session.collect import Collector
+from machine_tool_calibration.session.description import Place
+from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.session.parse import parse_description
-from machine_tool_calibration.session.place import Place
 from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.session.writer import write_session
 
 __all__ = ["NODES", "UNNEEDED", "Measured", "Progress", "Setting", "free_folder", "measure", "site_document"]
 

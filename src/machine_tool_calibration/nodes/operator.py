@@ -16,9 +16,8 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.nodes.process import default_environment
-from machine_tool_calibration.nodes.qos import LATCHED, READINGS
-from machine_tool_calibration.nodes.status import values
+from machine_tool_calibration.nodes.ros.messages import LATCHED, READINGS, values
+from machine_tool_calibration.nodes.ros.process import default_environment
 
 __all__ = ["Operator", "Status"]
 

@@ -13,7 +13,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.site import Beam, Moment, Site
-from machine_tool_calibration.procedure.runs import diagonal_positions, sensing_direction
+from machine_tool_calibration.procedure.plan import diagonal_positions, sensing_direction
 from machine_tool_calibration.session.description import (
     Description,
     Direct,
@@ -21,7 +21,7 @@ from machine_tool_calibration.session.description import (
     StepDiagonal,
     TrackingInterferometer,
 )
-from machine_tool_calibration.simulation.laser import mirror_path, tilted
+from machine_tool_calibration.simulation.sensors import mirror_path, tilted
 
 __all__ = ["Look", "OnTable", "OnTool", "Optics", "Pose", "make_optics"]
 

@@ -11,7 +11,7 @@ The readings are absolute: there is no datum to be set.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -22,28 +22,98 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.instruments.touch import Limits, NominalTouch, Part, judge
-from machine_tool_calibration.nodes.deferred import Answer, DeferredService
 from machine_tool_calibration.nodes.environment import TOPICS
-from machine_tool_calibration.nodes.parameters import declare
-from machine_tool_calibration.nodes.process import STOP_GRACE, run
-from machine_tool_calibration.nodes.qos import COMMAND, LATCHED, SLOW, STATE
-from machine_tool_calibration.nodes.simulated_part import Pretravel, SimulatedPart
-from machine_tool_calibration.nodes.site import Site, read_site
-from machine_tool_calibration.nodes.stamps import (
+from machine_tool_calibration.nodes.ros.messages import (
+    COMMAND,
+    LATCHED,
+    SLOW,
+    STATE,
+    Level,
     duration_message,
     from_message,
     nanoseconds,
     now,
     seconds,
+    status_message,
     to_message,
+    values,
 )
-from machine_tool_calibration.nodes.status import Level, status_message, values
+from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run
+from machine_tool_calibration.nodes.ros.services import Answer, DeferredService
+from machine_tool_calibration.nodes.site import Site, read_site
 from machine_tool_calibration.session.description import Probing
 from machine_tool_calibration.session.parse import parse_description
+from machine_tool_calibration.simulation.disturbance import Sight
+from machine_tool_calibration.simulation.live import LiveMachine
+from machine_tool_calibration.simulation.sensors import probed
 
-__all__ = ["Probe", "main"]
+__all__ = ["Pretravel", "Probe", "SimulatedPart", "main"]
+
+
+_FORM_STREAM = 41
+
+
+@dataclass(frozen=True)
+class Pretravel:
+    """Way from contact to trigger that the probe's calibration has left: amplitude, m, and lobes of its variation."""
+
+    amplitude: float = 0.0
+    lobes: int = 3
+
+    def at(self, normal: Array) -> float:
+        """For a contact with an outward normal (2,), m: the sphere is so much deeper when the probe triggers."""
+        return float(self.amplitude * np.cos(self.lobes * np.arctan2(normal[1], normal[0])))
+
+
+class SimulatedPart:
+    """Exact geometry: true place of the sphere, true surface on the true table.
+
+    Args:
+        site: the simulated world.
+        part: the workpiece as the probe knows it.
+        form: standard deviation of the points' form errors, m.
+        pretravel: of the probe.
+    """
+
+    def __init__(self, site: Site, part: Part, form: float, pretravel: Pretravel) -> None:
+        machine = replace(site.machine, rotation_sign=part.sign)
+        self.live = LiveMachine(machine, site.chosen, site.environment)
+        self.part, self.pretravel = part, pretravel
+        points = part.description.workpiece
+        rng = np.random.default_rng([site.spec.seed, _FORM_STREAM])
+        self.form = form * rng.normal(size=len(points))
+        self._place = np.array([[*point.position, 0.0] for point in points])
+        self._normal = np.array([[*point.normal, 0.0] for point in points])
+        self._normal /= np.linalg.norm(self._normal, axis=1)[:, None]
+
+    def trigger(self, touch: NominalTouch, c: float, z: float, time: float, setup: int) -> float:
+        """Displacement at which the probe triggers, along the outward normal from the nominal surface, m.
+
+        Args:
+            touch: as planned.
+            c: commanded angle, rad.
+            z: commanded height, m.
+            time: s since the origin of the site's time.
+            setup: index of the setup.
+        """
+        normal = np.array([*touch.normal, 0.0])
+        command = np.array([*touch.centre, z])
+        direction = {axis: -1.0 if normal[k] > 0 else 1.0 for k, axis in enumerate("XY")}
+        scene = self.live.scene(time, command, direction, angle=c, setup=setup)
+        centre = self.live.functional_point(scene)[0]
+        nominal, outward = self._place[touch.point], self._normal[touch.point]
+        surface = self.live.on_table(scene, nominal + self.form[touch.point] * outward)
+        facing = self.live.machine.table_direction(outward, np.array([c]))
+        # The workpiece turns in the plane: heights are the probe's own.
+        surface[:, 2], facing[:, 2] = centre[2], 0.0
+        contact = float(probed(centre[None], normal[None], surface, facing, self.part.radius)[0])
+        zero = np.zeros(1)
+        sight = Sight(zero, -normal[None], np.array([np.arctan2(normal[1], normal[0])]), zero, zero)
+        return contact + float(self.live.added(scene, sight)[0]) - self.pretravel.at(touch.normal)
+
 
 _CHECK = 0.1  # s of the wall clock
 

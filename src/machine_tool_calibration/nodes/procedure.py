@@ -24,11 +24,20 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.environment import EnvironmentWatch
-from machine_tool_calibration.nodes.parameters import declare
-from machine_tool_calibration.nodes.process import STOP_GRACE, run
-from machine_tool_calibration.nodes.qos import COMMAND, LATCHED, READINGS, STATE
-from machine_tool_calibration.nodes.stamps import duration_message, from_message, now, to_message
-from machine_tool_calibration.nodes.status import Level, status_message, values
+from machine_tool_calibration.nodes.ros.messages import (
+    COMMAND,
+    LATCHED,
+    READINGS,
+    STATE,
+    Level,
+    duration_message,
+    from_message,
+    now,
+    status_message,
+    to_message,
+    values,
+)
+from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run
 from machine_tool_calibration.procedure import plan, read_procedure
 from machine_tool_calibration.procedure.events import (
     Action,

@@ -1,24 +1,215 @@
-"""The estimator's latched results: map, residuals, verdict, and the documents behind them."""
+"""The estimator's latched results: map, tables, residuals, verdict, and the documents behind them."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+from typing import Any
+
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import Point
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
-from std_msgs.msg import String
-from visualization_msgs.msg import MarkerArray
+from std_msgs.msg import ColorRGBA, String
+from visualization_msgs.msg import Marker, MarkerArray
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.model.result import Result
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.machine.error_motions import SQUARENESS
+from machine_tool_calibration.methods.axis_tables import axis_tables
+from machine_tool_calibration.model.result import ErrorMap, Estimate, Result
 from machine_tool_calibration.nodes.calculation import Diagnosed, Identified, Improved
-from machine_tool_calibration.nodes.clouds import cloud
-from machine_tool_calibration.nodes.map_views import arrows, axis_cloud
-from machine_tool_calibration.nodes.qos import LATCHED
-from machine_tool_calibration.nodes.stamps import now
-from machine_tool_calibration.nodes.verdict import verdict_message
+from machine_tool_calibration.nodes.ros.messages import LATCHED, Level, cloud, now, status, to_message
+from machine_tool_calibration.reports.quantities import sizes_in_words
+from machine_tool_calibration.reports.verdict import verdict_words
 
-__all__ = ["Publications"]
+__all__ = ["AXIS_FIELDS", "MOST_ARROWS", "Publications", "arrows", "axis_cloud", "in_words", "verdict_message"]
+
+
+MOST_ARROWS = 2000
+_COMPONENTS = ("EX", "EY", "EZ", "EA", "EB", "EC")
+AXIS_FIELDS = ("axis", "position", *_COMPONENTS, *(f"u{name[1]}" for name in _COMPONENTS))
+_LARGEST = 0.1  # length of the largest arrow, of the map's extent
+_STEPS = (1.0, 2.0, 5.0)
+_SURE, _UNSURE = (0.85, 0.15, 0.1), (0.55, 0.55, 0.55)
+
+
+def axis_cloud(stamp: int, result: Result) -> PointCloud2:
+    """The error motions of each linear axis, one row for each node.
+
+    Fields, all float64: `axis` (0 X, 1 Y, 2 Z), `position` (m), `EX EY EZ` (m) and `EA EB EC` (rad) of that axis
+    there, and their standard uncertainties `uX … uC`; NaN where not determined. A row whose position is NaN holds the
+    squareness of that axis against those before it: EC of Y is C0Y, EB of Z is B0Z, EA of Z is A0Z. No rows: the result
+    has no tables.
+    """
+    try:
+        tables = axis_tables(result)
+    except ModelError:
+        return cloud(stamp, {name: np.zeros(0) for name in AXIS_FIELDS})
+    rows: dict[tuple[int, float], Array] = {}
+
+    def enter(axis: int, position: float, component: str, value: float, spread: float) -> None:
+        row = rows.setdefault((axis, position), np.full(12, np.nan))
+        column = "XYZABC".index(component)
+        row[column], row[column + 6] = value, spread
+
+    constant = float("nan")  # one object, so that it is one key
+    for table in tables.tables:
+        axis = "XYZ".index(table.axis)
+        for node, value, spread in zip(table.nodes.tolist(), table.value, table.uncertainty, strict=True):
+            enter(axis, node, table.name[1], value, spread)
+    for name in SQUARENESS:
+        if name in tables.squareness:
+            enter("XYZ".index(name[2]), constant, name[0], *tables.squareness[name])
+    ordered = sorted(rows.items(), key=lambda item: (item[0][0], -np.inf if np.isnan(item[0][1]) else item[0][1]))
+    content = np.array([[*key, *values] for key, values in ordered]).reshape(len(ordered), len(AXIS_FIELDS))
+    return cloud(stamp, {name: content[:, k] for k, name in enumerate(AXIS_FIELDS)})
+
+
+def arrows(stamp: int, error_map: ErrorMap, magnification: float = 0.0, frame: str = "machine") -> MarkerArray:
+    """The position errors as arrows, magnified; grey where the error is within its U (k = 2).
+
+    At most MOST_ARROWS of the points, evenly chosen. A first marker takes away the arrows of an earlier map; the last
+    one says in words how much is magnified. A direction that is not determined counts as zero.
+
+    Args:
+        stamp: ROS time, ns.
+        error_map: the map.
+        magnification: of the errors; 0 chooses a round one.
+        frame: of the positions.
+    """
+    known = np.isfinite(error_map.error)
+    some = np.flatnonzero(known.any(axis=1))
+    chosen = (
+        some[np.unique(np.linspace(0, len(some) - 1, min(len(some), MOST_ARROWS)).round().astype(int))]
+        if len(some)
+        else some
+    )
+    points = error_map.points[chosen]
+    error = np.where(known, error_map.error, 0.0)[chosen]
+    spread = np.where(known, error_map.uncertainty, 0.0)[chosen]
+    length = np.linalg.norm(error, axis=1)
+    size = float(np.ptp(error_map.points, axis=0).max()) if len(error_map.points) else 0.0
+    size = size or 0.1
+    scale = magnification or _round(_LARGEST * size / max(float(length.max(initial=0.0)), 1e-9))
+    array = MarkerArray(markers=[_marker(stamp, frame, 0, Marker.ARROW, action=Marker.DELETEALL)])
+    for k, (start, vector, sure) in enumerate(
+        zip(points, scale * error, length > 2 * np.linalg.norm(spread, axis=1), strict=True)
+    ):
+        marker = _marker(stamp, frame, k, Marker.ARROW, _SURE if sure else _UNSURE)
+        marker.points = [_point(start), _point(start + vector)]
+        marker.scale.x, marker.scale.y, marker.scale.z = 0.004 * size, 0.01 * size, 0.015 * size
+        array.markers.append(marker)
+    words = _marker(stamp, frame, len(chosen), Marker.TEXT_VIEW_FACING, _UNSURE)
+    words.text = f"errors x {scale:g}, largest {1e6 * float(length.max(initial=0.0)):.1f} um"
+    words.pose.position = (
+        _point(np.append(points[:, :2].mean(axis=0), points[:, 2].max() + 0.1 * size)) if len(points) else Point()
+    )
+    words.scale.z = 0.04 * size
+    array.markers.append(words)
+    return array
+
+
+def _round(value: float) -> float:
+    """The largest of … 1, 2, 5, 10 … that is no larger."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(max(step for step in _STEPS if step * power <= value * (1 + 1e-9)) * power)
+
+
+def _marker(
+    stamp: int,
+    frame: str,
+    number: int,
+    kind: int,
+    color: tuple[float, float, float] = _UNSURE,
+    *,
+    action: int = Marker.ADD,
+) -> Marker:
+    marker = Marker(ns="error_map", id=number, type=kind, action=action)
+    marker.header.stamp = to_message(stamp)
+    marker.header.frame_id = frame
+    marker.pose.orientation.w = 1.0
+    marker.color = ColorRGBA(r=color[0], g=color[1], b=color[2], a=1.0)
+    return marker
+
+
+def _point(position: Array) -> Point:
+    return Point(x=float(position[0]), y=float(position[1]), z=float(position[2]))
+
+
+_UNKNOWN = "not determined"
+_CANDIDATE = (
+    "probability",
+    "p_value",
+    "delta_bic",
+    "rms_before",
+    "rms_after",
+    "explained_rms",
+    "cross_validated_gain",
+    "map_change_rms",
+    "plausible",
+)
+
+
+def in_words(done: Diagnosed) -> str:
+    """The verdict in sentences."""
+    return " ".join(verdict_words(done.found, done.changes, done.advice))
+
+
+def verdict_message(stamp: int, done: Diagnosed) -> DiagnosticArray:
+    """The message of topic `diagnosis`.
+
+    Args:
+        stamp: ROS time, ns.
+        done: the diagnosis; its document's values are told as they are, in SI units.
+    """
+    level = Level.OK if done.found.verdict == "adequate" else Level.WARN
+    message = DiagnosticArray(status=[status("verdict", level, in_words(done), dict(_verdict(done.content)))])
+    message.header.stamp = to_message(stamp)
+    titles = {r.name: r.candidate.effect.title for r in done.found.ranked if r.candidate.effect is not None}
+    for rank, candidate in enumerate(done.content["candidates"], start=1):
+        name = candidate["effect"]
+        level = Level.WARN if name in done.found.accepted else Level.OK
+        words = ": ".join(filter(None, (titles.get(name, name), _sizes(candidate))))
+        message.status.append(status(name, level, words, {"rank": rank, **_candidate(done.content, candidate)}))
+    return message
+
+
+def _verdict(content: Mapping[str, Any]) -> Iterator[tuple[str, object]]:
+    before, after, noise = content["fit"]["before"], content["fit"]["after"], content["noise"]
+    yield "verdict", content["verdict"]
+    yield "accepted", ", ".join(content["accepted"])
+    yield "observations", content["observations"]
+    yield "outliers", ", ".join(str(outlier["row"]) for outlier in content["outliers"])
+    yield "declared", _told(noise["declared"])
+    yield "from_repeats", _told(noise["from_repeats"])
+    for when, fit in (("before", before), ("after", after)):
+        yield f"rms_{when}", _told(fit["rms_residual"])
+        yield f"reduced_chi_square_{when}", _told(fit["reduced_chi_square"])
+
+
+def _candidate(content: Mapping[str, Any], candidate: Mapping[str, Any]) -> dict[str, object]:
+    name = candidate["effect"]
+    alike = {other for group in content["alias_groups"] if name in group for other in group} - {name}
+    entries: dict[str, object] = {"accepted": name in content["accepted"], "alike": ", ".join(sorted(alike))}
+    entries |= {key: _told(candidate[key]) for key in _CANDIDATE}
+    for parameter in candidate["parameters"]:
+        own = parameter["name"]
+        entries[own] = _told(parameter["value"])
+        entries[f"{own} standard_uncertainty"] = _told(parameter["standard_uncertainty"])
+        entries[f"{own} unit"] = parameter["unit"]
+    return entries
+
+
+def _sizes(candidate: Mapping[str, Any]) -> str:
+    """Sizes with their expanded uncertainty, where they have one."""
+    known = [p for p in candidate["parameters"] if None not in (p["value"], p["standard_uncertainty"])]
+    sizes = [Estimate(p["name"], p["value"], p["standard_uncertainty"], p["unit"]) for p in known]
+    return f"{sizes_in_words(sizes)} (k = 2)" if sizes else ""
+
+
+def _told(value: object) -> object:
+    return _UNKNOWN if value is None else value
 
 
 class Publications:

@@ -12,15 +12,12 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.nodes.parameters import declare
-from machine_tool_calibration.nodes.process import run, use_sim_time
-from machine_tool_calibration.nodes.qos import LATCHED
-from machine_tool_calibration.nodes.stamps import now, to_message
-from machine_tool_calibration.nodes.status import Level, status
-from machine_tool_calibration.nodes.taps import Taken, Tap, Taps
+from machine_tool_calibration.nodes.ros.messages import LATCHED, Level, now, status, to_message
+from machine_tool_calibration.nodes.ros.process import declare, run, use_sim_time
+from machine_tool_calibration.nodes.ros.taps import Taken, Tap, Taps
 from machine_tool_calibration.recording.errors import RecordingError
 from machine_tool_calibration.recording.graph import GRAPH_TOPICS, belongs_to_graph, with_depth
-from machine_tool_calibration.recording.qos import Qos
+from machine_tool_calibration.recording.metadata import Qos
 from machine_tool_calibration.recording.writer import BagWriter
 
 __all__ = ["Recorder", "main"]

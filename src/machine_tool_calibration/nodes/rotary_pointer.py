@@ -19,12 +19,20 @@ from std_msgs.msg import String
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.instruments.tracking import pointing
-from machine_tool_calibration.nodes.parameters import declare
-from machine_tool_calibration.nodes.poses import pose_message, quaternion_along
-from machine_tool_calibration.nodes.process import STOP_GRACE, run
-from machine_tool_calibration.nodes.qos import COMMAND, LATCHED, STATE
+from machine_tool_calibration.nodes.ros.messages import (
+    COMMAND,
+    LATCHED,
+    STATE,
+    from_message,
+    nanoseconds,
+    now,
+    pose_message,
+    quaternion_along,
+    seconds,
+    to_message,
+)
+from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run
 from machine_tool_calibration.nodes.site import Beam, Moment, Site, read_site
-from machine_tool_calibration.nodes.stamps import from_message, nanoseconds, now, seconds, to_message
 from machine_tool_calibration.procedure.motion import AxisLimits, Move, move
 from machine_tool_calibration.session.description import Description, StationSetup
 from machine_tool_calibration.session.parse import parse_description

@@ -28,8 +28,8 @@ from machine_tool_calibration.simulation.live import LiveMachine
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.machine_file import MachineSpec, build_machine, one_line
 from machine_tool_calibration.simulation.scene import Scene
+from machine_tool_calibration.simulation.sensors import Pointer
 from machine_tool_calibration.simulation.spec import FlawSpec
-from machine_tool_calibration.simulation.tracking import Pointer
 
 __all__ = ["Beam", "Moment", "PointerSpec", "Site", "SiteSpec", "read_site"]
 

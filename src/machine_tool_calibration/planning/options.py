@@ -7,10 +7,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.planning.mounting import mounted_again
-from machine_tool_calibration.planning.option import Option
+from machine_tool_calibration.planning.option import Option, mounted_again
 from machine_tool_calibration.planning.places import other_places
-from machine_tool_calibration.planning.rows import Changed, approached, first_repetition
+from machine_tool_calibration.planning.sensing import Changed, approached, first_repetition
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["further_options"]

@@ -9,12 +9,12 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.instruments.tracking import pointing
-from machine_tool_calibration.methods.probing_geometry import touches
+from machine_tool_calibration.methods.probing.geometry import touches
 from machine_tool_calibration.planning.diagonals import further_runs
 from machine_tool_calibration.planning.option import Option
-from machine_tool_calibration.planning.rows import Changed, appended, first_repetition
+from machine_tool_calibration.planning.sensing import Changed, appended, first_repetition
+from machine_tool_calibration.session.checks.nominal_geometry import on_table, places
 from machine_tool_calibration.session.description import Probing, RotaryAxis, StepDiagonal, TrackingInterferometer
-from machine_tool_calibration.session.nominal import on_table, places
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["other_places"]

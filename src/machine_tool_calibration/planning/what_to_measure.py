@@ -2,24 +2,123 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from machine_tool_calibration.diagnosis.consequence import Consequence, consequences
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
+from machine_tool_calibration.diagnosis.search.findings import smallest_signal
+from machine_tool_calibration.diagnosis.search.priors import EFFECT
+from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.estimation.reduction import single_blas
-from machine_tool_calibration.planning.advice import ALIKE, Advice, Separation, alias_groups_of
-from machine_tool_calibration.planning.assumptions import assumed_effects, present_effects
+from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.planning.advice import ALIKE, Advice, Separation, Visibility, alias_groups_of
 from machine_tool_calibration.planning.dominant import limits_of
 from machine_tool_calibration.planning.option import Option
 from machine_tool_calibration.planning.options import further_options
-from machine_tool_calibration.planning.sensing import Sensed, sense
-from machine_tool_calibration.planning.visible import visibilities
+from machine_tool_calibration.planning.sensing import Assumed, Sensed, sense
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["what_to_measure"]
+__all__ = ["SEARCH", "Conclusions", "assumed_effects", "conclude", "present_effects", "visibilities", "what_to_measure"]
+
+
+def assumed_effects(diagnosis: Diagnosis) -> dict[str, Assumed]:
+    """Every candidate with the coefficients that were found."""
+    out: dict[str, Assumed] = {}
+    for found in diagnosis.look.findings:
+        effect = found.candidate.effect
+        assert effect is not None
+        names = [size.coefficient.name for size in found.sizes]
+        out[found.name] = Assumed(effect, found.shape, dict(zip(names, found.signal.tolist(), strict=False)))
+    return out
+
+
+def present_effects(diagnosis: Diagnosis, own: Sequence[Effect]) -> list[Assumed]:
+    """Effects that were in the model from the start, as it holds them."""
+    fit = diagnosis.fits[0].fits[0]
+    known = catalogue(own)
+    values = {p.name: float(p.reference + v) for p, v in zip(fit.model.parameters, fit.theta, strict=True)}
+    out = []
+    for term in fit.model.terms:
+        names = {p.name for p in term.parameters}
+        if term.name not in known or not all(name.startswith(f"{term.name}.") for name in names):
+            continue
+        effect = known[term.name]
+        shape = _shape(effect, values, names, fit.model.observations)
+        if shape is not None:
+            out.append(Assumed(effect, shape, {}))
+    return out
+
+
+def _shape(
+    effect: Effect, values: dict[str, float], names: set[str], observations: Observations
+) -> tuple[float, ...] | None:
+    """Nonlinear coefficients of an effect that a model holds; those that are chosen from a list by their number."""
+    if all(f"{effect.id}.{shape.name}" in values for shape in effect.shapes):
+        return tuple(values[f"{effect.id}.{shape.name}"] for shape in effect.shapes)
+    for tried in effect.shape_grid(observations):
+        if {f"{effect.id}.{c.name}" for c in effect.coefficients_for(observations, tried)} == names:
+            return tried
+    return None
+
+
+# Share of its norm outside the model below which an effect is hardly visible.
+_HARDLY = 0.1
+# A measurement is worth proposing for an effect if it shows one this much smaller.
+_WORTH = 0.5
+_MANY = 3
+
+
+def visibilities(
+    diagnosis: Diagnosis, now: Sensed, seen: Sequence[tuple[Option, Sensed]], assumed: Mapping[str, Assumed]
+) -> list[Visibility]:
+    """For effects that hardly show or not at all: the measurement that shows the smallest size of them."""
+    fit = diagnosis.fits[-1]
+    variance = max(fit.reduced_chi_square, 1e-12)
+    observations = fit.assembly.models[0].observations
+    out = []
+    for r in diagnosis.look.findings:
+        name = r.name
+        if name not in now.place or (r.rank and now.share(name) > _HARDLY):
+            continue
+        coefficients = assumed[name].effect.coefficients_for(observations, assumed[name].shape)
+        before = now.information(name)
+        if len(coefficients) > _MANY:
+            continue
+        best: tuple[float, Option, int] | None = None
+        for option, sensed in seen:
+            if name not in sensed.place:
+                continue
+            after = sensed.information(name)[: len(before)]
+            k = int(np.argmax(after))
+            # A measurement that is more trouble must be worth it.
+            if after[k] > 0 and (best is None or after[k] > 1.3 * best[0]):
+                best = (float(after[k]), option, k)
+        if best is None:
+            continue
+        information, option, k = best
+        limit = max(abs(coefficients[k].low), abs(coefficients[k].high)) / 2.0
+        strength = np.array([information * limit**2 / variance])
+        needed = smallest_signal(strength, float(strength[0]), -np.log(EFFECT)) ** 2 * variance
+        smallest = r.detectable.get(coefficients[k].name)
+        if smallest is not None and before[k] > 0:
+            needed = smallest**2 * float(before[k])
+        after_size = float(np.sqrt(needed / information))
+        possible = max(abs(coefficients[k].low), abs(coefficients[k].high))
+        if after_size > possible or (smallest is not None and after_size > _WORTH * smallest):
+            continue
+        unit, words = coefficients[k].unit, option.words
+        out.append(
+            Visibility(
+                name, coefficients[k].name, unit, smallest, after_size, option.kind, words, option.seconds, option.aside
+            )
+        )
+    return out
+
 
 _TOLD_APART = 0.8
 # Cosines closer than this are equally good: the quicker measurement is proposed.
@@ -152,3 +251,41 @@ def _alike(group: Sequence[str], sensed: Sensed) -> float:
 
 def _apart(group: Sequence[str], sensed: Sensed) -> float:
     return min(sensed.apart(group[0], other) for other in group[1:])
+
+
+SEARCH = 0.7
+"""Share of the whole time that the diagnosis itself takes."""
+_CHANGES = 0.1
+
+
+@dataclass(frozen=True)
+class Conclusions:
+    """What follows from a diagnosis.
+
+    Attributes:
+        changes: what the candidates would change in the readings and in the map, by effect.
+        advice: what to measure next.
+    """
+
+    changes: Mapping[str, Consequence]
+    advice: Advice
+
+
+def conclude(
+    found: Diagnosis, *, model: str | None, own: Sequence[Effect], progress: Callable[[str, float], None]
+) -> Conclusions:
+    """Draw the conclusions.
+
+    Args:
+        found: the diagnosis.
+        model: with which it was made.
+        own: the user's own effects.
+        progress: told what is being done and the share of the whole, which begins at `SEARCH`.
+    """
+    progress("what the candidates would change", SEARCH)
+    changes = consequences(found)
+    done = SEARCH + _CHANGES
+    advice = what_to_measure(
+        found, model=model, own=own, progress=lambda what, share: progress(what, done + (1.0 - done) * share)
+    )
+    return Conclusions(changes, advice)

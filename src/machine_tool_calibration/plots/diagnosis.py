@@ -11,10 +11,10 @@ import pandas as pd
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.consequence import Consequence, before_and_after
-from machine_tool_calibration.diagnosis.covariates import bins, covariates, telling
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
-from machine_tool_calibration.diagnosis.pool import Pool
 from machine_tool_calibration.plots.residuals import axis_label, color, grids
+from machine_tool_calibration.residuals.covariates import bins, covariates, telling
+from machine_tool_calibration.residuals.pool import Pool
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

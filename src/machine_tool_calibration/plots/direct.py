@@ -81,7 +81,7 @@ def draw_tables(tables: Mapping[str, Any]) -> Figure:
     """Each error motion against its axis, with expanded uncertainty (k = 2); squareness in the title."""
     from matplotlib.figure import Figure
 
-    from machine_tool_calibration.diagnosis.quantities import quantity
+    from machine_tool_calibration.reports.quantities import quantity
 
     curves = {name: table for name, table in tables.items() if "nodes" in table}
     columns = min(3, len(curves))

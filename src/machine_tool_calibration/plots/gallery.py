@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray
-from machine_tool_calibration.diagnosis.covariates import sensed, telling
-from machine_tool_calibration.diagnosis.effect_page import gallery_page
-from machine_tool_calibration.diagnosis.injected import Injected, inject
 from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.planning.injected import Injected, inject
 from machine_tool_calibration.plots.residuals import alike, axis_label, draw_arrows, draw_residuals, grids, planes
 from machine_tool_calibration.plots.style import new_figure
+from machine_tool_calibration.reports.effect_page import gallery_page
+from machine_tool_calibration.residuals.covariates import sensed, telling
 from machine_tool_calibration.simulation.environment import COLUMNS
 
 if TYPE_CHECKING:

@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.diagnosis.pool import Pool
-from machine_tool_calibration.methods.improve import Improvement, Step, left_at_tool
+from machine_tool_calibration.diagnosis.improve import Improvement, Step, left_at_tool
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.plots.residuals import axis_label, color, grids, planes
+from machine_tool_calibration.residuals.pool import Pool
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,9 +7,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from machine_tool_calibration.plots.error_map import draw_map
+from machine_tool_calibration.plots.error_map import draw_map, draw_tables
 from machine_tool_calibration.plots.style import save
-from machine_tool_calibration.plots.tables import draw_tables
 from machine_tool_calibration.session.session import Session
 
 if TYPE_CHECKING:

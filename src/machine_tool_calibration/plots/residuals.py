@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.diagnosis.covariates import bins
-from machine_tool_calibration.diagnosis.noise import same_place
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.plots.style import COLORS, round_down
+from machine_tool_calibration.residuals.covariates import bins
+from machine_tool_calibration.residuals.noise import same_place
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.plots.error_map import draw_map
+from machine_tool_calibration.plots.error_map import draw_map, draw_tables
 from machine_tool_calibration.plots.style import BAND, COLORS, NOMINAL, new_figure, save
-from machine_tool_calibration.plots.tables import draw_tables
 from machine_tool_calibration.session.session import Session
 
 if TYPE_CHECKING:

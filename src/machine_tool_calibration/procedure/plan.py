@@ -1,17 +1,254 @@
-"""From a procedure to the list of its steps."""
+"""From a procedure to the list of its steps, for every method."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.instruments.touch import Part
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.procedure.description import Motion, Path, Procedure, Spread
 from machine_tool_calibration.procedure.motion import AxisLimits, move
+from machine_tool_calibration.session.description import Direct, Probing, RotaryAxis, StepDiagonal
 
-__all__ = ["Plan", "Step", "axis_limits", "plan", "targets_of"]
+__all__ = [
+    "Plan",
+    "Step",
+    "axis_limits",
+    "diagonal_positions",
+    "diagonal_steps",
+    "direct_steps",
+    "plan",
+    "rotary_steps",
+    "sensing_direction",
+    "targets_of",
+    "touch_steps",
+]
+
+
+_MOVED = 1e-9
+
+
+def touch_steps(procedure: Procedure) -> Iterator[Step]:
+    """Angle by angle, repetition by repetition, all points; every second repetition backwards if so planned.
+
+    A step's position is where the touch begins, `motion.approach` off the surface. `path.points` says where axes stand
+    that the touches leave alone (z); between points Z goes to the upper end of its travel, if the session names it.
+
+    Raises:
+        SessionError: no single height is given, a touch is outside the travel, or it could be meant for two points.
+    """
+    session = procedure.session
+    assert isinstance(session, Probing)
+    held = _held(procedure)
+    part, standoff = Part(session), procedure.motion.approach
+    if standoff <= 0:
+        raise SessionError(f"procedure {procedure.name}: motion.approach must be positive: a touch begins off the part")
+    safe = {"z": session.machine.travel["z"][1]} if "z" in session.machine.travel else {}
+    order = range(len(session.workpiece))
+    before: dict[str, float] | None = None
+    last = {"x": 1, "y": 1, "c": 1}
+    number = 0
+    for setup, repeat in product(session.setups, range(session.repeats)):
+        back = procedure.path.alternate and repeat % 2 == 1
+        for point in reversed(order) if back else order:
+            touch = part.touch(point, setup.c, standoff)
+            position = {**touch.at(standoff), "c": setup.c, **held}
+            _check(procedure, position, session.workpiece[point].id)
+            part.meant(position, 2 * standoff)  # refuses where it could be meant for two points
+            above = {**position, **safe}
+            via = () if not safe else (above,) if before is None else ({**before, **safe}, above)
+            for axis, place in position.items():
+                if axis in last and before is not None and abs(place - before[axis]) > _MOVED:
+                    last[axis] = 1 if place > before[axis] else -1
+            approach = {a: -1 if n > 0 else 1 for a, n in zip("xy", touch.normal, strict=True) if abs(n) > _MOVED}
+            yield Step(number, setup.id, repeat, position, {**last, **approach}, via, target=point)
+            # The stylus backs off the way it came.
+            last |= {axis: -sign for axis, sign in approach.items()}
+            before, number = position, number + 1
+
+
+def _held(procedure: Procedure) -> dict[str, float]:
+    points = procedure.path.points
+    if points is None or len(points) != 1 or {"x", "y", "c"} & points[0].keys():
+        raise SessionError(
+            f"procedure {procedure.name}: path of a probing procedure says only where the other axes stand, as in "
+            "points: [{z: -0.01}]; the points to be touched are the workpiece's"
+        )
+    return dict(points[0])
+
+
+def _check(procedure: Procedure, position: dict[str, float], point: str) -> None:
+    for name, value in position.items():
+        low, high = procedure.session.machine.travel.get(name, (float("-inf"), float("inf")))
+        if not low <= value <= high:
+            raise SessionError(
+                f"procedure {procedure.name}: point {point!r} is touched from {name} = {value:.6g}, outside the travel "
+                f"{low:g} to {high:g}"
+            )
+
+
+def diagonal_positions(description: StepDiagonal, index: int) -> list[dict[str, float]]:
+    """Commanded positions of a setup's run: single-axis moves in the order that its id ends with, or x, y, z.
+
+    Args:
+        description: the session.
+        index: of the setup.
+    """
+    setup = description.setups[index]
+    suffix = setup.id.rsplit("_", 1)[-1]
+    order = suffix if sorted(suffix) == ["x", "y", "z"] and "_" in setup.id else "xyz"
+    signs = dict(zip("xyz", setup.direction, strict=True))
+    moving = [axis for axis in order if signs[axis]]
+    steps, start = dict(zip("xyz", description.step, strict=True)), dict(zip("xyz", setup.start, strict=True))
+    made = dict.fromkeys("xyz", 0)
+    positions = [dict(start)]
+    for _ in range(description.blocks):
+        for axis in moving:
+            made[axis] += 1
+            # From the start, so that no rounding adds up, and to the picometre, so that none is beyond the travel.
+            positions.append({a: round(start[a] + made[a] * steps[a] * np.sign(signs[a]), 12) for a in "xyz"})
+    return [{axis: float(value) for axis, value in place.items()} for place in positions]
+
+
+def sensing_direction(description: Direct) -> Array:
+    """(3,) direction along which an instrument of a direct session reads: that of its first term, as Y of EYX.
+
+    Raises:
+        SessionError: no term says so.
+    """
+    name = description.terms[0] if description.terms else ""
+    if len(name) != 3 or name[0] != "E" or name[1] not in "XYZ":
+        raise SessionError(
+            "session: terms must begin with a translation such as EXX: it says along which axis the instrument reads"
+        )
+    return np.asarray(np.eye(3)["XYZ".index(name[1])])
+
+
+def diagonal_steps(procedure: Procedure) -> Iterator[Step]:
+    """Setup by setup, run by run; the path is zeroed at the start of each run."""
+    session = procedure.session
+    assert isinstance(session, StepDiagonal)
+    runs = []
+    for index, setup in enumerate(session.setups):
+        positions = diagonal_positions(session, index)
+        signs = {axis: sign or 1.0 for axis, sign in zip("xyz", setup.direction, strict=True)}
+        runs += [(setup.id, repeat, None, positions, signs) for repeat in range(session.repeats)]
+    yield from _steps(procedure, runs, points=False)
+
+
+def rotary_steps(procedure: Procedure) -> Iterator[Step]:
+    """Station by station, repetition by repetition, target by target, all angles."""
+    session = procedure.session
+    assert isinstance(session, RotaryAxis)
+    axis = (session.machine.axis or "C").lower()
+    forth = targets_of(procedure)
+    if any(set(place) != {axis} for place in forth):
+        raise SessionError(f"procedure {procedure.name}: path of a rotary axis names {axis} and nothing else")
+    runs = []
+    for setup in session.setups:
+        for repeat in range(session.repeats):
+            back = procedure.path.alternate and repeat % 2 == 1
+            angles = forth[::-1] if back else forth
+            if procedure.path.both_ways:
+                angles = [*angles, *angles[::-1]]
+            for target in range(len(session.targets)):
+                runs.append((setup.id, repeat, target, angles, {axis: -1.0 if back else 1.0}))
+    yield from _steps(procedure, runs, points=True)
+
+
+def direct_steps(procedure: Procedure) -> Iterator[Step]:
+    """Every run goes forth and back, with an overrun at both ends (ISO 230-2)."""
+    session = procedure.session
+    assert isinstance(session, Direct)
+    sensing_direction(session)
+    forth = targets_of(procedure)
+    runs = [
+        (setup.id, repeat, None, [*forth, *forth[::-1]], dict.fromkeys(forth[0], 1.0))
+        for setup in session.setups
+        for repeat in range(session.repeats)
+    ]
+    yield from _steps(procedure, runs, points=False, datum_per_run=False)
+
+
+def _steps(
+    procedure: Procedure,
+    runs: Sequence[tuple[str, int, int | None, Sequence[Mapping[str, float]], Mapping[str, float]]],
+    *,
+    points: bool,
+    datum_per_run: bool = True,
+) -> Iterator[Step]:
+    """Steps of runs (setup, repeat, target, positions, sense of the first approach)."""
+    number = 0
+    last_setup = ""
+    before: dict[str, float] = {}
+    direction: dict[str, int] = {}
+    for setup, repeat, target, positions, sense in runs:
+        for place, position in enumerate(positions):
+            via: tuple[dict[str, float], ...] = ()
+            if place == 0:  # from wherever the last run ended: a short move makes the direction certain
+                via = (_beyond(procedure, position, {axis: -sign for axis, sign in sense.items()}),)
+            elif position == positions[place - 1]:  # a turning point is approached from the other side
+                via = (_beyond(procedure, position, direction),)
+            for stop in (*via, position):
+                for axis, value in stop.items():
+                    if axis in before and value != before[axis]:
+                        direction[axis] = 1 if value > before[axis] else -1
+                    direction.setdefault(axis, 1)
+                before = dict(stop)
+            yield Step(
+                number=number,
+                setup=setup,
+                repeat=repeat,
+                position=dict(position),
+                direction=dict(direction),
+                via=via,
+                aim=_aim(procedure, position, target),
+                points=points,
+                datum=place == 0 and (datum_per_run or setup != last_setup),
+                target=target,
+            )
+            number, last_setup = number + 1, setup
+
+
+def _beyond(procedure: Procedure, position: Mapping[str, float], sense: Mapping[str, float]) -> dict[str, float]:
+    """A place beside a position, in a sense on each axis; on the other side where the travel ends."""
+    approach = procedure.motion.approach
+    place = {}
+    for axis, value in position.items():
+        low, high = procedure.session.machine.travel.get(axis, (float("-inf"), float("inf")))
+        there = value + approach * np.sign(sense.get(axis, -1.0))
+        other = value - approach * np.sign(sense.get(axis, -1.0))
+        place[axis] = float(there if low <= there <= high else min(max(other, low), high))
+    return place
+
+
+def _aim(procedure: Procedure, position: Mapping[str, float], target: int | None) -> tuple[float, float, float]:
+    """The commanded target in the machine frame."""
+    session = procedure.session
+    if isinstance(session, RotaryAxis) and target is not None:
+        axis = session.machine.axis or "C"
+        sign = session.rotation_sign or session.machine.rotation_sign or 1
+        place = _turned(np.array(session.targets[target].position), axis, sign * position[axis.lower()])
+        return float(place[0]), float(place[1]), float(place[2])
+    return position.get("x", 0.0), position.get("y", 0.0), position.get("z", 0.0)
+
+
+def _turned(point: Array, axis: str, angle: float) -> Array:
+    """A point turned about an axis through the origin, right-handed."""
+    k = "ABC".index(axis)
+    i, j = (k + 1) % 3, (k + 2) % 3
+    out = point.copy()
+    out[i] = np.cos(angle) * point[i] - np.sin(angle) * point[j]
+    out[j] = np.sin(angle) * point[i] + np.cos(angle) * point[j]
+    return out
+
 
 Position = Mapping[str, float]
 
@@ -79,15 +316,12 @@ def plan(procedure: Procedure) -> Plan:
 
 def _maker(procedure: Procedure) -> Callable[[Procedure], Iterator[Step]]:
     """What makes the steps of the session's method."""
-    from machine_tool_calibration.procedure import runs
-    from machine_tool_calibration.procedure.touches import touch_steps
-
     makers: dict[str, Callable[[Procedure], Iterator[Step]]] = {
         "tracking_interferometer": lambda chosen: _directed(chosen, _runs(chosen, targets_of(chosen))),
         "probing": touch_steps,
-        "step_diagonal": runs.diagonal_steps,
-        "rotary_axis": runs.rotary_steps,
-        "direct": runs.direct_steps,
+        "step_diagonal": diagonal_steps,
+        "rotary_axis": rotary_steps,
+        "direct": direct_steps,
     }
     return makers[procedure.session.method]
 

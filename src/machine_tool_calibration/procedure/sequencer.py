@@ -33,8 +33,7 @@ from machine_tool_calibration.procedure.events import (
     Stop,
 )
 from machine_tool_calibration.procedure.motion import move
-from machine_tool_calibration.procedure.plan import Plan, Step
-from machine_tool_calibration.procedure.runs import sensing_direction
+from machine_tool_calibration.procedure.plan import Plan, Step, sensing_direction
 from machine_tool_calibration.session.description import Direct, Probing, StationSetup, TrackingInterferometer
 
 __all__ = ["Counters", "Sequencer", "State", "Timing"]

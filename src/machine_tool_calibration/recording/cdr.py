@@ -1,4 +1,4 @@
-"""Serialized messages (CDR) to values and back.
+"""Serialized messages (CDR) to values and back, with the definitions and type hashes that a bag carries.
 
 The types that come by the thousand are read here by the array; all others by the `rosbags` library. Only the standard
 types of ROS 2 Jazzy are read: making a reader from a stranger's definition would run what it says.
@@ -6,31 +6,110 @@ types of ROS 2 Jazzy are read: making a reader from a stranger's definition woul
 
 from __future__ import annotations
 
+import os
+import re
 import struct
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.recording.definitions import typestore
 from machine_tool_calibration.recording.errors import RecordingError
 
 __all__ = [
     "JOINT_STATE",
     "NUMBERS",
     "TEXT",
+    "Definition",
     "JointState",
     "JointStateReader",
     "decode",
+    "definition_of",
     "encode",
     "encode_joint_state",
     "joint_state",
     "numbers",
     "part",
     "text",
+    "typestore",
 ]
+
+
+_SEPARATOR = "=" * 80 + "\n"
+_FIELD = re.compile(r"^([A-Za-z][A-Za-z0-9_]*(?:/[A-Za-z][A-Za-z0-9_/]*)?)(?:<=\d+)?(?:\[[^\]]*\])?\s+[a-z]")
+_INTEGERS = [f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)]
+_PRIMITIVES = frozenset(["bool", "byte", "char", "string", "wstring", "float32", "float64", *_INTEGERS])
+
+
+@dataclass(frozen=True)
+class Definition:
+    """How a message type is described in a bag.
+
+    Attributes:
+        text: definition with those of its parts, in `ros2msg` form; empty if it is not known.
+        type_hash: `RIHS01_…`; empty if it is not known.
+    """
+
+    text: str = ""
+    type_hash: str = ""
+
+
+@cache
+def typestore() -> Typestore:
+    """The standard types of ROS 2 Jazzy."""
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+@cache
+def definition_of(name: str) -> Definition:
+    """Definition and hash of a type such as `sensor_msgs/msg/JointState`; empty where it cannot be found."""
+    store = typestore()
+    if name in store.fielddefs:
+        text, _ = store.generate_msgdef(name, ros_version=2)
+        return Definition(text, store.hash_rihs01(name))
+    return Definition(_installed(name), "")
+
+
+def _installed(name: str) -> str:
+    """The definition from installed `.msg` files, with those of its parts."""
+    texts: dict[str, str] = {}
+    waiting = [name]
+    while waiting:
+        current = waiting.pop(0)
+        if current in texts:
+            continue
+        text = _msg_file(current)
+        if text is None:
+            return ""
+        texts[current] = text
+        package = current.split("/")[0]
+        for line in text.splitlines():
+            match = _FIELD.match(line.strip())
+            if match and match.group(1) not in _PRIMITIVES:
+                part = match.group(1)
+                parts = part.split("/") if "/" in part else [package, part]
+                waiting.append(f"{parts[0]}/msg/{parts[-1]}")
+    first, *rest = texts
+    return texts[first] + "".join(f"{_SEPARATOR}MSG: {part.replace('/msg/', '/')}\n{texts[part]}" for part in rest)
+
+
+def _msg_file(name: str) -> str | None:
+    parts = name.split("/")
+    if len(parts) != 3 or not all(re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", part) for part in parts):
+        return None
+    for prefix in [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]:
+        path = Path(prefix) / "share" / parts[0] / parts[1] / f"{parts[2]}.msg"
+        if prefix and path.is_file():
+            return path.read_text(encoding="utf-8").rstrip("\n") + "\n"
+    return None
+
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 NUMBERS = "std_msgs/msg/Float64MultiArray"

@@ -9,15 +9,18 @@ from pathlib import Path
 from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Footer, Header, Schema, Statistics
 
-from machine_tool_calibration.recording.chunks import (
+from machine_tool_calibration.recording.errors import RecordingError
+from machine_tool_calibration.recording.records import (
     Budget,
     RawMessage,
+    RawRecord,
+    check_ends,
     message_of,
     messages_in,
+    parse,
+    records,
     unpack_chunk,
 )
-from machine_tool_calibration.recording.errors import RecordingError
-from machine_tool_calibration.recording.records import RawRecord, check_ends, parse, records
 
 __all__ = ["Channels", "McapReader", "Summary"]
 

@@ -10,11 +10,10 @@ from typing import Any
 from mcap.records import Channel
 
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.recording.cdr import decode
-from machine_tool_calibration.recording.definitions import definition_of
+from machine_tool_calibration.recording.cdr import decode, definition_of
 from machine_tool_calibration.recording.errors import RecordingError, UnfinishedError
 from machine_tool_calibration.recording.mcap_reader import McapReader
-from machine_tool_calibration.recording.qos import Qos, parse_qos
+from machine_tool_calibration.recording.metadata import Qos, parse_qos
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
 

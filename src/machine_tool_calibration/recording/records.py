@@ -1,15 +1,19 @@
-"""The records of an MCAP file, read one by one with bounded memory, whatever the file claims."""
+"""Records and chunks of an MCAP file, read with bounded memory, whatever the file claims."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import struct
+import zlib
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, Protocol, TypeVar
 
+import lz4.frame  # type: ignore[import-untyped]
+import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -17,7 +21,19 @@ from mcap.opcode import Opcode
 from machine_tool_calibration.recording.errors import RecordingError, UnfinishedError
 from machine_tool_calibration.recording.mcap_file import MAGIC
 
-__all__ = ["RawRecord", "check_ends", "parse", "records"]
+__all__ = [
+    "Budget",
+    "RawMessage",
+    "RawRecord",
+    "check_ends",
+    "message_of",
+    "messages_in",
+    "parse",
+    "records",
+    "unpack_chunk",
+    "unpack_cut_chunk",
+]
+
 
 _HEAD = struct.Struct("<BQ")
 _LARGEST_RECORD = 256 << 20
@@ -122,3 +138,153 @@ def parse(path: Path, record: RawRecord, read: _Readable[Parsed]) -> Parsed:
         raise RecordingError(
             f"{path}: the record at byte {record.offset} is damaged; `mtcal recover` saves what is whole"
         ) from None
+
+
+_HEAD = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<HIQQ")
+_CHUNK = struct.Struct("<QQQII")
+_LARGEST_CHUNK = 256 << 20
+_FREE = 1 << 30  # what a file may unpack to, whatever its size
+_RATIO = 200  # and per byte beyond that
+
+
+@dataclass(frozen=True, slots=True)
+class RawMessage:
+    """One message as it stands in the file; times in ns."""
+
+    channel: int
+    sequence: int
+    log_time: int
+    publish_time: int
+    data: bytes
+
+
+class Budget:
+    """How much a file may unpack to in all, so that a small file cannot cost hours."""
+
+    def __init__(self, path: Path) -> None:
+        """Start with what the file's size allows."""
+        self._path = path
+        self._left = _FREE + _RATIO * path.stat().st_size
+
+    def take(self, size: int) -> None:
+        """Use up some bytes.
+
+        Raises:
+            RecordingError: nothing is left.
+        """
+        self._left -= size
+        if self._left < 0:
+            raise RecordingError(f"{self._path}: unpacks to more than {_RATIO} times its size; this is not a recording")
+
+
+def unpack_chunk(path: Path, record: RawRecord, budget: Budget) -> bytes:
+    """A chunk's content, of the size that it declares and no more.
+
+    Raises:
+        RecordingError: damaged, too large, of another size than declared, or of an unknown compression.
+    """
+    where = f"{path}: the chunk at byte {record.offset}"
+    content = record.content
+    try:
+        _, _, size, crc, name_length = _CHUNK.unpack_from(content)
+        name = content[_CHUNK.size : _CHUNK.size + name_length].decode("ascii")
+        (length,) = struct.unpack_from("<Q", content, _CHUNK.size + name_length)
+    except (struct.error, ValueError):
+        raise RecordingError(f"{where} is damaged; `mtcal recover` saves the others") from None
+    packed = memoryview(content)[_CHUNK.size + name_length + 8 :]
+    if size > _LARGEST_CHUNK:
+        raise RecordingError(f"{where} unpacks to {size} bytes; at most {_LARGEST_CHUNK >> 20} MiB are accepted")
+    budget.take(size)
+    if length != len(packed):
+        raise RecordingError(f"{where} is damaged; `mtcal recover` saves the others")
+    data = _decompress(where, name, packed, size)
+    if len(data) != size:
+        raise RecordingError(f"{where} does not unpack to the {size} bytes that it declares")
+    if crc and zlib.crc32(data) != crc:
+        raise RecordingError(f"{where} is damaged: its checksum is wrong; `mtcal recover` saves the others")
+    return data
+
+
+def unpack_cut_chunk(content: bytes, limit: int) -> bytes:
+    """As much of a chunk as can be unpacked when its end is missing; at most `limit` bytes."""
+    try:
+        _, _, _, _, name_length = _CHUNK.unpack_from(content)
+        start = _CHUNK.size + name_length
+        name = content[_CHUNK.size : start].decode("ascii")
+    except (struct.error, ValueError):
+        return b""
+    packed = content[start + 8 :]
+    if name == "":
+        return packed[:limit]
+    data = bytearray()
+    if name == "zstd":
+        with (
+            contextlib.suppress(zstandard.ZstdError),
+            zstandard.ZstdDecompressor(max_window_size=1 << 27).stream_reader(packed) as stream,
+        ):
+            while len(data) < limit and (piece := stream.read(1 << 16)):
+                data += piece
+    return bytes(data[:limit])
+
+
+def _decompress(where: str, name: str, packed: memoryview, size: int) -> bytes:
+    """At most one byte more than declared."""
+    if name == "":
+        return bytes(packed)
+    try:
+        if name == "zstd":
+            with zstandard.ZstdDecompressor(max_window_size=1 << 27).stream_reader(packed) as stream:
+                return bytes(stream.read(size + 1))
+        if name == "lz4":
+            decompressor = lz4.frame.LZ4FrameDecompressor()
+            return bytes(decompressor.decompress(bytes(packed), max_length=size + 1))
+    except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError):
+        raise RecordingError(f"{where} cannot be unpacked; `mtcal recover` saves the others") from None
+    raise RecordingError(f"{where} is packed by {name!r}, which is unknown")
+
+
+def messages_in(
+    path: Path, record: RawRecord, content: bytes, wanted: Collection[int] | None
+) -> Iterator[RawMessage | RawRecord]:
+    """The messages and registrations in a chunk, in their order.
+
+    Args:
+        path: for messages.
+        record: the chunk.
+        content: its unpacked content.
+        wanted: channels whose messages are given; all if None.
+
+    Raises:
+        RecordingError: the chunk is damaged.
+    """
+    offset, end = 0, len(content)
+    while offset < end:
+        if end - offset < _HEAD.size:
+            raise RecordingError(f"{path}: the chunk at byte {record.offset} is damaged")
+        opcode, length = _HEAD.unpack_from(content, offset)
+        start = offset + _HEAD.size
+        offset = start + length
+        if offset > end or (opcode == Opcode.MESSAGE and length < _MESSAGE.size):
+            raise RecordingError(f"{path}: the chunk at byte {record.offset} is damaged")
+        if opcode == Opcode.MESSAGE:
+            channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(content, start)
+            if wanted is None or channel in wanted:
+                data = content[start + _MESSAGE.size : offset]
+                yield RawMessage(channel, sequence, log_time, publish_time, data)
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            yield RawRecord(opcode, record.offset, length, content[start:offset])
+        else:  # nothing else may stand in a chunk
+            raise RecordingError(f"{path}: the chunk at byte {record.offset} is damaged")
+
+
+def message_of(path: Path, record: RawRecord) -> RawMessage:
+    """A message that stands outside a chunk.
+
+    Raises:
+        RecordingError: the record is damaged.
+    """
+    if record.length < _MESSAGE.size:
+        raise RecordingError(f"{path}: the record at byte {record.offset} is damaged")
+    channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(record.content)
+    return RawMessage(channel, sequence, log_time, publish_time, record.content[_MESSAGE.size :])

@@ -13,19 +13,20 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.recording.chunks import (
-    Budget,
-    RawMessage,
-    message_of,
-    messages_in,
-    unpack_chunk,
-    unpack_cut_chunk,
-)
 from machine_tool_calibration.recording.errors import RecordingError, UnfinishedError
 from machine_tool_calibration.recording.mcap_file import MAGIC
 from machine_tool_calibration.recording.mcap_reader import Channels
-from machine_tool_calibration.recording.qos import Qos, parse_qos
-from machine_tool_calibration.recording.records import RawRecord, records
+from machine_tool_calibration.recording.metadata import Qos, parse_qos
+from machine_tool_calibration.recording.records import (
+    Budget,
+    RawMessage,
+    RawRecord,
+    message_of,
+    messages_in,
+    records,
+    unpack_chunk,
+    unpack_cut_chunk,
+)
 from machine_tool_calibration.recording.writer import BagWriter
 from machine_tool_calibration.session.yaml_text import load_yaml
 

@@ -10,17 +10,18 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from machine_tool_calibration.recording.definitions import definition_of
+from machine_tool_calibration.recording.cdr import definition_of
 from machine_tool_calibration.recording.errors import RecordingError
 from machine_tool_calibration.recording.mcap_file import McapFile
 from machine_tool_calibration.recording.metadata import (
     FileSummary,
+    Qos,
     TopicSummary,
     bag_information,
     bag_information_text,
     metadata_text,
+    qos_text,
 )
-from machine_tool_calibration.recording.qos import Qos, qos_text
 
 __all__ = ["BagWriter"]
 

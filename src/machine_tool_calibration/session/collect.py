@@ -8,12 +8,9 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.session.assemble import assemble
 from machine_tool_calibration.session.checks import check_session
-from machine_tool_calibration.session.description import Description
-from machine_tool_calibration.session.place import Place
-from machine_tool_calibration.session.required import require_columns
-from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.session.description import Description, Place, require_columns
+from machine_tool_calibration.session.session import Session, assemble
 
 __all__ = ["INDEX_COLUMNS", "Collector"]
 

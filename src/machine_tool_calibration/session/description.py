@@ -5,12 +5,15 @@ One frozen record per measuring method; an unknown key is an error. SI units, an
 
 from __future__ import annotations
 
+import difflib
 import itertools
-from dataclasses import replace
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
+from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.machine.chain import Chain
 
 __all__ = [
@@ -22,6 +25,7 @@ __all__ = [
     "Instrument",
     "KnownLength",
     "Machine",
+    "Place",
     "Probing",
     "RotaryAxis",
     "StationSetup",
@@ -29,7 +33,68 @@ __all__ = [
     "Target",
     "TrackingInterferometer",
     "WorkpiecePoint",
+    "needed_columns",
+    "require_columns",
+    "rotary_column",
 ]
+
+
+@dataclass(frozen=True)
+class Place:
+    """Names of a measurement's parts, for messages.
+
+    Attributes:
+        description: what holds the description, such as the path of `session.yaml`.
+        readings: what holds the readings, such as the path of `observations.csv`.
+        line: line in the file for a row, where the readings are a text file.
+    """
+
+    description: str
+    readings: str
+    line: Callable[[int], int] | None = None
+
+    def row(self, row: int) -> str:
+        """`file row 3 (line 5)`; rows count from 0, lines from 1."""
+        where = f"{self.readings} row {row}"
+        return where if self.line is None else f"{where} (line {self.line(int(row))})"
+
+
+_AXES = ("x", "y", "z", "a", "b", "c")
+
+
+def rotary_column(description: RotaryAxis) -> str:
+    """The column of the rotary axis under test: the one that the machine names, else the chain's, else `c`."""
+    rotary = Chain.parse(description.machine.chain).rotary
+    return (description.machine.axis or (rotary[0] if len(rotary) == 1 else "C")).lower()
+
+
+def needed_columns(description: Description) -> tuple[str, ...]:
+    """Columns of `observations.csv` without which the method cannot work."""
+    if isinstance(description, Direct):
+        # real deviations often come without times and repeats: one pass, in the order given
+        return ("setup", "gx", "gy", "gz", "displacement")
+    common = ("time", "setup", "repeat")
+    if isinstance(description, TrackingInterferometer):
+        angles: tuple[str, ...] = ()
+        if description.pointing == "open_loop":
+            angles = ("azimuth",) if description.dimension == 2 else ("azimuth", "elevation")
+        return (*common, *"xyz"[: description.dimension], *angles, "displacement")
+    if isinstance(description, RotaryAxis):
+        return (*common, "target", rotary_column(description), "displacement")
+    if description.method == "probing":
+        return (*common, "point", "x", "y", "c", "displacement")
+    return (*common, "x", "y", "z", "displacement")
+
+
+def require_columns(description: Description, columns: Collection[str], source: str) -> None:
+    """Raise a SessionError that names the first column that is missing."""
+    for name in needed_columns(description):
+        if name not in columns:
+            near = difflib.get_close_matches(name, columns, n=1, cutoff=0.75)
+            hint = f" (it has {near[0]!r})" if near and near[0] not in needed_columns(description) else ""
+            raise SessionError(f"{source}: the column {name!r} is missing, which {description.method} needs{hint}")
+    if isinstance(description, Direct) and not any(axis in columns for axis in _AXES):
+        raise SessionError(f"{source}: no column of an axis position (x, y, z or c), which direct needs")
 
 
 def _check_identifier(text: str) -> str:

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import PurePath
 
 import numpy as np
+import pandas as pd
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.session.description import Description
+from machine_tool_calibration.session.description import Description, Place
 
-__all__ = ["Readings", "Session"]
+__all__ = ["Readings", "Session", "assemble", "distinct_places"]
+
 
 _INSTRUMENTS = {
     "step_diagonal": "laser_interferometer",
@@ -120,3 +123,90 @@ class Session:
     def with_readings(self, readings: Readings) -> Session:
         """The same measurement with other readings."""
         return replace(self, readings=readings)
+
+
+# Large odd numbers: products and sums wrap around in 64 bits.
+_MIX = np.array([0x1E3779B97F4A7C15, 0x3F58476D1CE4E5B9, 0x14D049BB133111EB])
+
+
+def distinct_places(position: Array) -> tuple[IntArray, IntArray]:
+    """Positions that are equal to the nanometre (angles to the nanoradian) are one place.
+
+    Args:
+        position: (n, d) commanded positions, d at most 3.
+
+    Returns:
+        (k,) the first reading at each of the k places, in order, and (n,) the place of each reading.
+    """
+    keys = np.round(position * 1e9).astype(np.int64)
+    # A hash of one mixed code for each position; should two places ever mix to the same code, a sort by rows.
+    code = keys @ _MIX[: keys.shape[1]]
+    place = np.asarray(pd.factorize(code)[0], dtype=np.int64)
+    first = _first(place)
+    if not np.array_equal(keys[first][place], keys):
+        by_rows = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
+        place = np.asarray(pd.factorize(by_rows)[0], dtype=np.int64)
+        first = _first(place)
+    return first, place
+
+
+def _first(place: IntArray) -> IntArray:
+    """Of places numbered in the order of their first reading, that reading."""
+    first = np.empty(int(place.max(initial=-1)) + 1, dtype=np.int64)
+    # Of several the last assigned stays: backwards, so that it is the first.
+    first[place[::-1]] = np.arange(len(place))[::-1]
+    return first
+
+
+def assemble(
+    description: Description, numbers: Mapping[str, Array], labels: Mapping[str, np.ndarray], place: Place
+) -> Readings:
+    """The readings from their columns.
+
+    Args:
+        description: gives the setups, targets and points that the labels name.
+        numbers: numeric columns, each (n,), `displacement` among them.
+        labels: text columns, each (n,), `setup` among them.
+        place: how messages name a row.
+
+    Raises:
+        SessionError: an unknown setup, target or point, or a repeat that is no whole number; with its row.
+    """
+    columns, texts = dict(numbers), dict(labels)
+    setup = _places(texts.pop("setup"), "setup", [entry.id for entry in description.setups], place)
+    for column, key in (("target", "targets"), ("point", "workpiece")):
+        entries = getattr(description, key, None)
+        if entries is not None and column in texts:
+            _places(texts[column], column, [entry.id for entry in entries], place)
+    count = len(setup)
+    repeat = columns.pop("repeat", np.zeros(count))
+    bad = np.flatnonzero(~((repeat >= 0) & (repeat == np.floor(repeat)) & (repeat < 1e9)))
+    if len(bad):
+        raise SessionError(f"{place.row(bad[0])}: repeat is {repeat[bad[0]]:g}, not 0, 1, 2 …")
+    return Readings(
+        setup=setup,
+        repeat=repeat.astype(np.int64),
+        displacement=columns.pop("displacement"),
+        columns=columns,
+        labels=texts,
+        row=np.arange(count, dtype=np.int64),
+    )
+
+
+def _places(labels: np.ndarray, column: str, ids: Sequence[str], place: Place) -> IntArray:
+    """Place of each label in the description's list."""
+    table = {name: index for index, name in enumerate(ids)}
+    unique, inverse = np.unique(labels, return_inverse=True)
+    index = np.array([table.get(str(name), -1) for name in unique], dtype=np.int64)[inverse]
+    bad = np.flatnonzero(index < 0)
+    if len(bad):
+        name = str(labels[bad[0]])
+        what = f"unknown {column} {name!r}" if name else f"{column} is empty"
+        raise SessionError(f"{place.row(bad[0])}: {what}; {PurePath(place.description).name} has {_listed(ids)}")
+    return index
+
+
+def _listed(ids: Sequence[str]) -> str:
+    if len(ids) > 8 and all(name.isdigit() for name in ids):
+        return f"{ids[0]} to {ids[-1]}"
+    return ", ".join(ids[:8]) + (f" … ({len(ids)} in all)" if len(ids) > 8 else "")

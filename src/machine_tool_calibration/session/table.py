@@ -2,20 +2,193 @@
 
 from __future__ import annotations
 
+import csv
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import pandas as pd
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.session.scan import Layout, scan_csv
+from machine_tool_calibration.session.text import reject_foreign_encoding
 
-__all__ = ["LABEL_COLUMNS", "NUMERIC_COLUMNS", "Table", "read_table"]
+__all__ = ["LABEL_COLUMNS", "NUMERIC_COLUMNS", "Layout", "Table", "read_table", "scan_csv"]
+
+
+_CHUNK = 4 << 20
+_MAX_LINE = 1 << 20
+_MAX_BYTES = 4 << 30
+_MAX_ROWS = 20_000_000
+_MAX_COLUMNS = 1000
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where a CSV file's rows stand.
+
+    Attributes:
+        source: the file's name, for messages.
+        columns: names of the columns, in the file's order.
+        header_line: line of the header, from 1.
+        rows: number of data rows.
+        blank: (m,) lines after the header that hold nothing.
+    """
+
+    source: str
+    columns: tuple[str, ...]
+    header_line: int
+    rows: int
+    blank: IntArray
+
+    def line(self, row: int) -> int:
+        """The file's line (from 1) of a data row (from 0)."""
+        line = self.header_line + 1 + row
+        for blank in self.blank:  # in increasing order
+            if blank > line:
+                break
+            line += 1
+        return line
+
+    def where(self, row: int) -> str:
+        """`file row 3 (line 5)`, for messages."""
+        return f"{self.source} row {row} (line {self.line(row)})"
+
+
+def scan_csv(path: Path) -> Layout:
+    """Check a CSV file's bytes and count its rows.
+
+    Raises:
+        SessionError: no such file, empty, no rows, too large, not UTF-8, NUL bytes, separated by something else than
+            commas, a line with more or fewer fields than the header, a column named twice.
+    """
+    source = str(path)
+    try:
+        if not path.is_file():
+            raise SessionError(f"{source}: {'is not a file' if path.exists() else 'no such file'}")
+        if path.stat().st_size > _MAX_BYTES:
+            raise SessionError(f"{source}: larger than the {_MAX_BYTES >> 30} GiB that are accepted")
+        with path.open("rb") as stream:
+            return _scan(source, _blocks(source, stream))
+    except OSError as error:
+        raise SessionError(f"{source}: cannot be read: {error.strerror}") from None
+
+
+def _blocks(source: str, stream: BinaryIO) -> Iterator[bytes]:
+    """The file in blocks of whole lines."""
+    rest = b""
+    while data := stream.read(_CHUNK):
+        end = data.rfind(b"\n") + 1
+        if end == 0 and len(rest) + len(data) > _MAX_LINE:
+            raise SessionError(f"{source}: a line of more than {_MAX_LINE >> 20} MiB; this is not such a table")
+        if end == 0:
+            rest += data
+            continue
+        yield rest + data[:end]
+        rest = data[end:]
+    if rest:
+        yield rest + b"\n"
+
+
+def _scan(source: str, blocks: Iterator[bytes]) -> Layout:
+    columns: tuple[str, ...] | None = None
+    header_line, line, rows = 0, 0, 0
+    blank: list[IntArray] = []
+    for number, block in enumerate(blocks):
+        if number == 0:
+            reject_foreign_encoding(block, source)
+            block = block.removeprefix(b"\xef\xbb\xbf")
+        _check_bytes(source, block, line)
+        while columns is None and block:
+            text, _, block = block.partition(b"\n")
+            line += 1
+            if text.strip():
+                columns, header_line = _header(f"{source} line {line}", text.decode()), line
+        if columns is None or not block:
+            continue
+        fields = _fields_per_line(block)
+        wrong = np.flatnonzero((fields != len(columns)) & (fields != 0))
+        if len(wrong):
+            first = int(wrong[0])
+            row = rows + first - int(np.count_nonzero(fields[:first] == 0))
+            where = f"{source} row {row} (line {line + first + 1})"
+            if fields[first] < 0:
+                raise SessionError(f"{where}: a quote that is not closed")
+            hint = " (semicolons? use commas, and a point for decimals)" if b";" in block.split(b"\n")[first] else ""
+            raise SessionError(f"{where}: {fields[first]} fields where the header has {len(columns)}{hint}")
+        empty = np.flatnonzero(fields == 0)
+        blank.append(empty + line + 1)
+        rows += len(fields) - len(empty)
+        line += len(fields)
+        if rows > _MAX_ROWS:
+            raise SessionError(f"{source}: more than the {_MAX_ROWS} rows that are accepted")
+    if columns is None:
+        raise SessionError(f"{source}: the file is empty")
+    if rows == 0:
+        raise SessionError(f"{source}: has a header but no rows")
+    return Layout(source, columns, header_line, rows, np.concatenate(blank).astype(np.int64))
+
+
+def _check_bytes(source: str, block: bytes, line: int) -> None:
+    if (at := block.find(b"\0")) >= 0:
+        where = line + block.count(b"\n", 0, at) + 1
+        raise SessionError(f"{source} line {where}: NUL byte; the file is damaged")
+    try:
+        block.decode("utf-8")
+    except UnicodeDecodeError as error:
+        where = line + block.count(b"\n", 0, error.start) + 1
+        byte = block[error.start]
+        raise SessionError(f"{source} line {where}: byte 0x{byte:02x} is not UTF-8; save the file as UTF-8") from None
+    if match := re.search(rb"\r(?!\n)", block):
+        where = line + block.count(b"\n", 0, match.start()) + 1
+        raise SessionError(f"{source} line {where}: a bare carriage return; end lines with a line feed")
+
+
+def _header(where: str, text: str) -> tuple[str, ...]:
+    if "," not in text:
+        for separator, name in ((";", "semicolons"), ("\t", "tabs"), ("|", "bars")):
+            if separator in text:
+                raise SessionError(f"{where}: separated by {name}; use commas, and a point for decimals")
+    try:
+        names = tuple(name.strip() for name in next(csv.reader([text], strict=True)))
+    except csv.Error as error:
+        raise SessionError(f"{where}: not a header of column names: {error}") from None
+    if len(names) > _MAX_COLUMNS:
+        raise SessionError(f"{where}: {len(names)} columns, more than the {_MAX_COLUMNS} that are accepted")
+    for index, name in enumerate(names):
+        if not name:
+            raise SessionError(f"{where}: column {index + 1} has no name")
+        if name in names[:index]:
+            raise SessionError(f"{where}: column {name!r} stands twice")
+    return names
+
+
+def _fields_per_line(block: bytes) -> IntArray:
+    """Number of fields of each line; 0 for one that holds nothing."""
+    if b'"' in block:
+        return np.array([_quoted_fields(text) for text in block.decode().split("\n")[:-1]], dtype=np.int64)
+    data = np.frombuffer(block, dtype=np.uint8)
+    ends = np.flatnonzero(data == ord("\n"))
+    commas = np.flatnonzero(data == ord(","))
+    fields = np.diff(np.searchsorted(commas, ends), prepend=0) + 1
+    starts = np.concatenate([[0], ends[:-1] + 1])
+    for index in np.flatnonzero(fields == 1):
+        if not block[starts[index] : ends[index]].strip():
+            fields[index] = 0
+    return fields.astype(np.int64)
+
+
+def _quoted_fields(text: str) -> int:
+    if not text.strip():
+        return 0
+    try:
+        return len(next(csv.reader([text.rstrip("\r")], strict=True, skipinitialspace=True)))
+    except csv.Error:
+        return -1
+
 
 LABEL_COLUMNS = ("setup", "target", "point")
 """Columns of text."""

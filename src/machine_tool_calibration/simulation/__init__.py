@@ -44,7 +44,6 @@ from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
 from machine_tool_calibration.simulation.environment import Drift, Environment, random_environment
 from machine_tool_calibration.simulation.flaw import Chosen, Flaw
 from machine_tool_calibration.simulation.flaws import FLAWS, choose_flaw
-from machine_tool_calibration.simulation.laser import mirror_path
 from machine_tool_calibration.simulation.live import LiveMachine
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.machine_file import (
@@ -55,16 +54,21 @@ from machine_tool_calibration.simulation.machine_file import (
     read_machine,
 )
 from machine_tool_calibration.simulation.plans import PLANS, PRESETS
-from machine_tool_calibration.simulation.probe import probed
-from machine_tool_calibration.simulation.probing_run import ProbingPlan
+from machine_tool_calibration.simulation.probing_run import PartPoint, ProbingPlan
 from machine_tool_calibration.simulation.random_machine import Amplitudes, random_machine
 from machine_tool_calibration.simulation.rotary_run import RotaryPlan
-from machine_tool_calibration.simulation.simulate import Simulated, measured_again, simulate, simulate_many
+from machine_tool_calibration.simulation.sensors import (
+    Pointer,
+    aim,
+    beam_direction,
+    distance,
+    mirror_path,
+    probed,
+    sensed_path,
+)
+from machine_tool_calibration.simulation.simulate import Simulated, Truth, measured_again, simulate, simulate_many
 from machine_tool_calibration.simulation.spec import Chips, FlawSpec, SimulationSpec, Spread
-from machine_tool_calibration.simulation.tracking import Pointer, aim, beam_direction, distance, sensed_path
 from machine_tool_calibration.simulation.tracking_run import TrackingPlan
-from machine_tool_calibration.simulation.truth import Truth
-from machine_tool_calibration.simulation.workpieces import PartPoint
 
 __all__ = [
     "FLAWS",

@@ -13,9 +13,8 @@ from machine_tool_calibration.session.description import Instrument
 from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
 from machine_tool_calibration.simulation.environment import Environment
 from machine_tool_calibration.simulation.machine import VirtualMachine
-from machine_tool_calibration.simulation.measurement import Measurement
-from machine_tool_calibration.simulation.plan import Finite, Plan, Positive, Vector3
-from machine_tool_calibration.simulation.rotation import rotate
+from machine_tool_calibration.simulation.motions import rotate
+from machine_tool_calibration.simulation.plan import Finite, Measurement, Plan, Positive, Vector3
 from machine_tool_calibration.simulation.scene import Scene, blocks, last_direction, ordered_times
 
 __all__ = ["DirectPlan", "plan_direct"]

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.simulation.motions import Table
-from machine_tool_calibration.simulation.rotation import rotate
+from machine_tool_calibration.simulation.motions import Table, rotate
 
 __all__ = ["Disturbance", "Sight", "combine"]
 

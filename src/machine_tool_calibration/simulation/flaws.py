@@ -9,10 +9,9 @@ import numpy as np
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.simulation.flaw import Chosen, Flaw
-from machine_tool_calibration.simulation.flaws_position import POSITION_FLAWS
+from machine_tool_calibration.simulation.flaws_position import POSITION_FLAWS, REVERSAL_FLAWS
 from machine_tool_calibration.simulation.flaws_reading import READING_FLAWS
-from machine_tool_calibration.simulation.flaws_reversal import REVERSAL_FLAWS
-from machine_tool_calibration.simulation.flaws_thermal import THERMAL_FLAWS
+from machine_tool_calibration.simulation.flaws_slow import THERMAL_FLAWS
 from machine_tool_calibration.simulation.flaws_unlisted import UNLISTED_FLAWS
 from machine_tool_calibration.simulation.scene import Scene
 

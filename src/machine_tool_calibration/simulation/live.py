@@ -25,7 +25,7 @@ from machine_tool_calibration.simulation.environment import Environment
 from machine_tool_calibration.simulation.flaw import Chosen
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.scene import Scene
-from machine_tool_calibration.simulation.tracking import Pointer
+from machine_tool_calibration.simulation.sensors import Pointer
 
 __all__ = ["LiveMachine"]
 

@@ -14,8 +14,15 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.machine.chain import Chain
-from machine_tool_calibration.simulation.motions import COMPONENTS, AxisMotion, Table, motion_names
-from machine_tool_calibration.simulation.rotation import matrix, rotate, turn
+from machine_tool_calibration.simulation.motions import (
+    COMPONENTS,
+    AxisMotion,
+    Table,
+    matrix,
+    motion_names,
+    rotate,
+    turn,
+)
 
 __all__ = ["VirtualMachine"]
 

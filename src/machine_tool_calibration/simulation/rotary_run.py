@@ -11,11 +11,10 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
 from machine_tool_calibration.simulation.environment import Environment
 from machine_tool_calibration.simulation.machine import VirtualMachine
-from machine_tool_calibration.simulation.measurement import Measurement, since_first
 from machine_tool_calibration.simulation.motions import motion_names
-from machine_tool_calibration.simulation.plan import Finite, Plan, Positive, Vector3
+from machine_tool_calibration.simulation.plan import Finite, Measurement, Plan, Positive, Vector3, since_first
 from machine_tool_calibration.simulation.scene import Scene, blocks, last_direction, ordered_times
-from machine_tool_calibration.simulation.tracking import aim, distance
+from machine_tool_calibration.simulation.sensors import aim, distance
 
 __all__ = ["RotaryPlan", "plan_rotary"]
 

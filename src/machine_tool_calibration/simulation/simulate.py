@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any
 
 import numpy as np
 from pydantic import TypeAdapter
 
-from machine_tool_calibration.arrays import Array, BoolArray
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.session.description import Description
 from machine_tool_calibration.session.session import Readings, Session
@@ -19,14 +19,52 @@ from machine_tool_calibration.simulation.environment import random_environment
 from machine_tool_calibration.simulation.flaw import Chosen
 from machine_tool_calibration.simulation.flaws import choose_flaw
 from machine_tool_calibration.simulation.machine import VirtualMachine
-from machine_tool_calibration.simulation.machine_file import build_machine
-from machine_tool_calibration.simulation.measurement import Measurement, since_first
+from machine_tool_calibration.simulation.machine_file import build_machine, machine_document
+from machine_tool_calibration.simulation.plan import Measurement, since_first
 from machine_tool_calibration.simulation.plans import measure
 from machine_tool_calibration.simulation.scene import blocks
 from machine_tool_calibration.simulation.spec import FlawSpec, SimulationSpec
-from machine_tool_calibration.simulation.truth import Truth
 
-__all__ = ["Simulated", "measured_again", "simulate", "simulate_many"]
+__all__ = ["Simulated", "Truth", "measured_again", "simulate", "simulate_many"]
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The truth of a simulated session.
+
+    Attributes:
+        seed: of the simulation.
+        machine: with all its errors, those of the effects included (extra error motions, squareness).
+        effects: what was put in.
+        clean: (n,) readings without noise, spread and gross errors, m, in the session's datum.
+        signal: (n,) what the effects changed in the clean readings, m.
+        outliers: rows with a gross error.
+        datum: (n,) readings of the same number are changes since the first of them; None: absolute readings.
+        judged: the method's own figures: `position_error` at `points`, `stations`, …
+    """
+
+    seed: int
+    machine: VirtualMachine
+    effects: tuple[Chosen, ...]
+    clean: Array
+    signal: Array
+    outliers: IntArray
+    datum: IntArray | None = None
+    judged: Mapping[str, Any] = field(default_factory=dict)
+
+    def document(self) -> dict[str, Any]:
+        """The content of `truth.json`."""
+        named = self.effects[0].flaw.id if self.effects else ("chips" if len(self.outliers) else None)
+        return {
+            "seed": self.seed,
+            "effect": named,
+            "amplitude": float(np.max(np.abs(self.signal), initial=0.0)),
+            "effects": [chosen.document() for chosen in self.effects],
+            **self.judged,
+            "outliers": [int(row) for row in self.outliers],
+            "machine": machine_document(self.machine),
+        }
+
 
 _STREAMS = ("machine", "setup", "environment", "effects", "noise", "spread", "chips", "missing", "repeatability")
 _UNSEEN = 1e-10  # an effect of typical size that changes no reading by more than this does not show, m

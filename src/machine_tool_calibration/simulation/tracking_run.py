@@ -11,10 +11,9 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
 from machine_tool_calibration.simulation.environment import Environment
 from machine_tool_calibration.simulation.machine import VirtualMachine
-from machine_tool_calibration.simulation.measurement import Measurement
-from machine_tool_calibration.simulation.plan import Finite, Plan, Positive, Vector3
+from machine_tool_calibration.simulation.plan import Finite, Measurement, Plan, Positive, Vector3
 from machine_tool_calibration.simulation.scene import Scene, last_direction, ordered_times
-from machine_tool_calibration.simulation.tracking import Pointer, aim, distance, sensed_path
+from machine_tool_calibration.simulation.sensors import Pointer, aim, distance, sensed_path
 
 __all__ = ["TrackingPlan", "plan_tracking"]
 

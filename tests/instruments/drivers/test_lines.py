@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from machine_tool_calibration.instruments.drivers.lines import LineParser, LineSplitter, Parsed
+from machine_tool_calibration.instruments.drivers.ascii_line import LineParser, LineSplitter, Parsed
 from machine_tool_calibration.instruments.drivers.settings import Line, Value
 
 PATTERN = r"(?P<value>\S+)\s+(?P<status>\w+)\s+(?P<beam>[01])"

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.methods.direct.iso230_2 import positioning
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.methods.iso230_2 import positioning
 
 # Two positions, three runs up and three down, um.
 POSITION = np.repeat([0.0, 0.1], 6)

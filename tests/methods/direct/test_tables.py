@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.methods.direct_tables import nodes_from
+from machine_tool_calibration.methods.direct.model import nodes_from
 from machine_tool_calibration.methods.identify import identify
 
 LINE = np.linspace(0.0, 0.4, 5)

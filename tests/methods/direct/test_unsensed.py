@@ -11,15 +11,14 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.diagnosis.consequence import map_change
+from machine_tool_calibration.export.preview import preview
 from machine_tool_calibration.maps import error_map_from_points
 from machine_tool_calibration.methods.axis_tables import axis_tables
-from machine_tool_calibration.methods.direct_map import sensed_axes
-from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.methods.joint import identify_sessions
+from machine_tool_calibration.methods.direct.map import sensed_axes
+from machine_tool_calibration.methods.identify import identify, identify_sessions
 from machine_tool_calibration.plots import direct as pictures
 from machine_tool_calibration.plots.error_map import draw_map
 from machine_tool_calibration.plots.pictures import draw_common
-from machine_tool_calibration.session.controller_tables.preview import preview
 
 matplotlib.use("agg")
 NODES = np.linspace(0.0, 0.4, 5)

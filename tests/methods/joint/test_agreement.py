@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from machine_tool_calibration.methods.joint import JointResult, identify_sessions
+from machine_tool_calibration.methods.identify import JointResult, identify_sessions
 from machine_tool_calibration.simulation.simulate import simulate
 from machine_tool_calibration.simulation.spec import SimulationSpec
 

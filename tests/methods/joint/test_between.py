@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.machine.chain import Chain
-from machine_tool_calibration.machine.tables import MachineTable
-from machine_tool_calibration.methods.joint import identify_sessions
-from machine_tool_calibration.methods.joint_between import between_nodes, squared_bend
+from machine_tool_calibration.methods.identify import identify_sessions
+from machine_tool_calibration.methods.joint.map import between_nodes, squared_bend
+from machine_tool_calibration.model.rigid_body import MachineTable
 from machine_tool_calibration.simulation.simulate import simulate
 from machine_tool_calibration.simulation.spec import SimulationSpec
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from machine_tool_calibration.methods.joint import JointResult, identify_sessions
+from machine_tool_calibration.methods.identify import JointResult, identify_sessions
 from machine_tool_calibration.simulation import FlawSpec
 
 

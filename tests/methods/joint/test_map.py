@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.methods.joint import JointResult, identify_sessions
-from machine_tool_calibration.methods.rigid_body import map_field
+from machine_tool_calibration.methods.identify import JointResult, identify, identify_sessions
+from machine_tool_calibration.model.rigid_body import map_field
 from machine_tool_calibration.simulation.simulate import Simulated, simulate
 from machine_tool_calibration.simulation.spec import SimulationSpec
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from machine_tool_calibration.methods.joint import JointResult, identify_sessions
-from machine_tool_calibration.methods.rigid_body import map_field
+from machine_tool_calibration.methods.identify import JointResult, identify_sessions
+from machine_tool_calibration.model.rigid_body import map_field
 from machine_tool_calibration.simulation.simulate import Simulated, simulate
 from machine_tool_calibration.simulation.spec import SimulationSpec
 

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.methods.identify import build_model
-from machine_tool_calibration.methods.joint import joint_models
+from machine_tool_calibration.methods.identify import build_model, joint_models
 from machine_tool_calibration.model.fit import fit_models, screen, screen_joint
-from machine_tool_calibration.model.terms import Parameter, Term
+from machine_tool_calibration.model.model import Parameter, Term
 
 
 def term(name: str, columns: np.ndarray, shared: bool) -> Term:

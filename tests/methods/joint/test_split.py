@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.effects.catalogue import catalogue
-from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.methods.joint import JointResult, identify_sessions, joint_models
-from machine_tool_calibration.methods.rigid_body import map_field
+from machine_tool_calibration.methods.identify import JointResult, identify, identify_sessions, joint_models
 from machine_tool_calibration.model.result import Result
+from machine_tool_calibration.model.rigid_body import map_field
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation.simulate import Simulated, simulate
 from machine_tool_calibration.simulation.spec import SimulationSpec

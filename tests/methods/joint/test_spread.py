@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.methods.joint import JointResult, identify_sessions
-from machine_tool_calibration.methods.joint_model import common_models
-from machine_tool_calibration.methods.joint_spread import random_of, settled, stated
-from machine_tool_calibration.methods.rigid_body import map_field
+from machine_tool_calibration.methods.identify import JointResult, identify, identify_sessions
+from machine_tool_calibration.methods.joint.model import common_models
+from machine_tool_calibration.methods.joint.small_angles import random_of, settled, stated
 from machine_tool_calibration.methods.step_diagonal import build
 from machine_tool_calibration.model.fit import fit_models
+from machine_tool_calibration.model.rigid_body import map_field
 from machine_tool_calibration.simulation.simulate import Simulated, simulate
 from machine_tool_calibration.simulation.spec import SimulationSpec
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from machine_tool_calibration.methods import probing
+from machine_tool_calibration.methods.probing import model as probing
 
 
 def test_reading_is_equation_14(make):

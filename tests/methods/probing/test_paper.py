@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from machine_tool_calibration.methods.probing_forecast import forecast, planned_session
+from machine_tool_calibration.methods.probing.forecast import forecast, planned_session
+from machine_tool_calibration.procedure.workpiece import read_workpiece, workpiece_entries
 from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.description import Probing
-from machine_tool_calibration.workpiece import read_workpiece, workpiece_entries
 
 PART = Path(__file__).parents[3] / "config" / "workpieces" / "cross_pocket.yaml"
 ANGLES = (0, 75, 130, 210)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.simulation.workpieces import cross
+from machine_tool_calibration.simulation.probing_run import cross
 
 GROUPS = {
     "workpiece": ("workpiece_error",),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from machine_tool_calibration.simulation.workpieces import cam, cross, pins
+from machine_tool_calibration.simulation.probing_run import cam, cross, pins
 
 PICO = 1e-12
 OUTER = {f"{name}({sign}0.11)" for name in ("EXX", "EYX", "EXY", "EYY", "ECY") for sign in ("", "-")}

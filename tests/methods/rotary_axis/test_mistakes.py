@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.methods.rotary_axis import build
+from machine_tool_calibration.methods.rotary_axis.model import build
 from machine_tool_calibration.session.session import Session
 
 

@@ -5,12 +5,12 @@ import pytest
 
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.machine.chain import Chain
-from machine_tool_calibration.machine.tables import MachineTable
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.step_diagonal import build
 from machine_tool_calibration.methods.step_diagonal.orders import paper_angular_uncertainty
 from machine_tool_calibration.methods.step_diagonal.terms import angle_term
 from machine_tool_calibration.model.fit import fit_models
+from machine_tool_calibration.model.rigid_body import MachineTable
 from machine_tool_calibration.simulation import TableSpec
 
 ORDERS = ("xyz", "yzx", "zxy")

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from machine_tool_calibration.cli.main import run
-from machine_tool_calibration.session.writer import write_session
+from machine_tool_calibration.session.folder import write_session
 
 EXAMPLE = Path(__file__).parents[2] / "data" / "step_diagonal"
 

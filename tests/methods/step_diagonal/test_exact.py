@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.methods.step_diagonal import build
+from machine_tool_calibration.methods.step_diagonal.build import second_order
 from machine_tool_calibration.methods.step_diagonal.compare import identify_by_formulation
-from machine_tool_calibration.methods.step_diagonal.second_order import second_order
 from machine_tool_calibration.model.fit import fit_models
 
 NANOMETRE = 1e-9

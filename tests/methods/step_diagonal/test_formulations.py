@@ -9,10 +9,10 @@ from machine_tool_calibration.methods.step_diagonal.formulations import (
     alternative,
     conventional,
     conventional_2d,
+    increments,
     new,
     new_2d,
 )
-from machine_tool_calibration.methods.step_diagonal.increments import increments
 from machine_tool_calibration.methods.step_diagonal.profiles import eq17
 
 STEP = np.array([0.03, 0.02, 0.05])

@@ -10,8 +10,8 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.step_diagonal import MODELS, build
 from machine_tool_calibration.model.fit import fit_models
-from machine_tool_calibration.model.terms import Parameter, Term
-from machine_tool_calibration.session.reader import read_session
+from machine_tool_calibration.model.model import Parameter, Term
+from machine_tool_calibration.session.folder import read_session
 from machine_tool_calibration.simulation import FlawSpec, TableSpec
 
 EXAMPLE = Path(__file__).parents[2] / "data" / "step_diagonal"

@@ -7,11 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.robust import robust_start
-from machine_tool_calibration.machine.tables import MachineTable, linear_axis_errors
-from machine_tool_calibration.methods.rigid_body import map_field, table_datum
 from machine_tool_calibration.methods.step_diagonal.geometry import (
     Run,
     across,
@@ -21,15 +19,45 @@ from machine_tool_calibration.methods.step_diagonal.geometry import (
 )
 from machine_tool_calibration.methods.step_diagonal.model import DATUM, Spread, StepDiagonalModel
 from machine_tool_calibration.methods.step_diagonal.orders import free_angles
-from machine_tool_calibration.methods.step_diagonal.second_order import second_order
-from machine_tool_calibration.methods.step_diagonal.spread import LARGEST, NONE, SMALLEST, coarse_nodes
+from machine_tool_calibration.methods.step_diagonal.small_angles import LARGEST, NONE, SMALLEST, coarse_nodes
 from machine_tool_calibration.methods.step_diagonal.terms import angle_term, sensed_tables, tilt_terms
-from machine_tool_calibration.model.model import NotDetermined, assemble
+from machine_tool_calibration.model.model import NotDetermined, Term, assemble
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.model.terms import Term
+from machine_tool_calibration.model.rigid_body import MachineTable, linear_axis_errors, map_field, table_datum
 from machine_tool_calibration.session.session import Readings, Session
 
-__all__ = ["MODELS", "build"]
+__all__ = ["MODELS", "build", "second_order"]
+
+
+def second_order(
+    runs: Sequence[Run], setup: IntArray, displacement: Array, error: Array, end_error: Array, tilt: Array
+) -> Array:
+    """What the first-order reading leaves out, at a first solution.
+
+    Args:
+        runs: the setups.
+        setup: (n,) of each reading.
+        displacement: (n, 3) nominal, since the start of the run, m.
+        error: (n, 3) position error since the start of the run, m.
+        end_error: (runs, 3) the same at the end of the run, m.
+        tilt: (runs, 3) t, across the beam; for a linear run, whose beam lies on the actual motion, it does not matter.
+
+    Returns:
+        (n,) exact minus first-order reading, m.
+    """
+    beam = np.array([run.beam for run in runs])
+    actual = np.array([run.motion for run in runs]) + end_error
+    length = np.linalg.norm(actual, axis=1)
+    linear = np.array([not run.diagonal for run in runs])[:, None]
+    off = end_error - np.einsum("rj,rj->r", end_error, beam)[:, None] * beam
+    t = np.where(linear, off / length[:, None], tilt)
+    stretch = (length - np.einsum("rj,rj->r", beam + t, actual)) / np.einsum("rj,rj->r", beam, actual)
+    reached = displacement + error
+    # For a diagonal t.d is of first order; in a linear run d lies along the beam and t.d is zero.
+    return np.asarray(
+        stretch[setup] * np.einsum("nj,nj->n", beam[setup], reached) + np.einsum("nj,nj->n", t[setup], error)
+    )
+
 
 MODELS = ("small_angles", "translations", "angular", "angular_one_mirror", "aligned_mirror")
 """Models of a step diagonal; the first is the default.

@@ -12,14 +12,15 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.step_diagonal.build import build
 from machine_tool_calibration.methods.step_diagonal.formulations import (
+    Increments,
     alternative,
     conventional,
     conventional_2d,
+    increments,
     new,
     new_2d,
 )
 from machine_tool_calibration.methods.step_diagonal.geometry import step_diagonal_of
-from machine_tool_calibration.methods.step_diagonal.increments import Increments, increments
 from machine_tool_calibration.methods.step_diagonal.profiles import Profiles, eq17
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.session.session import Session

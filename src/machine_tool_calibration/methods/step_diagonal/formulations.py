@@ -1,4 +1,4 @@
-"""The formulations of Ibaraki and Hata 2010: conventional (Wang), new, alternative, and the two-dimensional case.
+"""Increments of the single moves and the formulations of Ibaraki and Hata 2010: conventional, new, alternative.
 
 All take R, (..., D, d, N): displacements of the single moves for the diagonals ppp, npp, pnp (in a plane pp, np), the
 axis of the move and the block counted along the increasing axis, m; and give increments of the position errors,
@@ -7,11 +7,153 @@ axis of the move and the block counted along the increasing axis, m; and give in
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.methods.step_diagonal.geometry import Run, runs_of, step_diagonal_of
+from machine_tool_calibration.session.session import Session
 
-__all__ = ["alternative", "conventional", "conventional_2d", "new", "new_2d"]
+__all__ = ["Increments", "alternative", "conventional", "conventional_2d", "increments", "new", "new_2d"]
+
+
+_NEAR = 1e-2
+
+
+@dataclass(frozen=True)
+class Increments:
+    """Displacements of single moves as linear functions of the readings.
+
+    Attributes:
+        axes: the machine axes of the diagonals, such as (0, 1, 2).
+        step: (d,) length of a move along each of them, m.
+        diagonal: (D, d, N) R_x,ppp(k) …: diagonals ppp, npp, pnp (in a plane pp, np), axis of the move, block. Blocks
+            are counted along the increasing axis, so that the paper's R_x,npp(N - k + 1) is at k.
+        linear: (d, N) displacement of each axis's own run less the step: de_x(x(k)) ….
+        weights: (D d N + d N, n) how `diagonal` and `linear` follow from the readings.
+        first: (d,) first block position of each axis, m.
+        lacking: runs and blocks without a reading; what depends on them is NaN.
+    """
+
+    axes: tuple[int, ...]
+    step: Array
+    diagonal: Array
+    linear: Array
+    weights: Array
+    first: Array
+    lacking: tuple[str, ...]
+
+
+def increments(session: Session) -> Increments:
+    """The moves of those of a session's diagonals and linear runs that the paper's formulas use.
+
+    These know neither a fourth diagonal nor linear runs off the edges that meet in the first block positions.
+
+    Raises:
+        ModelError: the diagonals are not those of the paper.
+    """
+    description = step_diagonal_of(session)
+    runs = runs_of(description)
+    blocks = description.blocks
+    diagonals = [run for run in runs if run.diagonal]
+    axes = tuple(axis for axis in range(3) if any(run.sign[axis] for run in diagonals))
+    if len(axes) < 2 or any((run.sign[list(axes)] == 0).any() for run in diagonals):
+        raise ModelError("the paper's formulations need diagonals that all move the same two or three axes")
+    wanted = [np.ones(len(axes))]
+    for reverse in range(len(axes) - 1):
+        wanted.append(np.where(np.arange(len(axes)) == reverse, -1.0, 1.0))
+    names = ["".join("p" if s > 0 else "n" for s in signs) for signs in wanted]
+    finite = np.isfinite(session.readings.displacement)
+    rows: list[Array] = []
+    lacking: list[str] = []
+    n = len(session.readings)
+    for name, signs in zip(names, wanted, strict=True):
+        members = [k for k, run in enumerate(runs) if run.diagonal and (run.sign[list(axes)] == signs).all()]
+        rows.append(_averaged(session, runs, members, axes, finite, blocks, name, lacking))
+    starts = np.array([np.minimum(run.start, run.start + run.motion) for run in diagonals])
+    corner = starts.min(axis=0)
+    linear = []
+    for axis in axes:
+        members = _nearest_to(corner, axis, runs)
+        linear.append(_averaged(session, runs, members, (axis,), finite, blocks, "XYZ"[axis], lacking))
+    weights = np.concatenate([np.concatenate(rows), np.concatenate(linear)]).reshape(-1, n)
+    values = weights @ np.where(finite, session.readings.displacement, 0.0)
+    count = len(names) * len(axes) * blocks
+    step = np.asarray(description.step)[list(axes)]
+    return Increments(
+        axes,
+        step,
+        values[:count].reshape(len(names), len(axes), blocks),
+        values[count:].reshape(len(axes), blocks) - step[:, None],
+        weights,
+        corner[list(axes)],
+        tuple(lacking),
+    )
+
+
+def _nearest_to(corner: Array, axis: int, runs: Sequence[Run]) -> list[int]:
+    """Linear runs along an axis, those that lie nearest to the edge through a corner."""
+    off = {
+        k: round(float(np.linalg.norm(np.delete(run.start - corner, axis))), 9)
+        for k, run in enumerate(runs)
+        if not run.diagonal and run.sign[axis]
+    }
+    return [k for k, distance in off.items() if distance == min(off.values())]
+
+
+def _averaged(
+    session: Session,
+    runs: Sequence[Run],
+    members: Sequence[int],
+    axes: tuple[int, ...],
+    finite: Array,
+    blocks: int,
+    name: str,
+    lacking: list[str],
+) -> Array:
+    """(axes, N, n) weights of the readings in each move, averaged over setups and repeats; NaN where none was read."""
+    readings = session.readings
+    total = np.zeros((len(axes), blocks, len(readings)))
+    count = np.zeros((len(axes), blocks))
+    for k in members:
+        path = runs[k].path(blocks)
+        for repeat in np.unique(readings.repeat[readings.setup == k]):
+            mine = np.flatnonzero((readings.setup == k) & (readings.repeat == repeat) & finite)
+            place = _matched(path, session, mine)
+            for j in range(1, len(path)):
+                if place[j] < 0 or place[j - 1] < 0:
+                    continue
+                axis = "xyz".index(runs[k].order[(j - 1) % len(runs[k].order)])
+                made = (j - 1) // len(runs[k].order)
+                block = made if runs[k].sign[axis] > 0 else blocks - 1 - made
+                total[axes.index(axis), block, place[j]] += 1.0
+                total[axes.index(axis), block, place[j - 1]] -= 1.0
+                count[axes.index(axis), block] += 1.0
+    if not members or not count.any():
+        lacking.append(f"no run {name}")
+    elif not count.all():
+        axis_, block_ = np.argwhere(count == 0)[0]
+        lacking.append(f"run {name}: no reading on both sides of move {'xyz'[axes[axis_]]} of block {block_ + 1}")
+    with np.errstate(invalid="ignore"):
+        return np.where(count[..., None] > 0, total / np.where(count > 0, count, 1.0)[..., None], np.nan)
+
+
+def _matched(path: Array, session: Session, mine: IntArray) -> IntArray:
+    """(m,) reading at each position of the path; -1 where there is none."""
+    place = np.full(len(path), -1, dtype=np.int64)
+    if not len(mine):
+        return place
+    position = session.readings.position()[mine]
+    distance = np.abs(path[:, None] - position[None]).max(axis=2)
+    nearest = distance.argmin(axis=1)
+    step = np.linalg.norm(np.diff(path, axis=0), axis=1).min()
+    near = distance[np.arange(len(path)), nearest] < _NEAR * step
+    place[near] = mine[nearest[near]]
+    return place
+
 
 _X, _Y, _Z = 0, 1, 2
 _PPP, _NPP, _PNP = 0, 1, 2

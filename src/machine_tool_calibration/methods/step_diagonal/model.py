@@ -9,15 +9,11 @@ from typing import Any, Self
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.estimation.layout import group_rows
-from machine_tool_calibration.estimation.problem import LinearPart, Part
-from machine_tool_calibration.machine.error_motions import parse_motion
-from machine_tool_calibration.machine.table import interpolation
-from machine_tool_calibration.machine.tables import MachineTable
-from machine_tool_calibration.methods.rigid_body import map_field
+from machine_tool_calibration.estimation.problem import LinearPart, Part, group_rows
+from machine_tool_calibration.machine.error_motions import interpolation, parse_motion
 from machine_tool_calibration.methods.step_diagonal.geometry import Run
 from machine_tool_calibration.methods.step_diagonal.profiles import Profiles, eq17
-from machine_tool_calibration.methods.step_diagonal.spread import (
+from machine_tool_calibration.methods.step_diagonal.small_angles import (
     AngularPosterior,
     SmallAngles,
     angular_posterior,
@@ -25,9 +21,9 @@ from machine_tool_calibration.methods.step_diagonal.spread import (
 )
 from machine_tool_calibration.methods.step_diagonal.terms import Angle
 from machine_tool_calibration.model.fit import Fit
-from machine_tool_calibration.model.model import MethodModel, NotDetermined
+from machine_tool_calibration.model.model import MethodModel, NotDetermined, Parameter, Term
 from machine_tool_calibration.model.result import ErrorMap
-from machine_tool_calibration.model.terms import Parameter, Term
+from machine_tool_calibration.model.rigid_body import MachineTable, map_field
 
 __all__ = ["DATUM", "Spread", "StepDiagonalModel"]
 

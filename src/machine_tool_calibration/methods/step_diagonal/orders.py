@@ -20,12 +20,10 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.solve import solve
-from machine_tool_calibration.machine.tables import MachineTable
-from machine_tool_calibration.methods.rigid_body import table_datum
 from machine_tool_calibration.methods.step_diagonal.model import StepDiagonalModel
 from machine_tool_calibration.methods.step_diagonal.terms import Angle, angle_term
-from machine_tool_calibration.model.model import Constraint, NotDetermined, assemble
-from machine_tool_calibration.model.terms import Term
+from machine_tool_calibration.model.model import Constraint, NotDetermined, Term, assemble
+from machine_tool_calibration.model.rigid_body import MachineTable, table_datum
 
 __all__ = ["AngularUncertainty", "free_angles", "paper_angular_uncertainty", "told_by_orders"]
 

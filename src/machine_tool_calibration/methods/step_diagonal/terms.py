@@ -18,13 +18,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
-from machine_tool_calibration.machine.error_motions import parse_motion
-from machine_tool_calibration.machine.table import interpolation
-from machine_tool_calibration.machine.tables import MachineTable
+from machine_tool_calibration.machine.error_motions import interpolation, parse_motion
 from machine_tool_calibration.methods.step_diagonal.geometry import Run, across
-from machine_tool_calibration.model.model import NotDetermined
+from machine_tool_calibration.model.model import NotDetermined, Parameter, Term
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.model.terms import Parameter, Term
+from machine_tool_calibration.model.rigid_body import MachineTable
 
 __all__ = ["Angle", "angle_term", "sensed_tables", "tilt_groups", "tilt_terms"]
 

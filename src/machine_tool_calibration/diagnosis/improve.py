@@ -1,0 +1,256 @@
+"""The loop: diagnose, accept what is found, identify again, and see how far the error fell."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from machine_tool_calibration.diagnosis.consequence import effect_estimates, map_change, map_rms
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
+from machine_tool_calibration.diagnosis.history import Alternative, Coefficient, Entry, Part
+from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.methods.identify import JointResult, identify, identify_sessions
+from machine_tool_calibration.model.result import EffectSet, Estimate, Result
+from machine_tool_calibration.residuals.pool import Pool
+from machine_tool_calibration.session.session import Session
+
+__all__ = ["Improvement", "Step", "entries", "improve", "left_at_tool", "step_after"]
+
+
+@dataclass(frozen=True)
+class Step:
+    """A model on the way.
+
+    Attributes:
+        change: what it has and the one before has not: an effect's id, or words.
+        result: of its identification.
+        map_rms: RMS length of the position errors at the map's points, m; None where the method maps none.
+        map_uncertainty: RMS length of their standard uncertainty, as it is published, m.
+        map_change: RMS length by which they moved against the step before, m.
+        set_aside: rows of the readings that were left out, of all sessions one after the other.
+    """
+
+    change: str
+    result: Result | JointResult
+    map_rms: float | None
+    map_uncertainty: float | None
+    map_change: float | None
+    set_aside: tuple[int, ...]
+
+    @property
+    def label(self) -> str:
+        """What to write beside it."""
+        if not self.change:
+            return "first model"
+        return f"+ {self.change}" if self.change in self.result.effects else self.change
+
+    @property
+    def reduced_chi_square(self) -> float | None:
+        """Weighted sum of squares over the degrees of freedom."""
+        value = self.result.joint.reduced_chi_square
+        return value if np.isfinite(value) else None
+
+    @property
+    def unexplained_at_tool(self) -> float:
+        """RMS length of what the readings saw of the tool point and the model does not explain, m; noise taken off.
+
+        Only where the model gives the tool point's errors by the machine's: where every point is free, what is left
+        are contradictions between readings of the same point.
+        """
+        pool = Pool(self.result.joint)
+        methods = {o.session.method for o in pool.observations}
+        if methods != {"direct"} and (methods, self.result.model_name) != ({"tracking_interferometer"}, "rigid_body"):
+            return 0.0
+        beyond = max((self.reduced_chi_square or 1.0) - 1.0, 0.0) * float(np.mean(pool.sigma**2))
+        # A reading sees one direction of as many as were looked along.
+        direction = np.concatenate([o.direction for o in pool.observations])
+        seen = np.linalg.eigvalsh(direction.T @ direction / len(direction))
+        return float(np.sqrt(beyond * np.sum(seen > 1e-3)))
+
+    @property
+    def left_at_tool(self) -> float | None:
+        """Standard uncertainty (RMS length) left at the tool point, m.
+
+        That of the map, times the factor by which the readings scatter more than declared, as what the model does not
+        explain is taken to act on the map as noise does (an effect that the model lacks may act more); and what is
+        seen at the tool point itself and not explained.
+        """
+        chi = self.reduced_chi_square
+        if self.map_uncertainty is None or chi is None:
+            return None
+        more = np.sqrt(max(chi, 1.0)) / self.result.joint.stated.scatter
+        return float(np.hypot(self.map_uncertainty * more, self.unexplained_at_tool))
+
+    @property
+    def parameters(self) -> tuple[Estimate, ...]:
+        """Coefficients of the effects in the model."""
+        return effect_estimates(self.result.joint, self.result.effects)
+
+
+@dataclass(frozen=True)
+class Improvement:
+    """A model made better.
+
+    Attributes:
+        diagnosis: of the first model.
+        steps: the first model, then one for every change.
+    """
+
+    diagnosis: Diagnosis
+    steps: tuple[Step, ...]
+
+    def left_at_tool(self, step: Step) -> float | None:
+        """RMS length left at the tool point with the model of a step, so that steps can be compared, m.
+
+        The expanded uncertainty (k = 2) that the step itself knows of, and how far its map is from that of the last
+        step: what a model lacks moves its map by more than its own residuals tell.
+        """
+        return left_at_tool(step, self.steps[-1])
+
+
+def left_at_tool(step: Step, last: Step) -> float | None:
+    """That of one step on the way to a last one, m; None where the method maps no position errors."""
+    if step.left_at_tool is None:
+        return None
+    off = map_change(step.result.error_map, last.result.error_map)
+    return float(np.hypot(2.0 * step.left_at_tool, off or 0.0))
+
+
+def improve(
+    subject: Session | Sequence[Session],
+    labels: Sequence[str] | None = None,
+    *,
+    model: str | None = None,
+    effects: Sequence[str] = (),
+    own: Sequence[Effect] = (),
+    seed: int = 1,
+    sets: int = 199,
+    progress: Callable[[str, float], None] = lambda what, share: None,
+) -> Improvement:
+    """Find the missing effects, add them one after the other, and identify with each.
+
+    Nothing is added unless the diagnosis names it as the cause; readings that it sets aside are left out first.
+
+    Args:
+        subject: the measurement, or several of one machine.
+        labels: names of several, all different.
+        model: the method's model; its default if absent.
+        effects: ids of effects that are in the first model already.
+        own: the user's own effects.
+        seed: of the simulated data sets.
+        sets: simulated data sets in which nothing is missing.
+        progress: told what is being done and the share that is finished.
+
+    Raises:
+        ModelError: the data does not allow the model.
+    """
+    sessions = (subject,) if isinstance(subject, Session) else tuple(subject)
+
+    def identified(
+        parts: Sequence[Session], added: Sequence[str], sets: Sequence[EffectSet] = ()
+    ) -> Result | JointResult:
+        ids = [*effects, *added]
+        whole = [EffectSet((*effects, *one.effects), one.probability) for one in sets]
+        if len(parts) == 1:
+            return identify(parts[0], model=model, effects=ids, own=own, keep_all=True, sets=whole)
+        return identify_sessions(parts, labels or (), model=model, effects=ids, own=own, keep_all=True, sets=whole)
+
+    found = diagnose(
+        sessions,
+        labels,
+        model=model,
+        effects=effects,
+        own=own,
+        seed=seed,
+        sets=sets,
+        progress=lambda what, share: progress(what, 0.9 * share),
+    )
+    aside = tuple(outlier.row for one in found.set_aside for outlier in sorted(one, key=lambda o: o.row))
+    steps = [step_after(None, "", identified(sessions, ()), ())]
+    if aside:
+        words = f"{len(aside)} reading{'' if len(aside) == 1 else 's'} set aside"
+        steps.append(step_after(steps[-1], words, identified(found.sessions, ()), aside))
+    for k, name in enumerate(found.accepted):
+        progress(f"adding {name}", 0.9 + 0.1 * k / len(found.accepted))
+        over = found.sets if k + 1 == len(found.accepted) else ()
+        steps.append(step_after(steps[-1], name, identified(found.sessions, found.accepted[: k + 1], over), aside))
+    progress("done", 1.0)
+    return Improvement(found, tuple(steps))
+
+
+def step_after(before: Step | None, change: str, result: Result | JointResult, aside: tuple[int, ...]) -> Step:
+    """A model as a step of a way.
+
+    Args:
+        before: the step before it; None for the first.
+        change: what it has and that one has not: an effect's id, or words.
+        result: of its identification.
+        aside: rows of the readings that were left out.
+    """
+    return Step(
+        change=change,
+        result=result,
+        map_rms=map_rms(result.error_map.error),
+        map_uncertainty=map_rms(result.error_map.uncertainty),
+        map_change=None if before is None else map_change(before.result.error_map, result.error_map),
+        set_aside=aside,
+    )
+
+
+def entries(improvement: Improvement, data: str, each: Sequence[str], made: str, by: str) -> list[Entry]:
+    """The steps as entries of a history.
+
+    Args:
+        improvement: what was done.
+        data: fingerprint of all readings.
+        each: fingerprints of the readings of each session.
+        made: date and time, ISO 8601.
+        by: the command.
+    """
+    out: list[Entry] = []
+    for step in improvement.steps:
+        joint = step.result.joint
+        p_value = joint.p_value
+        out.append(
+            Entry(
+                number=len(out) + 1,
+                made=made,
+                by=by,
+                model=step.result.model_name if isinstance(step.result, Result) else "joint",
+                sessions=_parts(improvement, step, each),
+                effects=step.result.effects,
+                change=step.change,
+                alternatives=tuple(
+                    Alternative(effects=one.effects, probability=one.probability) for one in step.result.averaged
+                ),
+                data=data,
+                used=joint.assembly.problem.n_readings,
+                set_aside=step.set_aside if isinstance(step.result, Result) else (),
+                rms_residual=step.result.rms_residual,
+                reduced_chi_square=step.reduced_chi_square,
+                degrees_of_freedom=joint.solution.degrees_of_freedom,
+                p_value=p_value if np.isfinite(p_value) else None,
+                map_rms=step.map_rms,
+                map_uncertainty_rms=step.map_uncertainty,
+                map_change_rms=step.map_change,
+                parameters=tuple(
+                    Coefficient(name=p.name, value=p.value, standard_uncertainty=p.standard_uncertainty, unit=p.unit)
+                    for p in step.parameters
+                ),
+            )
+        )
+    return out
+
+
+def _parts(improvement: Improvement, step: Step, each: Sequence[str]) -> tuple[Part, ...]:
+    """The sessions of a step; none for a single one, of which the entry itself tells."""
+    if isinstance(step.result, Result):
+        return ()
+    aside = improvement.diagnosis.set_aside if step.set_aside else tuple(() for _ in each)
+    found = zip(step.result.labels, step.result.model_names, each, aside, strict=True)
+    return tuple(
+        Part(label=label, model=model, data=data, set_aside=tuple(sorted(o.row for o in own)))
+        for label, model, data, own in found
+    )

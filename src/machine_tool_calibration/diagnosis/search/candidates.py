@@ -1,0 +1,115 @@
+"""Columns of everything that may be missing: effects of the catalogue, and structures without a cause."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.effects.effect import Coefficient, Effect
+from machine_tool_calibration.residuals.pool import Pool
+
+__all__ = ["Candidate", "Shaped", "effect_candidates", "shaped_at"]
+
+# Change of a reading, in standard uncertainties, below which an effect does not act.
+_TRACE = 0.01
+# Sets of nonlinear coefficients of one effect in several sessions.
+_MOST_SHAPES = 48
+
+
+@dataclass(frozen=True)
+class Shaped:
+    """A candidate at one set of nonlinear coefficients.
+
+    Attributes:
+        shape: these coefficients.
+        columns: (k, n) change of each reading of all sessions per unit of each linear coefficient.
+        coefficients: the linear ones; empty for a structure.
+    """
+
+    shape: tuple[float, ...]
+    columns: Array
+    coefficients: tuple[Coefficient, ...] = ()
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """Something that may be missing.
+
+    Attributes:
+        name: an effect's id, or the name of a structure.
+        shapes: one for each set of nonlinear coefficients that is tried.
+        effect: the effect; None for a structure without a cause.
+        equally: number of sets of nonlinear coefficients that are equally probable; more than are tried where the
+            others were ruled out beforehand.
+    """
+
+    name: str
+    shapes: tuple[Shaped, ...]
+    effect: Effect | None = None
+    equally: int = 0
+
+    @property
+    def count(self) -> int:
+        """Sets of nonlinear coefficients over which the prior is spread."""
+        return max(self.equally, len(self.shapes))
+
+
+def effect_candidates(pool: Pool, effects: Sequence[Effect]) -> tuple[list[Candidate], dict[str, str]]:
+    """Candidates of those effects that these readings could show, and why the others could not.
+
+    Args:
+        pool: the readings.
+        effects: the catalogue.
+
+    Returns:
+        Candidates, and for each other effect's id the reason.
+    """
+    found, excluded = [], {}
+    for effect in effects:
+        reasons = [effect.why_not(o) for o in pool.observations]
+        if all(reason is not None for reason in reasons):
+            excluded[effect.id] = str(reasons[0])
+            continue
+        shaped = tuple(s for s in _shaped(pool, effect, reasons) if _acts(pool, s))
+        if shaped:
+            found.append(Candidate(effect.id, shaped, effect))
+        else:
+            excluded[effect.id] = "no reading depends on it"
+    return found, excluded
+
+
+def _shaped(pool: Pool, effect: Effect, reasons: Sequence[str | None]) -> list[Shaped]:
+    acting = [k for k, reason in enumerate(reasons) if reason is None]
+    grid = sorted({shape for k in acting for shape in effect.shape_grid(pool.observations[k])})
+    if len(acting) > 1 and len(grid) > _MOST_SHAPES:
+        grid = [grid[k] for k in np.unique(np.linspace(0, len(grid) - 1, _MOST_SHAPES).round().astype(int))]
+    return [shaped_at(pool, effect, shape) for shape in grid]
+
+
+def shaped_at(pool: Pool, effect: Effect, shape: tuple[float, ...]) -> Shaped:
+    """An effect at given nonlinear coefficients, in every session in which it can act.
+
+    The machine's coefficients are the same in all sessions, those of a setup each session's own.
+    """
+    acting = [k for k, o in enumerate(pool.observations) if effect.why_not(o) is None]
+    columns = [effect.columns(pool.observations[k], shape) for k in acting]
+    named = [effect.coefficients_for(pool.observations[k], shape) for k in acting]
+    if effect.setup_level or len({len(c) for c in columns}) > 1:
+        apart = [pool.only(own, pool.pieces[k]) for k, own in zip(acting, columns, strict=True)]
+        return Shaped(shape, np.concatenate(apart), tuple(c for own in named for c in own))
+    together = np.zeros((len(columns[0]), len(pool)))
+    for k, own in zip(acting, columns, strict=True):
+        together[:, pool.pieces[k]] = own
+    return Shaped(shape, together, tuple(named[0]))
+
+
+def _acts(pool: Pool, shaped: Shaped) -> bool:
+    """Whether the largest plausible size would change any reading by more than a trace of its uncertainty."""
+    if not np.isfinite(shaped.columns).all():
+        return False
+    limits = np.array([max(abs(c.low), abs(c.high)) for c in shaped.coefficients])
+    largest = (np.abs(shaped.columns) / pool.sigma).max(axis=1, initial=0.0) * limits
+    return bool(largest.max(initial=0.0) > _TRACE)

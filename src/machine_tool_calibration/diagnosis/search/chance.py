@@ -1,0 +1,143 @@
+"""What chance does: the same calculation on data sets in which nothing is missing.
+
+They are drawn from the fitted model, with the noise and the spread that are left beside the most probable effects, in
+the space of the candidates' columns: all factorisations are shared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import lapack
+from scipy.special import logsumexp
+
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.diagnosis.search.evidence import Block, Gram, Metric, table
+from machine_tool_calibration.diagnosis.search.priors import ACCEPTED
+from machine_tool_calibration.estimation.variance_components import factor_of_sum
+
+__all__ = ["Chance", "chance_of", "null_sets"]
+
+# Share of a squared norm below which what is left of it is rounding.
+_ROUNDING = 1e-8
+
+
+@dataclass(frozen=True)
+class Chance:
+    """Evidence of every candidate where nothing is missing.
+
+    Attributes:
+        log_factors: (candidates, sets) logarithm of the Bayes factors against none.
+        log_odds: (candidates,) logarithm of the prior odds.
+        false_alarms: share of the data sets in which one candidate would have been accepted.
+    """
+
+    log_factors: Array
+    log_odds: Array
+    false_alarms: float
+
+    def alone(self, candidate: int, log_factor: float) -> float:
+        """Chance that nothing at all gives a candidate so large a Bayes factor.
+
+        Beyond what the simulated sets can tell, its bound: a factor of B comes up with a chance of 1 / B at most.
+        """
+        return _told(self.log_factors[candidate] >= log_factor, -log_factor)
+
+    def paid(self, candidate: int, log_factor: float) -> float:
+        """The same, paid for the search: that any candidate does as well, each with its prior."""
+        mine = self.log_odds[candidate] + log_factor
+        best = (self.log_odds[:, None] + self.log_factors).max(axis=0)
+        return _told(best >= mine, float(logsumexp(self.log_odds)) - mine)
+
+
+def _told(as_large: Array, log_bound: float) -> float:
+    bound = float(np.exp(min(log_bound, 0.0)))
+    count, sets = int(as_large.sum()), len(as_large)
+    return min((count + 1.0) / (sets + 1.0), 1.0) if count else min(1.0 / (sets + 1.0), bound)
+
+
+def null_sets(
+    gram: Gram,
+    before: Array,
+    used: IntArray,
+    metric: Metric,
+    variance: float,
+    sets: int,
+    rng: np.random.Generator,
+) -> Gram:
+    """The same columns with simulated data sets.
+
+    Args:
+        gram: inner products with the measured data.
+        before: (K + u,) squared norms of candidates' and spread columns before the model was projected off.
+        used: columns of which something lies outside the model; the products with all others are left at zero.
+        metric: that of the size of what does not reproduce in them.
+        variance: of their noise over that declared.
+        sets: how many.
+        rng: source of random numbers.
+    """
+    k = len(used)
+    whole = np.block([[gram.inner[np.ix_(used, used)], gram.cross[:, used].T], [gram.cross[:, used], gram.spread]])
+    scale = np.sqrt(np.append(before[used], before[len(gram.inner) :]))
+    factor, order, rank, _ = lapack.dpstrf(whole / np.outer(scale, scale), tol=_ROUNDING, lower=1)
+    rank = min(int(rank), gram.freedom)
+    root = np.zeros((len(whole), rank))
+    root[order - 1] = np.tril(factor)[:, :rank]
+    draws = rng.standard_normal((rank, sets))
+    products = scale[:, None] * (root @ draws)
+    squares = np.sum(draws**2, axis=0)
+    if gram.freedom > rank:
+        squares += rng.chisquare(gram.freedom - rank, sets)
+    tau = np.array(metric.ratio)[gram.family] if len(metric.ratio) else np.zeros(len(gram.spread))
+    size = tau[:, None] * rng.standard_normal((len(tau), sets))
+    moved = whole[:, k:] @ size
+    squares = squares + 2.0 * np.sum(size * products[k:], axis=0) + np.sum(size * moved[k:], axis=0)
+    drawn = (products + moved) * np.sqrt(variance)
+    data = np.zeros((len(gram.inner), sets))
+    data[used] = drawn[:k]
+    return gram.with_data(data, drawn[k:], squares * variance)
+
+
+def chance_of(
+    gram: Gram,
+    before: Array,
+    blocks: Sequence[Block],
+    log_odds: Array,
+    tried: Sequence[Metric],
+    variance: float,
+    sets: int,
+    rng: np.random.Generator,
+) -> Chance:
+    """Simulate and search.
+
+    Args:
+        gram: inner products with the measured data.
+        before: squared norms before the model was projected off, as in `null_sets`.
+        blocks: of all candidates.
+        log_odds: (candidates,) logarithm of the prior odds of each.
+        tried: metrics of the measured data, that of the size of what does not reproduce first.
+        variance: of the noise over that declared.
+        sets: simulated data sets.
+        rng: source of random numbers.
+    """
+    places = [np.zeros(0, dtype=np.int64), *(np.arange(block.place.start, block.place.stop) for block in blocks)]
+    null = null_sets(gram, before, np.unique(np.concatenate(places)), tried[0], variance, sets, rng)
+    folded = [_folded(null, metric) for metric in tried]
+    factors = table(null, blocks, folded, len(log_odds)).log_factors
+    weights = log_odds[:, None] + factors
+    share = weights.max(axis=0, initial=-np.inf) - np.logaddexp(0.0, logsumexp(weights, axis=0))
+    return Chance(factors, log_odds, float(np.mean(np.exp(share) > ACCEPTED)))
+
+
+def _folded(null: Gram, metric: Metric) -> Metric:
+    """The metric with the simulated data in place of the measured."""
+    tau = np.array(metric.ratio)[null.family] if len(metric.ratio) else np.zeros(0)
+    used = np.flatnonzero(tau > 0)
+    if not len(used):
+        return Metric(metric.ratio, metric.log_prior, metric.half, np.zeros((len(metric.half), null.data.shape[1])))
+    s = tau[used]
+    lower = factor_of_sum(null.spread[np.ix_(used, used)] * np.outer(s, s))
+    half_data = np.asarray(np.linalg.solve(lower, s[:, None] * null.spread_data[used]))
+    return Metric(metric.ratio, metric.log_prior, metric.half, half_data)

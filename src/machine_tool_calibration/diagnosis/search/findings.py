@@ -1,0 +1,264 @@
+"""What is found of every effect: its probability, size, plausibility, look-alikes, and what could have been found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import optimize
+from scipy.special import logsumexp, ndtr
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped
+from machine_tool_calibration.diagnosis.search.evidence import Gram, Metric
+from machine_tool_calibration.diagnosis.search.posterior import Posterior
+from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, ALIKE, LIKELY, SCALE_STEP, SMALLEST_SIGNAL
+from machine_tool_calibration.effects.effect import Coefficient
+
+__all__ = ["Finding", "Size", "alias_groups", "basis_of", "finding_of", "smallest_signal"]
+
+# Directions of a candidate with less than this share of its squares are the model's.
+_RANK = 1e-6
+_POWER = 0.8
+# Standard uncertainties by which a size may lie outside what is plausible.
+_MARGIN = 2.0
+
+
+@dataclass(frozen=True)
+class Size:
+    """Predicted coefficient of a candidate."""
+
+    coefficient: Coefficient
+    value: float
+    standard_uncertainty: float
+
+    @property
+    def possible(self) -> bool:
+        """Whether its sign can be, given its uncertainty: no backlash is negative."""
+        return self.coefficient.low != 0 or self.value > -_MARGIN * self.standard_uncertainty
+
+    @property
+    def plausible(self) -> bool:
+        """Whether it is of a size that occurs, given its uncertainty."""
+        margin = _MARGIN * self.standard_uncertainty
+        return self.coefficient.low <= self.value + margin and self.value - margin <= self.coefficient.high
+
+
+@dataclass(frozen=True)
+class Finding:
+    """An effect after the search.
+
+    Attributes:
+        candidate: what it is.
+        shape: its best nonlinear coefficients.
+        columns: (k, n) at these.
+        sizes: its linear coefficients, fitted to what the model leaves.
+        signal: (k,) the same as numbers; zero in what the model takes up.
+        rank: unknowns that it adds; 0 if the model absorbs it.
+        probability: that it is missing.
+        p_value: chance of so large a Bayes factor of this effect if nothing is missing.
+        family_p_value: the same, paid for the search.
+        bic_gain: by how much the Bayesian information criterion falls when it is added.
+        rms_after: root mean square of the residuals with it, m, as screened.
+        detectable: smallest size of each coefficient that would have been accepted with a power of 80 %, the effect's
+            others being zero.
+        place: where its columns are among all that were screened; None if the model absorbs it.
+    """
+
+    candidate: Candidate
+    shape: tuple[float, ...]
+    columns: Array
+    sizes: tuple[Size, ...]
+    signal: Array
+    rank: int
+    probability: float
+    p_value: float
+    family_p_value: float
+    bic_gain: float
+    rms_after: float
+    detectable: dict[str, float]
+    place: slice | None
+
+    @property
+    def name(self) -> str:
+        """The effect's id."""
+        return self.candidate.name
+
+    @property
+    def possible(self) -> bool:
+        """Whether all coefficients have a possible sign."""
+        return all(size.possible for size in self.sizes)
+
+    @property
+    def plausible(self) -> bool:
+        """Whether all coefficients are of a size that occurs."""
+        return all(size.plausible for size in self.sizes)
+
+
+def basis_of(inner: Array, place: slice) -> Array:
+    """(k, r) combinations of columns that are orthonormal outside the model, without what the model takes up."""
+    own = inner[place, place]
+    size = np.diag(own)
+    largest = max(float(size.max(initial=0.0)), 1e-100)
+    # A column with next to nothing left is not blown up.
+    scale = np.sqrt(np.where(size > _RANK * largest, size, largest))
+    values, vectors = np.linalg.eigh(own / np.outer(scale, scale))
+    keep = values > _RANK
+    return np.asarray(vectors[:, keep] / np.sqrt(values[keep]) / scale[:, None])
+
+
+def finding_of(
+    candidate: Candidate,
+    shaped: Shaped,
+    place: slice | None,
+    gram: Gram,
+    metric: Metric,
+    *,
+    probability: float,
+    p_value: float,
+    family_p_value: float,
+    log_odds: float,
+    readings: int,
+    sigma: float,
+) -> Finding:
+    """Fit a candidate to what the model leaves, in the metric of what does not reproduce.
+
+    Args:
+        candidate: what it is.
+        shaped: at its best nonlinear coefficients.
+        place: of its columns; None if the model absorbs it.
+        gram: inner products.
+        metric: see there.
+        probability: that it is missing.
+        p_value: see `Finding`.
+        family_p_value: see `Finding`.
+        log_odds: logarithm of its prior odds.
+        readings: how many.
+        sigma: declared standard uncertainty, m, for residuals.
+    """
+    k = len(shaped.columns)
+    squares = float(metric.squares(gram)[0])
+    plain = float(np.sqrt(gram.squares[0] / readings)) * sigma
+    if place is None:
+        nothing = np.zeros(k)
+        return Finding(candidate, shaped.shape, shaped.columns, (), nothing, 0, 0.0, 1.0, 1.0, -np.inf, plain, {}, None)
+    inner, data = metric.inner(gram, place, place), metric.data(gram)[place, 0]
+    basis = basis_of(inner, slice(0, k))
+    along = basis.T @ data
+    signal = basis @ along
+    gain = float(along @ along)
+    variance = max(squares - gain, 1e-12 * squares) / max(gram.freedom - basis.shape[1], 1)
+    deviation = np.sqrt(np.sum(basis**2, axis=1) * variance)
+    sizes = tuple(Size(c, float(v), float(u)) for c, v, u in zip(shaped.coefficients, signal, deviation, strict=True))
+    # Readings without any noise leave nothing.
+    rest = max(1.0 - gain / squares, 1e-12) if squares > 0 else 1.0
+    taken = basis_of(gram.inner, place).T @ gram.data[place, 0]
+    unknowns = basis.shape[1] + len(candidate.effect.shapes if candidate.effect is not None else ())
+    return Finding(
+        candidate=candidate,
+        shape=shaped.shape,
+        columns=shaped.columns,
+        sizes=sizes,
+        signal=signal,
+        rank=basis.shape[1],
+        probability=probability,
+        p_value=p_value,
+        family_p_value=family_p_value,
+        bic_gain=-readings * float(np.log(rest)) - unknowns * float(np.log(readings)),
+        rms_after=float(np.sqrt(max(gram.squares[0] - taken @ taken, 0.0) / readings)) * sigma,
+        detectable=_detectable(candidate, shaped, inner, variance, log_odds),
+        place=place,
+    )
+
+
+def _detectable(
+    candidate: Candidate, shaped: Shaped, inner: Array, variance: float, log_odds: float
+) -> dict[str, float]:
+    """By coefficient, in its unit."""
+    limits = np.array([max(abs(c.low), abs(c.high)) / 2.0 for c in shaped.coefficients])
+    strength = inner * np.outer(limits, limits)
+    values = np.maximum(np.linalg.eigvalsh(strength), 0.0)
+    needed = float(np.log(ACCEPTED / (1.0 - ACCEPTED))) - log_odds + float(np.log(candidate.count))
+    norm = np.sqrt(np.maximum(np.diag(inner), 0.0))
+    out = {}
+    for coefficient, own in zip(shaped.coefficients, norm, strict=True):
+        if own > 0:
+            signal = smallest_signal(
+                values, (own * max(abs(coefficient.low), abs(coefficient.high)) / 2.0) ** 2, needed
+            )
+            out[coefficient.name] = float(signal * np.sqrt(variance) / own)
+    return out
+
+
+def smallest_signal(values: Array, along: float, needed: float, power: float = _POWER) -> float:
+    """Norm of a signal, in standard uncertainties, whose Bayes factor reaches a limit with a given power.
+
+    Args:
+        values: (k,) eigenvalues of a candidate's inner products at half its largest plausible size.
+        along: that of the direction in which the signal lies.
+        needed: logarithm of the Bayes factor.
+        power: chance to reach it.
+    """
+    largest = float(np.sqrt(max(values.max(initial=0.0), along, 1e-300)))
+    steps = max(int(np.floor(np.log(max(largest / SMALLEST_SIGNAL, 1.0)) / np.log(SCALE_STEP))) + 1, 1)
+    s2 = SCALE_STEP ** (-2.0 * np.arange(steps))
+    cost = 0.5 * np.log1p(np.outer(s2, values)).sum(axis=1) + np.log(steps)
+    share = s2 * along / (1.0 + s2 * along)
+
+    def short(statistic: float) -> float:
+        return needed - float(logsumexp(0.5 * statistic * share - cost))
+
+    top = 4.0 * (needed + float(cost.min()) + 10.0) / max(float(share.max()), 1e-3)
+    if short(0.0) <= 0:
+        return 0.0
+    limit = optimize.brentq(short, 0.0, max(top, 1.0)) if short(max(top, 1.0)) < 0 else top
+
+    def surplus(signal: float) -> float:
+        """How much more often than wanted the square of a normal value around a signal exceeds the limit."""
+        return float(ndtr(signal - np.sqrt(limit)) + ndtr(-signal - np.sqrt(limit))) - power
+
+    return float(optimize.brentq(surplus, 1e-3, np.sqrt(10.0 * limit + 100.0)))
+
+
+def alias_groups(
+    findings: Sequence[Finding], gram: Gram, found: Posterior, index: Mapping[str, int]
+) -> tuple[tuple[str, ...], ...]:
+    """Effects that this data cannot tell apart: the first of each group is its most probable member.
+
+    Two are alike if one reproduces at least 0.9 (cosine) of the other's signal outside the model, or if they exchange
+    probability: where one is not in, the other is.
+
+    Args:
+        findings: the most probable first.
+        gram: inner products.
+        found: the posterior.
+        index: number of each candidate in the posterior, by name.
+    """
+    left = [f for f in findings if f.place is not None]
+    groups = []
+    while left:
+        head, rest = left[0], left[1:]
+        alike = [
+            f
+            for f in rest
+            if max(_cosine(head, f, gram), _cosine(f, head, gram)) >= ALIKE
+            or (
+                head.probability > LIKELY and found.without(index[f.name], index[head.name]) > LIKELY * head.probability
+            )
+        ]
+        if alike:
+            groups.append((head.name, *(f.name for f in alike)))
+        names = {f.name for f in alike}
+        left = [f for f in rest if f.name not in names]
+    return tuple(groups)
+
+
+def _cosine(one: Finding, other: Finding, gram: Gram) -> float:
+    """Share of one candidate's fitted signal that the other's columns reproduce."""
+    assert one.place is not None and other.place is not None
+    own = float(one.signal @ gram.inner[one.place, one.place] @ one.signal)
+    if own <= 0:
+        return 0.0
+    seen = basis_of(gram.inner, other.place).T @ gram.inner[other.place, one.place] @ one.signal
+    return float(np.sqrt(min(float(seen @ seen) / own, 1.0)))

@@ -1,0 +1,389 @@
+"""One look at what a fitted model leaves: how probable every effect is, what looks alike, what could not be seen."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped
+from machine_tool_calibration.diagnosis.search.chance import Chance, chance_of
+from machine_tool_calibration.diagnosis.search.evidence import Block, Gram
+from machine_tool_calibration.diagnosis.search.findings import Finding, alias_groups, basis_of, finding_of
+from machine_tool_calibration.diagnosis.search.posterior import Posterior, search
+from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, EFFECT, STRUCTURE, THE_SAME
+from machine_tool_calibration.estimation.reduction import Projected
+from machine_tool_calibration.model.fit import JointFit
+from machine_tool_calibration.residuals.noise import Noise, noise_of
+from machine_tool_calibration.residuals.pool import Pool
+
+__all__ = ["Absorbed", "Look", "Structure", "absorbed_by", "look_at"]
+
+
+def absorbed_by(fit: JointFit, projected: Projected, columns: slice) -> str:
+    """Names of the unknowns that change most when the effect's columns are added to the readings.
+
+    Args:
+        fit: of the model.
+        projected: with the effect's columns.
+        columns: which they are.
+    """
+    raw = np.maximum(projected.squares[columns], 1e-300)
+    left = projected.after_points[columns]
+    if (left < 0.5 * raw).all() and any(part.dimension for part in fit.assembly.problem.parts):
+        return "the points' own unknowns"
+    change = np.abs(projected.response[:, columns]) / np.sqrt(raw)
+    weight = (change / np.sqrt(np.maximum(np.diag(fit.solution.covariance), 1e-300))[:, None]).max(axis=1)
+    names: dict[str, float] = {}
+    for name, value in zip((p.name for p in fit.assembly.parameters), weight, strict=True):
+        family = name.split("(")[0]
+        names[family] = max(names.get(family, 0.0), float(value))
+    best = sorted(names, key=lambda name: -names[name])[:3]
+    return ", ".join(best) if best else "the model"
+
+
+# Chance below which a structure is told of, and below which places that differ more than their repeats are.
+_TOLD, _LACK = 0.02, 0.001
+# Reduced chi-square below which the residuals are rounding, whatever they look like.
+_ROUNDING = 1e-6
+# Numbers of first coefficients of an effect that are tried alone.
+_LEADING = (1, 2, 4)
+# Share of its squared norm outside the model below which an effect is absorbed: 1 % of the norm; and below which what
+# is left of a combination of columns is rounding.
+_ABSORBED, _ROUNDED = 1e-4, 1e-7
+# Share of a column's squares that its variation within the runs is at least taken for, and squares of a column of
+# zeros.
+_CONSTANT, _NONE = 1e-6, 1e-100
+
+
+@dataclass(frozen=True)
+class Absorbed:
+    """An effect that would not show: the model's own unknowns take it up."""
+
+    effect: str
+    by: str
+
+
+@dataclass(frozen=True)
+class Structure:
+    """How the residuals depend on a covariate.
+
+    Attributes:
+        covariate: its name.
+        shape: of the dependence.
+        p_value: chance of it, paid for the search.
+        share: of the weighted sum of squares that it takes up.
+    """
+
+    covariate: str
+    shape: str
+    p_value: float
+    share: float
+
+
+@dataclass(frozen=True)
+class Look:
+    """One look at what a fitted model leaves.
+
+    Attributes:
+        fit: of the model.
+        noise: what is known of each session's noise.
+        findings: effects that are not in the model, the most probable first; absorbed ones last.
+        groups: effects that this data cannot tell apart, the most probable first.
+        absorbed: effects that would not show.
+        structure: what the residuals depend on, the most significant first.
+        unknown: probability that a structure without a cause is in them.
+        accepted: ids of the effects that are missing more likely than not, the surest first.
+        left: structure that is left beside these.
+        nothing: probability that nothing is missing.
+        false_alarms: share of data sets without any effect in which one would have been accepted.
+        sets: ids of the effects of every set that matters, with its probability; structures without a cause are
+            `unknown`.
+        spread: size of every family of what does not reproduce beside the most probable effects, in units of the noise.
+    """
+
+    fit: JointFit
+    noise: tuple[Noise, ...]
+    findings: tuple[Finding, ...]
+    groups: tuple[tuple[str, ...], ...]
+    absorbed: tuple[Absorbed, ...]
+    structure: tuple[Structure, ...]
+    unknown: float
+    accepted: tuple[str, ...]
+    left: tuple[Structure, ...]
+    nothing: float
+    false_alarms: float
+    sets: tuple[tuple[tuple[str, ...], float], ...]
+    spread: dict[str, float]
+
+    def of(self, effect: str) -> Finding:
+        """What was found of the effect of an id."""
+        return next(f for f in self.findings if f.name == effect)
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """Everything that is looked for, outside the model."""
+
+    pool: Pool
+    candidates: list[Candidate]
+    effects: int
+    gram: Gram
+    blocks: list[Block]
+    shaped: list[tuple[int, int]]
+    projected: Projected
+    before: Array
+    seen: list[bool]
+
+
+def look_at(
+    fit: JointFit,
+    candidates: Sequence[Candidate],
+    structures: Sequence[Candidate],
+    rng: np.random.Generator,
+    sets: int,
+    *,
+    side_by_side: bool,
+) -> Look:
+    """The posterior over everything that may be missing, and what is read off it.
+
+    Args:
+        fit: of one or several sessions.
+        candidates: effects that are not in the model.
+        structures: functions of the covariates.
+        rng: source of random numbers.
+        sets: simulated data sets in which nothing is missing.
+        side_by_side: whether many effects are expected at once.
+    """
+    columns = _columns(Pool(fit), candidates, structures)
+    visible = max(sum(columns.seen[: columns.effects]), 1)
+    prior = np.full(len(columns.candidates), STRUCTURE)
+    prior[: columns.effects] = min(EFFECT, 1.0 / visible)
+    log_odds = np.log(prior / (1.0 - prior))
+    among = [k for k, seen in enumerate(columns.seen) if seen and k < columns.effects]
+    found = search(columns.gram, columns.blocks, log_odds, side_by_side=side_by_side, pairs_among=among)
+    chance = _chance(columns, log_odds, found, rng, sets)
+    findings = _findings(columns, found, chance)
+    groups = alias_groups(findings, columns.gram, found, {c.name: k for k, c in enumerate(columns.candidates)})
+    unknown = range(columns.effects, len(columns.candidates))
+    still = fit.reduced_chi_square >= _ROUNDING
+    accepted = _accepted(findings, groups, found, columns) if still else ()
+    return Look(
+        fit=fit,
+        noise=tuple(noise_of(own) for own in fit.fits),
+        findings=findings,
+        groups=groups,
+        absorbed=_absorbed(columns),
+        structure=_structure(columns, found, chance, ()) if still else (),
+        unknown=found.of_any(unknown) if still else 0.0,
+        accepted=accepted,
+        left=_structure(columns, found, chance, accepted) if still else (),
+        nothing=next((float(p) for s, p in zip(found.sets, found.probability, strict=True) if not s), 0.0),
+        false_alarms=chance.false_alarms,
+        sets=_named_sets(columns, found),
+        spread=dict(zip(columns.pool.spread()[2], found.metric.ratio, strict=True)),
+    )
+
+
+def _columns(pool: Pool, candidates: Sequence[Candidate], structures: Sequence[Candidate]) -> _Columns:
+    every = [*candidates, *structures]
+    spread, family, _ = pool.spread()
+    stacked = [s.columns for c in every for s in c.shapes]
+    columns = np.concatenate([np.zeros((0, len(pool))), *stacked, spread])
+    projected = pool.screen(columns)
+    k = len(columns) - len(spread)
+    inner = projected.gram[:k, :k]
+    gram = Gram(
+        inner=inner,
+        spread=projected.gram[k:-1, k:-1],
+        cross=projected.gram[k:-1, :k],
+        data=projected.gram[:k, -1:].copy(),
+        spread_data=projected.gram[k:-1, -1:].copy(),
+        squares=np.array([pool.fit.solution.chi_square]),
+        family=family,
+        freedom=pool.fit.solution.degrees_of_freedom,
+    )
+    # What does not vary within the runs has rounding there.
+    before = np.maximum(pool.within_runs(columns[:k]), np.maximum(_CONSTANT * projected.squares[:k], _NONE))
+    blocks, shaped, seen, first = [], [], [], 0
+    for c, candidate in enumerate(every):
+        own = []
+        for j, s in enumerate(candidate.shapes):
+            place = slice(first, first + len(s.columns))
+            first = place.stop
+            scale = np.sqrt(before[place])
+            share = np.linalg.eigvalsh(inner[place, place] / np.outer(scale, scale))
+            if share[-1] > _ABSORBED:
+                own += [(_block(c, candidate, j, part, before[part]), (c, j)) for part in _leading(candidate, place)]
+        seen.append(bool(own))
+        blocks += [block for block, _ in own]
+        shaped += [at for _, at in own]
+    whole = _Columns(
+        pool, every, len(candidates), gram, blocks, shaped, projected, np.append(before, projected.squares[k:-1]), seen
+    )
+    return _without_repeated(whole)
+
+
+def _leading(candidate: Candidate, place: slice) -> list[slice]:
+    """All columns of an effect, and the first few alone: of a series, the further coefficients are often nothing."""
+    count = place.stop - place.start
+    if candidate.effect is None or candidate.effect.setup_level:
+        return [place]
+    return [slice(place.start, place.start + k) for k in (*_LEADING, count) if k < count or k == count]
+
+
+def _block(index: int, candidate: Candidate, shape: int, place: slice, squares: Array) -> Block:
+    """Limits are those of the effect's coefficients; a structure's may be a hundred standard uncertainties."""
+    whole = candidate.shapes[shape]
+    parts = 1 if candidate.effect is None else len(_leading(candidate, slice(0, len(whole.columns))))
+    share = -float(np.log(candidate.count * parts))
+    named = whole.coefficients[: place.stop - place.start]
+    if candidate.effect is None:
+        unit = 50.0 / np.sqrt(squares / max(candidate.shapes[shape].columns.shape[1], 1))
+        never = np.full(len(unit), np.inf)
+        return Block(index, place, unit, -never, never, share, _ROUNDED * float((squares * unit**2).max()))
+    low, high = np.array([c.low for c in named]), np.array([c.high for c in named])
+    unit = np.maximum(np.abs(low), np.abs(high)) / 2.0
+    return Block(index, place, unit, low, high, share, _ROUNDED * float((squares * unit**2).max()))
+
+
+def _without_repeated(columns: _Columns) -> _Columns:
+    """Without structures that lie in the span of an effect: they are that effect."""
+    gram, effects = columns.gram.inner, columns.effects
+    bases = [basis_of(gram, block.place) for block in columns.blocks]
+    mine = [k for k, block in enumerate(columns.blocks) if block.candidate < effects]
+    others = [k for k, block in enumerate(columns.blocks) if block.candidate >= effects]
+    if not mine or not others:
+        return columns
+    # Columns of all structures in their own orthonormal directions, side by side.
+    ends = np.cumsum([0, *(bases[k].shape[1] for k in others)])
+    joined = np.concatenate([gram[:, columns.blocks[k].place] @ bases[k] for k in others], axis=1)
+    repeated = np.zeros(len(others), dtype=bool)
+    for k in mine:
+        taken = np.sum((bases[k].T @ joined[columns.blocks[k].place]) ** 2, axis=0)
+        for j, o in enumerate(others):
+            rank = bases[o].shape[1]
+            if bases[k].shape[1] >= rank and taken[ends[j] : ends[j + 1]].sum() >= THE_SAME**2 * rank:
+                repeated[j] = True
+    gone = {o for j, o in enumerate(others) if repeated[j]}
+    kept = [k for k in range(len(columns.blocks)) if k not in gone]
+    alive = {columns.blocks[k].candidate for k in kept}
+    return _Columns(
+        columns.pool,
+        columns.candidates,
+        effects,
+        columns.gram,
+        [columns.blocks[k] for k in kept],
+        [columns.shaped[k] for k in kept],
+        columns.projected,
+        columns.before,
+        [k in alive for k in range(len(columns.candidates))],
+    )
+
+
+def _chance(columns: _Columns, log_odds: Array, found: Posterior, rng: np.random.Generator, sets: int) -> Chance:
+    odds = np.where(columns.seen, log_odds, -np.inf)
+    tried = [metric for share, metric in sorted(found.weights, key=lambda entry: -entry[0]) if share > 0.01]
+    variance = found.left / max(columns.gram.freedom, 1)
+    return chance_of(columns.gram, columns.before, columns.blocks, odds, tried, variance, sets, rng)
+
+
+def _findings(columns: _Columns, found: Posterior, chance: Chance) -> tuple[Finding, ...]:
+    out = []
+    for k, candidate in enumerate(columns.candidates[: columns.effects]):
+        point = found.best[k].point if k in found.best else found.single.best[k]
+        at = None if point is None else columns.blocks[point.block]
+        shape = candidate.shapes[columns.shaped[point.block][1]] if point is not None else candidate.shapes[0]
+        if at is not None:
+            count = at.place.stop - at.place.start
+            shape = Shaped(shape.shape, shape.columns[:count], shape.coefficients[:count])
+        factor = found.log_factor(k)
+        out.append(
+            finding_of(
+                candidate,
+                shape,
+                None if at is None else at.place,
+                columns.gram,
+                found.metric,
+                probability=found.of(k),
+                p_value=chance.alone(k, factor) if at is not None else 1.0,
+                family_p_value=chance.paid(k, factor) if at is not None else 1.0,
+                log_odds=float(chance.log_odds[k]),
+                readings=len(columns.pool),
+                sigma=float(np.sqrt(np.mean(columns.pool.sigma**2))),
+            )
+        )
+    # Candidates with the same columns keep the catalogue's order, whatever the last bits say.
+    return tuple(sorted(out, key=lambda f: (not f.rank, -round(f.probability, 9), f.p_value)))
+
+
+def _accepted(
+    findings: Sequence[Finding], groups: Sequence[tuple[str, ...]], found: Posterior, columns: _Columns
+) -> tuple[str, ...]:
+    """Effects that are in more likely than not; of a group of which some member is, its most probable one."""
+    place = {candidate.name: k for k, candidate in enumerate(columns.candidates[: columns.effects])}
+    sure = [f.name for f in findings if f.probability > ACCEPTED]
+    for group in groups:
+        if not set(group) & set(sure) and found.of_any([place[name] for name in group]) > ACCEPTED:
+            sure.append(group[0])
+    return tuple(sorted(sure, key=lambda name: -found.log_factor(place[name])))
+
+
+def _absorbed(columns: _Columns) -> tuple[Absorbed, ...]:
+    out, first = [], 0
+    for k, candidate in enumerate(columns.candidates[: columns.effects]):
+        place = slice(first, first + len(candidate.shapes[0].columns))
+        first += sum(len(s.columns) for s in candidate.shapes)
+        if not columns.seen[k]:
+            out.append(Absorbed(candidate.name, absorbed_by(columns.pool.fit, columns.projected, place)))
+    return tuple(out)
+
+
+def _structure(columns: _Columns, found: Posterior, chance: Chance, accepted: Collection[str]) -> tuple[Structure, ...]:
+    """Significant structures beside the accepted effects, the most significant first."""
+    place = {candidate.name: k for k, candidate in enumerate(columns.candidates)}
+    beside, squares = found.beside([place[name] for name in accepted], columns.gram, columns.blocks)
+    out = []
+    for k in range(columns.effects, len(columns.candidates)):
+        point = beside.best[k]
+        if point is None:
+            continue
+        p = chance.paid(k, float(beside.log_factors[k, 0]))
+        # Paid for by the structures' prior against all others: what no effect says.
+        if p <= _TOLD:
+            c, j = columns.shaped[point.block]
+            covariate, shape = _words(columns.candidates[c], j)
+            out.append((p, -float(beside.log_factors[k, 0]), Structure(covariate, shape, p, squares[k])))
+    told = [structure for _, _, structure in sorted(out, key=lambda entry: entry[:2])]
+    return tuple(told) if told or accepted else _of_places(columns.pool.fit)
+
+
+def _words(candidate: Candidate, shape: int) -> tuple[str, str]:
+    covariate, words = candidate.name.rsplit(": ", 1)
+    nonlinear = candidate.shapes[shape].shape
+    if not nonlinear:
+        return covariate, words
+    return covariate, f"{words} {nonlinear[0]:.3g}{' s' if covariate.endswith('time') else ' readings'}"
+
+
+def _of_places(fit: JointFit) -> tuple[Structure, ...]:
+    """Places that differ more than their repeats, without any pattern."""
+    out = []
+    for own in fit.fits:
+        noise = noise_of(own)
+        p, repeats = noise.lack_of_fit_p, noise.from_repeats
+        if p is not None and p < _LACK and repeats is not None:
+            share = max(1.0 - (repeats / noise.declared) ** 2 / fit.reduced_chi_square, 0.0)
+            out.append(Structure("place", "places differ more than their repeats", p, share))
+    return tuple(out)
+
+
+def _named_sets(columns: _Columns, found: Posterior) -> tuple[tuple[tuple[str, ...], float], ...]:
+    total: dict[tuple[str, ...], float] = {}
+    for members, p in zip(found.sets, found.probability, strict=True):
+        names = {columns.candidates[k].name if k < columns.effects else "unknown" for k in members}
+        key = tuple(sorted(names))
+        total[key] = total.get(key, 0.0) + float(p)
+    return tuple(sorted(total.items(), key=lambda entry: -entry[1]))

@@ -1,0 +1,185 @@
+"""Whether an effect predicts readings that were not used to find it.
+
+Setups, blocks of places, and cycles are left out in turn. An effect that is real makes the readings that were left out
+more probable, given the others: log p(left out | others) is the difference of the evidence with and without them, so
+that what the effect adds to it is by how much its Bayes factor grows when they come in. An effect that only bends
+around the readings at hand loses there what it seems to win.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from machine_tool_calibration.arrays import IntArray
+from machine_tool_calibration.diagnosis.search.candidates import Shaped, shaped_at
+from machine_tool_calibration.diagnosis.search.evidence import Block, Gram, metric_at, table
+from machine_tool_calibration.diagnosis.search.look import Look
+from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.model.fit import JointFit
+from machine_tool_calibration.residuals.pool import Pool
+from machine_tool_calibration.session.session import Session
+
+__all__ = ["Prediction", "predictions"]
+
+# Parts into which setups and places are divided at most.
+_PARTS = 4
+# Logarithm of the likelihood ratio of one part beyond which it contradicts: one in twenty.
+_CLEARLY = 3.0
+# Effects that are held against readings left out: more are not told apart that way.
+_MOST = 6
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """An effect on readings that were left out.
+
+    Attributes:
+        what: setups, blocks of places, or cycles.
+        log_gains: for each part, by how much the effect, told by the others, raises the logarithm of its likelihood.
+        readings: in all parts.
+    """
+
+    what: str
+    log_gains: tuple[float, ...]
+    readings: int
+
+    @property
+    def gain(self) -> float:
+        """Share by which the mean square of what is predicted wrongly falls."""
+        return float(-np.expm1(-2.0 * sum(self.log_gains) / max(self.readings, 1)))
+
+    @property
+    def speaks_against(self) -> bool:
+        """Whether the parts that were left out are predicted worse with the effect than without."""
+        gains = np.array(self.log_gains)
+        return bool(gains.sum() < -_CLEARLY or (gains.min() < -_CLEARLY and 2 * int((gains < 0).sum()) >= len(gains)))
+
+
+def predictions(
+    sessions: Sequence[Session],
+    look: Look,
+    fit_of: Callable[[Sequence[Session]], JointFit],
+) -> dict[str, tuple[Prediction, ...]]:
+    """Every accepted effect on setups, blocks of places and cycles that were left out.
+
+    Args:
+        sessions: the measurements.
+        look: at all of them.
+        fit_of: fits the model, without further effects, to parts of the sessions.
+    """
+    names = look.accepted[:_MOST]
+    if not names:
+        return {}
+    found = [(look.of(name).candidate.effect, look.of(name).shape) for name in names]
+    effects = [(effect, shape) for effect, shape in found if effect is not None]
+    whole = _log_factors(look.fit, effects, look.spread)
+    out: dict[str, list[Prediction]] = {name: [] for name in names}
+    for what, parts in _divisions(sessions):
+        if what == "cycles" and look.fit.random is not None:
+            # What is expected of random unknowns is drawn from the readings: a cycle alone expects something else.
+            continue
+        gains, readings = [], 0
+        for k in range(1 + max(int(part.max(initial=-1)) for part in parts)):
+            left = [s.with_readings(s.readings.select(part != k)) for s, part in zip(sessions, parts, strict=True)]
+            try:
+                gains.append(whole - _log_factors(fit_of(left), effects, look.spread))
+            except (CalibrationError, np.linalg.LinAlgError):
+                continue
+            readings += sum(int((part == k).sum()) for part in parts)
+        if len(gains) < 2:
+            continue
+        for name, own in zip(names, np.array(gains).T, strict=True):
+            out[name].append(Prediction(what, tuple(own.tolist()), readings))
+    return {name: tuple(own) for name, own in out.items() if own}
+
+
+def _log_factors(
+    fit: JointFit, effects: Sequence[tuple[Effect, tuple[float, ...]]], sizes: Mapping[str, float]
+) -> np.ndarray:
+    """(effects,) logarithm of the Bayes factor of each beside the others.
+
+    What does not reproduce has the same size for all readings and for a part of them: only so do the two compare.
+
+    Args:
+        fit: of all readings, or of a part.
+        effects: at their nonlinear coefficients.
+        sizes: of what does not reproduce, by family, in units of the noise.
+    """
+    pool = Pool(fit)
+    shaped = [shaped_at(pool, effect, shape) for effect, shape in effects]
+    spread, family, names = pool.spread()
+    columns = np.concatenate([*(s.columns for s in shaped), spread])
+    projected = pool.screen(columns).gram
+    k = len(columns) - len(spread)
+    gram = Gram(
+        projected[:k, :k],
+        projected[k:-1, k:-1],
+        projected[k:-1, :k],
+        projected[:k, -1:].copy(),
+        projected[k:-1, -1:].copy(),
+        np.array([fit.solution.chi_square]),
+        family,
+        fit.solution.degrees_of_freedom,
+    )
+    blocks = _blocks(shaped)
+    # Where a part has one run in each mounting, they are one family.
+    ratio = tuple(sizes.get(name, 0.0) for name in names)
+    if "mounting" in sizes and "mounting" not in names and "run" in names:
+        merged = float(np.hypot(sizes.get("run", 0.0), sizes["mounting"]))
+        ratio = tuple(merged if name == "run" else size for name, size in zip(names, ratio, strict=True))
+    base, out = [metric_at(gram, ratio)], np.zeros(len(blocks))
+    for j, block in enumerate(blocks):
+        others = [o for i, o in enumerate(blocks) if i != j]
+        place = np.concatenate([np.zeros(0, dtype=np.int64), *(np.arange(o.place.start, o.place.stop) for o in others)])
+        unit = np.concatenate([np.zeros(0), *(o.unit for o in others)])
+        beside = [metric.beside(gram, place, unit) if len(place) else metric for metric in base]
+        factor = float(table(gram, [block], beside, 1).log_factors[0, 0])
+        # Readings on which the effect does not show say nothing of it.
+        out[j] = factor if np.isfinite(factor) else 0.0
+    return out
+
+
+def _blocks(shaped: Sequence[Shaped]) -> list[Block]:
+    out, first = [], 0
+    for s in shaped:
+        low, high = np.array([c.low for c in s.coefficients]), np.array([c.high for c in s.coefficients])
+        place = slice(first, first + len(s.columns))
+        first = place.stop
+        out.append(Block(0, place, np.maximum(np.abs(low), np.abs(high)) / 2.0, low, high, 0.0))
+    return out
+
+
+def _divisions(sessions: Sequence[Session]) -> Iterator[tuple[str, list[IntArray]]]:
+    """Ways to divide the readings, with the part of each reading of each session."""
+    setups = [np.unique(s.readings.setup, return_inverse=True)[1].reshape(-1) for s in sessions]
+    if max(int(part.max(initial=0)) for part in setups) >= 2:
+        yield "setups", [part % min(_PARTS, int(part.max(initial=0)) + 1) for part in setups]
+    position = np.concatenate([s.readings.position() for s in sessions])
+    angles = [s.readings.columns.get("c") for s in sessions]
+    place = _zones(position, angles[0] if len(sessions) == 1 else None)
+    if place is not None:
+        yield "blocks of places", np.split(place, np.cumsum([len(s.readings) for s in sessions])[:-1])
+    cycles = [np.unique(s.readings.repeat, return_inverse=True)[1].reshape(-1) for s in sessions]
+    if max(int(part.max(initial=0)) for part in cycles) >= 1:
+        yield "cycles", [part % _PARTS for part in cycles]
+
+
+def _zones(position: np.ndarray, angle: np.ndarray | None) -> IntArray | None:
+    """Blocks of places: halves along the two axes that were moved farthest, or quarters of one; None without places."""
+    columns = [*position.T] if angle is None or np.ptp(position, axis=0).max(initial=0.0) > 0 else [angle]
+    extent = [float(np.ptp(values)) if len(values) else 0.0 for values in columns]
+    moved = [k for k in np.argsort(extent)[::-1] if extent[k] > 0][:2]
+    if not moved:
+        return None
+    if len(moved) == 1:
+        edges = np.unique(np.quantile(columns[moved[0]], [0.25, 0.5, 0.75]))
+        part = np.searchsorted(edges, columns[moved[0]], side="right")
+    else:
+        halves = [columns[k] > np.median(columns[k]) for k in moved]
+        part = 2 * halves[0].astype(np.int64) + halves[1]
+    part = np.unique(part, return_inverse=True)[1].reshape(-1)
+    return part if part.max() >= 1 else None

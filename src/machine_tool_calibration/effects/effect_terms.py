@@ -1,0 +1,330 @@
+"""Effects as terms of a model: linear columns, and nonlinear coefficients found on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, BoolArray
+from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.model.fit import Fit, JointFit, fit_models, screen, screen_joint
+from machine_tool_calibration.model.model import MethodModel, NotDetermined, Parameter, Term
+from machine_tool_calibration.model.observations import Observations
+
+__all__ = ["ABSORBED", "add_effects", "best_shape", "common_shape", "displacement_field", "effect_term"]
+
+
+def displacement_field(
+    effect: Effect, observations: Observations, evaluate: Callable[[Observations], Array]
+) -> Array | None:
+    """Displacement of the functional point per unit of each of an effect's unknowns.
+
+    Args:
+        effect: the effect.
+        observations: the readings.
+        evaluate: (k, n) columns of the effect's unknowns for other observations.
+
+    Returns:
+        (k, n, 3), found by looking at the same readings along each axis; None for an effect on the reading itself, and
+        for methods whose map holds no effects.
+    """
+    if effect.kind != "position" or observations.session.method != "direct":
+        return None
+    looks = [replace(observations, direction=np.tile(np.eye(3)[j], (len(observations), 1))) for j in range(3)]
+    return np.stack([evaluate(look) for look in looks], axis=-1)
+
+
+_STEP = 1e-4
+# Share of a column's squared norm outside the model below which the model takes it up.
+ABSORBED = 1e-7
+# Share of a column's squared norm outside model and other effects below which it repeats them.
+_REPEATED = 1e-7
+_TAKEN_UP = "the model's own unknowns take it up entirely"
+
+
+def effect_term(
+    effect: Effect,
+    observations: Observations,
+    shape: tuple[float, ...] = (),
+    size: Array | None = None,
+    mapped: bool = True,
+) -> Term:
+    """An effect's columns, linearised at given nonlinear coefficients.
+
+    Args:
+        effect: the effect.
+        observations: the readings.
+        shape: nonlinear coefficients.
+        size: (k,) linear coefficients at which the nonlinear ones are linearised; without them they are held.
+        mapped: whether to say where the effect moves the functional point, if the method maps that.
+    """
+    columns = effect.columns(observations, shape)
+    parameters = [
+        Parameter(f"{effect.id}.{c.name}", c.unit, c.low, c.high, shared=not effect.of_session)
+        for c in effect.coefficients_for(observations, shape)
+    ]
+    if size is not None:
+        for j, coefficient in enumerate(effect.shapes):
+            if coefficient.discrete:
+                continue
+            step = _STEP * shape[j]
+            up, down = list(shape), list(shape)
+            up[j] += step
+            down[j] -= step
+            slope = (effect.columns(observations, tuple(up)) - effect.columns(observations, tuple(down))) / (2 * step)
+            columns = np.concatenate([columns, (size @ slope)[None]])
+            parameters.append(
+                Parameter(
+                    f"{effect.id}.{coefficient.name}",
+                    coefficient.unit,
+                    coefficient.low,
+                    coefficient.high,
+                    shape[j],
+                    True,
+                )
+            )
+    field = None
+    if mapped:
+        field = displacement_field(effect, observations, lambda o: effect_term(effect, o, shape, size, False).columns)
+    return Term(effect.id, tuple(parameters), columns, field)
+
+
+def best_shape(
+    fit: Fit, effect: Effect, start: Sequence[tuple[float, ...]] | None = None
+) -> tuple[tuple[float, ...], Array]:
+    """Nonlinear coefficients with which an effect explains most of a fit's residuals, and the linear ones there.
+
+    Args:
+        fit: of a single session.
+        effect: the effect.
+        start: where to search; the effect's own grid if absent.
+
+    Raises:
+        ModelError: the positions are too few to look for the effect.
+    """
+    grid = effect.shape_grid(fit.model.observations) if start is None else start
+    shape, sizes = common_shape(fit.joint, effect, grid)
+    return shape, sizes[fit.index]
+
+
+def common_shape(
+    joint: JointFit, effect: Effect, grid: Sequence[tuple[float, ...]]
+) -> tuple[tuple[float, ...], list[Array]]:
+    """Nonlinear coefficients with which an effect explains most of the residuals of one or several sessions.
+
+    A grid first, as there are several minima, then a search around its best value.
+
+    Args:
+        joint: the fit.
+        effect: acts in those sessions that have what it needs.
+        grid: where to search.
+
+    Returns:
+        The nonlinear coefficients and, for each session, the linear ones there; none where the effect does not act.
+
+    Raises:
+        ModelError: the grid is empty.
+    """
+    if not grid:
+        raise ModelError(f"effect {effect.id}: too few distinct positions to look for it")
+    observed = [m.observations if effect.why_not(m.observations) is None else None for m in joint.assembly.models]
+
+    def explained(shapes: Sequence[tuple[float, ...]]) -> tuple[list[float], list[list[Array]], list[int]]:
+        terms, names = [], []
+        for k, readings in enumerate(observed):
+            tried = [] if readings is None else [effect_term(effect, readings, shape, mapped=False) for shape in shapes]
+            numbered = [
+                tuple(replace(p, name=f"{s}: {p.name}") for p in term.parameters) for s, term in enumerate(tried)
+            ]
+            terms.append([replace(t, parameters=own) for t, own in zip(tried, numbered, strict=True)])
+            names.append([[joint.assembly.published(k, p) for p in own] for own in numbered])
+        screened = screen_joint(joint, terms)
+        place = {name: j for j, name in enumerate(screened.names)}
+        gains, sizes, counts = [], [], []
+        for s in range(len(shapes)):
+            mine = [[place[name] for name in own[s]] if own else [] for own in names]
+            pick = np.unique(np.concatenate(mine).astype(np.int64))
+            inner, right = screened.gram[np.ix_(pick, pick)], screened.gram[pick, -1]
+            scale = np.sqrt(np.maximum(screened.squares[pick], np.finfo(float).tiny))
+            size = np.linalg.pinv(inner / np.outer(scale, scale), rcond=1e-10, hermitian=True) @ (right / scale) / scale
+            gains.append(float(right @ size))
+            counts.append(len(pick))
+            sizes.append([size[np.searchsorted(pick, np.array(own, dtype=np.int64))] for own in mine])
+        return gains, sizes, counts
+
+    gains, sizes, counts = explained(grid)
+    if all(coefficient.discrete for coefficient in effect.shapes):
+        # More unknowns always explain more: each must be worth its place.
+        left = joint.solution.chi_square - max(gains)
+        readings = sum(len(o) for o in observed if o is not None)
+        price = max(left / joint.solution.degrees_of_freedom, 1e-12) * np.log(readings)
+        gains = [gain - price * k for gain, k in zip(gains, counts, strict=True)]
+    best = int(np.argmax(gains))
+    shape, size = grid[best], sizes[best]
+    if len(shape) == 1 and len(grid) > 1 and not effect.shapes[0].discrete:
+        ordered = sorted(s[0] for s in grid)
+        place = ordered.index(shape[0])
+        low, high = ordered[max(place - 1, 0)], ordered[min(place + 1, len(ordered) - 1)]
+        # Slow to load, and few effects need it.
+        from scipy import optimize
+
+        found = optimize.minimize_scalar(
+            lambda value: -explained([(float(value),)])[0][0],
+            bounds=(low, high),
+            method="bounded",
+            options={"xatol": 1e-4 * low},
+        )
+        if -found.fun > gains[best]:
+            shape = (float(found.x),)
+            size = explained([shape])[1][0]
+    return shape, size
+
+
+def _without_absorbed(model: MethodModel, effects: Sequence[Effect]) -> tuple[MethodModel, list[Effect]]:
+    """The model, told what it takes up itself, and the other effects.
+
+    An effect that only repeats the model's own unknowns would make these undetermined and add nothing.
+    """
+    observations = model.observations
+    fit = fit_models([model]).fits[0]
+    kept, absorbed = [], list(model.left_out)
+    for effect in effects:
+        blocks = [effect.columns(observations, shape) for shape in effect.shape_grid(observations)]
+        screened = screen(fit, np.concatenate([np.zeros((0, len(observations))), *blocks]))
+        left = np.diag(screened.gram)[:-1] > ABSORBED * screened.squares[:-1]
+        if left.any():
+            kept.append(effect)
+        else:
+            absorbed.append(NotDetermined(effect.id, _TAKEN_UP))
+    return replace(model, left_out=tuple(absorbed)), kept
+
+
+def _determined_columns(model: MethodModel, terms: Sequence[Term]) -> tuple[list[Term], tuple[NotDetermined, ...]]:
+    """The terms without single columns that the model takes up, such as a shift with a temperature that stood still.
+
+    Left in, such a column would make the model's own unknowns undetermined.
+    """
+    if not terms:
+        return [], ()
+    screened = screen(fit_models([model]).fits[0], np.concatenate([term.columns for term in terms]))
+    seen = np.diag(screened.gram)[:-1] > ABSORBED * screened.squares[:-1]
+    kept, left, first = [], [], 0
+    for term in terms:
+        own = seen[first : first + len(term.columns)]
+        first += len(term.columns)
+        kept.append(term if own.all() else _with_columns(term, own))
+        left += [NotDetermined(p.name, _TAKEN_UP) for p, s in zip(term.parameters, own, strict=True) if not s]
+    return kept, tuple(left)
+
+
+def _with_columns(term: Term, keep: BoolArray) -> Term:
+    parameters = tuple(p for p, k in zip(term.parameters, keep, strict=True) if k)
+    return Term(term.name, parameters, term.columns[keep], None if term.field is None else term.field[keep])
+
+
+def _told_apart(model: MethodModel, terms: Sequence[Term]) -> tuple[list[Term], tuple[NotDetermined, ...]]:
+    """The terms without columns that only repeat others: the straight part of EXX beside a scale of X.
+
+    Simple effects come first: of a polynomial, what a scale or a squareness says already is left out.
+    """
+    if len(terms) < 2:
+        return list(terms), ()
+    screened = screen(fit_models([model]).fits[0], np.concatenate([term.columns for term in terms]))
+    scale = np.sqrt(np.maximum(np.diag(screened.gram)[:-1], np.finfo(float).tiny))
+    inner = screened.gram[:-1, :-1] / np.outer(scale, scale)
+    seen = scale**2 > ABSORBED * screened.squares[:-1]
+    starts = np.cumsum([0, *(len(term.columns) for term in terms)])
+    taken: list[int] = []
+    kept, left = list(terms), []
+    for k in sorted(range(len(terms)), key=lambda k: len(terms[k].columns)):
+        own = np.arange(starts[k], starts[k + 1])
+        # Among a term's own columns the model decides: what they repeat of each other is not meant.
+        again = np.array(
+            [
+                bool(seen[j] and _repeats(inner, j, [*taken, *own[:i]]) and not _repeats(inner, j, own[:i].tolist()))
+                for i, j in enumerate(own)
+            ]
+        )
+        if (again.all() and len(own) == 1) or not again.any():
+            taken += [int(j) for j in own if seen[j]]
+            continue
+        good = ~again
+        term = terms[k]
+        kept[k] = _with_columns(term, good)
+        why = "the other effects in the model say the same"
+        left += [NotDetermined(p.name, why) for p, g in zip(term.parameters, good, strict=True) if not g]
+        taken += [int(j) for j in own[good] if seen[j]]
+    return [term for term in kept if term.parameters], tuple(left)
+
+
+def _repeats(inner: Array, column: int, taken: Sequence[int]) -> bool:
+    """Whether a column is a combination of others, from their inner products outside the model."""
+    if not taken:
+        return False
+    pick = list(taken)
+    weights = np.linalg.lstsq(inner[np.ix_(pick, pick)], inner[pick, column], rcond=1e-9)[0]
+    return bool(inner[column, column] - inner[pick, column] @ weights < _REPEATED)
+
+
+def add_effects(model: MethodModel, effects: Sequence[Effect]) -> MethodModel:
+    """The model with these effects; nonlinear coefficients are fitted and published with their uncertainty.
+
+    Raises:
+        ModelError: an effect cannot act in these readings.
+    """
+    observations = model.observations
+    for effect in effects:
+        why = effect.why_not(observations)
+        if why is not None:
+            raise ModelError(f"effect {effect.id}: {why}")
+    if not effects:
+        return model
+    model, effects = _without_absorbed(model, effects)
+    linear = [effect for effect in effects if not effect.shapes]
+    curved = [effect for effect in effects if effect.shapes]
+    terms, taken_up = _determined_columns(model, [effect_term(effect, observations) for effect in linear])
+    terms, repeated = _told_apart(model, terms)
+    base = replace(model, left_out=model.left_out + taken_up + repeated).with_terms(terms)
+    shapes: dict[str, tuple[tuple[float, ...], Array]] = {}
+    # One after the other, and once more each with the others at their best.
+    for _ in range(2 if len(curved) > 1 else 1):
+        for effect in curved:
+            others = [effect_term(e, observations, *shapes[e.id]) for e in curved if e.id in shapes and e is not effect]
+            fit = fit_models([base.with_terms(others)]).fits[0]
+            shapes[effect.id] = best_shape(fit, effect)
+    full = base.with_terms([effect_term(effect, observations, *shapes[effect.id]) for effect in curved])
+    loose = _unbounded(full, curved, {name: shape for name, (shape, _) in shapes.items()})
+    if loose:
+        # A nonlinear coefficient that nothing bounds is no number: it is held where the readings like it best.
+        why = "the readings do not bound it: the effect is too small in them"
+        held = [
+            effect_term(
+                effect, observations, shapes[effect.id][0], None if effect.id in loose else shapes[effect.id][1]
+            )
+            for effect in curved
+        ]
+        base = replace(base, left_out=base.left_out + tuple(NotDetermined(name, why) for name in loose.values()))
+        full = base.with_terms(held)
+    return full.settled()
+
+
+def _unbounded(
+    model: MethodModel, effects: Sequence[Effect], shapes: Mapping[str, tuple[float, ...]]
+) -> dict[str, str]:
+    """Nonlinear coefficients that come out impossible, or less certain than they are large, by their effects' ids."""
+    names = {f"{effect.id}.{s.name}": effect.id for effect in effects for s in effect.shapes if not s.discrete}
+    if not names:
+        return {}
+    fit = fit_models([model]).fits[0]
+    variance = max(fit.joint.reduced_chi_square, 1.0) * np.diag(fit.covariance)
+    out = {}
+    for parameter, value, square, good in zip(model.parameters, fit.theta, variance, fit.determined, strict=True):
+        if parameter.name not in names or not good:
+            continue
+        found = parameter.reference + value
+        if found <= 0.0 or square > found**2 or abs(value) > abs(parameter.reference):
+            out[names[parameter.name]] = parameter.name
+    return out

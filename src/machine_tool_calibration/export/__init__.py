@@ -1,0 +1,58 @@
+"""Compensation tables that controllers read, one format a module; made from public descriptions of the formats."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.export import etalon, isg, linuxcnc, table_csv, table_json
+from machine_tool_calibration.methods.axis_tables import AxisTables
+
+__all__ = ["FORMATS", "read_tables", "write_tables"]
+
+_Writer = Callable[[AxisTables, str], dict[str, str]]
+_Reader = Callable[[Mapping[str, str], AxisTables], AxisTables]
+
+_FORMATS: Mapping[str, tuple[_Writer, _Reader]] = {
+    "linuxcnc": (linuxcnc.write, linuxcnc.read),
+    "linuxcnc-trims": (linuxcnc.write_trims, linuxcnc.read_trims),
+    "isg": (isg.write, isg.read),
+    "etalon": (etalon.write, etalon.read),
+    "csv": (table_csv.write, table_csv.read),
+    "json": (table_json.write, table_json.read),
+}
+FORMATS = tuple(_FORMATS)
+
+
+def write_tables(form: str, tables: AxisTables, source: str) -> dict[str, str]:
+    """The texts of the files by their names.
+
+    Args:
+        form: one of FORMATS.
+        tables: what is compensated.
+        source: which measurement it is, for the files' heads.
+
+    Raises:
+        CalibrationError: no such format, or one that cannot hold these tables.
+    """
+    return _format(form)[0](tables, source)
+
+
+def read_tables(form: str, files: Mapping[str, str], tables: AxisTables) -> AxisTables:
+    """What a controller understands from the files: deviations that it takes away.
+
+    Args:
+        form: one of FORMATS.
+        files: texts by name, as from `write_tables`.
+        tables: for the chain and the words, which no controller reads from these files.
+
+    Raises:
+        CalibrationError: no such format, or text that is not of it.
+    """
+    return _format(form)[1](files, tables)
+
+
+def _format(form: str) -> tuple[_Writer, _Reader]:
+    if form not in _FORMATS:
+        raise CalibrationError(f"there is no format {form!r}; known are {', '.join(FORMATS)}")
+    return _FORMATS[form]

@@ -1,0 +1,61 @@
+"""The Etalon Exchange format, as TwinCAT CNC's volumetric compensation reads it.
+
+Format: Beckhoff, TF5280 TwinCAT 3 CNC Volumetric Compensation: "Etalon Exchange Format", "Units of measure". A block
+`[name]` for each parameter, with `VALUE = …` or `Gridpoints = { position value … }`; `//` begins a remark; millimetres
+and radians. In the list of parameters its format is `ETALON_EXCHANGE`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+import numpy as np
+
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.export.head import SIGN, head, number, rebuilt
+from machine_tool_calibration.export.isg import NEGATE, UNITS
+from machine_tool_calibration.methods.axis_tables import AxisTable, AxisTables
+
+__all__ = ["read", "write"]
+
+_FILE = "compensation.exc"
+_BLOCK = re.compile(r"\[(\w+)\]\s*(?:VALUE\s*=\s*(\S+)|Gridpoints\s*=\s*\{([^}]*)\})")
+
+
+def write(tables: AxisTables, source: str) -> dict[str, str]:
+    """One file with a block for each squareness and each table."""
+    absent = [f"backlash of {axis}" for axis in tables.backlash]
+    lines = head(tables, source, f"{SIGN}; {NEGATE}", UNITS, absent)
+    # remarks must not hold what begins a block
+    out = [f"// {line.replace('[', '(').replace(']', ')')}" for line in lines]
+    out.append("// load with file_format ETALON_EXCHANGE (variant Vendor) and interpolation GRID")
+    for name, (value, _) in tables.squareness.items():
+        out += [f"[{name}]", f"VALUE = {value:.12f}"]
+    for table in tables.tables:
+        scale, digits = (1.0, 12) if table.unit == "rad" else (1e3, 9)
+        out += [f"[{table.name}]", "Gridpoints = {"]
+        out += [f"  {1e3 * p:.6f} {scale * v:.{digits}f}" for p, v in zip(table.nodes, table.value, strict=True)]
+        out.append(f"}}  // end of {table.name}")
+    return {_FILE: "\n".join(out) + "\n"}
+
+
+def read(files: Mapping[str, str], tables: AxisTables) -> AxisTables:
+    """Deviations as the format's description says.
+
+    Raises:
+        CalibrationError: not such blocks.
+    """
+    text = "\n".join(line.split("//")[0] for line in files[_FILE].splitlines())
+    rest = _BLOCK.sub("", text).strip()
+    if rest:
+        raise CalibrationError(f"{_FILE}: {rest.splitlines()[0][:60]!r} belongs to no block")
+    found, squareness = [], {}
+    for name, value, points in _BLOCK.findall(text):
+        if value:
+            squareness[name] = number(value, _FILE, 0)
+            continue
+        values = np.array([number(word, _FILE, 0) for word in points.split()]).reshape(-1, 2)
+        scale = 1e-3 if name[1] in "XYZ" else 1.0
+        found.append(AxisTable(name, 1e-3 * values[:, 0], scale * values[:, 1], np.full(len(values), np.nan)))
+    return rebuilt(tables, found, squareness)

@@ -1,0 +1,133 @@
+"""LinuxCNC's screw compensation: a `.comp` file for each joint, and the lines of the INI file that name them.
+
+Format: LinuxCNC's integrator documentation, INI Configuration, section [JOINT_<num>], COMP_FILE and COMP_FILE_TYPE. At
+most 256 lines a joint, in ascending order, machine units (here millimetres). A `.comp` file has no place for remarks,
+so they stand in the INI lines.
+
+Type 0 has the nominal position and the actual positions reached with the joint moving forward and in reverse, so that
+there is no sign to mistake. The manual's words and example of type 1 do not agree with each other, but the program is
+clear (usrmotLoadComp in emc/motion/usrmotintf.cc): of type 0 it takes nominal minus actual, forward and reverse, and of
+type 1 the two numbers as they stand, into the same trims. compute_screw_comp (emc/motion/control.c) then adds the trim
+of the direction of motion to the commanded position, with straight lines between the positions, and beyond the first
+and the last one their trims. A line of type 1 is thus the compensation itself: minus the deviation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.errors import CalibrationError, ModelError
+from machine_tool_calibration.export.head import head, number, rebuilt
+from machine_tool_calibration.methods.axis_tables import AxisTable, AxisTables
+
+__all__ = ["MOST_LINES", "read", "read_trims", "write", "write_trims"]
+
+MOST_LINES = 256
+_JOINTS = {"X": 0, "Y": 1, "Z": 2}
+_INI = "compensation.ini"
+
+
+def write(tables: AxisTables, source: str) -> dict[str, str]:
+    """One `.comp` of type 0 for each positioning error, and the INI lines.
+
+    Raises:
+        ModelError: no positioning error is determined.
+    """
+    sign = (
+        "COMP_FILE_TYPE 0: commanded position, actual position moving forward, actual position moving in reverse; the "
+        "controller adds commanded minus actual, which is minus the deviation"
+    )
+    return _written(tables, source, 0, sign)
+
+
+def write_trims(tables: AxisTables, source: str) -> dict[str, str]:
+    """The same as files of type 1, whose numbers the controller adds.
+
+    Raises:
+        ModelError: no positioning error is determined.
+    """
+    sign = (
+        "COMP_FILE_TYPE 1: commanded position, trim moving forward, trim moving in reverse; the controller adds the "
+        "trim to the commanded position, so it is minus the deviation"
+    )
+    return _written(tables, source, 1, sign)
+
+
+def _written(tables: AxisTables, source: str, kind: int, sign: str) -> dict[str, str]:
+    own = [table for table in map(tables.positioning, "XYZ") if table is not None]
+    if not own:
+        why = "; ".join(f"{entry.name}: {entry.why}" for entry in tables.left_out if entry.name[1:2] == entry.name[2:3])
+        raise ModelError(f"{source}: no positioning error (EXX, EYY, EZZ) is determined{': ' if why else ''}{why}")
+    absent = [t.name for t in tables.tables if not t.is_positioning] + list(tables.squareness)
+    lines = head(tables, source, sign, "mm: [TRAJ]LINEAR_UNITS or [JOINT_n]UNITS must be mm", absent)
+    middle = ", ".join(f"{name} = {1e3 * v:g}" for name, v in zip("XYZ", tables.middle, strict=True))
+    lines.append(f"each table is the error along the line through the middle of the measured travel, {middle} mm")
+    lines.append("joints: as trivkins has them, X = 0, Y = 1, Z = 2; change the sections if yours differ")
+    lines.append("BACKLASH of a joint with a COMP_FILE is not used by LinuxCNC")
+    ini = [f"# {line}" for line in lines]
+    files = {}
+    for table in own:
+        name = f"{table.axis.lower()}.comp"
+        nodes, value = _thinned(table)
+        half = tables.backlash.get(table.axis, (0.0, 0.0))[0]
+        if kind == 0:
+            pairs = zip(nodes, nodes + value - half, nodes + value + half, strict=True)
+        else:
+            pairs = zip(nodes, half - value, -half - value, strict=True)
+        rows = [f"{1e3 * p:.6f} {1e3 * up + 0.0:.7f} {1e3 * down + 0.0:.7f}" for p, up, down in pairs]
+        files[name] = "\n".join(rows) + "\n"
+        ini += [
+            "",
+            f"[JOINT_{_JOINTS[table.axis]}]",
+            f"# {table.name}, {len(rows)} positions from {1e3 * nodes[0]:g} to {1e3 * nodes[-1]:g} mm",
+            f"COMP_FILE = {name}",
+            f"COMP_FILE_TYPE = {kind}",
+        ]
+    return {**files, _INI: "\n".join(ini) + "\n"}
+
+
+def _thinned(table: AxisTable) -> tuple[Array, Array]:
+    """At most MOST_LINES nodes; beyond that evenly spaced ones, ends kept."""
+    if len(table.nodes) <= MOST_LINES:
+        return table.nodes, table.value
+    nodes = np.linspace(table.nodes[0], table.nodes[-1], MOST_LINES)
+    return nodes, np.interp(nodes, table.nodes, table.value)
+
+
+def read(files: Mapping[str, str], tables: AxisTables) -> AxisTables:
+    """Deviations as LinuxCNC takes them from files of type 0.
+
+    Raises:
+        CalibrationError: lines that are no triplets, not ascending, or too many.
+    """
+    return _read(files, tables, 0)
+
+
+def read_trims(files: Mapping[str, str], tables: AxisTables) -> AxisTables:
+    """Deviations as LinuxCNC takes them from files of type 1; errors as for `read`."""
+    return _read(files, tables, 1)
+
+
+def _read(files: Mapping[str, str], tables: AxisTables, kind: int) -> AxisTables:
+    found, backlash = [], {}
+    for file, text in files.items():
+        if not file.endswith(".comp"):
+            continue
+        axis = file[0].upper()
+        rows = [line.split() for line in text.splitlines()]
+        if len(rows) > MOST_LINES:
+            raise CalibrationError(f"{file}: {len(rows)} lines; LinuxCNC reads {MOST_LINES} at most")
+        if any(len(row) != 3 for row in rows):
+            raise CalibrationError(f"{file}: every line must be three numbers")
+        values = np.array([[number(entry, file, k + 1) for entry in row] for k, row in enumerate(rows)]) * 1e-3
+        nominal = values[:, 0]
+        if np.any(np.diff(nominal) <= 0.0):
+            raise CalibrationError(f"{file}: the nominal positions must ascend")
+        forward, reverse = (values[:, j] - nominal if kind == 0 else -values[:, j] for j in (1, 2))
+        mean = (forward + reverse) / 2
+        found.append(AxisTable(f"E{axis}{axis}", nominal, mean, np.full(len(mean), np.nan)))
+        backlash[axis] = float(np.mean(reverse - forward)) / 2
+    return rebuilt(tables, found, backlash=backlash)

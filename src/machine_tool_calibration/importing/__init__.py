@@ -1,0 +1,8 @@
+"""Tables of other programs (coordinate measuring machines, laser trackers, interferometers) as sessions."""
+
+from __future__ import annotations
+
+from machine_tool_calibration.importing.build import Imported, import_table
+from machine_tool_calibration.importing.mapping import Mapping, parse_mapping, read_mapping
+
+__all__ = ["Imported", "Mapping", "import_table", "parse_mapping", "read_mapping"]

@@ -1,0 +1,154 @@
+"""A foreign table's columns by what they are, in SI units."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.importing.mapping import ROLES, ColumnRule
+from machine_tool_calibration.importing.mapping import Mapping as TableMapping
+from machine_tool_calibration.importing.text_table import TextTable
+from machine_tool_calibration.importing.units import dimension, quantity, unit_in_name
+
+__all__ = ["Columns", "Rows"]
+
+_NEED_NO_UNIT = {"time": "s", "temperature": "degC", "number": "1"}
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Readings made from a table.
+
+    Attributes:
+        numbers: numeric columns of `observations.csv`, each (n,).
+        labels: text columns, each (n,), `setup` among them.
+        row: (n,) row of the table that each reading comes from.
+        description: keys of session.yaml that the table gives.
+        notes: what was done that the user should know.
+    """
+
+    numbers: Mapping[str, Array]
+    labels: Mapping[str, np.ndarray]
+    row: IntArray
+    description: Mapping[str, object]
+    notes: tuple[str, ...] = ()
+
+
+@dataclass
+class Columns:
+    """Access to the columns that a mapping names.
+
+    Attributes:
+        table: the file's cells.
+        mapping: what they mean.
+        read: what was read, for the preview: quantity, column, unit.
+    """
+
+    table: TextTable
+    mapping: TableMapping
+    read: dict[str, tuple[str, str]] = field(default_factory=dict)
+
+    def has(self, role: str) -> bool:
+        """Whether a column or a value is named for it."""
+        return role in self.mapping.columns or role in self.mapping.values
+
+    def need(self, roles: Collection[str], why: str) -> None:
+        """Raise a SessionError that names the first quantity that nothing is named for."""
+        for role in roles:
+            if not self.has(role):
+                raise SessionError(
+                    f"{self.table.source}: no column is named for {role} ({why}), as in --column {role}=NAME; "
+                    f"the table has {', '.join(map(repr, self.table.names[:20]))}"
+                )
+
+    def number(self, role: str) -> Array:
+        """(rows,) the quantity in SI, NaN where the cell is empty.
+
+        Raises:
+            SessionError: no such column, a cell that is no number, no unit, or one of another dimension.
+        """
+        wanted = ROLES[self.mapping.table][role]
+        if role in self.mapping.values:
+            text = self.mapping.values[role]
+            self.read[role] = ("(the same in every row)", text)
+            return np.full(len(self.table), quantity(text, wanted, f"value of {role}"))
+        rule = self.mapping.columns[role]
+        unit = self._unit(role, rule, wanted)
+        self.read[role] = (rule.column, unit)
+        return self.table.numbers(rule.column, role, unit)
+
+    def text(self, role: str) -> np.ndarray:
+        """(rows,) the text of a column."""
+        if role in self.mapping.values:
+            self.read[role] = ("(the same in every row)", "")
+            return np.full(len(self.table), self.mapping.values[role], dtype=object).astype(np.str_)
+        rule = self.mapping.columns[role]
+        self.read[role] = (rule.column, "")
+        return self.table.text(rule.column, role)
+
+    def unit_of(self, role: str, column: str) -> str:
+        """The unit of a quantity in a column of that name."""
+        return self._unit(role, ColumnRule(column=column), ROLES[self.mapping.table][role])
+
+    def others(self, taken: Collection[str]) -> dict[str, Array]:
+        """Every numeric column of a session that is named beside those taken, and the covariates of the user's own."""
+        out = {
+            role: self.number(role)
+            for role, kind in ROLES[self.mapping.table].items()
+            if role not in taken and kind != "text" and self.has(role)
+        }
+        for name, rule in self.mapping.extras.items():
+            unit = self._unit(name, rule, None)
+            self.read[name] = (rule.column, unit)
+            out[name] = self.table.numbers(rule.column, name, unit)
+        return out
+
+    def filled(self, role: str, values: Array) -> Array:
+        """The values, none of which may be missing.
+
+        Raises:
+            SessionError: a cell is empty.
+        """
+        bad = np.flatnonzero(~np.isfinite(values))
+        if len(bad):
+            raise SessionError(f"{self.table.where(int(bad[0]))}: {role} is empty")
+        return values
+
+    def setups(self, default: str) -> np.ndarray:
+        """(rows,) id of each row's setup."""
+        if not self.has("setup"):
+            return np.full(len(self.table), default)
+        ids = self.text("setup")
+        bad = np.flatnonzero(ids == "")
+        if len(bad):
+            raise SessionError(f"{self.table.where(int(bad[0]))}: setup is empty")
+        return ids
+
+    def _unit(self, role: str, rule: ColumnRule, wanted: str | None) -> str:
+        units = self.mapping.units
+        named = unit_in_name(rule.column)
+        given = rule.unit or units.get(role)
+        if given is not None and named is not None and dimension(named) == dimension(given) and named != given:
+            raise SessionError(
+                f"{self.table.source}: the column {rule.column!r} says {named}, but {role} is given in {given}"
+            )
+        if given is None and named is not None and (wanted is None or dimension(named) == wanted):
+            given = named
+        if given is None and wanted is not None:
+            given = units.get(wanted) or _NEED_NO_UNIT.get(wanted)
+        if given is None and wanted is None:
+            given = "1"
+        if given is None:
+            self.table.index(rule.column, role)  # where there is no such column, that is what is wrong
+            raise SessionError(
+                f"{self.table.source}: the unit of {role} (column {rule.column!r}) is not given, as in "
+                f"--unit {role}={'mm' if wanted == 'length' else 'deg'} or --unit {wanted}="
+                f"{'mm' if wanted == 'length' else 'deg'}"
+            )
+        if wanted is not None and dimension(given) != wanted:
+            raise SessionError(f"{self.table.source}: {role} is a {wanted}, and {given} is no unit of it")
+        return given

@@ -1,0 +1,213 @@
+"""What a foreign table's columns mean: from a mapping file, the command line, or both."""
+
+from __future__ import annotations
+
+import difflib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, field_validator
+
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.importing.text_table import FileForm
+from machine_tool_calibration.importing.units import UNITS, spelled
+from machine_tool_calibration.session.text import read_text
+from machine_tool_calibration.session.yaml_text import load_yaml
+
+__all__ = ["FORMAT", "ROLES", "TABLES", "ColumnRule", "Mapping", "Run", "parse_mapping", "read_mapping"]
+
+FORMAT = "mtcal-mapping/1"
+TABLES = ("points", "ranges", "iso230-2")
+_XYZ = ("x", "y", "z")
+
+_COMMON = {
+    **dict.fromkeys(("setup", "point"), "text"),
+    **dict.fromkeys(_XYZ, "length"),
+    **dict.fromkeys(("a", "b", "c"), "angle"),
+    "time": "time",
+    **dict.fromkeys(("repeat", *(f"dir_{axis}" for axis in "xyzabc"), "relative_humidity"), "number"),
+    **{f"temperature_{place}": "temperature" for place in ("air", "x", "y", "z", "table", "work")},
+    "air_pressure": "pressure",
+}
+_ANGLES = dict.fromkeys(("azimuth", "bearing", "elevation", "zenith"), "angle")
+ROLES: dict[str, dict[str, str]] = {
+    "points": {
+        **_COMMON,
+        **{f"{what}_{axis}": "length" for what in ("actual", "deviation") for axis in _XYZ},
+        "range": "length",
+        **_ANGLES,
+    },
+    "ranges": {
+        **_COMMON,
+        "target": "text",
+        "range": "length",
+        **_ANGLES,
+        **{f"actual_{axis}": "length" for axis in _XYZ},
+    },
+    "iso230-2": {
+        **_COMMON,
+        **dict.fromkeys(("position", "actual", "deviation"), "length"),
+        "run": "number",
+        "direction": "text",
+    },
+}
+"""For each kind of table what a column can be, and its dimension."""
+
+
+class Rule(BaseModel):
+    """A frozen part of a mapping; an unknown key is an error."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class ColumnRule(Rule):
+    """Where a quantity stands.
+
+    Attributes:
+        column: the name in the header; its number where there is no header.
+        unit: of its numbers; absent, the unit in brackets at the end of the name, or that of the dimension counts.
+    """
+
+    column: str
+    unit: str | None = None
+
+    @field_validator("unit")
+    @classmethod
+    def _known(cls, unit: str | None) -> str | None:
+        return None if unit is None else _known_unit(unit)
+
+
+class Run(Rule):
+    """One run of ISO 230-2 as a column.
+
+    Attributes:
+        column: its name.
+        direction: of approach.
+    """
+
+    column: str
+    direction: Literal["up", "down"]
+
+
+def _rule(value: Any) -> Any:
+    return {"column": str(value)} if isinstance(value, str | int) else value
+
+
+Column = Annotated[ColumnRule, BeforeValidator(_rule)]
+Text = Annotated[str, BeforeValidator(lambda value: str(value) if isinstance(value, int | float) else value)]
+
+
+class Mapping(Rule):
+    """How a foreign table becomes a session.
+
+    Attributes:
+        table: `points` (nominal and measured coordinates), `ranges` (distances from the stations of a tracker) or
+            `iso230-2` (deviations at target positions in runs up and down).
+        file: how the text is written.
+        columns: where each quantity stands (`ROLES`).
+        extras: covariates by the name that they get, with their column.
+        units: of each dimension (length, angle, …) or quantity (x, deviation, …).
+        values: quantities that are the same in every row, such as `z: 120mm`.
+        origin: of nominal coordinates in the machine's, by axis, such as `x: 250mm`.
+        sign: of deviations in the file.
+        align: points: shift and turn each setup's measured points onto the nominal ones first.
+        layout: iso230-2: a column for each run, or a row for each reading.
+        transposed: iso230-2: a row for each run instead of a column.
+        runs: iso230-2: the columns of the runs in order; absent, every other column, by its name (`1 up`, `1 down`).
+        axis: iso230-2: that was moved.
+        senses: iso230-2: direction that was read, if it is another (straightness).
+        stations: position of a tracker's stations, machine frame, such as `A: -350, 50, 0 mm`.
+        targets: position of targets on a rotary table, table frame at c = 0.
+        session: keys of session.yaml: machine, datum, terms, standard_uncertainty, …
+    """
+
+    format: Literal["mtcal-mapping/1"] = "mtcal-mapping/1"
+    table: Literal["points", "ranges", "iso230-2"]
+    file: FileForm = FileForm()
+    columns: dict[str, Column] = {}
+    extras: dict[str, Column] = {}
+    units: dict[str, Text] = {}
+    values: dict[str, Text] = {}
+    origin: dict[Literal["x", "y", "z"], Text] = {}
+    sign: Literal["actual-minus-nominal", "nominal-minus-actual"] = "actual-minus-nominal"
+    align: bool = False
+    layout: Literal["wide", "long"] = "wide"
+    transposed: bool = False
+    runs: tuple[Run, ...] = ()
+    axis: Literal["x", "y", "z"] | None = None
+    senses: Literal["x", "y", "z"] | None = None
+    stations: dict[str, str] = {}
+    targets: dict[str, str] = {}
+    session: dict[str, Any] = {}
+
+    @field_validator("units")
+    @classmethod
+    def _units(cls, units: dict[str, str]) -> dict[str, str]:
+        return {name: _known_unit(unit) for name, unit in units.items()}
+
+
+def read_mapping(path: Path) -> dict[str, Any]:
+    """The content of a mapping file, for `parse_mapping`.
+
+    Raises:
+        SessionError: not there, or no mapping of keys.
+    """
+    document = load_yaml(read_text(path, 1 << 20), str(path))
+    if not isinstance(document.value, dict):
+        raise SessionError(f"{path}: must be a mapping of keys")
+    if document.value.get("format") != FORMAT:
+        raise SessionError(f"{path}: format is {document.value.get('format')!r}, not {FORMAT}")
+    return document.value
+
+
+def parse_mapping(content: dict[str, Any], source: str) -> Mapping:
+    """The mapping from its keys.
+
+    Args:
+        content: of the file, the command line, or both.
+        source: where it came from, for messages.
+
+    Raises:
+        SessionError: one line that names the key that is wrong.
+    """
+    try:
+        mapping = Mapping.model_validate(content)
+    except ValidationError as error:
+        defect = error.errors(include_url=False)[0]
+        path = tuple(part for part in defect["loc"] if part != "[key]")
+        key = ".".join(str(part) for part in path)
+        said = str(defect["ctx"]["error"]) if "error" in defect.get("ctx", {}) else defect["msg"]
+        if defect["type"] == "extra_forbidden":
+            said = f"unknown key{_near(str(path[-1]), Mapping.model_fields)}"
+        elif defect["type"] == "missing":
+            said = "is missing"
+        raise SessionError(f"{source}: {key}: {said}") from None
+    roles = ROLES[mapping.table]
+    for kind in ("columns", "values"):
+        for role in getattr(mapping, kind):
+            if role not in roles:
+                raise SessionError(
+                    f"{source}: {kind} names {role!r}, which a table of {mapping.table} does not have"
+                    f"{_near(role, roles)}; a covariate of your own goes under extras"
+                )
+            if role in mapping.columns and role in mapping.values:
+                raise SessionError(f"{source}: {role} is both a column and a value")
+    dimensions = {unit[0] for unit in UNITS.values()}
+    for name in mapping.units:
+        if name not in roles and name not in dimensions and name not in mapping.extras:
+            raise SessionError(
+                f"{source}: units names {name!r}, which is neither a quantity nor a dimension{_near(name, roles)}"
+            )
+    return mapping
+
+
+def _known_unit(unit: str) -> str:
+    try:
+        return spelled(unit)
+    except SessionError as error:
+        raise ValueError(str(error)) from None
+
+
+def _near(name: str, known: Any) -> str:
+    near = difflib.get_close_matches(name, list(known), n=1)
+    return f" (did you mean {near[0]!r}?)" if near else ""

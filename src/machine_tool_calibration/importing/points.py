@@ -1,0 +1,254 @@
+"""Nominal and measured coordinates (a part on a CMM, targets of a laser tracker), aligned, as direct deviations."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.importing.columns import Columns, Rows
+from machine_tool_calibration.importing.units import quantity
+
+__all__ = ["best_motion", "check_deviations", "check_size", "has_angles", "point_rows", "station_points"]
+
+
+def has_angles(columns: Columns) -> bool:
+    """Whether the table has a distance with two angles."""
+    horizontal = columns.has("azimuth") or columns.has("bearing")
+    vertical = columns.has("elevation") or columns.has("zenith")
+    if horizontal or vertical:
+        columns.need(("range",), "the distance that belongs to the angles")
+    if horizontal and not vertical:
+        columns.need(("elevation",), "or zenith: the angle that belongs to the distance")
+    if vertical and not horizontal:
+        columns.need(("azimuth",), "or bearing: the angle that belongs to the distance")
+    return horizontal and vertical
+
+
+def station_points(columns: Columns) -> Array:
+    """(rows, 3) points in the frame of each row's station, z upwards, m; NaN where a reading is missing.
+
+    `azimuth` counts from x towards y (counter-clockwise seen from above), `bearing` the other way; `elevation` from the
+    horizontal upwards, `zenith` from the vertical downwards.
+    """
+    distance = columns.number("range")
+    around = columns.number("azimuth") if columns.has("azimuth") else -columns.number("bearing")
+    up = columns.number("elevation") if columns.has("elevation") else np.pi / 2 - columns.number("zenith")
+    level = distance * np.cos(up)
+    return np.column_stack([level * np.cos(around), level * np.sin(around), distance * np.sin(up)])
+
+
+_FACTORS = (
+    (1e3, "is their unit a thousand times smaller, such as um, not mm"),
+    (1e-3, "is their unit a thousand times larger, such as mm, not um"),
+    (25.4, "are they in mm, not in inches"),
+    (1 / 25.4, "are they in inches, not in mm"),
+)
+_POOR = 2e-3  # of the extent: no machine tool is that far off
+
+
+def best_motion(measured: Array, nominal: Array) -> tuple[Array, Array]:
+    """The rigid motion that brings measured points nearest to nominal ones (least squares).
+
+    Args:
+        measured: (n, 3) m, in any frame.
+        nominal: (n, 3) m.
+
+    Returns:
+        Rotation (3, 3) and shift (3,): rotation @ measured + shift.
+    """
+    first, second = measured.mean(axis=0), nominal.mean(axis=0)
+    left, _, right = np.linalg.svd((nominal - second).T @ (measured - first))
+    sense = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
+    rotation = np.asarray(left @ sense @ right)
+    return rotation, second - rotation @ first
+
+
+def check_size(measured: Array, nominal: Array, where: str, *, aligned: bool) -> None:
+    """Refuse measured points that are not those that were asked for.
+
+    Args:
+        measured: (n, 3) m, after alignment if there was one; NaN where missing.
+        nominal: (n, 3) m.
+        where: for messages.
+        aligned: whether the measured points were shifted and turned onto the nominal ones.
+
+    Raises:
+        SessionError: another unit, points in another frame or order, or a left-handed frame.
+    """
+    good = np.isfinite(measured) & np.isfinite(nominal)
+    off = np.where(good, measured - nominal, 0.0)
+    count = np.maximum(good.sum(axis=0), 1)
+    extent = max(float(np.ptp(nominal[good[:, j], j])) if good[:, j].any() else 0.0 for j in range(3))
+    spread = float(np.sqrt(np.max(np.sum(off**2, axis=0) / count - (np.sum(off, axis=0) / count) ** 2)))
+    if extent == 0.0 or spread <= _POOR * extent:
+        return
+    # one by one where axes are what they say, all together where they were turned
+    parts = [(list(range(3)), "")] if aligned else [([j], f" along {'xyz'[j]}") for j in range(3)]
+    for axes, along in parts:
+        size = [float(np.sqrt(np.sum(_centred(part, good)[:, axes] ** 2))) for part in (measured, nominal)]
+        ratio = size[0] / size[1] if size[1] else 0.0
+        for factor, what in _FACTORS:
+            if abs(ratio / factor - 1.0) < 0.02:
+                raise SessionError(
+                    f"{where}: measured points spread {ratio:.4g} times as far as nominal ones{along}; {what}?"
+                )
+    whole = good.all(axis=1)
+    hint = "are the columns and the order of the points right?"
+    if not aligned:
+        hint = "points measured in another frame need --align"
+    elif whole.sum() > 3:
+        mirrored = measured[whole] * [1.0, 1.0, -1.0]
+        rotation, shift = best_motion(mirrored, nominal[whole])
+        rest = mirrored @ rotation.T + shift - nominal[whole]
+        if np.sqrt(np.mean(rest**2)) < _POOR * extent:
+            hint = "they fit once mirrored: one of the two frames is left-handed"
+    raise SessionError(f"{where}: measured points are {spread * 1e3:.4g} mm (RMS) from nominal ones; {hint}")
+
+
+def check_deviations(deviation: Array, position: Array, where: str) -> None:
+    """Refuse deviations that no machine tool has over its travel.
+
+    Args:
+        deviation: (n,) m, NaN where missing.
+        position: (n,) along the axis that was moved, or (n, 3), m.
+        where: for messages.
+
+    Raises:
+        SessionError: they spread too far; most often their unit is another.
+    """
+    good = np.isfinite(deviation)
+    extent = float(np.max(np.ptp(position, axis=0))) if len(position) else 0.0
+    spread = float(np.std(deviation[good])) if good.any() else 0.0
+    if spread > _POOR * extent > 0.0:
+        raise SessionError(
+            f"{where}: deviations spread {1e3 * spread:.4g} mm over {1e3 * extent:.4g} mm of travel; "
+            "is their unit right?"
+        )
+
+
+def _centred(points: Array, good: np.ndarray) -> Array:
+    kept = np.where(good, points, 0.0)
+    middle = kept.sum(axis=0) / np.maximum(good.sum(axis=0), 1)
+    return np.where(good, points - middle, 0.0)
+
+
+_AXES = ("x", "y", "z")
+_MEASURED = tuple(f"{what}_{axis}" for what in ("actual", "deviation") for axis in _AXES)
+
+
+def point_rows(columns: Columns, name: str) -> Rows:
+    """One reading for each point and each direction that was measured.
+
+    The commanded position is the nominal one plus the origin. A reading is the measured minus the nominal coordinate
+    along one axis; where the points were measured in another frame (`align`), after the best shift and turn of each
+    setup, which `datum: rigid` leaves open anyway.
+
+    Args:
+        columns: of the table.
+        name: id of the setup, where no column names it.
+
+    Raises:
+        SessionError: no measured coordinate, an empty nominal one, or points that are not the nominal ones.
+    """
+    mapping, table = columns.mapping, columns.table
+    if mapping.align and mapping.session.get("datum", "rigid") != "rigid":
+        raise SessionError(f"{table.source}: points that are aligned first need datum: rigid")
+    nominal, axes = _nominal(columns)
+    setups = columns.setups(name)
+    deviation, how = _deviation(columns, nominal, setups)
+    sensed = [j for j in range(3) if how[j]]
+    n, k = len(table), len(sensed)
+    origin = np.array([_origin(columns, axis) for axis in _AXES])
+    empty = np.flatnonzero(np.isnan(nominal[:, axes]).any(axis=1))
+    if len(empty):
+        raise SessionError(f"{table.where(int(empty[0]))}: the nominal coordinate is empty")
+    row = np.repeat(np.arange(n), k)
+    numbers: dict[str, Array] = {_AXES[j]: (nominal[:, j] + origin[j])[row] for j in axes}
+    taken = (*_AXES, *_MEASURED, "range", "azimuth", "bearing", "elevation", "zenith")
+    numbers |= {role: values[row] for role, values in columns.others(taken).items()}
+    direction = np.tile(np.eye(3)[sensed], (n, 1))
+    numbers |= {f"g{axis}": direction[:, j] for j, axis in enumerate(_AXES)}
+    sign = -1.0 if mapping.sign == "nominal-minus-actual" and not how[sensed[0]].startswith("actual") else 1.0
+    numbers["displacement"] = sign * deviation[:, sensed].reshape(-1)
+    labels = {"setup": setups[row]}
+    if columns.has("point"):
+        labels["point"] = columns.text("point")[row]
+    ids = list(dict.fromkeys(setups.tolist()))
+    notes = ["each setup's points were shifted and turned onto the nominal ones"] if mapping.align else []
+    return Rows(
+        numbers,
+        labels,
+        row,
+        {"method": "direct", "datum": "rigid", "setups": [{"id": entry} for entry in ids]},
+        tuple(notes),
+    )
+
+
+def _origin(columns: Columns, axis: str) -> float:
+    text = columns.mapping.origin.get(axis)  # type: ignore[call-overload]
+    return 0.0 if text is None else quantity(text, "length", f"origin of {axis}")
+
+
+def _nominal(columns: Columns) -> tuple[Array, list[int]]:
+    """(rows, 3) nominal coordinates, 0 for an axis that has none, and the axes that have them."""
+    axes = [j for j, axis in enumerate(_AXES) if columns.has(axis)]
+    if not axes:
+        columns.need(("x",), "the nominal coordinate")
+    nominal = np.zeros((len(columns.table), 3))
+    for j in axes:
+        nominal[:, j] = columns.number(_AXES[j])
+    return nominal, axes
+
+
+def _deviation(columns: Columns, nominal: Array, setups: np.ndarray) -> tuple[Array, list[str]]:
+    """(rows, 3) measured minus nominal, NaN where missing, and for each axis the column that it comes from or ''."""
+    table, align = columns.table, columns.mapping.align
+    how = ["", "", ""]
+    measured = np.full_like(nominal, np.nan)
+    if has_angles(columns):
+        for role in _MEASURED:
+            if columns.has(role):
+                raise SessionError(f"{table.source}: either {role} or range and angles, not both")
+        measured = station_points(columns)
+        how = ["actual from range and angles"] * 3
+    else:
+        given = [role for role in _MEASURED if columns.has(role)]
+        if not given:
+            columns.need(("actual_x",), "the measured coordinate; or deviation_x, or range with angles")
+        kinds = {role.partition("_")[0] for role in given}
+        if len(kinds) > 1:
+            raise SessionError(f"{table.source}: either actual_… or deviation_…, not both")
+        for role in given:
+            j = _AXES.index(role[-1])
+            if not columns.has(role[-1]):
+                columns.need((role[-1],), f"the nominal coordinate that belongs to {role}")
+            how[j] = role
+            measured[:, j] = columns.number(role) + (nominal[:, j] if role.startswith("deviation") else 0.0)
+        if kinds == {"deviation"}:
+            if align:
+                raise SessionError(f"{table.source}: deviations cannot be aligned; give the measured coordinates")
+            out = measured - nominal
+            for role in given:  # not through the sum, which would round
+                out[:, _AXES.index(role[-1])] = columns.number(role)
+                check_deviations(out[:, _AXES.index(role[-1])], nominal, f"{table.source}, {role}")
+            return out, how
+    if align:
+        measured = _aligned(columns, measured, nominal, setups)
+    for setup in dict.fromkeys(setups.tolist()):
+        mine = setups == setup
+        check_size(measured[mine], nominal[mine], f"{table.source}, setup {setup!r}", aligned=align)
+    return measured - nominal, how
+
+
+def _aligned(columns: Columns, measured: Array, nominal: Array, setups: np.ndarray) -> Array:
+    out = np.full_like(measured, np.nan)
+    for setup in dict.fromkeys(setups.tolist()):
+        mine = np.flatnonzero(setups == setup)
+        whole = mine[np.isfinite(measured[mine]).all(axis=1)]
+        where = f"{columns.table.source}, setup {setup!r}"
+        if len(whole) < 3:
+            raise SessionError(f"{where}: {len(whole)} points with all three coordinates; aligning needs at least 3")
+        rotation, shift = best_motion(measured[whole], nominal[whole])
+        out[whole] = measured[whole] @ rotation.T + shift
+    return out

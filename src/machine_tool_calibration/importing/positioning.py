@@ -1,0 +1,177 @@
+"""Readings by ISO 230-2: deviations at target positions, approached in runs up and down, as direct readings."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.importing.columns import Columns, Rows
+from machine_tool_calibration.importing.mapping import Run
+from machine_tool_calibration.importing.points import check_deviations
+from machine_tool_calibration.importing.text_table import TextTable
+
+__all__ = ["positioning_rows"]
+
+_UP = ("up", "+", "+1", "1", "↑", "forward", "fwd", "positive", "pos", "auf", "vor")
+_DOWN = ("down", "-", "-1", "↓", "reverse", "rev", "backward", "negative", "neg", "ab", "zurück")
+_NAME = re.compile(
+    r"(?:run|lauf|r|j)?\s*(?P<before>\d+)?\s*[\s_./:(]*(?P<sense>[^\d\s_./:()\[\]]+)[\s_./:)]*(?P<after>\d+)?"
+    r"\s*(?:\[[^\]]*\])?",
+    re.IGNORECASE,
+)
+
+
+def positioning_rows(columns: Columns, name: str) -> Rows:
+    """A reading for each deviation: runs in their order, each along the way that it went.
+
+    Args:
+        columns: of the table.
+        name: id of the setup.
+
+    Raises:
+        SessionError: no axis, a run whose direction is not said, an empty position, or a direction that is neither up
+            nor down.
+    """
+    mapping = columns.mapping
+    if mapping.axis is None:
+        raise SessionError(f"{columns.table.source}: which axis was moved is not said, as in --axis x")
+    if mapping.layout == "wide":
+        position, run, up, deviation, row = _wide(columns)
+    else:
+        position, run, up, deviation, row = _long(columns)
+    check_deviations(deviation, position, columns.table.source)
+    sense = mapping.senses or mapping.axis
+    if mapping.sign == "nominal-minus-actual" and not columns.has("actual"):
+        deviation = -deviation
+    n = len(position)
+    numbers: dict[str, Array] = {mapping.axis: position, f"dir_{mapping.axis}": np.where(up, 1.0, -1.0), "repeat": run}
+    for axis in "xyz":
+        numbers[f"g{axis}"] = np.full(n, float(axis == sense))
+    numbers["displacement"] = deviation
+    taken = ("position", "actual", "deviation", "run", "direction", "repeat", mapping.axis, f"dir_{mapping.axis}")
+    numbers |= {role: values[row] for role, values in columns.others(taken).items()}
+    return Rows(
+        numbers,
+        {"setup": np.full(n, name)},
+        row,
+        {
+            "method": "direct",
+            "datum": "offset",
+            "terms": [f"E{sense.upper()}{mapping.axis.upper()}"],
+            "setups": [{"id": name}],
+            "repeats": int(run.max(initial=0.0)) + 1,
+        },
+    )
+
+
+Series = tuple[Array, Array, np.ndarray, Array, np.ndarray]
+"""Position, run from 0, whether it went up, deviation, and the row in the table."""
+
+
+def _wide(columns: Columns) -> Series:
+    """A column for each run, or a row for each."""
+    table, mapping = columns.table, columns.mapping
+    position = _header(columns) if mapping.transposed else _positions(columns)
+    known = {rule.column for rule in (*mapping.columns.values(), *mapping.extras.values())}
+    names = [str(name) for name in table.cells[:, 0]] if mapping.transposed else list(table.names)
+    runs = mapping.runs or _named(table, [name for name in names if name and name not in known])
+    series: list[Series] = []
+    count = {"up": 0, "down": 0}
+    for entry in runs:
+        what = f"run {count[entry.direction] + 1} {entry.direction}"
+        unit = columns.unit_of("deviation", entry.column)
+        columns.read[what] = (entry.column, unit)
+        if mapping.transposed:
+            at = _row(table, names, entry.column, what)
+            values = table.parsed(table.cells[at, 1:].astype(np.str_), what, unit, [table.lines[at]] * len(position))
+            row = np.full(len(position), at)
+        else:
+            values, row = table.numbers(entry.column, what, unit), np.arange(len(table))
+        order = np.argsort(position, kind="stable")
+        if entry.direction == "down":
+            order = order[::-1]
+        number = np.full(len(order), float(count[entry.direction]))
+        count[entry.direction] += 1
+        up = np.full(len(order), entry.direction == "up")
+        series.append((position[order], number, up, values[order], row[order]))
+    position, number, up, values, row = (np.concatenate(parts) for parts in zip(*series, strict=True))
+    return position, number, up, values, row
+
+
+def _positions(columns: Columns) -> Array:
+    columns.need(("position",), "the target position")
+    return columns.filled("position", columns.number("position"))
+
+
+def _header(columns: Columns) -> Array:
+    """Target positions from the header, without its first name."""
+    table = columns.table
+    unit = columns.unit_of("position", table.names[0])
+    columns.read["position"] = ("(the header)", unit)
+    cells = np.array(table.names[1:], dtype=np.str_)
+    values = table.parsed(cells, "position in the header", unit, [table.header_line] * len(cells))
+    if not np.isfinite(values).all():
+        raise SessionError(f"{table.source} line {table.header_line}: a position in the header is empty")
+    return values
+
+
+def _row(table: TextTable, names: list[str], name: str, what: str) -> int:
+    if names.count(name) != 1:
+        raise SessionError(f"{table.source}: {names.count(name)} rows begin with {name!r} ({what})")
+    return names.index(name)
+
+
+def _named(table: TextTable, names: list[str]) -> tuple[Run, ...]:
+    """Runs from the names of their columns, such as `1 up`, `down 2`, `3 -`."""
+    runs = []
+    for name in names:
+        match = _NAME.fullmatch(name.strip())
+        sense = match["sense"].lower() if match else ""
+        if sense in ("1", "-1", "+1") or sense not in _UP + _DOWN:
+            raise SessionError(
+                f"{table.source}: the name {name!r} does not say which run it is (such as '1 up', '1 down'); "
+                "name the runs, as in --up NAME --down NAME"
+            )
+        runs.append(Run(column=name, direction="up" if sense in _UP else "down"))
+    if not runs:
+        raise SessionError(f"{table.source}: no run beside the positions")
+    return tuple(runs)
+
+
+def _long(columns: Columns) -> Series:
+    """A row for each reading, in the file's order."""
+    table = columns.table
+    columns.need(("position", "direction"), "a row for each reading")
+    position = columns.filled("position", columns.number("position"))
+    if columns.has("actual"):
+        deviation = columns.number("actual") - position
+    else:
+        columns.need(("deviation",), "or actual: what was read")
+        deviation = columns.number("deviation")
+    words = np.char.lower(columns.text("direction"))
+    up, down = np.isin(words, _UP), np.isin(words, _DOWN)
+    bad = np.flatnonzero(~(up | down))
+    if len(bad):
+        raise SessionError(f"{table.where(int(bad[0]))}: direction is {str(words[bad[0]])!r}, neither up nor down")
+    if columns.has("run"):
+        run = columns.filled("run", columns.number("run"))
+        wrong = np.flatnonzero(run != np.floor(run))
+        if len(wrong):
+            raise SessionError(f"{table.where(int(wrong[0]))}: run is {run[wrong[0]]:g}, not a whole number")
+        run = run - run.min()
+    else:
+        run = _repetition(position, up)
+    return position, run, up, deviation, np.arange(len(table))
+
+
+def _repetition(position: Array, up: np.ndarray) -> Array:
+    """How often the position was approached from that side before."""
+    seen: dict[tuple[float, bool], int] = {}
+    out = np.zeros(len(position))
+    for k, key in enumerate(zip(np.round(position, 9).tolist(), up.tolist(), strict=True)):
+        out[k] = seen.get(key, 0)
+        seen[key] = seen.get(key, 0) + 1
+    return out

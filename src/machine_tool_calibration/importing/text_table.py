@@ -1,0 +1,260 @@
+"""A text file of rows and columns as it is: every cell a text, every row with its line in the file."""
+
+from __future__ import annotations
+
+import csv
+import io
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from pydantic import BaseModel, ConfigDict, Field
+
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.importing.units import si_values
+from machine_tool_calibration.session.text import reject_foreign_encoding
+
+__all__ = ["FileForm", "TextTable", "read_text_table"]
+
+_LARGEST = 64 << 20  # bytes
+_MOST_COLUMNS = 1000
+_MOST_CELLS = 5_000_000
+_SEPARATORS = {"comma": ",", "semicolon": ";", "tab": "\t", "bar": "|", "space": r"\s+"}
+
+
+class FileForm(BaseModel):
+    """How the text is written.
+
+    Attributes:
+        separator: one character, or its name: comma, semicolon, tab, bar, space (one or more).
+        decimal: point or comma of the numbers.
+        encoding: of the text, such as utf-8 or latin-1.
+        skip: lines before the header.
+        skip_after_header: lines between the header and the numbers, such as one of units.
+        header: whether a line names the columns; otherwise they are called 1, 2, 3 …
+        comment: lines that begin with this are left out.
+        missing: texts that stand for no value, beside the empty cell and nan.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    separator: str = "comma"
+    decimal: str = Field(default=".", pattern=r"^[.,]$")
+    encoding: str = "utf-8"
+    skip: int = Field(default=0, ge=0)
+    skip_after_header: int = Field(default=0, ge=0)
+    header: bool = True
+    comment: str | None = Field(default=None, min_length=1)
+    missing: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """The cells of a file.
+
+    Attributes:
+        source: the file's name, for messages.
+        names: of the columns, in the file's order; they may repeat.
+        cells: (rows, columns) text without spaces at its ends.
+        lines: (rows,) line of each row in the file, from 1.
+        header_line: of the header; of the first row where there is none.
+        form: how numbers are written.
+    """
+
+    source: str
+    names: tuple[str, ...]
+    cells: np.ndarray
+    lines: tuple[int, ...]
+    header_line: int
+    form: FileForm
+
+    def __len__(self) -> int:
+        return len(self.cells)
+
+    def where(self, row: int) -> str:
+        """`file line 5`, for messages."""
+        return f"{self.source} line {self.lines[row]}"
+
+    def index(self, column: str, what: str) -> int:
+        """Place of a column.
+
+        Args:
+            column: its name, or its number from 1 in a file without header.
+            what: what it is wanted for.
+
+        Raises:
+            SessionError: not there, or twice.
+        """
+        places = [j for j, name in enumerate(self.names) if name == column.strip()]
+        if len(places) == 1:
+            return places[0]
+        if places:
+            raise SessionError(
+                f"{self.source}: the column {column!r} ({what}) stands {len(places)} times in the header"
+            )
+        hint = ""
+        if len(self.names) == 1 and any(mark in self.names[0] for mark in ";\t|,"):
+            hint = "; is the separator right?"
+        known = ", ".join(map(repr, self.names[:20]))
+        raise SessionError(f"{self.source}: there is no column {column!r} ({what}); it has {known}{hint}")
+
+    def text(self, column: str, what: str) -> np.ndarray:
+        """(rows,) the cells of a column."""
+        return np.asarray(self.cells[:, self.index(column, what)], dtype=np.str_)
+
+    def numbers(self, column: str, what: str, unit: str = "1") -> Array:
+        """(rows,) the numbers of a column in SI units, NaN where a cell is empty.
+
+        Raises:
+            SessionError: no such column, or a cell that is not a finite number, with its line.
+        """
+        return self.parsed(self.text(column, what), f"column {column!r}", unit)
+
+    def parsed(self, cells: np.ndarray, what: str, unit: str, lines: Sequence[int] | None = None) -> Array:
+        """Numbers of cells, as for `numbers`.
+
+        Args:
+            cells: (n,) text.
+            what: for messages.
+            unit: of the cells.
+            lines: (n,) line of each cell, where they are not those of the rows.
+        """
+        text = pd.Series(cells, dtype=object)
+        missing = text.str.lower().isin(["", "nan", *(word.lower() for word in self.form.missing)])
+        plain = text
+        if self.form.decimal == ",":
+            # a point would be a thousands separator, or the wrong mark: neither is guessed
+            plain = text.where(~text.str.contains(".", regex=False), "?").str.replace(",", ".", regex=False)
+        written = plain.str.fullmatch(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?").to_numpy(dtype=bool)
+        values = si_values(plain.where(written, "nan").tolist(), unit)
+        bad = np.flatnonzero(~np.isfinite(values) & ~missing.to_numpy())
+        if len(bad):
+            row = int(bad[0])
+            line = (self.lines if lines is None else lines)[row]
+            raise SessionError(f"{self.source} line {line}: {what}: {self._shown(str(text[row]))} is not a number")
+        return values
+
+    def _shown(self, text: str) -> str:
+        shown = repr(text if len(text) <= 40 else text[:37] + "...")
+        other = "," if self.form.decimal == "." else "."
+        if other in text and text.replace(other, "", 1).lstrip("+-").isdigit():
+            return f"{shown} (decimal {'comma' if other == ',' else 'point'}?)"
+        return shown
+
+
+def read_text_table(path: Path, form: FileForm) -> TextTable:
+    """The cells of a text file.
+
+    Raises:
+        SessionError: not there, too large, another encoding, no header or no rows, or a row with fewer or more cells
+            than the header has names; one line with file and line.
+    """
+    source = str(path)
+    lines = _lines(path, form)
+    numbered = [(number, text) for number, text in enumerate(lines, start=1) if number > form.skip and text.strip()]
+    if form.comment:
+        numbered = [(number, text) for number, text in numbered if not text.lstrip().startswith(form.comment)]
+    if form.header:
+        numbered = numbered[:1] + numbered[1 + form.skip_after_header :]
+    else:
+        numbered = numbered[form.skip_after_header :]
+    if len(numbered) < (2 if form.header else 1):
+        raise SessionError(f"{source}: no rows{f' after the {form.skip} lines left out' if form.skip else ''}")
+    cells, width = _split(source, [text for _, text in numbered], form)
+    places = [number for number, _ in numbered]
+    names = (
+        tuple(str(name) for name in cells[0, : width[0]])
+        if form.header
+        else tuple(str(j + 1) for j in range(width.max()))
+    )
+    first = 1 if form.header else 0
+    count = len(names)
+    for row in range(first, len(cells)):
+        if width[row] < count or any(cells[row, count:]):
+            raise SessionError(
+                f"{source} line {places[row]}: {width[row]} cells where {'the header' if first else 'another row'} has "
+                f"{count}" + ("; is the separator right?" if count == 1 else "")
+            )
+    return TextTable(source, names, cells[first:, :count], tuple(places[first:]), places[0], form)
+
+
+def _lines(path: Path, form: FileForm) -> list[str]:
+    source = str(path)
+    try:
+        if not path.is_file():
+            raise SessionError(f"{source}: {'is not a file' if path.exists() else 'no such file'}")
+        if path.stat().st_size > _LARGEST:
+            raise SessionError(f"{source}: larger than the {_LARGEST >> 20} MiB that are accepted")
+        data = path.read_bytes()
+    except OSError as error:
+        raise SessionError(f"{source}: cannot be read: {error.strerror}") from None
+    encoding = form.encoding.lower().replace("_", "-")
+    if encoding in ("utf-8", "utf8"):
+        reject_foreign_encoding(data, source)
+        encoding = "utf-8-sig"
+    try:
+        text = data.decode(encoding)
+    except LookupError:
+        raise SessionError(f"{source}: unknown encoding {form.encoding!r}; try utf-8, latin-1 or cp1252") from None
+    except UnicodeDecodeError as error:
+        line = data[: error.start].count(b"\n") + 1
+        raise SessionError(
+            f"{source} line {line}: byte 0x{data[error.start]:02x} is not {form.encoding}; try the encoding latin-1"
+        ) from None
+    if "\0" in text:
+        raise SessionError(f"{source}: NUL characters; the file is no text, or has another encoding than {encoding}")
+    return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+
+
+def _split(source: str, lines: list[str], form: FileForm) -> tuple[np.ndarray, IntArray]:
+    """Cells (lines, most cells) of text, empty where a line has no more, and the number of cells of each line."""
+    separator = _SEPARATORS.get(form.separator, form.separator)
+    spaces = separator == _SEPARATORS["space"]
+    if len(separator) != 1 and not spaces:
+        known = ", ".join(_SEPARATORS)
+        raise SessionError(f"{source}: the separator {form.separator!r} is neither one character nor one of {known}")
+    if separator == form.decimal:
+        raise SessionError(
+            f"{source}: separator and decimal mark are both {separator!r}; with a decimal comma, the columns are "
+            "separated by semicolons or tabs"
+        )
+    if spaces:
+        lines = [text.strip() for text in lines]
+    try:
+        width = np.array([_width(text, separator, spaces) for text in lines], dtype=np.int64)
+        most = int(width.max())
+        if most > _MOST_COLUMNS:
+            raise SessionError(f"{source}: {most} columns, more than the {_MOST_COLUMNS} that are accepted")
+        if most * len(lines) > _MOST_CELLS:
+            raise SessionError(f"{source}: {most * len(lines)} cells, more than the {_MOST_CELLS} that are accepted")
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pd.errors.ParserWarning)  # cells that would be dropped
+            frame = pd.read_csv(
+                io.StringIO("\n".join(lines)),
+                sep=separator,
+                header=None,
+                names=list(range(most)),
+                index_col=False,
+                dtype=object,
+                keep_default_na=False,
+                na_values=[],
+                skip_blank_lines=False,
+            )
+    except (pd.errors.ParserError, pd.errors.ParserWarning, pd.errors.EmptyDataError, csv.Error) as error:
+        raise SessionError(f"{source}: cannot be read as a table: {str(error).splitlines()[0]}") from None
+    if len(frame) != len(lines):
+        raise SessionError(f"{source}: {len(frame)} rows can be read of {len(lines)} lines; check the quotes")
+    cells = [[cell.strip() if isinstance(cell, str) else "" for cell in row] for row in frame.to_numpy().tolist()]
+    return np.array(cells, dtype=object).reshape(len(lines), most), width
+
+
+def _width(text: str, separator: str, spaces: bool) -> int:
+    if spaces:
+        return len(text.split()) if '"' not in text else len(next(csv.reader([" ".join(text.split())], delimiter=" ")))
+    if '"' not in text:
+        return text.count(separator) + 1
+    return len(next(csv.reader([text], delimiter=separator)))

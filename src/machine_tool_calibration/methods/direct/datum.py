@@ -1,0 +1,156 @@
+"""What an instrument that reads deviations leaves open, and only as much datum as the readings need."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.model.model import NotDetermined, Parameter
+
+__all__ = ["SetupDatum", "needed_rows", "setup_datum", "silent_directions"]
+
+
+# Smallest eigenvalue of the normal matrix of unit columns that still counts, as in the solver.
+_RANK = 1e-12
+# Share of a condition along what is still open below which it fixes nothing of it.
+_SHARE = 1e-5
+
+
+def silent_directions(columns: Array) -> tuple[Array, Array]:
+    """Changes of the unknowns that no reading notices.
+
+    Args:
+        columns: (m, n) change of each reading per unit of each unknown.
+
+    Returns:
+        (m, q) orthonormal directions of the scaled unknowns, and (m,) the scales: unknown = scale x scaled unknown.
+    """
+    norms = np.sqrt(np.einsum("mn,mn->m", columns, columns))
+    scale = 1.0 / np.where(norms > 1e-13 * norms.max(initial=1e-300), norms, norms.max(initial=1.0) or 1.0)
+    matrix = (columns @ columns.T) * np.outer(scale, scale)
+    values, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
+    return np.asarray(vectors[:, values <= _RANK * len(norms)]), scale
+
+
+def needed_rows(open_directions: Array, rows: Sequence[Array]) -> tuple[list[int], Array]:
+    """Which conditions each fix a direction that the readings and the conditions before leave open.
+
+    Such a condition can always be met without any reading fitting worse.
+
+    Args:
+        open_directions: (m, q) basis of the open directions.
+        rows: (m,) weights of each candidate, in the order of preference, in the same scaling of the unknowns.
+
+    Returns:
+        Indices of the candidates that are needed, and (m, c) the directions that these fix.
+    """
+    basis = open_directions
+    needed, fixed = [], []
+    for index, row in enumerate(rows):
+        if not basis.shape[1]:
+            break
+        seen = row @ basis
+        size = float(np.linalg.norm(seen))
+        if size <= _SHARE * max(float(np.linalg.norm(row)), 1e-300):
+            continue
+        needed.append(index)
+        # What is still open is orthogonal to what the condition sees.
+        full = np.linalg.svd((seen / size)[:, None], full_matrices=True)[0]
+        fixed.append(basis @ full[:, 0])
+        basis = basis @ full[:, 1:]
+    return needed, np.array(fixed).reshape(len(needed), len(open_directions)).T
+
+
+_SHIFTS = ("shift_x", "shift_y", "shift_z")
+_TURNS = ("turn_a", "turn_b", "turn_c")
+
+
+@dataclass(frozen=True)
+class SetupDatum:
+    """Unknowns of every setup.
+
+    Attributes:
+        kind: none, offset or rigid.
+        columns: (p, n) change of each reading per unit of the p unknowns of its setup.
+        parameters: setups times p, setup after setup.
+        left_out: unknowns that no reading depends on.
+        curvature: (n,) what a finite turn adds to the linear one, m.
+        words: the datum in words.
+    """
+
+    kind: str
+    columns: Array
+    parameters: tuple[Parameter, ...]
+    left_out: tuple[NotDetermined, ...]
+    curvature: Array
+    words: str
+
+
+def setup_datum(
+    kind: str, ids: tuple[str, ...], setup: IntArray, position: Array, direction: Array, reading: Array
+) -> SetupDatum:
+    """The unknowns of the setups.
+
+    Args:
+        kind: none, offset (one unknown per setup) or rigid (shift and turn about the middle of the setup's points).
+        ids: names of the setups.
+        setup: (n,) index of each reading's setup.
+        position: (n, 3) m.
+        direction: (n, 3) unit vectors.
+        reading: (n,) deviations, m.
+    """
+    n = len(setup)
+    if kind == "none":
+        return SetupDatum(kind, np.zeros((0, n)), (), (), np.zeros(n), "deviations are absolute")
+    if kind == "offset":
+        names = tuple(Parameter(f"{name}.offset", "m") for name in ids)
+        return SetupDatum(kind, np.ones((1, n)), names, (), np.zeros(n), "each setup has an unknown offset")
+    count = np.maximum(np.bincount(setup, minlength=len(ids)), 1)
+    total = np.stack([np.bincount(setup, position[:, j], minlength=len(ids)) for j in range(3)], axis=1)
+    arm = position - (total / count[:, None])[setup]
+    columns = np.concatenate([direction.T, np.cross(arm, direction).T])
+    # A turn moves what is at an arm's length; points in a plane leave three of the six without effect.
+    used = np.abs(columns).max(axis=1, initial=0.0) > 1e-9
+    columns[np.abs(columns) < 1e-12] = 0.0
+    labels = [label for label, good in zip(_SHIFTS + _TURNS, used, strict=True) if good]
+    parameters = tuple(
+        Parameter(f"{name}.{label}", "m" if label in _SHIFTS else "rad") for name in ids for label in labels
+    )
+    idle = [label for label, good in zip(_SHIFTS + _TURNS, used, strict=True) if not good]
+    left = tuple(NotDetermined(label, "no reading of any setup depends on it") for label in idle)
+    return SetupDatum(
+        kind,
+        columns[used],
+        parameters,
+        left,
+        _curvature(columns, setup, len(ids), arm, direction, reading),
+        "each setup has an unknown shift, and an unknown turn about the middle of its points",
+    )
+
+
+def _curvature(columns: Array, setup: IntArray, count: int, arm: Array, direction: Array, reading: Array) -> Array:
+    """What the best turn adds to its first order, g . (R - 1 - turn x) arm: a milliradian shortens 1 m by 0.5 um."""
+    out = np.zeros(len(setup))
+    for index in range(count):
+        mine = setup == index
+        if mine.sum() < 6:
+            continue
+        for _ in range(3):
+            motion = np.linalg.lstsq(columns[:, mine].T, reading[mine] - out[mine], rcond=1e-9)[0]
+            out[mine] = np.einsum("nj,nj->n", direction[mine], _second_order(motion[3:], arm[mine]))
+    return out
+
+
+def _second_order(turn: Array, arm: Array) -> Array:
+    """(n, 3) exact rotation of the arms by a rotation vector, less its first order."""
+    angle = float(np.linalg.norm(turn))
+    if angle < 1e-9:
+        return np.zeros_like(arm)
+    unit = turn / angle
+    once = np.cross(unit, arm)
+    # sin(a) - a and 1 - cos(a), without cancellation
+    sine = -(angle**3) / 6 * (1 - angle**2 / 20) if angle < 0.1 else np.sin(angle) - angle
+    return np.asarray(sine * once + 2 * np.sin(angle / 2) ** 2 * np.cross(unit, once))

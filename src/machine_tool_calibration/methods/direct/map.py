@@ -1,0 +1,224 @@
+"""What a fit of direct deviations says: position errors, tables, and the figures of ISO 230-2 runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.methods.direct.datum import SetupDatum
+from machine_tool_calibration.methods.direct.iso230_2 import positioning, positioning_uncertainty
+from machine_tool_calibration.methods.direct.plate import plate_steps
+from machine_tool_calibration.model.fit import Fit
+from machine_tool_calibration.model.model import Term
+from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.model.rigid_body import MachineTable, map_field
+
+__all__ = ["direct_map", "positioning_runs", "sensed_axes"]
+
+
+_ALONG = 0.9999  # cosine between the direction that is read and the axis
+_STILL = 1e-6  # m
+_SAME = 1e-5  # m: commanded positions that are one target
+
+
+def positioning_runs(observations: Observations) -> list[dict[str, Any]]:
+    """Figures of every setup in which one linear axis was read along itself, in both directions or repeatedly.
+
+    Returns:
+        For each such setup its id, the axis, the fields of `iso230_2.Positioning`, and the expanded
+        uncertainties (k = 2) of its figures, `B_U` and so on, as far as the runs tell them.
+    """
+    out = []
+    for index, name in enumerate(observations.session.setup_ids):
+        mine = np.flatnonzero(observations.readings.setup == index)
+        axis = _axis_read(observations, mine)
+        if axis is None:
+            continue
+        position, direction = _approach(observations, mine, axis)
+        if len(np.unique(position)) < 2 or (abs(direction.sum()) == len(mine) and _single(position)):
+            continue
+        sense = observations.direction[mine, axis]
+        deviation = observations.readings.displacement[mine] * np.sign(sense)
+        figures = positioning(position, direction, deviation)
+        expanded = {f"{key}_U": value for key, value in positioning_uncertainty(figures).items()}
+        told = {"setup": name, "axis": "XYZ"[axis], **asdict(figures), **expanded}
+        if expanded:
+            told["note"] = "U is from the repeatability of the runs alone; that of the instrument comes on top."
+        out.append(told)
+    return out
+
+
+def _axis_read(observations: Observations, mine: IntArray) -> int | None:
+    """The axis along which all readings sense, if it alone moves."""
+    if len(mine) < 4:
+        return None
+    moved = np.ptp(observations.position[mine], axis=0) > _STILL
+    along = np.abs(observations.direction[mine]).min(axis=0) > _ALONG
+    if moved.sum() != 1 or not along[int(np.argmax(moved))]:
+        return None
+    return int(np.argmax(moved))
+
+
+def _approach(observations: Observations, mine: IntArray, axis: int) -> tuple[Array, Array]:
+    """Target positions, those within a hair made equal, and signs of approach."""
+    place = observations.position[mine, axis]
+    order = np.argsort(place, kind="stable")
+    step = np.r_[0, np.cumsum(np.diff(place[order]) > _SAME)]
+    group = np.empty(len(place), dtype=np.int64)
+    group[order] = step
+    target = (np.bincount(group, place) / np.bincount(group))[group]
+    recorded = observations.readings.columns.get(f"dir_{'xyz'[axis]}")
+    if recorded is not None and np.isin(recorded[mine], (-1.0, 1.0)).all():
+        return target, recorded[mine]
+    # Without it: the sign of the move to the reading; the second reading at a turning point comes from beyond.
+    move = np.sign(np.diff(group, prepend=group[0] - 1))
+    for k in np.flatnonzero(move == 0):
+        following = np.flatnonzero(np.diff(group[k:]) != 0)
+        move[k] = np.sign(group[k + 1 + following[0]] - group[k]) if len(following) else -move[k - 1]
+    return target, move.astype(float)
+
+
+def _single(position: Array) -> bool:
+    """Whether no position was read twice."""
+    return bool(np.unique(position, return_counts=True)[1].max() < 2)
+
+
+_LOOSE = 1e-9
+# Component of a unit direction below which a reading does not sense an axis: a beam that is a little off it.
+_ACROSS = 1e-2
+
+
+def sensed_axes(direction: Array) -> BoolArray:
+    """(3,) which machine axes any of the unit directions (n, 3) has a component along."""
+    return np.asarray(np.abs(direction).max(axis=0, initial=0.0) > _ACROSS)
+
+
+def direct_map(
+    observations: Observations,
+    tables: Sequence[MachineTable],
+    setups: SetupDatum,
+    effects: Sequence[Term],
+    fixed: Array,
+    fit: Fit,
+) -> ErrorMap:
+    """The contract's content for `direct`.
+
+    What the setups' unknowns leave open is taken out of the position errors by least squares over the points, so that
+    neither the errors nor their uncertainties hinge on a single node. A direction that no reading senses is NaN
+    everywhere: a term or an effect may move it, but nothing was measured there.
+
+    Args:
+        observations: the readings.
+        tables: machine errors in the model.
+        setups: what each setup leaves open.
+        effects: terms of added effects, which follow those of the tables; only displacements count.
+        fixed: (unknowns, q) what the readings leave open of setups and tables and the datum fixes.
+        fit: of the model.
+    """
+    own, n = len(setups.parameters), len(observations)
+    fields = [map_field(tables, observations.position)]
+    for term in effects:
+        size = len(term.parameters)
+        fields.append(np.zeros((size, n, 3)) if term.field is None else term.field)
+    # What is not sensed has no part in the map's least squares, and tells no states of an effect apart.
+    sensed = sensed_axes(observations.direction)
+    fields = [one * sensed for one in fields]
+    field = np.concatenate(fields)
+    first = _states(observations.position, np.concatenate([np.zeros((0, n, 3)), *fields[1:]]))
+    points, field = observations.position[first], field[:, first]
+    flat = field.reshape(len(field), 3 * len(points))
+    mine = slice(own, own + len(field))
+    common = _common(flat[: len(fields[0])].T @ fixed[own:], setups, points, observations.direction)
+    if common.shape[1]:
+        flat = flat - (common @ np.linalg.lstsq(common, flat.T, rcond=1e-9)[0]).T
+    error = (fit.theta[mine] @ flat).reshape(-1, 3)
+    parts = flat.reshape(len(field), len(points), 3)
+    covariance = np.einsum("knd,kl,lne->nde", parts, fit.covariance[mine, mine], parts, optimize=True)
+    loose = np.linalg.norm(flat.T @ fit.solution.loose_directions()[fit.places][mine], axis=1).reshape(-1, 3) > _LOOSE
+    loose |= ~sensed
+    error = np.where(loose, np.nan, error)
+    uncertainty = np.where(loose, np.nan, np.sqrt(np.einsum("nii->ni", covariance).clip(0.0)))
+    covariance = np.where(loose.any(axis=1)[:, None, None], np.nan, covariance)
+    content: dict[str, Any] = {
+        "points": points,
+        "position_error": error,
+        "position_error_u": uncertainty,
+        "tables": _tables(tables, fit, own),
+        "spread_over_declared": float(np.sqrt(fit.joint.reduced_chi_square)),
+        "scatter": _scatter(observations, fit),
+        "datum": _words(setups, bool(common.shape[1])),
+    }
+    runs = positioning_runs(observations)
+    if runs:
+        content["iso230_2"] = runs
+    steps = plate_steps(observations, setups)
+    if steps is not None:
+        content["plate"] = steps
+    return ErrorMap(content, points, error, uncertainty, covariance)
+
+
+def _scatter(observations: Observations, fit: Fit) -> dict[str, Any]:
+    """What the readings scatter about the model, what was declared, and on which the standard uncertainties rest."""
+    declared, ratio = observations.session.sigma, float(np.sqrt(fit.joint.reduced_chi_square))
+    return {
+        "declared": declared,
+        "found": ratio * declared,
+        "uncertainties_from": "scatter" if fit.scatter_factor > 1.0 else "declared",
+        "factor": fit.scatter_factor,
+    }
+
+
+def _words(setups: SetupDatum, reduced: bool) -> str:
+    what = {"none": "the tables share", "offset": "the offsets leave open", "rigid": "shifts and turns leave open"}[
+        setups.kind
+    ]
+    if not reduced:
+        return setups.words
+    return f"{setups.words}; position errors hold nothing of what {what} (least squares over the points)"
+
+
+def _common(tables: Array, setups: SetupDatum, points: Array, direction: Array) -> Array:
+    """(3 n, q) displacements of all points that the setups' unknowns leave open, of unit size.
+
+    Directions that no reading senses are left out. Beside what the tables can follow, these are shift and turn of
+    everything; with offsets, a shift along the direction that was read, if there is only one.
+    """
+    n = len(points)
+    parts = [tables]
+    if setups.kind == "rigid":
+        arm = points - points.mean(axis=0)
+        shifts = np.tile(np.eye(3), (n, 1))
+        turns = np.stack([np.cross(np.eye(3)[j], arm) for j in range(3)], axis=-1).reshape(3 * n, 3)
+        seen = np.tile(sensed_axes(direction), n)[:, None]
+        parts += [shifts * seen, turns * seen]
+    elif setups.kind == "offset" and np.allclose(np.abs(direction @ direction[0]), 1.0, atol=1e-9):
+        parts.append(np.tile(direction[0] * sensed_axes(direction), n)[:, None])
+    common = np.concatenate(parts, axis=1)
+    size = np.linalg.norm(common, axis=0)
+    return np.asarray(common[:, size > 1e-9] / size[size > 1e-9])
+
+
+def _states(position: Array, field: Array) -> IntArray:
+    """The first reading of each position, once for every different state of the effects there."""
+    key = np.concatenate([np.round(position * 1e9), field.transpose(1, 0, 2).reshape(len(position), -1)], axis=1)
+    return np.sort(np.unique(key, axis=0, return_index=True)[1])
+
+
+def _tables(tables: Sequence[MachineTable], fit: Fit, first: int) -> dict[str, Any]:
+    """Nodes, values and uncertainties of each error motion; value and uncertainty of a squareness."""
+    sigma = np.sqrt(np.diag(fit.covariance).clip(0.0))
+    theta, sigma = np.where(fit.determined, fit.theta, np.nan), np.where(fit.determined, sigma, np.nan)
+    out: dict[str, Any] = {}
+    for table in tables:
+        mine = slice(first, first + len(table.labels))
+        first = mine.stop
+        if table.is_squareness:
+            out[table.name] = {"value": theta[mine][0], "value_u": sigma[mine][0]}
+        else:
+            out[table.name] = {"nodes": table.nodes, "value": theta[mine], "value_u": sigma[mine]}
+    return out

@@ -1,0 +1,324 @@
+"""Whether several sessions of one machine agree; if not, which contradicts the others and in which error motion.
+
+For every session and every unknown of the machine that it shares, the joint model is given a difference between what
+this session sees and what the others see: a smooth function of the axis's position, and only where both have read,
+as nothing is known of a difference elsewhere. How much better all readings then
+fit is a chi-square of as many degrees of freedom as the difference has beside the session's own unknowns. The readings'
+own spread counts: where they scatter more than was declared, by the sessions' fits one by one, a contradiction must
+exceed that. The largest is taken into the model before the next is looked for, so that one contradiction is not
+reported under several names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import special
+
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.effects.error_motion import polynomials
+from machine_tool_calibration.estimation.normal import covariance_root
+from machine_tool_calibration.estimation.reduction import project
+from machine_tool_calibration.estimation.solve import gram
+from machine_tool_calibration.machine.error_motions import SQUARENESS, interpolation, parse_motion
+from machine_tool_calibration.methods.joint.model import CommonModels
+from machine_tool_calibration.model.fit import JointFit
+from machine_tool_calibration.model.model import MethodModel, Parameter, Term, assemble
+
+__all__ = ["Agreement", "Contradiction", "agreement"]
+
+_LEVEL = 0.01
+_ROUNDS = 3
+_DEGREE = 4
+_CLEAR = 3.0
+# Share of the best explanation's logarithm of probability above which another is named beside it.
+_ALIKE = 0.7
+# Share of a term's largest change of a reading below which a reading does not depend on it.
+_NOTHING = 1e-6
+# Positions at which a difference is looked at, and how near to each other ranges touch, m.
+_PLACES = 21
+_SAME = 1e-6
+# Share of a difference's columns outside the model below which the session's own unknowns take it up.
+_ABSORBED = 1e-6
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """A session that sees an error motion otherwise than the others.
+
+    Attributes:
+        session: its label.
+        others: labels of the sessions that see the same motion.
+        motion: the error motion or effect.
+        alike: other motions with which this contradiction could be explained nearly as well.
+        difference: session minus others, where it is largest and more than three standard uncertainties, of all
+            positions that both have read, m or rad.
+        difference_u: its standard uncertainty.
+        unit: m, rad or that of the effect's coefficient.
+        p_value: of the chi-square, times the number of comparisons (Bonferroni).
+    """
+
+    session: str
+    others: tuple[str, ...]
+    motion: str
+    alike: tuple[str, ...]
+    difference: float
+    difference_u: float
+    unit: str
+    p_value: float
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Whether sessions agree.
+
+    Attributes:
+        comparisons: number of pairs of session and motion that could be compared.
+        p_value: smallest, times the number of comparisons; None where nothing is shared.
+        spread: factor by which the readings of the sessions scatter more than declared, 1 at least.
+        contradictions: the largest first.
+        statement: in one sentence each.
+    """
+
+    comparisons: int
+    p_value: float | None
+    spread: float
+    contradictions: tuple[Contradiction, ...]
+    statement: str
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    session: int
+    motion: str
+    unit: str
+    others: tuple[int, ...]
+    columns: Array  # (k, n) of the session's readings
+    shape: Array  # (values, k) the difference where both have read, per unit of the columns' coefficients
+
+
+def agreement(joint: JointFit, common: CommonModels, labels: Sequence[str], spread: float) -> Agreement:
+    """Compare the sessions of a joint fit.
+
+    Args:
+        joint: the fit.
+        common: its models.
+        labels: of the sessions.
+        spread: reduced chi-square of the sessions fitted one by one, all together.
+    """
+    candidates = _candidates(common.models)
+    if not candidates:
+        return Agreement(0, None, 1.0, (), "the sessions share no error motion that could be compared")
+    matrix, vector, start, size = _scores(joint, labels, candidates)
+    factor = max(1.0, spread)
+    pending = list(range(len(candidates)))
+    found: list[Contradiction] = []
+    smallest, count = 1.0, 0
+    for round_ in range(_ROUNDS):
+        tests = [(k, *_test(matrix, vector, _where(start, k), size)) for k in pending]
+        tests = [(k, chi, rank) for k, chi, rank in tests if rank]
+        if not tests:
+            break
+        logs = [_log_tail(chi / factor, rank) for _, chi, rank in tests]
+        best = int(np.argmin(logs))
+        p = min(1.0, float(np.exp(logs[best])) * len(tests))
+        if round_ == 0:
+            smallest, count = p, len(tests)
+        if p > _LEVEL:
+            break
+        chosen = tests[best][0]
+        value, uncertainty = _difference(matrix, vector, _where(start, chosen), size, candidates[chosen])
+        entry = candidates[chosen]
+        partners = {entry.session, *entry.others}
+        alike = [
+            candidates[k].motion
+            for (k, _, _), log in zip(tests, logs, strict=True)
+            if log < _ALIKE * logs[best] and candidates[k].session in partners and candidates[k].motion != entry.motion
+        ]
+        found.append(
+            Contradiction(
+                labels[entry.session],
+                tuple(labels[k] for k in entry.others),
+                entry.motion,
+                tuple(dict.fromkeys(alike)),
+                value,
+                uncertainty * np.sqrt(factor),
+                entry.unit,
+                p,
+            )
+        )
+        matrix, vector = _taken_in(matrix, vector, _where(start, chosen), size)
+        pending = [k for k in pending if k != chosen and candidates[k].columns.size]
+    if not found:
+        text = (
+            f"the sessions agree: of {count} comparisons the worst has p = {smallest:.2g}"
+            if count
+            else "the sessions share no error motion that could be compared"
+        )
+        return Agreement(count, smallest, float(np.sqrt(factor)), (), text)
+    text = "; ".join(_sentence(entry) for entry in found)
+    if any(len(entry.others) == 1 for entry in found):
+        text += " (two sessions alone cannot tell which of them is wrong)"
+    return Agreement(count, smallest, float(np.sqrt(factor)), tuple(found), text)
+
+
+def _log_tail(chi_square: float, rank: int) -> float:
+    """Logarithm of the probability of a chi-square at least so large, also where that is zero in floating point."""
+    tail = float(special.chdtrc(rank, chi_square))
+    if tail > 0:
+        return float(np.log(tail))
+    half, a = chi_square / 2, rank / 2
+    return float((a - 1) * np.log(half) - half - special.gammaln(a))
+
+
+def _sentence(entry: Contradiction) -> str:
+    scale, unit = (1e6, {"m": "µm", "rad": "µrad"}[entry.unit]) if entry.unit in ("m", "rad") else (1.0, entry.unit)
+    motion = entry.motion if not entry.alike else f"{entry.motion} (or {', '.join(entry.alike)})"
+    size = f"{abs(entry.difference) * scale:.3g} ± {2 * entry.difference_u * scale:.2g} {unit} (k = 2)"
+    if len(entry.others) == 1:
+        pair = f"sessions {entry.session!r} and {entry.others[0]!r}"
+        return f"{pair} contradict each other in {motion} by {size}"
+    return f"session {entry.session!r} contradicts the others in {motion} by {size}"
+
+
+def _candidates(models: Sequence[MethodModel]) -> list[_Candidate]:
+    out = []
+    for index, model in enumerate(models):
+        for term in model.terms:
+            seen = _seen(term)
+            also = {j: seen & _seen_of(models[j], term.name) for j in range(len(models)) if j != index}
+            common = [k for k, p in enumerate(term.parameters) if any(p.name in names for names in also.values())]
+            others = [j for j, names in also.items() if names]
+            read = {j: both for j in others if (both := _read_by_both(model, models[j], term.name)) is not None}
+            if not common or not read:
+                continue
+            mix, shape = _difference_of(model, term, common, np.concatenate(list(read.values())))
+            unit = term.parameters[common[0]].unit
+            out.append(_Candidate(index, term.name, unit, tuple(read), mix.T @ term.columns, shape))
+    return out
+
+
+def _seen(term: Term) -> set[str]:
+    """The machine's unknowns of a term on which a session's readings depend."""
+    size = np.abs(term.columns).max(axis=1, initial=0.0)
+    return {p.name for p, s in zip(term.parameters, size, strict=True) if p.shared and s > _NOTHING * size.max()}
+
+
+def _seen_of(model: MethodModel, name: str) -> set[str]:
+    return set[str]().union(*(_seen(term) for term in model.terms if term.name == name))
+
+
+def _read_by_both(one: MethodModel, other: MethodModel, name: str) -> Array | None:
+    """Positions on an error motion's axis between which two sessions both depend on it, m; None if there are none.
+
+    Empty where the term is no error motion of a linear axis: it has no position.
+    """
+    if not _is_motion(name):
+        return np.empty(0)
+    axis = "XYZ".index(parse_motion(name).axis)
+    ends = []
+    for model in (one, other):
+        columns = np.concatenate([term.columns for term in model.terms if term.name == name])
+        there = np.abs(columns).max(axis=0) > _NOTHING * np.abs(columns).max()
+        at = model.observations.position[there, axis]
+        ends.append((float(at.min()), float(at.max())))
+    low, high = max(e[0] for e in ends), min(e[1] for e in ends)
+    return np.linspace(low, high, _PLACES) if low <= high + _SAME else None
+
+
+def _is_motion(name: str) -> bool:
+    return len(name) == 3 and name not in SQUARENESS and name[0] == "E" and name[1] in "XYZABC" and name[2] in "XYZ"
+
+
+def _difference_of(model: MethodModel, term: Term, common: Sequence[int], at: Array) -> tuple[Array, Array]:
+    """A smooth difference in a term: (K, k) its unknowns and (values, k) its values at positions, per coefficient.
+
+    For a table, Legendre polynomials over the nodes that the session sees, or every such node by itself if they are
+    few; for a polynomial, its own; for all else each coefficient by itself.
+
+    Args:
+        model: of the session.
+        term: the error motion or effect.
+        common: which of its unknowns are compared.
+        at: positions that others have read too.
+    """
+    each = np.eye(len(term.parameters))[:, common]
+    table = next((t for t in getattr(model, "tables", None) or () if t.name == term.name), None)
+    if table is not None and len(table.nodes) and table.labels == tuple(p.name for p in term.parameters):
+        shown = interpolation(table.nodes, at).T
+        nodes = table.nodes[common]
+        if len(common) > _DEGREE + 1:
+            middle, half = (nodes[0] + nodes[-1]) / 2, (nodes[-1] - nodes[0]) / 2
+            each = each @ np.polynomial.legendre.legvander((nodes - middle) / half, _DEGREE)
+        return each, shown @ each
+    if at.size and all(p.name.startswith(f"{term.name}.p") for p in term.parameters):
+        axis = parse_motion(term.name).axis.lower()
+        degrees = [int(p.name.rpartition(".p")[2]) - 1 for p in term.parameters]
+        return each, polynomials(at, model.observations.span(axis))[:, degrees] @ each
+    return each, each[common]
+
+
+def _scores(
+    joint: JointFit, labels: Sequence[str], candidates: Sequence[_Candidate]
+) -> tuple[Array, Array, IntArray, Array]:
+    """Inner products of all differences, the joint model projected off, and with the residuals."""
+    models = list(joint.assembly.models)
+    names: list[str] = []
+    for number, entry in enumerate(candidates):
+        own = [f"difference {number}.{k}" for k in range(len(entry.columns))]
+        names += [f"{labels[entry.session]}/{name}" for name in own]
+        term = Term(f"difference {number}", tuple(Parameter(name, "1") for name in own), entry.columns)
+        models[entry.session] = models[entry.session].with_terms([term])
+    bare = [replace(model, constraints=(), priors=model.priors) for model in models]
+    wide = assemble(bare, labels)
+    place = {p.name: k for k, p in enumerate(wide.parameters)}
+    old = np.array([place[p.name] for p in joint.assembly.parameters])
+    new = np.array([place[name] for name in names])
+    theta = np.zeros(len(wide.parameters))
+    theta[old] = joint.solution.theta
+    total, squares = gram(wide.problem, theta, joint.solution.local)
+    order = np.concatenate([old, new, [len(theta)]])
+    total, squares = total[np.ix_(order, order)], squares[order]
+    half = covariance_root(total, squares, joint.assembly.problem.constraints)
+    projected = project(total, squares, half, len(new))
+    start = np.cumsum([0, *(len(entry.columns) for entry in candidates)])
+    return projected.gram[:-1, :-1], projected.gram[:-1, -1], start, projected.squares[:-1]
+
+
+def _where(start: IntArray, k: int) -> slice:
+    return slice(int(start[k]), int(start[k + 1]))
+
+
+def _inverse(matrix: Array, where: slice, size: Array) -> tuple[Array, int]:
+    """Pseudo-inverse of the block, without what the model takes up, and its rank."""
+    scale = 1.0 / np.sqrt(np.maximum(size[where], 1e-300))
+    block = matrix[where, where] * np.outer(scale, scale)
+    values, vectors = np.linalg.eigh((block + block.T) / 2)
+    good = values > _ABSORBED
+    half = vectors[:, good] / np.sqrt(values[good]) * scale[:, None]
+    return half @ half.T, int(good.sum())
+
+
+def _test(matrix: Array, vector: Array, where: slice, size: Array) -> tuple[float, int]:
+    inverse, rank = _inverse(matrix, where, size)
+    return float(vector[where] @ inverse @ vector[where]), rank
+
+
+def _difference(matrix: Array, vector: Array, where: slice, size: Array, entry: _Candidate) -> tuple[float, float]:
+    """The largest difference that is clearly one, and its standard uncertainty."""
+    inverse, _ = _inverse(matrix, where, size)
+    value = entry.shape @ (inverse @ vector[where])
+    uncertainty = np.sqrt(np.einsum("vi,ij,vj->v", entry.shape, inverse, entry.shape).clip(0.0))
+    ratio = np.abs(value) / np.maximum(uncertainty, 1e-300)
+    clear = ratio > min(_CLEAR, float(ratio.max()) * 0.999)
+    worst = int(np.argmax(np.where(clear, np.abs(value), -1.0)))
+    return float(value[worst]), float(uncertainty[worst])
+
+
+def _taken_in(matrix: Array, vector: Array, where: slice, size: Array) -> tuple[Array, Array]:
+    """The same with one difference taken into the model."""
+    inverse, _ = _inverse(matrix, where, size)
+    cross = matrix[:, where] @ inverse
+    return matrix - cross @ matrix[where], vector - cross @ vector[where]

@@ -1,0 +1,234 @@
+"""One error map of several sessions, and what its straight lines between nodes may be wrong by."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.machine.error_motions import parse_motion
+from machine_tool_calibration.methods.direct.map import sensed_axes
+from machine_tool_calibration.methods.joint.model import CommonModels, tables_of
+from machine_tool_calibration.methods.joint.small_angles import StatedAngles
+from machine_tool_calibration.model.fit import JointFit
+from machine_tool_calibration.model.model import NotDetermined
+from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.model.rigid_body import MachineTable, map_field
+
+__all__ = ["between_nodes", "joint_map", "squared_bend"]
+
+
+# Positions equal to the micrometre are one.
+_DIGITS = 6
+
+
+def between_nodes(
+    tables: Sequence[MachineTable],
+    theta: Array,
+    covariance: Array,
+    points: Array,
+    read: Mapping[str, Array],
+    known: BoolArray | None = None,
+) -> Array:
+    """(n, 3, 3) covariance of the position error from the tables' straight lines, m^2.
+
+    Args:
+        tables: of the machine.
+        theta: (K,) their values, table after table.
+        covariance: (K, K) of these.
+        points: (n, 3) commanded positions, m; those beyond a table's nodes get nothing.
+        read: by name of a table, positions on its axis at which a session that senses it has read, m; what a straight
+            line is wrong by there shows in its residuals.
+        known: (K,) which values the readings and the datum determine; all if absent. Only these show a bend, and only
+            between two of them that stand next to each other is there a straight line.
+    """
+    out = np.zeros((len(points), 3, 3))
+    first = 0
+    for table in tables:
+        mine = slice(first, first + len(table.labels))
+        first = mine.stop
+        good = np.ones(len(table.labels), dtype=bool) if known is None else known[mine]
+        if table.is_squareness or good.sum() < 3:
+            continue
+        at, nodes = points[:, "XYZ".index(parse_motion(table.name).axis)], table.nodes
+        right = np.clip(np.searchsorted(nodes, at, side="right"), 1, len(nodes) - 1)
+        lever = np.clip(at - nodes[right - 1], 0.0, None) * np.clip(nodes[right] - at, 0.0, None) / 2
+        seen = read.get(table.name, np.empty(0))
+        lever[np.isin(np.round(at, _DIGITS), np.round(seen, _DIGITS))] = 0.0
+        if lever.max(initial=0.0) <= 1e-3 * float(np.ptp(nodes)) ** 2 / len(nodes) ** 2:
+            continue
+        moved = map_field([replace(table, nodes=nodes[:1])], points)[0]
+        bend = squared_bend(nodes[good], theta[mine][good], covariance[mine, mine][np.ix_(good, good)])
+        variance = np.where(good[right - 1] & good[right], lever**2 * bend, 0.0)
+        out += variance[:, None, None] * moved[:, :, None] * moved[:, None, :]
+    return out
+
+
+def squared_bend(nodes: Array, value: Array, covariance: Array) -> float:
+    """Mean square of a table's second derivative, without what the uncertainties of its values add to it.
+
+    Args:
+        nodes: (k,) at least three.
+        value: (k,) at the nodes.
+        covariance: (k, k) of these.
+    """
+    step = np.diff(nodes)
+    k = len(nodes)
+    slope = (np.eye(k)[1:] - np.eye(k)[:-1]) / step[:, None]
+    second = 2 * np.diff(slope, axis=0) / (step[1:] + step[:-1])[:, None]
+    noise = np.einsum("ik,kl,il->i", second, covariance, second)
+    found = (second @ value) ** 2
+    # A motion bends alike all over; where nodes are close together its bend is lost in the uncertainty.
+    weight = 1.0 / np.maximum(noise, 1e-6 * float(noise.max(initial=1e-300))) ** 2
+    return max(float(weight @ (found - noise) / weight.sum()), 0.0)
+
+
+_MOST_POINTS = 5000
+_LOOSE = 1e-9
+# Share of a table's range by which a point may be beyond it, and displacement per unit that counts.
+_SAME = 1e-3
+_MOVES = 1e-9
+
+
+def joint_map(joint: JointFit, common: CommonModels, angles: StatedAngles | None = None) -> ErrorMap:
+    """Tables with their uncertainties, and position errors at the points of all sessions.
+
+    What all readings together leave open is taken out of the position errors by least squares over the points. Where a
+    component depends on a table beyond its nodes, which a session reached that cannot tell it there, it has no value;
+    where it depends on one between its nodes, what straight lines may be wrong by is in its uncertainty. A direction
+    of the machine that no reading of any session senses has no value either.
+
+    Args:
+        joint: the fit.
+        common: its models.
+        angles: the mean over all sizes of small angular errors, where there are any.
+    """
+    place = {parameter.name: k for k, parameter in enumerate(joint.assembly.parameters)}
+    index = np.array([place[label] for table in common.tables for label in table.labels], dtype=np.int64)
+    solution = joint.published
+    content: dict[str, Any] = {"tables": _tables(common.tables, joint, index)}
+    content |= _rotary(joint)
+    if angles is not None:
+        content |= {"angular_size": angles.size, "angular_probability": angles.probability}
+    points = _points(joint, common)
+    n = len(points)
+    field = map_field(common.tables, points)
+    flat = field.reshape(len(field), 3 * n)
+    beyond, lost = _beyond(common.tables, points)
+    beyond |= ~_sensed(common)
+    inside = ~beyond.reshape(-1)
+    fixed = [common.fixed[label] for table in common.tables for label in table.labels]
+    open_ = flat.T @ np.array(fixed) if fixed else np.zeros((3 * n, 0))
+    size = np.linalg.norm(open_[inside], axis=0)
+    open_ = open_[:, size > 1e-9] / size[size > 1e-9]
+    if open_.shape[1]:
+        flat = flat - (open_ @ np.linalg.lstsq(open_[inside], flat.T[inside], rcond=1e-9)[0]).T
+    error = (solution.theta[index] @ flat).reshape(n, 3)
+    parts = flat.reshape(len(field), n, 3)
+    covariance = np.einsum("knd,kl,lne->nde", parts, solution.covariance[np.ix_(index, index)], parts, optimize=True)
+    covariance += between_nodes(
+        common.tables,
+        solution.theta[index],
+        solution.covariance[np.ix_(index, index)],
+        points,
+        _read(common),
+        solution.is_determined()[index],
+    )
+    loose = np.linalg.norm(flat.T @ solution.loose_directions()[index], axis=1).reshape(n, 3) > _LOOSE
+    loose |= beyond
+    error = np.where(loose, np.nan, error)
+    uncertainty = np.where(loose, np.nan, np.sqrt(np.einsum("nii->ni", covariance).clip(0.0)))
+    covariance = np.where(loose.any(axis=1)[:, None, None], np.nan, covariance)
+    content |= {
+        "points": points,
+        "position_error": error,
+        "position_error_u": uncertainty,
+        "datum": common.datum,
+    }
+    return ErrorMap(content, points, error, uncertainty, covariance, lost)
+
+
+def _sensed(common: CommonModels) -> BoolArray:
+    """(3,) machine axes along which some session senses the errors of the linear axes."""
+    names = {table.name for table in common.tables}
+    told = [m for m in common.models if any(term.name in names and term.columns.any() for term in m.terms)]
+    directions = [m.observations.direction for m in told]
+    return sensed_axes(np.concatenate([np.zeros((0, 3)), *directions]))
+
+
+def _beyond(tables: Sequence[MachineTable], points: Array) -> tuple[BoolArray, tuple[NotDetermined, ...]]:
+    """(n, 3) components of the position error that depend on a table beyond its nodes, and this in words."""
+    out = np.zeros((len(points), 3), dtype=bool)
+    names: dict[tuple[str, float, float], list[str]] = {}
+    for table in tables:
+        if table.is_squareness or len(table.nodes) < 2:
+            continue
+        axis = parse_motion(table.name).axis
+        at, low, high = points[:, "XYZ".index(axis)], float(table.nodes[0]), float(table.nodes[-1])
+        margin = _SAME * (high - low)
+        away = (at < low - margin) | (at > high + margin)
+        moved = np.abs(map_field([replace(table, nodes=table.nodes[:1])], points)[0]) > _MOVES
+        if (away[:, None] & moved).any():
+            out |= away[:, None] & moved
+            names.setdefault((axis.lower(), low, high), []).append(table.name)
+    if not names:
+        return out, ()
+    ranges = [f"{', '.join(motions)} from {a} = {low:g} to {high:g} m" for (a, low, high), motions in names.items()]
+    why = f"{int(out.sum())} of {out.size} values depend on error motions beyond where they are known: "
+    return out, (NotDetermined("error_map.position_error", why + "; ".join(ranges)),)
+
+
+def _read(common: CommonModels) -> dict[str, Array]:
+    """By name of a table, the positions on its axis at which a session that senses it has read."""
+    out = {}
+    for table in common.tables:
+        if not table.is_squareness:
+            axis = "XYZ".index(parse_motion(table.name).axis)
+            told = [m for m in common.models if table.name in {own.name for own in tables_of(m)}]
+            every = [np.empty(0), *(m.observations.position[:, axis] for m in told)]
+            out[table.name] = np.unique(np.concatenate(every))
+    return out
+
+
+def _points(joint: JointFit, common: CommonModels) -> Array:
+    """Distinct places of the functional point of the sessions that have linear axes' errors."""
+    every = [m.observations.position for m in joint.assembly.models if getattr(m, "tables", None)]
+    if not every or not common.tables:
+        return np.zeros((0, 3))
+    points = np.unique(np.round(np.concatenate(every), 9) + 0.0, axis=0)
+    step = -(-len(points) // _MOST_POINTS)
+    return np.asarray(points[::step])
+
+
+def _tables(tables: Sequence[MachineTable], joint: JointFit, index: IntArray) -> dict[str, Any]:
+    good = joint.published.is_determined()[index]
+    value = np.where(good, joint.published.theta[index], np.nan)
+    sigma = np.where(good, np.sqrt(np.diag(joint.published.covariance)[index].clip(0.0)), np.nan)
+    out: dict[str, Any] = {}
+    first = 0
+    for table in tables:
+        mine = slice(first, first + len(table.labels))
+        first = mine.stop
+        if table.is_squareness:
+            out[table.name] = {"value": value[mine][0], "value_u": sigma[mine][0]}
+        else:
+            out[table.name] = {"nodes": table.nodes, "value": value[mine], "value_u": sigma[mine]}
+    return out
+
+
+def _rotary(joint: JointFit) -> dict[str, Any]:
+    """Error motions of rotary axes, where a session measured them."""
+    out: dict[str, Any] = {}
+    good = joint.published.is_determined()
+    sigma = np.sqrt(np.diag(joint.published.covariance).clip(0.0))
+    for index, parameter in enumerate(joint.assembly.parameters):
+        name, _, rest = parameter.name.partition("(")
+        if parameter.shared and rest and len(name) == 3 and name[2] in "ABC":
+            entry = out.setdefault(name, {"nodes": [], "value": [], "value_u": []})
+            entry["nodes"].append(float(rest[:-1]))
+            entry["value"].append(joint.published.theta[index] if good[index] else np.nan)
+            entry["value_u"].append(sigma[index] if good[index] else np.nan)
+    return {"rotary": out} if out else {}

@@ -1,0 +1,301 @@
+"""Models of several sessions of one machine made to speak of the same unknowns.
+
+Every session's model has tables of the machine's error motions at nodes of its own, and only those that it can tell by
+itself. Put together, a table must be the same function for all: the nodes are those of all sessions that have it, and
+a session's readings depend on every motion that any session has and that moves its functional point, also on those
+that it had left out because it could not tell them from others. The angular errors that a step diagonal takes for small
+random functions are such motions too (`joint_spread`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.effects.error_motion import sensed_lever_arms
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.estimation.solve import gram, solve_normal
+from machine_tool_calibration.machine.chain import Chain
+from machine_tool_calibration.machine.error_motions import SQUARENESS, interpolation, parse_motion
+from machine_tool_calibration.methods.direct.datum import needed_rows
+from machine_tool_calibration.methods.joint.small_angles import angles_of, expected, in_words, without_spread
+from machine_tool_calibration.methods.step_diagonal.small_angles import coarse_nodes
+from machine_tool_calibration.model.model import Constraint, MethodModel, Prior, Term, assemble
+from machine_tool_calibration.model.observations import Observations, together
+from machine_tool_calibration.model.rigid_body import MachineTable, linear_axis_errors, machine_terms, table_datum
+
+__all__ = ["CommonModels", "common_models", "machine_columns", "tables_of"]
+
+# Share of the range within which nodes of two sessions are one, and the most nodes of a table.
+_SAME = 1e-3
+_MOST = 61
+_FEW = 31
+_SENSED = 1e-9
+
+
+@dataclass(frozen=True)
+class CommonModels:
+    """Models with the same machine.
+
+    Attributes:
+        models: one for each session, with the datum that all together need.
+        tables: of the machine's linear axes, those that some session senses.
+        fixed: by name of an unknown of the tables, (q,) how it takes part in what all readings leave open and the
+            datum fixes.
+        datum: in words.
+        angles: those of the tables that are expected to be small smooth random functions.
+    """
+
+    models: tuple[MethodModel, ...]
+    tables: tuple[MachineTable, ...]
+    fixed: Mapping[str, Array]
+    datum: str
+    angles: tuple[MachineTable, ...] = ()
+
+
+def common_models(models: Sequence[MethodModel], labels: Sequence[str]) -> CommonModels:
+    """Give models of several sessions the same tables and one datum.
+
+    Args:
+        models: one for each session.
+        labels: names of the sessions.
+
+    Raises:
+        ModelError: the sessions are of machines with different chains.
+    """
+    chains = [model.observations.session.description.machine.kinematics for model in models]
+    linear = [chain for chain in chains if chain.linear]
+    first = next((model for model, chain in zip(models, chains, strict=True) if chain.linear), models[0])
+    for model, chain, label in zip(models, chains, labels, strict=True):
+        if chain.linear and chain != linear[0] and not _compatible(chain, linear[0]):
+            this, before = (m.observations.session.description.machine.chain for m in (model, first))
+            raise ModelError(
+                f"session {label!r} is of a machine with another chain ({this}) than the sessions before it "
+                f"({before}): every session.yaml holds the chain of the whole machine, moved axes and others"
+            )
+    models = _acquainted(models) if len(models) > 1 else models
+    tables = _shared_tables(models, linear[0]) if linear else ()
+    random = {table.name for model in models for table in angles_of(model)}
+    shared = tuple(_with_tables(model, tables) for model in models)
+    angles = tuple(table for table in tables if table.name in random)
+    common = _with_datum(expected(shared, angles), labels, tables)
+    words = "; ".join([common.datum, in_words(angles)]) if angles else common.datum
+    return replace(common, angles=angles, datum=words)
+
+
+def _acquainted(models: Sequence[MethodModel]) -> list[MethodModel]:
+    """The models, told what all sessions have read, so that functions of an axis's position are the same for all."""
+    covered = {}
+    for axis in "xyz":
+        read = [m.observations.readings.columns.get(axis, np.empty(0)) for m in models]
+        every = np.concatenate([values[np.isfinite(values)] for values in read])
+        if every.size:
+            covered[axis] = (float(every.min()), float(every.max()))
+    rigid = frozenset[str]().union(*(sensed_lever_arms(model.observations) for model in models))
+    return [replace(model, observations=replace(model.observations, covered=covered, rigid=rigid)) for model in models]
+
+
+def _compatible(one: Chain, other: Chain) -> bool:
+    """Whether two descriptions name the linear axes alike (a rotary axis may be left out of one)."""
+    return all(
+        tuple(a for a in side if a in "XYZ") == tuple(b for b in same if b in "XYZ")
+        for side, same in ((one.workpiece_side, other.workpiece_side), (one.tool_side, other.tool_side))
+    )
+
+
+def machine_columns(table: MachineTable, observations: Observations) -> Array:
+    """(k, n) change of each reading per unit of each of a table's unknowns, also through the turning of a mirror."""
+    columns = table.columns(observations.position, observations.direction)
+    turned = observations.rotation_direction
+    if turned is None or table.is_squareness or not table.is_rotation:
+        return columns
+    motion = parse_motion(table.name)
+    weights = interpolation(table.nodes, observations.position[:, "XYZ".index(motion.axis)])
+    return np.asarray(columns + weights * turned[:, "ABC".index(motion.component)])
+
+
+def tables_of(model: MethodModel) -> tuple[MachineTable, ...]:
+    """A model's own tables of the linear axes' errors; none for a rotary axis or free targets."""
+    return tuple(getattr(model, "tables", None) or ())
+
+
+def _shared_tables(models: Sequence[MethodModel], chain: Chain) -> tuple[MachineTable, ...]:
+    """Every motion that a session has, on the nodes of all that sense it."""
+    every = [table for model in models for table in (*tables_of(model), *angles_of(model))]
+    names = list(dict.fromkeys([*(table.name for table in every), *_told_together(models, chain)]))
+    random = {table.name for model in models for table in angles_of(model)}
+    out = []
+    for name in names:
+        if name in SQUARENESS:
+            out.append(MachineTable(chain, name, np.empty(0)))
+            continue
+        # Nodes of those that can tell the motion: at further ones it would be mixed with others, and nothing gained.
+        nodes = [table.nodes for table in every if table.name == name]
+        if name in random or not nodes:
+            # Of a random function something is known everywhere, and a straight line beyond its nodes is not that.
+            nodes += [own for model in models if (own := _sensed_nodes(model, name)) is not None]
+        out.append(MachineTable(chain, name, _union(nodes)))
+    return tuple(out)
+
+
+def _told_together(models: Sequence[MethodModel], chain: Chain) -> list[str]:
+    """Error motions that tracking interferometers tell by all their readings, though none of them may by its own.
+
+    A single station senses one direction at each place: it cannot tell an angle from a straightness, which two can.
+    """
+    trackers = [m for m in models if m.observations.session.method == "tracking_interferometer" and tables_of(m)]
+    if len(trackers) < 2:
+        return []
+    nodes: dict[str, list[Array]] = {}
+    for table in (table for model in trackers for table in tables_of(model) if not table.is_squareness):
+        nodes.setdefault(parse_motion(table.name).axis, []).append(table.nodes)
+    candidates = linear_axis_errors(chain, {axis: _union(own) for axis, own in nodes.items()})
+    return [table.name for table in machine_terms(together([m.observations for m in trackers]), candidates)[0]]
+
+
+def _sensed_nodes(model: MethodModel, name: str) -> Array | None:
+    """Nodes for a smooth function where a session's readings depend on an error motion; None where none does."""
+    if not hasattr(model, "tables"):
+        return None
+    axis = "XYZ".index(parse_motion(name).axis)
+    nodes = coarse_nodes(np.unique(np.round(model.observations.position[:, axis], 9)))
+    if len(nodes) < 2:
+        return None
+    own = model.observations.session.description.machine.kinematics
+    columns = machine_columns(MachineTable(own, name, nodes), model.observations)
+    return nodes if np.abs(columns).max() > _SENSED else None
+
+
+def _union(nodes: Iterable[Array]) -> Array:
+    every = np.unique(np.round(np.concatenate(list(nodes)), 9)) + 0.0
+    same = max(_SAME * float(np.ptp(every)), 1e-9)
+    kept = [float(every[0])]
+    for value in every[1:]:
+        if value - kept[-1] > same:
+            kept.append(float(value))
+    out = np.array(kept)
+    if len(out) <= _MOST:
+        return out
+    return np.unique(out[np.abs(out[:, None] - np.linspace(out[0], out[-1], _FEW)).argmin(axis=0)])
+
+
+def _with_tables(model: MethodModel, tables: Sequence[MachineTable]) -> MethodModel:
+    """The model with the shared tables in place of its own; its other conditions said of the new unknowns."""
+    own = tables_of(model)
+    if not hasattr(model, "tables"):
+        return model
+    model = without_spread(model)
+    kept, terms = [], []
+    # The lever arms of each session end at its own functional point.
+    chain = model.observations.session.description.machine.kinematics
+    for table in (replace(shared, chain=chain) for shared in tables):
+        columns = machine_columns(table, model.observations)
+        if np.abs(columns).max(initial=0.0) > _SENSED:
+            kept.append(table)
+            terms.append(Term(table.name, table.parameters, columns))
+    translate = _translation(own, kept)
+    rest = model.terms[len(own) :]
+    changed: dict[str, object] = {
+        "tables": tuple(kept),
+        "terms": (*terms, *rest),
+        "constraints": tuple(
+            Constraint(weights, c.value) for c in model.constraints if (weights := _translated(c.weights, translate))
+        ),
+        "priors": tuple(
+            Prior(weights, p.value, p.sigma) for p in model.priors if (weights := _translated(p.weights, translate))
+        ),
+    }
+    left = {table.name for table in kept}
+    changed["left_out"] = tuple(entry for entry in model.left_out if entry.name not in left)
+    return replace(model, **changed)  # type: ignore[arg-type]
+
+
+def _translation(own: Sequence[MachineTable], new: Sequence[MachineTable]) -> dict[str, dict[str, float]]:
+    """Each of a model's own unknowns of tables as a weighted sum of the new ones."""
+    by_name = {table.name: table for table in new}
+    out: dict[str, dict[str, float]] = {}
+    for table in own:
+        target = by_name.get(table.name)
+        for k, label in enumerate(table.labels):
+            if target is None:
+                out[label] = {}
+            elif table.is_squareness:
+                out[label] = {label: 1.0}
+            else:
+                weights = interpolation(target.nodes, table.nodes[k : k + 1])[:, 0]
+                out[label] = {n: float(w) for n, w in zip(target.labels, weights, strict=True) if abs(w) > 1e-9}
+    return out
+
+
+def _translated(weights: Mapping[str, float], translate: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
+    out: dict[str, float] = {}
+    for name, weight in weights.items():
+        for new, share in translate.get(name, {name: 1.0}).items():
+            out[new] = out.get(new, 0.0) + weight * share
+    return {name: weight for name, weight in out.items() if abs(weight) > 1e-12}
+
+
+def _with_datum(models: Sequence[MethodModel], labels: Sequence[str], tables: Sequence[MachineTable]) -> CommonModels:
+    """The models with those conditions on the machine that all readings together need."""
+    own: list[list[Constraint]] = []
+    candidates: list[tuple[int, Constraint]] = []
+    for index, model in enumerate(models):
+        shared = {p.name for p in model.parameters if p.shared}
+        own.append([c for c in model.constraints if not shared & set(c.weights)])
+        sensed = {table.name for table in tables_of(model)}
+        datum = table_datum([table for table in tables if table.name in sensed])
+        candidates += [(index, c) for c in datum]
+        candidates += [(index, c) for c in model.constraints if shared & set(c.weights)]
+    order = sorted(range(len(candidates)), key=lambda k: _preference(candidates[k][1], tables))
+    candidates = [candidates[k] for k in order]
+    bare = [replace(model, constraints=tuple(own[k])) for k, model in enumerate(models)]
+    assembly = assemble(bare, labels)
+    m = assembly.problem.size
+    zero = [np.zeros((part.dimension, part.n_points)) for part in assembly.problem.parts]
+    total, squares = gram(assembly.problem, np.zeros(m), zero)
+    problem = assembly.problem
+    normal = solve_normal(total[:m, :m], total[:m, m], problem.constraints, problem.constraint_values, squares[:m])
+    # An unknown of which there is no reading (a setup that was declared and never read) counts like any other.
+    size = np.sqrt(squares[:m])
+    typical = float(size.max(initial=0.0)) or 1.0
+    scale = 1.0 / np.where(size > 1e-13 * typical, size, typical)
+    basis = np.linalg.qr(normal.undetermined / scale[:, None])[0] if normal.undetermined.size else np.zeros((m, 0))
+    places = [
+        dict(zip((p.name for p in model.parameters), where, strict=True))
+        for model, where in zip(bare, assembly.places, strict=True)
+    ]
+    rows = []
+    for index, constraint in candidates:
+        row = np.zeros(m)
+        for name, weight in constraint.weights.items():
+            row[places[index][name]] += weight
+        rows.append(row * scale)
+    chosen, fixed = needed_rows(basis, rows)
+    out = []
+    for index, model in enumerate(bare):
+        mine = [candidates[k][1] for k in chosen if candidates[k][0] == index]
+        out.append(replace(model, constraints=model.constraints + tuple(mine)))
+    words = "; ".join(["conditions that all readings together need", *(_words(candidates[k][1]) for k in chosen)])
+    by_name = {p.name: row for p, row in zip(assembly.parameters, fixed * scale[:, None], strict=True) if p.shared}
+    return CommonModels(tuple(out), tuple(tables), by_name, words)
+
+
+def _words(constraint: Constraint) -> str:
+    name = next(iter(constraint.weights))
+    if len(constraint.weights) == 1:
+        return f"{name} = {constraint.value:.6g}"
+    return f"{name.split('(')[0]} without slope" if constraint.value == 0.0 else f"{name.split('(')[0]} as measured"
+
+
+def _preference(constraint: Constraint, tables: Sequence[MachineTable]) -> int:
+    """Straightness first, positioning last: a shift of everything is then held by the positioning errors."""
+    motions = {table.name: table for table in tables}
+    kinds = [motions.get(name.split("(")[0]) for name in constraint.weights]
+    if any(kind is None for kind in kinds):
+        return 3
+    first = kinds[0]
+    assert first is not None
+    return 0 if first.is_straightness else 1 if first.is_rotation else 2

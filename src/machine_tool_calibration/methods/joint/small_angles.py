@@ -1,0 +1,172 @@
+"""Angular errors that a step diagonal takes for small random functions, as the machine's: shared by all sessions.
+
+A step diagonal by itself has them as unknowns of its own (`step_diagonal.spread`). They are the machine's: by their
+lever arms they also move the functional point in the other sessions' readings and everywhere in the map. So in a fit
+of several sessions they are tables like all others, with what is expected of them beside the readings: each a smooth
+random function of its axis's position that is zero next to the axis's zero, all of one size and shape. What is possible
+for these is drawn from the readings of all sessions, and what is published is the mean over it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.methods.step_diagonal.model import StepDiagonalModel
+from machine_tool_calibration.methods.step_diagonal.small_angles import (
+    LARGEST,
+    NONE,
+    SMALLEST,
+    AngularPosterior,
+    SmallAngles,
+    angular_priors,
+    mean_shape,
+)
+from machine_tool_calibration.model.fit import JointFit, fit_models
+from machine_tool_calibration.model.model import MethodModel, NotDetermined
+from machine_tool_calibration.model.rigid_body import MachineTable
+
+__all__ = ["StatedAngles", "angles_of", "expected", "in_words", "random_of", "settled", "stated", "without_spread"]
+
+# Share of the variance expected of an angle, over all its nodes, that must go before the readings tell it.
+_TOLD = 0.5
+# Probability of angular errors above which differences between sessions may have been taken for them.
+_LIKELY = 0.5
+
+
+@dataclass(frozen=True)
+class StatedAngles:
+    """Angular errors of all sessions as they are published: the mean over all their sizes and shapes.
+
+    Attributes:
+        size: root mean square of the angular errors over all that is possible, rad.
+        probability: that they are not zero.
+        untold: those of which the readings say little more than the size.
+    """
+
+    size: float
+    probability: float
+    untold: tuple[NotDetermined, ...]
+
+    @property
+    def hidden(self) -> str:
+        """What an agreement of sessions does not mean, because angular errors explain as much; empty if they do not.
+
+        A rotation of the mirror looks like straightness to a step diagonal in every order of its moves (ECX like EYX):
+        a straightness that another session sees differently cannot be told from such a rotation.
+        """
+        if self.probability < _LIKELY:
+            return ""
+        return (
+            f"; a straightness that step diagonals and others see differently may be taken for angular errors "
+            f"(angular_size: {1e6 * self.size:.2g} µrad) and not show as a contradiction"
+        )
+
+
+def angles_of(model: MethodModel) -> tuple[MachineTable, ...]:
+    """Tables of the angular errors that a model takes for small random functions."""
+    spread = model.spread if isinstance(model, StepDiagonalModel) else None
+    return () if spread is None else tuple(angle.table for angle in spread.angles)
+
+
+def in_words(angles: Sequence[MachineTable]) -> str:
+    """What is assumed of these angular errors."""
+    return (
+        f"{', '.join(table.name for table in angles)} are zero (with a probability of {NONE:g} before any reading) or "
+        f"smooth random functions of {1e6 * SMALLEST:g} to {1e6 * LARGEST:g} µrad, and the map is the mean over these"
+    )
+
+
+def without_spread(model: MethodModel) -> MethodModel:
+    """The model without angular errors of its own."""
+    if not isinstance(model, StepDiagonalModel) or model.spread is None:
+        return model
+    gone = {term.name for term in model.spread.terms}
+    unknowns = {name for names in model.spread.names for name in names}
+    return replace(
+        model,
+        terms=tuple(term for term in model.terms if term.name not in gone),
+        priors=tuple(prior for prior in model.priors if not unknowns & set(prior.weights)),
+        spread=None,
+    )
+
+
+def expected(models: Sequence[MethodModel], angles: Sequence[MachineTable]) -> tuple[MethodModel, ...]:
+    """The models, told that these angular errors are smooth and at the most of the largest size that is considered."""
+    return _with_priors(models, angles, {t.name: LARGEST**2 * mean_shape(t.nodes, _zero(t)) for t in angles})
+
+
+def settled(
+    models: Sequence[MethodModel], labels: Sequence[str], angles: Sequence[MachineTable]
+) -> tuple[MethodModel, ...]:
+    """The models with the size and shape of the angular errors that all readings together tell.
+
+    Args:
+        models: one for each session, those terms that were added included.
+        labels: names of the sessions.
+        angles: tables of the angular errors.
+    """
+    if not angles:
+        return tuple(models)
+    told = _posterior(fit_models(models, labels, random_of(angles)))
+    return _with_priors(models, angles, {t.name: c for t, c in zip(angles, told.priors, strict=True)})
+
+
+def random_of(angles: Sequence[MachineTable]) -> SmallAngles | None:
+    """These angular errors as unknowns that are random functions; None without any."""
+    if not angles:
+        return None
+    return SmallAngles(
+        tuple(label for table in angles for label in table.labels),
+        tuple((table.nodes, _zero(table)) for table in angles),
+    )
+
+
+def stated(fit: JointFit, angles: Sequence[MachineTable]) -> StatedAngles | None:
+    """What is published of the angular errors: the mean over all that is possible; None without any."""
+    if not angles:
+        return None
+    told = _posterior(fit)
+    place = {parameter.name: k for k, parameter in enumerate(fit.assembly.parameters)}
+    variance = np.diag(fit.published.covariance)
+    untold = []
+    for table, prior in zip(angles, told.priors, strict=True):
+        if variance[[place[label] for label in table.labels]].sum() > _TOLD * np.trace(prior):
+            untold.append(
+                NotDetermined(
+                    table.name,
+                    "the readings say little more than its size (angular_size); it is taken for a small smooth random "
+                    "function",
+                )
+            )
+    return StatedAngles(told.size, told.probability, tuple(untold))
+
+
+def _posterior(fit: JointFit) -> AngularPosterior:
+    told = fit.stated.random
+    assert isinstance(told, AngularPosterior)
+    return told
+
+
+def _zero(table: MachineTable) -> int:
+    """The node at which the datum of tables has it zero; a constant angle is squareness and slopes of others."""
+    return int(np.argmin(np.abs(table.nodes)))
+
+
+def _with_priors(
+    models: Sequence[MethodModel], angles: Sequence[MachineTable], covariances: Mapping[str, Array]
+) -> tuple[MethodModel, ...]:
+    """The models with what is known of each angle, said once: by the first model that has it."""
+    labels = {label for table in angles for label in table.labels}
+    out, pending = [], list(angles)
+    for model in models:
+        own = {parameter.name for parameter in model.parameters}
+        mine = [table for table in pending if set(table.labels) <= own]
+        pending = [table for table in pending if table not in mine]
+        kept = tuple(prior for prior in model.priors if not labels & set(prior.weights))
+        told = angular_priors([table.labels for table in mine], [covariances[table.name] for table in mine])
+        out.append(replace(model, priors=kept + told))
+    return tuple(out)

@@ -1,0 +1,337 @@
+"""Datum of the probing self-calibration: the paper's eleven conditions, Eqs. (16)(17), where the touches fix them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.machine.error_motions import interpolation
+from machine_tool_calibration.model.rigid_body import MachineTable
+from machine_tool_calibration.session.description import KnownLength
+
+__all__ = [
+    "LENGTH",
+    "SHARE",
+    "Condition",
+    "NullSpace",
+    "Place",
+    "choose_places",
+    "conditions",
+    "known_weights",
+    "null_space",
+]
+
+
+# As the solver's: the smallest singular value of the scaled columns that still counts.
+_RANK = float(np.sqrt(1e-11))
+# Share in an undetermined direction below which an unknown does not take part in it.
+SHARE = 1e-6
+
+
+@dataclass(frozen=True)
+class NullSpace:
+    """The null space of the touches, and the covariance outside of it.
+
+    The unknowns are the K shared ones, each in the unit that changes the readings by 1 m (rms), and then the
+    workpiece's N points, m.
+
+    Attributes:
+        names: of the shared unknowns.
+        unit: (K,) of each shared unknown.
+        basis: (K + N, q) orthonormal directions.
+        response: (K + N, K) what each unknown does when the shared ones change: a point follows the mean of its
+            touches.
+        half: (K, r) half @ half.T is the covariance of the shared unknowns, for touches of unit uncertainty, in the
+            datum of least norm.
+        own: (K + N,) variance that each unknown has besides: of a point, one over the number of its touches.
+    """
+
+    names: tuple[str, ...]
+    unit: Array
+    basis: Array
+    response: Array
+    half: Array
+    own: Array
+
+    @cached_property
+    def _index(self) -> dict[str, int]:
+        return {name: k for k, name in enumerate(self.names)}
+
+    def weights(self, weights: Mapping[str, float]) -> Array:
+        """(K,) a weighted sum of shared unknowns, in their units; of unit length unless it is empty."""
+        row = np.zeros(len(self.names))
+        for name, weight in weights.items():
+            k = self._index[name]
+            row[k] = weight * self.unit[k]
+        return row / (float(np.linalg.norm(row)) or 1.0)
+
+    def free(self, rows: Array) -> Array:
+        """(K + N, r) orthonormal directions that remain under the conditions (c, K)."""
+        return np.asarray(self.basis @ _kernel(rows @ self.basis[: len(self.names)]))
+
+    def determined(self, rows: Array) -> BoolArray:
+        """(K + N,) which unknowns are determined under the conditions (c, K)."""
+        return np.asarray(np.linalg.norm(self.free(rows), axis=1) < SHARE)
+
+    def fixes(self, rows: Array, row: Array) -> bool:
+        """Whether the conditions (c, K) determine a further sum of shared unknowns (K,)."""
+        return bool(np.linalg.norm(row @ self.free(rows)[: len(row)]) < SHARE)
+
+    def uncertainty(self, rows: Array) -> Array:
+        """(K + N,) standard uncertainty under the conditions (c, K) for touches of unit uncertainty.
+
+        It means something only for what they determine.
+        """
+        shared = self.basis[: len(self.names)]
+        moved = self.half - shared @ (np.linalg.pinv(rows @ shared, rcond=SHARE) @ (rows @ self.half))
+        return np.asarray(np.sqrt(self.own + np.sum((self.response @ moved) ** 2, axis=1)))
+
+
+def _kernel(rows: Array) -> Array:
+    """(q, r) orthonormal directions in which the rows (c, q) vanish."""
+    if not len(rows):
+        return np.eye(rows.shape[1])
+    _, s, vt = np.linalg.svd(rows, full_matrices=True)
+    return np.asarray(vt[int((s > SHARE).sum()) :].T)
+
+
+def null_space(names: Sequence[str], dense: Array, point: IntArray, n_points: int) -> NullSpace:
+    """Find the changes of the unknowns that no touch notices.
+
+    Args:
+        names: of the K shared unknowns.
+        dense: (K, n) their columns.
+        point: (n,) which of the workpiece's points was touched: its own unknown enters with 1.
+        n_points: N.
+    """
+    k = len(dense)
+    size = np.sqrt(np.mean(dense**2, axis=1))
+    typical = float(size.max(initial=0.0)) or 1.0
+    unit = 1.0 / np.where(size > 1e-12 * typical, size, typical)
+    columns = dense * unit[:, None]
+    count = np.bincount(point, minlength=n_points)
+    mean = np.zeros((n_points, k))
+    np.add.at(mean, point, columns.T)
+    mean /= np.maximum(count, 1)[:, None]
+    # The point's own unknown takes up the mean of its touches: what is left are the differences between C angles.
+    rest = np.linalg.qr((columns - mean[point].T).T, mode="r")
+    _, values, vectors = np.linalg.svd(rest, full_matrices=True)
+    rank = int((values > _RANK * values.max(initial=1e-300)).sum())
+    response = np.concatenate([np.eye(k), -mean])
+    untouched = np.flatnonzero(count == 0)
+    alone = np.zeros((k + n_points, len(untouched)))
+    alone[k + untouched, np.arange(len(untouched))] = 1.0
+    basis = np.linalg.qr(np.concatenate([response @ vectors[rank:].T, alone], axis=1))[0]
+    own = np.concatenate([np.zeros(k), 1.0 / np.maximum(count, 1)])
+    return NullSpace(tuple(names), unit, basis, response, vectors[:rank].T / values[:rank], own)
+
+
+_SWEEPS = 4
+# A direction is counted from the outermost place at which what it fixes is at most so much less certain than at the
+# best place: a node that is hardly reached would pass its uncertainty on to everything.
+_WORSE = 3.0
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a condition may be put: the weighted sum of unknowns that gets a value.
+
+    Attributes:
+        weights: by the unknown's name.
+        value: of the sum, m or rad.
+        words: for the datum's description, such as `EYX(0.11) = 0`.
+        is_measured: whether the value is a measurement, so that it is not to be moved for convenience.
+    """
+
+    weights: Mapping[str, float]
+    value: float
+    words: str
+    is_measured: bool = False
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One condition of the datum.
+
+    Attributes:
+        places: where it may be put, in the order of preference.
+        is_far: whether it belongs far from the axis's zero, as those for a direction or the length.
+    """
+
+    places: tuple[Place, ...]
+    is_far: bool = False
+
+
+def choose_places(null: NullSpace, conditions: Sequence[Condition]) -> list[Place | None]:
+    """Where each condition is put: as in the paper, unless another place leaves fewer unknowns undetermined.
+
+    A condition that fixes nothing but the unknown on which it sits says nothing of the machine and is left out (None):
+    with a disc on the table ECC has no effect at all, and zero at the first index would be no knowledge.
+    """
+    search = _Search(null, conditions)
+    choice = search.best()
+    choice = search.steadier(choice)
+    return [None if search.is_idle(choice, i) else c.places[choice[i]] for i, c in enumerate(conditions)]
+
+
+class _Search:
+    """Places of the conditions by their numbers."""
+
+    def __init__(self, null: NullSpace, conditions: Sequence[Condition]) -> None:
+        self.null = null
+        self.conditions = conditions
+        self.rows = [[null.weights(place.weights) for place in condition.places] for condition in conditions]
+
+    def stack(self, choice: Sequence[int], without: int = -1) -> Array:
+        """(c, K) the chosen rows."""
+        picked = [rows[k] for i, (rows, k) in enumerate(zip(self.rows, choice, strict=True)) if i != without]
+        return np.array(picked).reshape(-1, len(self.null.names))
+
+    def score(self, choice: Sequence[int]) -> tuple[int, float]:
+        """Number of unknowns that are determined; and how little the others are tied to each other.
+
+        The second counts where two conditions must move before anything more is determined.
+        """
+        free = self.null.free(self.stack(choice))
+        share = np.linalg.norm(free, axis=1)
+        return int((share < SHARE).sum()), round(-float(share.sum()), 6)
+
+    def best(self) -> list[int]:
+        """The choice that determines most unknowns; the paper's if none is better."""
+        paper = [0] * len(self.rows)
+        return paper if self.score(paper)[0] == len(self.null.basis) else self._climb(paper)
+
+    def _climb(self, choice: list[int]) -> list[int]:
+        """Move one condition at a time while that helps; from random starts this never found better on real plans."""
+        best = self.score(choice)
+        for _ in range(_SWEEPS):
+            before = best
+            for index in range(len(self.rows)):
+                for trial in self._moves(choice, index):
+                    if (value := self.score(trial)) > best:
+                        best, choice = value, trial
+            if best == before:
+                break
+        return choice
+
+    def _moves(self, choice: list[int], index: int) -> Iterator[list[int]]:
+        for k in range(len(self.rows[index])):
+            if k != choice[index]:
+                yield [*choice[:index], k, *choice[index + 1 :]]
+
+    def steadier(self, choice: list[int]) -> list[int]:
+        """Move directions and a length that was not measured off nodes that are hardly reached."""
+        score = self.score(choice)[0]
+        for index, condition in enumerate(self.conditions):
+            if not condition.is_far or condition.places[choice[index]].is_measured:
+                continue
+            fixed = self._fixed_by(choice, index)
+            if not fixed.any():
+                continue
+            places = [k for k, place in enumerate(condition.places) if not place.is_measured]
+            trials = [[*choice[:index], k, *choice[index + 1 :]] for k in places]
+            trials = [trial for trial in trials if self.score(trial)[0] == score]
+            spread = [float(np.median(self.null.uncertainty(self.stack(trial))[fixed])) for trial in trials]
+            choice = next(t for t, s in zip(trials, spread, strict=True) if s <= _WORSE * min(spread))
+        return choice
+
+    def _fixed_by(self, choice: list[int], index: int) -> BoolArray:
+        """(K + N,) which unknowns one condition determines."""
+        return self.null.determined(self.stack(choice)) & ~self.null.determined(self.stack(choice, without=index))
+
+    def is_idle(self, choice: list[int], index: int) -> bool:
+        """Whether a condition determines nothing but the unknowns on which it sits."""
+        fixed = np.flatnonzero(self._fixed_by(choice, index))
+        sits = np.flatnonzero(self.rows[index][choice[index]])
+        return set(fixed.tolist()) <= set(sits.tolist())
+
+
+LENGTH = "absolute length"
+
+
+def conditions(
+    tables: Sequence[MachineTable], setup_ids: Sequence[str], known: Mapping[str, KnownLength]
+) -> list[Condition]:
+    """The conditions in the paper's order.
+
+    Zero of every table at its axis's zero and of EXC, EYC, ECC at the first index, Eq. (16); straightness zero at the
+    last node too, which makes the line through both the direction of the axis, and the measured length, Eq. (17).
+
+    Args:
+        tables: of the linear axes.
+        setup_ids: the C indices.
+        known: measured lengths, by the positioning error's name.
+
+    Raises:
+        ModelError: a measured length is not a positioning error of X or Y.
+    """
+    by_name = {table.name: table for table in tables}
+    for name in known:
+        if name not in ("EXX", "EYY"):
+            raise ModelError(f"known: {name!r} is not the positioning error of a probing axis; EXX and EYY are")
+    out = [_zero(table) for table in tables if not table.is_squareness]
+    out += [
+        Condition(tuple(Place({f"{name}({s})": 1.0}, 0.0, f"{name}({s}) = 0") for s in setup_ids))
+        for name in ("EXC", "EYC", "ECC")
+    ]
+    out += [_direction(table) for table in tables if table.is_straightness]
+    return [*out, _length(by_name, known)]
+
+
+def known_weights(table: MachineTable, position: float) -> dict[str, float]:
+    """A positioning error at a position, counted from the axis's zero, as a weighted sum of the table's unknowns."""
+    weights = interpolation(table.nodes, np.array([position]))[:, 0]
+    if _within(table.nodes, 0.0):
+        weights = weights - interpolation(table.nodes, np.zeros(1))[:, 0]
+    return _named(table, weights)
+
+
+def _zero(table: MachineTable) -> Condition:
+    places = []
+    if _within(table.nodes, 0.0):
+        weights = interpolation(table.nodes, np.zeros(1))[:, 0]
+        places.append(Place(_named(table, weights), 0.0, f"{table.name}(0) = 0"))
+    nearest = np.argsort(np.abs(table.nodes), kind="stable")
+    places += [Place({table.labels[k]: 1.0}, 0.0, f"{table.labels[k]} = 0") for k in nearest]
+    return Condition(tuple(places))
+
+
+def _direction(table: MachineTable) -> Condition:
+    places = tuple(Place({table.labels[k]: 1.0}, 0.0, f"{table.labels[k]} = 0") for k in _from_outside(table.nodes))
+    return Condition(places, is_far=True)
+
+
+def _length(by_name: Mapping[str, MachineTable], known: Mapping[str, KnownLength]) -> Condition:
+    """The measured length; where no touch reaches it, the straight line from the axis's zero to it."""
+    places = [
+        Place(known_weights(by_name[n], e.position), e.value, f"{n}({e.position:.6g}) as measured", is_measured=True)
+        for n, e in known.items()
+    ]
+    name = next(iter(known), "EXX")
+    table, entry = by_name[name], known.get(name)
+    slope = entry.value / entry.position if entry is not None and entry.position else 0.0
+    for k in _from_outside(table.nodes):
+        words = f"{table.labels[k]} = 0"
+        if entry is not None:
+            words = f"{table.labels[k]} on the line from 0 to the measured {name}({entry.position:.6g})"
+        places.append(Place(known_weights(table, float(table.nodes[k])), slope * float(table.nodes[k]), words))
+    return Condition(tuple(places), is_far=True)
+
+
+def _from_outside(nodes: Array) -> list[int]:
+    """Nodes from the outermost on the positive side inwards, then from the outermost on the negative side."""
+    positive = [k for k in range(len(nodes) - 1, -1, -1) if nodes[k] > 1e-12]
+    return positive + [k for k in range(len(nodes)) if nodes[k] < -1e-12]
+
+
+def _within(nodes: Array, value: float) -> bool:
+    return bool(nodes[0] <= value <= nodes[-1])
+
+
+def _named(table: MachineTable, weights: Array) -> dict[str, float]:
+    return {label: float(w) for label, w in zip(table.labels, weights, strict=True) if abs(w) > 1e-12}

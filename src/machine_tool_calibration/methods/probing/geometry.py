@@ -1,0 +1,162 @@
+"""Geometry of a probed workpiece on a rotary table, and the tables of the linear axes, Eqs. (4)(5), for any chain."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.errors import ModelError, SessionError
+from machine_tool_calibration.machine.chain import Chain
+from machine_tool_calibration.model.rigid_body import MachineTable
+from machine_tool_calibration.session.description import Machine, Probing
+from machine_tool_calibration.session.session import Readings
+
+__all__ = ["Touches", "plane_tables", "rigid_motion", "table_nodes", "touches", "turn"]
+
+
+# Sine of the angle between normal and radius below which a touch says nothing of the turn of the table: a drawing's
+# rounded coordinates must not make the angle of C seem to be seen on a disc.
+_NO_LEVER = 1e-4
+
+
+@dataclass(frozen=True)
+class Touches:
+    """The touches of a session in the machine frame.
+
+    Attributes:
+        point: (n,) place of the touched point in the workpiece's list.
+        contact: (n, 3) nominal contact, m; its origin is the centre line of C.
+        normal: (n, 3) outward normal of the surface, unit vectors.
+        lever: (n,) displacement of the surface along its normal per radian that the table turns counter-clockwise
+            seen from +Z, m/rad: n . (R(90 deg) p) of Eq. (13).
+    """
+
+    point: IntArray
+    contact: Array
+    normal: Array
+    lever: Array
+
+
+def turn(vectors: Array, angle: Array) -> Array:
+    """Vectors turned counter-clockwise about +Z, seen from +Z.
+
+    Args:
+        vectors: (n, 2).
+        angle: (n,) or a number, rad.
+
+    Returns:
+        (n, 2).
+    """
+    cos, sin = np.cos(angle), np.sin(angle)
+    return np.stack([cos * vectors[:, 0] - sin * vectors[:, 1], sin * vectors[:, 0] + cos * vectors[:, 1]], axis=-1)
+
+
+def rigid_motion(position: Array, normal: Array) -> Array:
+    """What a shift along x, one along y and a counter-clockwise turn of the workpiece do to its points.
+
+    Args:
+        position: (n, 2) points in the workpiece frame, m.
+        normal: (n, 2) outward normals.
+
+    Returns:
+        (3, n) displacement along the normal per metre, metre and radian.
+    """
+    return np.stack([normal[:, 0], normal[:, 1], _lever(position, normal)])
+
+
+def touches(description: Probing, readings: Readings, rotation_sign: int) -> Touches:
+    """Turn the workpiece's nominal points to where they were touched, Eqs. (1)(2).
+
+    Args:
+        description: the workpiece in its frame at c = 0.
+        readings: which point was touched at which c.
+        rotation_sign: -1 if C positive turns the workpiece clockwise seen from +Z, as in the paper.
+
+    Raises:
+        SessionError: a reading names a point that the workpiece does not have.
+    """
+    place = {point.id: index for index, point in enumerate(description.workpiece)}
+    names, inverse = np.unique(readings.labels["point"], return_inverse=True)
+    for name in names:
+        if str(name) not in place:
+            row = int(readings.row[np.flatnonzero(readings.labels["point"] == name)[0]])
+            raise SessionError(f"reading {row}: the workpiece has no point {str(name)!r}")
+    point = np.array([place[str(name)] for name in names], dtype=np.int64)[inverse.reshape(-1)]
+    position = np.array([entry.position for entry in description.workpiece])
+    normal = np.array([entry.normal for entry in description.workpiece])
+    normal = normal / np.linalg.norm(normal, axis=1)[:, None]
+    angle = rotation_sign * readings.column("c")
+    at, along = turn(position[point], angle), turn(normal[point], angle)
+    zero = np.zeros(len(angle))
+    return Touches(point, np.column_stack([at, zero]), np.column_stack([along, zero]), _lever(at, along))
+
+
+def _lever(position: Array, normal: Array) -> Array:
+    """(n,) n . (R(90 deg) p)."""
+    lever = position[:, 0] * normal[:, 1] - position[:, 1] * normal[:, 0]
+    lever[np.abs(lever) < _NO_LEVER * np.linalg.norm(position, axis=1)] = 0.0
+    return np.asarray(lever)
+
+
+# Number of nodes where the session names none: as many as in the paper's case studies.
+_NODES = 11
+# How far beyond its last node, in intervals, a table is extended as a straight line. Up to here the error of doing so
+# is of the size of that between two nodes, h^2 f'' / 8, which the table has anyway (3 times it at most).
+_OVERHANG = 0.5
+
+
+def table_nodes(machine: Machine, axis: str, reached: Array) -> tuple[Array, Array]:
+    """Nodes of the error tables of one linear axis.
+
+    Touches further than half an interval beyond the grid get nodes of their own, a whole number of intervals on:
+    nothing is assumed of the machine where the grid says nothing.
+
+    Args:
+        machine: names the grid, or only the travel.
+        axis: X or Y.
+        reached: (n,) positions at which the axis was read, m.
+
+    Returns:
+        (k,) the grid as declared, and (K,) the same with nodes added, both increasing, m.
+    """
+    tables = machine.table_grid or {}
+    declared = tables.get(axis.lower(), tables.get(axis))
+    if declared is None:
+        travel = machine.travel.get(axis.lower(), machine.travel.get(axis))
+        low, high = travel if travel is not None else (float(reached.min()), float(reached.max()))
+        declared = tuple(np.linspace(low, high if high > low else low + 1.0, _NODES))
+    grid = np.array(declared) + 0.0  # no negative zero
+    first, last = grid[1] - grid[0], grid[-1] - grid[-2]
+    below = int(np.ceil((grid[0] - reached.min()) / first - _OVERHANG - 1e-9))
+    above = int(np.ceil((reached.max() - grid[-1]) / last - _OVERHANG - 1e-9))
+    lower = grid[0] - first * np.arange(max(below, 0), 0, -1)
+    upper = grid[-1] + last * np.arange(1, max(above, 0) + 1)
+    return grid, np.concatenate([lower, grid, upper])
+
+
+def plane_tables(chain: Chain, nodes: dict[str, Array], position: Array) -> tuple[MachineTable, ...]:
+    """Error motions of X and Y that move the stylus in the plane, and their squareness (Table 1).
+
+    Which yaw counts depends on the chain: with w-C-b-Y-X-Z-t Y carries X, so it is that of Y (Eq. (5)).
+
+    Args:
+        chain: the machine.
+        nodes: of the tables, by axis X and Y.
+        position: (n, 3) commanded positions, m.
+
+    Raises:
+        ModelError: the machine has no X or no Y.
+    """
+    for axis in "XY":
+        if axis not in chain.linear:
+            raise ModelError(f"probing needs the axes X and Y; the chain has no {axis}")
+    tables = [MachineTable(chain, f"E{component}{axis}", nodes[axis]) for axis in "XY" for component in "XY"]
+    tables.append(MachineTable(chain, "C0Y", np.empty(0)))
+    along = [np.tile(np.eye(3)[j], (len(position), 1)) for j in range(2)]
+    for axis in "XY":
+        yaw = MachineTable(chain, f"EC{axis}", nodes[axis])
+        if any(np.any(yaw.scalar(position, direction)) for direction in along):
+            tables.append(yaw)
+    return tuple(tables)

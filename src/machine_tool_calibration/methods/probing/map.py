@@ -1,0 +1,225 @@
+"""The answer of the probing self-calibration: workpiece and its form, linear axes on their grid, and C."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.methods.probing.geometry import rigid_motion
+from machine_tool_calibration.model.fit import Fit
+from machine_tool_calibration.model.model import NotDetermined
+from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.model.rigid_body import MachineTable, map_field
+from machine_tool_calibration.session.description import Probing
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.methods.probing.model import ProbingModel
+
+__all__ = ["Errors", "Responses", "common_motions", "probing_map", "responses", "workpiece_errors", "workpiece_form"]
+
+
+# Share in the undetermined directions below which a point does not take part in them.
+_SHARE = 1e-6
+
+
+@dataclass(frozen=True)
+class Errors:
+    """One number per point of the workpiece; NaN where the touches do not determine it.
+
+    Attributes:
+        value: (N,) error along the outward normal, m.
+        uncertainty: (N,) standard uncertainty, m.
+    """
+
+    value: Array
+    uncertainty: Array
+
+
+@dataclass(frozen=True)
+class Responses:
+    """How the points follow the shared unknowns.
+
+    Attributes:
+        value: (N,) error of each point, m.
+        own: (N,) variance from the noise of its own touches, m^2.
+        half: (N, K) half @ half.T is the covariance from the shared unknowns, m^2.
+        loose: (N, k) change of the points with what is not determined, relative to what each unknown may do.
+        touched: (N,) whether the point was touched.
+    """
+
+    value: Array
+    own: Array
+    half: Array
+    loose: Array
+    touched: BoolArray
+
+
+def responses(fit: Fit, point: IntArray, n_points: int) -> Responses:
+    """Carry the fit over to the points.
+
+    Args:
+        fit: of the session.
+        point: (n,) place of the touched point in the workpiece's list.
+        n_points: N.
+    """
+    weight = fit.model.sigma**-2
+    total = np.bincount(point, weight, n_points)
+    touched = total > 0
+    stated = fit.joint.stated
+    columns = stated.columns(fit)
+    mean = np.zeros((n_points, len(columns)))
+    np.add.at(mean, point, (columns * weight).T)
+    mean /= np.where(touched, total, 1.0)[:, None]
+    values, vectors = np.linalg.eigh(stated.scatter**2 * stated.covariance(fit))
+    half = mean @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+    free = np.zeros((len(columns), fit.undetermined.shape[1]))
+    free[: len(fit.theta)] = np.where(fit.determined[:, None], 0.0, fit.undetermined)
+    # Beside what a point would do if the unknowns on which it depends changed one by one.
+    scale = np.abs(mean) @ np.abs(free).max(axis=1, initial=0.0)
+    loose = (mean @ free) / np.where(scale > 0, scale, 1.0)[:, None]
+    own = stated.scatter**2 / np.where(touched, total, np.inf)
+    return Responses(stated.solution.local[fit.index][0], own, half, loose, touched)
+
+
+def workpiece_errors(found: Responses) -> Errors:
+    """Errors in the datum: position, direction and form together."""
+    good = found.touched & (np.linalg.norm(found.loose, axis=1) < _SHARE)
+    variance = found.own + np.sum(found.half**2, axis=1)
+    return Errors(np.where(good, found.value, np.nan), np.where(good, np.sqrt(variance), np.nan))
+
+
+def workpiece_form(found: Responses, motion: Array) -> Errors:
+    """Errors without what motions of the whole workpiece explain (least squares, all points alike).
+
+    Args:
+        found: the points.
+        motion: (N, t) displacement of the points along their normals by each motion.
+    """
+    steady = found.touched & (np.linalg.norm(found.loose, axis=1) < _SHARE)
+    for used in (found.touched, steady):
+        basis = _orthonormal(motion[used])
+        left = found.loose[used] - basis @ (basis.T @ found.loose[used])
+        if not np.any(np.linalg.norm(left, axis=1) >= _SHARE):
+            break
+    half = found.half[used] - basis @ (basis.T @ found.half[used])
+    own = found.own[used]
+    taken = np.sum(basis**2, axis=1)
+    inner = basis.T @ (own[:, None] * basis)
+    variance = own * (1.0 - 2.0 * taken) + np.einsum("na,ab,nb->n", basis, inner, basis) + np.sum(half**2, axis=1)
+    value, uncertainty = np.full(len(used), np.nan), np.full(len(used), np.nan)
+    value[used] = found.value[used] - basis @ (basis.T @ found.value[used])
+    uncertainty[used] = np.sqrt(np.maximum(variance, 0.0))
+    return Errors(value, uncertainty)
+
+
+def common_motions(description: Probing, length_known: bool) -> Array:
+    """(N, t) shift along x and y and turn of the workpiece, and its uniform growth where no length is known."""
+    position = np.array([point.position for point in description.workpiece])
+    normal = np.array([point.normal for point in description.workpiece])
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    motion = rigid_motion(position, normal)
+    if not length_known:
+        motion = np.concatenate([motion, np.einsum("nd,nd->n", position, normal)[None]])
+    return np.asarray(motion.T)
+
+
+def _orthonormal(columns: Array) -> Array:
+    """(n, r) orthonormal basis of the columns (n, t)."""
+    size = np.linalg.norm(columns, axis=0)
+    u, s, _ = np.linalg.svd(columns / np.where(size > 0, size, 1.0), full_matrices=False)
+    return np.asarray(u[:, s > 1e-9 * s.max(initial=0.0)]) if len(columns) else np.zeros((0, 0))
+
+
+# Change with an undetermined direction of unit length below which a value does not take part in it.
+_LOOSE = 1e-6
+
+
+def probing_map(model: ProbingModel, fit: Fit) -> ErrorMap:
+    """Collect the errors with their standard uncertainties; NaN where the touches do not determine them.
+
+    The content holds, in the order of the session's lists: `workpiece_error`, along the outward normal, in the
+    datum (position, direction and form); `workpiece_form`, the same without what a shift and turn of the whole
+    workpiece explain; `position_error` of the linear axes on `grid`, X slow and Y fast, (E_X, E_Y) of Eqs. (4)(5);
+    `EXC`, `EYC`, `ECC` at the indices `c`. Metres and radians.
+    """
+    workpiece, lost = _workpiece(model, fit)
+    places = np.array([(x, y, 0.0) for x in model.grid[0] for y in model.grid[1]])
+    error, covariance = _plane(model.tables, places, fit)
+    uncertainty = np.asarray(np.sqrt(np.einsum("nii->ni", covariance)))
+    setups = model.description.setups
+    content: dict[str, Any] = {
+        **workpiece,
+        "grid": places[:, :2],
+        "position_error": error,
+        "position_error_u": uncertainty,
+        "setups": [setup.id for setup in setups],
+        "c": np.array([setup.c for setup in setups]),
+        **_axis_c(fit, [setup.id for setup in setups]),
+        "datum": model.datum,
+    }
+    return ErrorMap(content, places, _with_z(error), _with_z(uncertainty), _with_z_square(covariance), lost)
+
+
+def _workpiece(model: ProbingModel, fit: Fit) -> tuple[dict[str, Any], tuple[NotDetermined, ...]]:
+    """Errors of the workpiece's points, as they are in the datum and without the motion of the whole."""
+    points = model.description.workpiece
+    found = responses(fit, model.touches.point, len(points))
+    errors = workpiece_errors(found)
+    form = workpiece_form(found, common_motions(model.description, model.length_known))
+    content = {
+        "workpiece_points": [point.id for point in points],
+        "workpiece_error": errors.value,
+        "workpiece_error_u": errors.uncertainty,
+        "workpiece_form": form.value,
+        "workpiece_form_u": form.uncertainty,
+    }
+    lost = []
+    for k in np.flatnonzero(~np.isfinite(errors.value)):
+        why = "it was not touched"
+        if found.touched[k]:
+            why = "the touches cannot tell it from the error motions of the axes"
+        if np.isfinite(form.value[k]):
+            why = "the touches do not fix the position and size of the workpiece as a whole; its form is given"
+        lost.append(NotDetermined(f"workpiece point {points[k].id}", why))
+    return content, tuple(lost)
+
+
+def _plane(tables: tuple[MachineTable, ...], places: Array, fit: Fit) -> tuple[Array, Array]:
+    """Position error (n, 2) of the linear axes at places (n, 3), and its covariance (n, 2, 2)."""
+    field = map_field(tables, places)[:, :, :2]
+    k, n, _ = field.shape
+    flat = field.reshape(k, -1)
+    error = (fit.theta[:k] @ flat).reshape(n, 2)
+    covariance = np.einsum("knd,kl,lne->nde", field, fit.covariance[:k, :k], field, optimize=True)
+    loose = np.linalg.norm(flat.T @ fit.undetermined[:k], axis=1).reshape(n, 2) > _LOOSE
+    error[loose] = np.nan
+    covariance[loose] = np.nan
+    covariance.transpose(0, 2, 1)[loose] = np.nan
+    return error, covariance
+
+
+def _axis_c(fit: Fit, setup_ids: list[str]) -> dict[str, Array]:
+    """EXC, EYC and ECC at every index."""
+    names = [parameter.name for parameter in fit.model.parameters]
+    value = np.where(fit.determined, fit.theta, np.nan)
+    uncertainty = np.where(fit.determined, np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)), np.nan)
+    out = {}
+    for name in ("EXC", "EYC", "ECC"):
+        pick = [names.index(f"{name}({setup_id})") for setup_id in setup_ids]
+        out[name], out[f"{name}_u"] = value[pick], uncertainty[pick]
+    return out
+
+
+def _with_z(values: Array) -> Array:
+    out = np.full((len(values), 3), np.nan)
+    out[:, :2] = values
+    return out
+
+
+def _with_z_square(values: Array) -> Array:
+    out = np.full((len(values), 3, 3), np.nan)
+    out[:, :2, :2] = values
+    return out

@@ -1,0 +1,235 @@
+"""Probing self-calibration of a free-form part on a rotary table: workpiece, X, Y and C told apart.
+
+The same points are touched at several angles of C. The error motions of X and Y are tables, so they stay in a closed
+set however the part is turned, and can be told from the part's own errors. One touch reads, along the outward normal
+n at the nominal contact p of the turned workpiece (Eqs. (7) to (14)):
+
+    displacement = G - n . (E_X, E_Y)(p) + n . (EXC, EYC) + n . (R(90 deg) p) ECC
+
+G: error of the workpiece's surface along its normal; E_X, E_Y: position error of the linear axes, Eqs. (4)(5);
+EXC, EYC, ECC: displacement and turn of the table at this index. ECC as in Eq. (13) is positive counter-clockwise about
++Z, whatever the sense in which C is commanded positive (clockwise in the paper, rotation_sign -1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.estimation.problem import LinearPart, Part, group_points
+from machine_tool_calibration.methods.probing.datum import (
+    LENGTH,
+    NullSpace,
+    Place,
+    choose_places,
+    conditions,
+    known_weights,
+    null_space,
+)
+from machine_tool_calibration.methods.probing.geometry import Touches, plane_tables, table_nodes, touches
+from machine_tool_calibration.methods.probing.map import probing_map
+from machine_tool_calibration.model.fit import Fit, fit_models
+from machine_tool_calibration.model.model import Constraint, MethodModel, NotDetermined, Parameter, Prior, Term
+from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.model.rigid_body import MachineTable
+from machine_tool_calibration.session.description import Probing
+from machine_tool_calibration.session.session import Session
+
+__all__ = ["MODELS", "ProbingModel", "build", "refuse_mistakes"]
+
+
+# Displacement beyond which a touch is looked at, m: no ground surface is off by so much, a casting may be.
+_LARGE = 2e-4
+# Median residual over the declared uncertainty: absurd, and good.
+_ABSURD, _GOOD = 100.0, 30.0
+
+
+def refuse_mistakes(session: Session, build: Callable[[Session], MethodModel]) -> None:
+    """Refuse displacements that are a thousand or a million times too large.
+
+    Raises:
+        ModelError: the mistake.
+    """
+    readings = session.readings
+    read = readings.displacement[np.isfinite(readings.displacement)]
+    if not len(read) or np.median(np.abs(read)) < _LARGE or not _misfit(session, build) > _ABSURD:
+        return
+    for factor, unit in ((1e-3, "millimetres"), (1e-6, "micrometres")):
+        scaled = session.with_readings(replace(readings, displacement=factor * readings.displacement))
+        if _misfit(scaled, build) < _GOOD:
+            raise ModelError(f"{session.source}: displacement looks like {unit}; lengths are in metres")
+
+
+def _misfit(session: Session, build: Callable[[Session], MethodModel]) -> float:
+    """Median absolute residual over the declared uncertainty."""
+    return float(np.median(np.abs(fit_models([build(session)]).fits[0].residuals)) / session.sigma)
+
+
+MODELS = ("rigid_body",)
+
+
+@dataclass(frozen=True)
+class ProbingModel(MethodModel):
+    """A workpiece touched at several angles of C.
+
+    Attributes:
+        touches: where each touch was.
+        tables: error motions of the linear axes, with their nodes.
+        grid: declared nodes of the tables of X and of Y, m: where the error map is given.
+        length_known: whether a measured length fixes the scale.
+    """
+
+    touches: Touches
+    tables: tuple[MachineTable, ...]
+    grid: tuple[Array, Array]
+    length_known: bool
+
+    @property
+    def description(self) -> Probing:
+        """What the session says of workpiece, indices and known length."""
+        description = self.observations.session.description
+        assert isinstance(description, Probing)
+        return description
+
+    def part(self, own_index: IntArray, dense_index: IntArray) -> Part:
+        """Every point of the workpiece has one unknown of its own, its error along the normal; it is eliminated."""
+        readings = self.observations.readings
+        n = len(readings)
+        return LinearPart(
+            groups=group_points(self.touches.point, readings.setup),
+            reading=readings.displacement,
+            sigma=self.sigma,
+            local=np.ones((1, n)),
+            block=np.zeros((0, n)),
+            dense=self.dense(),
+            block_index=np.zeros((len(self.description.setups), 0), dtype=np.int64),
+            dense_index=dense_index,
+            n_points=len(self.description.workpiece),
+        )
+
+    def why_not_determined(self, name: str) -> str | None:
+        """An angle of C at which every touch was lost."""
+        motion, _, rest = name.partition("(")
+        ids = self.observations.session.setup_ids
+        if motion not in ("EXC", "EYC", "ECC") or rest[:-1] not in ids:
+            return None
+        there = np.any(self.observations.readings.setup == ids.index(rest[:-1]))
+        return None if there else "no touch was read at this angle of C"
+
+    def error_map(self, fit: Fit) -> ErrorMap:
+        """Errors of the workpiece, of the linear axes on their grid, and of C at each index."""
+        return probing_map(self, fit)
+
+
+def build(session: Session, model: str = MODELS[0]) -> ProbingModel:
+    """The model of a probing session.
+
+    Args:
+        session: the measurement.
+        model: `rigid_body`, the only one.
+
+    Raises:
+        ModelError: the machine has no X or Y axis, a measured length is not one of X or Y, or the displacements are in
+            another unit.
+        SessionError: a touched point is not in the workpiece's list.
+    """
+    refuse_mistakes(session, _build)
+    return _build(session)
+
+
+def _build(session: Session) -> ProbingModel:
+    description = session.description
+    assert isinstance(description, Probing)
+    readings = session.readings.select(np.isfinite(session.readings.displacement))
+    position = readings.position()
+    where = touches(description, readings, session.rotation_sign)
+    observations = Observations(
+        session, readings, position, -where.normal, where.normal, np.zeros(len(readings)), readings.setup
+    )
+    grids = {axis: table_nodes(description.machine, axis, position[:, j]) for j, axis in enumerate("XY")}
+    nodes = {axis: extended for axis, (_, extended) in grids.items()}
+    tables = plane_tables(description.machine.kinematics, nodes, position)
+    terms = [Term(t.name, t.parameters, t.columns(position, observations.direction)) for t in tables]
+    terms += _axis_c(session, where, readings.setup)
+    bare = ProbingModel(
+        observations, tuple(terms), (), (), (), "", where, tables, (grids["X"][0], grids["Y"][0]), False
+    )
+    return _with_datum(bare)
+
+
+def _axis_c(session: Session, where: Touches, setup: IntArray) -> list[Term]:
+    """Displacement and turn of the table at each index, Eq. (13)."""
+    index = (setup == np.arange(len(session.setup_ids))[:, None]).astype(float)
+    senses = {"EXC": where.normal[:, 0], "EYC": where.normal[:, 1], "ECC": where.lever}
+    return [
+        Term(
+            name,
+            tuple(Parameter(f"{name}({setup_id})", "rad" if name == "ECC" else "m") for setup_id in session.setup_ids),
+            index * sense,
+        )
+        for name, sense in senses.items()
+    ]
+
+
+def _with_datum(model: ProbingModel) -> ProbingModel:
+    """The model with the eleven conditions, where these touches can carry them."""
+    description = model.description
+    names = [parameter.name for parameter in model.parameters]
+    null = null_space(names, model.dense(), model.touches.point, len(description.workpiece))
+    wanted = conditions(model.tables, [setup.id for setup in description.setups], description.known)
+    places = choose_places(null, wanted)
+    put = [place for place in places if place is not None]
+    measured, unused = _measured(model, null, put)
+    # The length is a measurement with an uncertainty of its own, not an exact condition, where a touch reaches it.
+    length = places[-1]
+    exact = [place for place in put if not (measured and place is length)]
+    left_out = [] if measured else [_no_length(description, unused)]
+    return replace(
+        model,
+        constraints=tuple(Constraint(place.weights, place.value) for place in exact)
+        + tuple(Constraint(prior.weights, prior.value) for prior in measured if prior.sigma == 0.0),
+        priors=tuple(prior for prior in measured if prior.sigma > 0.0),
+        left_out=tuple(left_out),
+        datum=_words(put, bool(measured)),
+        length_known=bool(measured),
+    )
+
+
+def _measured(model: ProbingModel, null: NullSpace, put: Sequence[Place]) -> tuple[list[Prior], list[str]]:
+    """The measured lengths that touches reach, and the names of those that they do not."""
+    rows = np.array([null.weights(place.weights) for place in put]).reshape(-1, len(null.names))
+    by_name = {table.name: table for table in model.tables}
+    good, bad = [], []
+    for name, entry in model.description.known.items():
+        weights = known_weights(by_name[name], entry.position)
+        # A length at which no touch was says nothing of the lengths between the touches.
+        if weights and null.fixes(rows, null.weights(weights)):
+            good.append(Prior(weights, entry.value, entry.standard_uncertainty))
+        else:
+            bad.append(f"{name}({entry.position:.6g})")
+    return good, bad
+
+
+def _no_length(description: Probing, unused: Sequence[str]) -> NotDetermined:
+    if not description.known:
+        why = "no length was measured (known): all errors proportional to the distance from zero are relative"
+    else:
+        why = (
+            f"the measured {' and '.join(unused)} is at a place of the table that no touch reaches: all errors "
+            "proportional to the distance from zero are relative"
+        )
+    return NotDetermined(LENGTH, why)
+
+
+def _words(put: Sequence[Place], measured: bool) -> str:
+    text = ", ".join(place.words for place in put)
+    relative = "" if measured else "; the absolute length is not determined"
+    return (
+        f"{text}{relative}; workpiece_form: without the shift and turn of the workpiece as a whole (least squares)"
+        f"{'' if measured else ', and without its uniform growth'}; ECC is positive counter-clockwise about +Z"
+    )

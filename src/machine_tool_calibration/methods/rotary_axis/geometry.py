@@ -1,0 +1,136 @@
+"""A rotary table with targets, seen from stations: what was read where (Zhang et al. 2015, Eq. (7))."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.session.description import RotaryAxis, rotary_column
+from machine_tool_calibration.session.session import Readings, Session
+
+__all__ = ["COMPONENTS", "TableReadings", "axis_rotation", "merged_nodes", "table_readings"]
+
+COMPONENTS = "XYZABC"
+# Commanded angles closer than this are one position of the axis: 2 arc seconds, more than an encoder's noise.
+_SAME_ANGLE = 1e-5
+
+
+@dataclass(frozen=True)
+class TableReadings:
+    """Displacements of a table's targets, and where they belong.
+
+    Attributes:
+        axis: letter of the rotary axis, A, B or C.
+        readings: those with a displacement.
+        nodes: (K,) distinct commanded angles in the session, rad, also those at which every reading is missing.
+        node: (n,) which of them each reading was taken at.
+        rotation: (n, 3, 3) nominal rotation of the table against c = 0.
+        node_rotation: (K, 3, 3) the same at the nodes.
+        target: (n,) index of the target.
+        run: (n,) index of the run: readings of one setup, repeat and target count from the same zero.
+        run_key: (runs, 3) setup, repeat and target of each run.
+        first: (runs,) index of each run's first reading.
+    """
+
+    axis: str
+    readings: Readings
+    nodes: Array
+    node: IntArray
+    rotation: Array
+    node_rotation: Array
+    target: IntArray
+    run: IntArray
+    run_key: IntArray
+    first: IntArray
+
+    @property
+    def direction(self) -> Array:
+        """(3,) unit vector of the axis."""
+        return np.asarray(np.eye(3)["ABC".index(self.axis)])
+
+    @property
+    def motions(self) -> tuple[str, ...]:
+        """Names of the six error motions: EXC EYC EZC EAC EBC ECC."""
+        return tuple(f"E{component}{self.axis}" for component in COMPONENTS)
+
+    def turned(self, target: Array) -> Array:
+        """(n, 3) where each reading's target stands without error; target (T, 3) at c = 0, m."""
+        return np.asarray(np.einsum("nij,nj->ni", self.rotation, target[self.target]))
+
+
+def axis_rotation(axis: str, angle: Array) -> Array:
+    """(n, 3, 3) right-handed rotations about the axis A (X), B (Y) or C (Z) by angles (n,), rad."""
+    i = ("ABC".index(axis) + 1) % 3
+    j = (i + 1) % 3
+    out = np.tile(np.eye(3), (len(angle), 1, 1))
+    cos, sin = np.cos(angle), np.sin(angle)
+    out[:, i, i], out[:, j, j] = cos, cos
+    out[:, i, j], out[:, j, i] = -sin, sin
+    return out
+
+
+def merged_nodes(angle: Array, same: float = _SAME_ANGLE) -> tuple[Array, IntArray]:
+    """Distinct positions of an axis and which of them each reading was taken at.
+
+    Args:
+        angle: (n,) commanded positions.
+        same: positions that follow each other this closely are one.
+
+    Returns:
+        (K,) increasing positions, each the mean of those merged, and (n,) their indices.
+    """
+    order = np.argsort(angle, kind="stable")
+    ordered = angle[order]
+    place = np.cumsum(np.r_[0, np.diff(ordered) > same])
+    node = np.empty(len(angle), dtype=np.int64)
+    node[order] = place
+    # the median member keeps a commanded value as it was written
+    first = np.flatnonzero(np.r_[True, np.diff(place) > 0])
+    last = np.r_[first[1:], len(angle)]
+    return ordered[(first + last - 1) // 2], node
+
+
+def table_readings(session: Session) -> TableReadings:
+    """Sort the readings of a rotary axis's session.
+
+    Raises:
+        ModelError: the axis under test is no rotary axis, or a target is unknown.
+    """
+    description = session.description
+    assert isinstance(description, RotaryAxis)
+    axis = (description.machine.axis or "C").upper()
+    if axis not in ("A", "B", "C"):
+        raise ModelError(f"machine.axis is {axis!r}; the rotary axis under test is A, B or C")
+    good = np.isfinite(session.readings.displacement)
+    every = session.readings.column(rotary_column(description))
+    known = np.isfinite(every)
+    readings = session.readings.select(good & known)
+    if not len(readings):
+        raise ModelError("no reading: every displacement is missing")
+    nodes, index = merged_nodes(every[known])
+    ids = [target.id for target in description.targets]
+    names = readings.labels.get("target")
+    if names is None:
+        raise ModelError("observations.csv has no column 'target'")
+    unknown = sorted(set(names.tolist()) - set(ids))
+    if unknown:
+        raise ModelError(f"unknown target {unknown[0]!r}; the session has {', '.join(ids)}")
+    target = np.array([ids.index(str(name)) for name in names], dtype=np.int64)
+    key = np.column_stack([readings.setup, readings.repeat, target])
+    _, first, run = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    sign = session.rotation_sign
+    return TableReadings(
+        axis=axis,
+        readings=readings,
+        nodes=nodes,
+        node=index[good[known]],
+        rotation=axis_rotation(axis, sign * readings.columns[rotary_column(description)]),
+        node_rotation=axis_rotation(axis, sign * nodes),
+        target=target,
+        run=run.reshape(-1).astype(np.int64),
+        run_key=key[first],
+        first=first.astype(np.int64),
+    )

@@ -1,0 +1,161 @@
+"""What a fit of a rotary axis says: error motions, errors of the targets, and where the axis average line stands."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.methods.rotary_axis.datum import ROTARY_DATUM
+from machine_tool_calibration.methods.rotary_axis.geometry import TableReadings
+from machine_tool_calibration.model.fit import Fit
+from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.session.description import RotaryAxis
+
+__all__ = ["average_line", "line_names", "rotary_map"]
+
+
+_STEPS = 20
+
+
+def line_names(axis: str) -> tuple[tuple[str, int], ...]:
+    """ISO 230-1 names of an axis average line's errors and their places among (X, Y, Z, A, B, C): X0C Y0C A0C B0C."""
+    along = "ABC".index(axis)
+    shifts = tuple((f"{'XYZ'[j]}0{axis}", j) for j in range(3) if j != along)
+    return shifts + tuple((f"{'ABC'[j]}0{axis}", 3 + j) for j in range(3) if j != along)
+
+
+def average_line(stations: Array, covariance: Array, nominal: Array, uncertainty: Array) -> tuple[Array, Array] | None:
+    """Shift and turn from the frame of the axis to the machine's.
+
+    nominal = R(turn) station + shift, by weighted least squares; the turn is a rotation vector, which for a table that
+    stands tilted is large.
+
+    Args:
+        stations: (S, 3) in the frame of the axis, m.
+        covariance: (3 S, 3 S), m^2.
+        nominal: (S, 3) in the machine frame, m.
+        uncertainty: (S,) standard uncertainty of each of its coordinates, m.
+
+    Returns:
+        (6,) shift of the line's point at the axis's origin and turn, m and rad, and (6, 6) covariance; None where the
+        stations do not determine them.
+    """
+    if len(stations) < 3:
+        return None
+    known = np.repeat(uncertainty**2, 3)
+    turn, shift = Rotation.identity(), np.zeros(3)
+    inverse = np.zeros((6, 6))
+    for _ in range(_STEPS):
+        seen = turn.apply(stations)
+        columns = np.zeros((len(stations), 3, 6))
+        columns[:, :, :3] = np.eye(3)
+        for j in range(3):
+            columns[:, :, 3 + j] = np.cross(np.eye(3)[j], seen)
+        flat = columns.reshape(-1, 6)
+        carry = np.kron(np.eye(len(stations)), turn.as_matrix())
+        weight = np.linalg.inv(carry @ covariance @ carry.T + np.diag(known))
+        normal = flat.T @ weight @ flat
+        if np.linalg.cond(normal) > 1e12:
+            return None
+        inverse = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+        step = inverse @ flat.T @ weight @ (nominal - seen - shift).ravel()
+        shift, turn = shift + step[:3], Rotation.from_rotvec(step[3:]) * turn
+        if np.abs(step).max() < 1e-12:
+            break
+    return np.concatenate([shift, turn.as_rotvec()]), inverse
+
+
+# Movement of a target per unit of an unseen motion from which its place is not determined.
+_MOVED = 1e-3
+
+
+def rotary_map(
+    table: TableReadings, description: RotaryAxis, stations: Array, targets: Array, loose: Array, size: float, fit: Fit
+) -> ErrorMap:
+    """The contract's content for `rotary_axis`.
+
+    Args:
+        table: the readings.
+        description: of the session.
+        stations: (S, 3) first estimates, m.
+        targets: (T, 3) first estimates, m.
+        loose: what each angle's readings do not sense.
+        size: length by which it compares rotations with translations, m.
+        fit: of the model.
+    """
+    k, own = len(table.nodes), len(fit.model.own)
+    theta, covariance, good = fit.theta, fit.covariance, fit.determined
+    sigma = np.sqrt(np.diag(covariance).clip(0.0))
+    theta, sigma = np.where(good, theta, np.nan), np.where(good, sigma, np.nan)
+    content: dict[str, Any] = {table.axis.lower(): table.nodes}
+    for j, name in enumerate(table.motions):
+        mine = slice(own + j * k, own + (j + 1) * k)
+        content[name], content[f"{name}_u"] = theta[mine], sigma[mine]
+    points, error, cov = _position_errors(table, targets, loose, size, fit, own)
+    uncertainty = np.sqrt(np.einsum("nii->ni", cov).clip(0.0))
+    place = slice(own + 6 * k, own + 6 * k + targets.size)
+    s = stations.size
+    content |= {
+        "points": points,
+        "position_error": error,
+        "position_error_u": uncertainty,
+        "target_ids": [target.id for target in description.targets],
+        "targets": targets + theta[place].reshape(-1, 3),
+        "targets_u": sigma[place].reshape(-1, 3),
+        "station_ids": [setup.id for setup in description.setups],
+        "stations": stations + theta[:s].reshape(-1, 3),
+        "stations_u": sigma[:s].reshape(-1, 3),
+        "axis_average_line": _line(table, description, stations, fit),
+        "datum": ROTARY_DATUM,
+    }
+    return ErrorMap(content, points, error, uncertainty, cov)
+
+
+def _position_errors(
+    table: TableReadings, targets: Array, loose: Array, size: float, fit: Fit, own: int
+) -> tuple[Array, Array, Array]:
+    """(n, 3) nominal places of every target at every angle, their errors and (n, 3, 3) covariances."""
+    k, t = len(table.nodes), len(targets)
+    arm = np.einsum("kij,tj->kti", table.node_rotation, targets).reshape(-1, 3)
+    field = np.zeros((k * t, 3, 6))
+    field[:, :, :3] = np.eye(3)
+    for j in range(3):
+        field[:, :, 3 + j] = np.cross(np.eye(3)[j], arm)
+    index = own + np.arange(6)[None, :] * k + np.repeat(np.arange(k), t)[:, None]
+    error = np.einsum("nij,nj->ni", field, fit.theta[index])
+    inner = fit.covariance[index[:, :, None], index[:, None, :]]
+    covariance = np.einsum("nij,njk,nlk->nil", field, inner, field)
+    # What is unseen at an angle does not move the targets on which it turns; others it does.
+    unseen = np.repeat(loose, t, axis=0) / np.repeat([1.0, size], 3)[:, None]
+    open_ = np.linalg.norm(np.einsum("nij,njk->nik", field, unseen), axis=(1, 2)) > _MOVED
+    if fit.undetermined.size:
+        open_ |= np.linalg.norm(np.einsum("nij,njk->nik", field, fit.undetermined[index]), axis=(1, 2)) > 1e-6
+    error[open_], covariance[open_] = np.nan, np.nan
+    return arm, error, covariance
+
+
+def _line(table: TableReadings, description: RotaryAxis, stations: Array, fit: Fit) -> dict[str, Any]:
+    """Position and orientation of the axis average line in the machine frame; None where stations do not give it."""
+    names = line_names(table.axis)
+    known = [
+        s
+        for s, setup in enumerate(description.setups)
+        if setup.position_uncertainty is not None and fit.determined[3 * s : 3 * s + 3].all()
+    ]
+    result = None
+    if known:
+        index = np.concatenate([3 * s + np.arange(3) for s in known])
+        result = average_line(
+            stations[known] + fit.theta[index].reshape(-1, 3),
+            fit.covariance[np.ix_(index, index)],
+            np.array([description.setups[s].position for s in known]),
+            np.array([description.setups[s].position_uncertainty for s in known]),
+        )
+    out: dict[str, Any] = {}
+    for name, j in names:
+        out[name] = None if result is None else float(result[0][j])
+        out[f"{name}_u"] = None if result is None else float(np.sqrt(result[1][j, j]))
+    return out

@@ -1,0 +1,324 @@
+"""Rotary axis by sequential multilateration: all six error motions at every angle (Zhang et al. 2015).
+
+One tracker at several stations after another reads the change of distance to targets on the table. A target at p
+(table frame, at zero) stands at q = R p + delta + epsilon x R p (Eq. (7); Eq. (3) is misprinted and Eq. (4) has the
+opposite sign), R the commanded rotation; the reading is |q - station| minus its value at the datum of the run. Unknown
+are the stations, the targets, the path at each run's datum, and delta and epsilon at every angle.
+
+Stations and targets are known roughly; that only gives the first estimates. Their stated uncertainties do not weigh on
+the error motions, so a nominal place that is wrong by more than stated does no harm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.estimation.problem import FunctionPart, Part, group_rows
+from machine_tool_calibration.estimation.robust import robust_start
+from machine_tool_calibration.methods.rotary_axis.checks import refuse_mistakes
+from machine_tool_calibration.methods.rotary_axis.datum import (
+    HELD_WITHIN,
+    ROTARY_DATUM,
+    covered_angle,
+    loose_motions,
+    motion_constraints,
+    target_constraints,
+    unseen_motions,
+    unseen_names,
+    weak_places,
+)
+from machine_tool_calibration.methods.rotary_axis.geometry import TableReadings, table_readings
+from machine_tool_calibration.methods.rotary_axis.map import rotary_map
+from machine_tool_calibration.methods.rotary_axis.start import Start, find_start
+from machine_tool_calibration.model.fit import Fit
+from machine_tool_calibration.model.model import MethodModel, Parameter, Term, assemble
+from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.session.description import RotaryAxis
+from machine_tool_calibration.session.session import Session
+
+__all__ = ["MODELS", "RotaryAxisModel", "build"]
+
+MODELS = ("free",)
+
+# Misfit of a table turning without error above which it is tried whether one with errors fits, m; and median residual
+# of that, over the declared uncertainty, that says that stations and targets were not found.
+_DOUBTFUL = 3e-5
+_LOST = 30.0
+
+# Turn above which the readings fix the stations well, rad.
+_LARGE_TURN = 1.9
+
+
+@dataclass(frozen=True)
+class RotaryAxisModel(MethodModel):
+    """Targets on a rotary table read from stations.
+
+    Attributes:
+        table: the readings sorted by angle, target and run.
+        stations: (S, 3) first estimates, in the frame of the axis, m.
+        targets: (T, 3) first estimates, table frame at zero, m.
+        loose: (K, 6, 6) what the readings at each angle do not sense, see `rotary_datum.loose_motions`.
+        size: length by which rotations were compared with translations there, m.
+    """
+
+    table: TableReadings
+    stations: Array
+    targets: Array
+    loose: Array
+    size: float
+
+    @property
+    def description(self) -> RotaryAxis:
+        """The session's description."""
+        description = self.observations.session.description
+        assert isinstance(description, RotaryAxis)
+        return description
+
+    @property
+    def own(self) -> tuple[Parameter, ...]:
+        """Rotation centre of every station, and path at the datum of every run."""
+        out = [
+            Parameter(f"{setup.id}.{axis}", "m", reference=float(position[j]))
+            for setup, position in zip(self.description.setups, self.stations, strict=True)
+            for j, axis in enumerate("xyz")
+        ]
+        repeated = len(np.unique(self.table.run_key[:, 1])) > 1
+        for (setup, repeat, target), path in zip(self.table.run_key, self.datum_path, strict=True):
+            name = f"{self.description.setups[setup].id}.{self.description.targets[target].id}"
+            name = f"{name}.{repeat}.dead_path" if repeated else f"{name}.dead_path"
+            out.append(Parameter(name, "m", reference=float(path)))
+        return tuple(out)
+
+    @cached_property
+    def datum_path(self) -> Array:
+        """(runs,) first estimate of the path at which each run reads zero, m: no single reading decides."""
+        zero = self.observations.path - self.table.readings.displacement
+        return np.array([np.median(zero[self.table.run == run]) for run in range(len(self.table.run_key))])
+
+    def part(self, own_index: IntArray, dense_index: IntArray) -> Part:
+        """Every station is a block: its place, and the zeros of its runs."""
+        count = 3 * len(self.stations)
+        station = own_index[:count].reshape(-1, 3)
+        order = self._order_of_run()
+        # A station with fewer runs than others has columns of zeros there, which may point anywhere.
+        zeros = np.repeat(station[:, :1], int(order.max()) + 1, axis=1)
+        zeros[self.table.run_key[:, 0], order] = own_index[count:]
+        return FunctionPart(
+            group_rows(self.table.readings.setup),
+            self.sigma,
+            self._linearise(),
+            np.column_stack([station, zeros]),
+            dense_index,
+            linear=False,
+        )
+
+    def _order_of_run(self) -> IntArray:
+        """(runs,) place of each run among those of its station."""
+        setup = self.table.run_key[:, 0]
+        return np.arange(len(setup)) - np.searchsorted(setup, setup)
+
+    def _linearise(self) -> Callable[[Array, Array], tuple[Array, Array, Array]]:
+        table = self.table
+        dense = self.dense()
+        k, t, n = len(table.nodes), len(self.targets), len(table.readings)
+        first = 6 * k + 3 * t
+        path = table.readings.displacement + self.datum_path[table.run]
+        setup = table.readings.setup
+        stations = self.stations[setup]
+        zero = 3 + self._order_of_run()[table.run]
+        offsets = np.zeros((int(zero.max()) - 2, n))
+        offsets[zero - 3, np.arange(n)] = -1.0
+
+        def linearise(own: Array, shared: Array) -> tuple[Array, Array, Array]:
+            motion = shared[: 6 * k].reshape(6, k)[:, table.node].T
+            moved = shared[6 * k : first].reshape(t, 3)
+            arm = table.turned(self.targets + moved)
+            away = arm + motion[:, :3] + np.cross(motion[:, 3:], arm) - stations - own[setup, :3]
+            length = np.linalg.norm(away, axis=1)
+            g = away / length[:, None]
+            columns = dense.copy()
+            _fill(columns, table, g, arm, motion[:, 3:])
+            residual = path + own[setup, zero] - length - shared[first:] @ dense[first:]
+            return residual, np.concatenate([-g.T, offsets]), columns
+
+        return linearise
+
+    @property
+    def declared(self) -> frozenset[str]:
+        """Error motions at angles whose readings do not sense them."""
+        return unseen_names(self.loose, self._labels(), self.observations.session.sigma)
+
+    def _labels(self) -> list[list[str]]:
+        """(6, K) names of the tables' values."""
+        return [[parameter.name for parameter in term.parameters] for term in self.terms[:6]]
+
+    def why_not_determined(self, name: str) -> str | None:
+        """Which stations and targets took part at the angle of an error motion."""
+        table = self.table
+        if name not in self.declared:
+            return None
+        k = next(row.index(name) for row in self._labels() if name in row)
+        here = table.node == k
+        seen = [self.description.targets[t].id for t in np.unique(table.target[here])]
+        stations = [self.description.setups[s].id for s in np.unique(table.readings.setup[here])]
+        return _why_loose(seen, stations)
+
+    def error_map(self, fit: Fit) -> ErrorMap:
+        """Six error motions at every angle, the targets' position errors, and where the axis average line stands."""
+        return rotary_map(self.table, self.description, self.stations, self.targets, self.loose, self.size, fit)
+
+
+def _why_loose(seen: list[str], stations: list[str]) -> str:
+    if not seen:
+        return "no target was read at this angle"
+    if len(seen) == 1:
+        return f"only target {seen[0]} was read: any turn about it moves nothing that is seen"
+    if len(seen) == 2:
+        return f"only targets {seen[0]} and {seen[1]} were read: a turn about the line through them is not seen"
+    if len(stations) == 1:
+        return f"only station {stations[0]} read: any turn about it changes no distance"
+    if len(stations) == 2:
+        return f"only stations {stations[0]} and {stations[1]} read: a turn about the line through them is not seen"
+    return f"the readings of targets {', '.join(seen)} at this angle do not sense all six motions"
+
+
+def _fill(columns: Array, table: TableReadings, g: Array, arm: Array, tilt: Array) -> None:
+    """Columns of the six tables and of the targets, in place.
+
+    g.(epsilon x arm) = epsilon.(arm x g); and a target that moves by R dp is also turned by epsilon.
+    """
+    k, n = len(table.nodes), len(g)
+    rows = np.arange(n)
+    turned = np.cross(arm, g)
+    on_table = np.einsum("nij,ni->nj", table.rotation, g + np.cross(g, tilt))
+    for j in range(3):
+        columns[j * k + table.node, rows] = g[:, j]
+        columns[(3 + j) * k + table.node, rows] = turned[:, j]
+        columns[6 * k + 3 * table.target + j, rows] = on_table[:, j]
+
+
+def build(session: Session, model: str = "free") -> RotaryAxisModel:
+    """The model of a rotary axis's session.
+
+    Args:
+        session: the measurement.
+        model: `free`: every angle has its own six errors.
+
+    Raises:
+        ModelError: the axis is no rotary axis, a target is unknown, nothing was read, or the readings contradict the
+            geometry in a way that a common mistake explains.
+    """
+    table = table_readings(session)
+    description = session.description
+    assert isinstance(description, RotaryAxis)
+    start = find_start(
+        table,
+        np.array([setup.position for setup in description.setups]),
+        np.array([target.position for target in description.targets]),
+        tilted=True,
+    )
+    refuse_mistakes(session, start)
+    first = _model(session, table, start)
+    if start.misfit > _DOUBTFUL:
+        _check_places(first)
+    if len(np.unique(table.target)) > 2 and covered_angle(table) > _LARGE_TURN:
+        return first
+    held = _held(first)
+    if len(np.unique(table.target)) < 3:
+        # What is undetermined then depends on where stations and targets are: say so at their fitted places.
+        held = _held(_model(session, table, _moved(start, held)))
+    return held
+
+
+def _check_places(model: RotaryAxisModel) -> None:
+    """Refuse where even a table that moves as it likes at every angle is missed.
+
+    Raises:
+        ModelError: stations and targets are not where they are said to be, nor near.
+    """
+    problem = assemble([model]).problem
+    residuals = robust_start(problem, problem.size - len(problem.constraints))[2][0]
+    missed = float(np.median(np.abs(residuals))) * model.observations.session.sigma
+    if not missed <= _LOST * model.observations.session.sigma:
+        by = f" by {missed * 1e6:.3g} µm in the middle" if np.isfinite(missed) else ""
+        raise ModelError(
+            f"{model.observations.session.source}: no places of stations and targets near the stated ones explain the "
+            f"readings (they are missed{by}); state the stations to a decimetre and the targets to some centimetres"
+        )
+
+
+def _held(model: RotaryAxisModel) -> RotaryAxisModel:
+    """The model with the stated places of stations and targets, as far as the readings leave them open."""
+    stations, targets = model.description.setups, model.description.targets
+    nominal = np.ravel([entry.position for entry in stations] + [entry.position for entry in targets])
+    uncertainties = [entry.position_uncertainty for entry in stations]
+    uncertainties += [entry.position_uncertainty for entry in targets]
+    stated = max(value or 0.0 for value in uncertainties)
+    names = [p.name for p in model.own[: model.stations.size]] + [p.name for p in model.terms[6].parameters]
+    priors = weak_places(model, names, nominal, max(HELD_WITHIN, 10 * stated))
+    if not priors:
+        return model
+    held = f"{len(priors)} directions of stations and targets that the readings leave open stay where they are stated"
+    return replace(model, priors=model.priors + priors, datum=f"{model.datum}; {held}")
+
+
+def _moved(start: Start, model: RotaryAxisModel) -> Start:
+    """Stations and targets where a fit puts them."""
+    problem = assemble([model]).problem
+    theta = robust_start(problem, problem.size - len(problem.constraints))[0]
+    s, first = start.stations.size, len(model.own) + 6 * len(model.table.nodes)
+    targets = theta[first : first + start.targets.size].reshape(-1, 3)
+    return replace(start, stations=start.stations + theta[:s].reshape(-1, 3), targets=start.targets + targets)
+
+
+def _model(session: Session, table: TableReadings, start: Start) -> RotaryAxisModel:
+    """The model, linearised at first estimates."""
+    description = session.description
+    assert isinstance(description, RotaryAxis)
+    arm = table.turned(start.targets)
+    away = arm - start.stations[table.readings.setup]
+    path = np.linalg.norm(away, axis=1)
+    g = away / path[:, None]
+    observations = Observations(session, table.readings, arm, g, g, path, table.run)
+    labels = [[f"{name}({node:.6g})" for node in table.nodes] for name in table.motions]
+    names = [[f"{target.id}.{axis}" for axis in "xyz"] for target in description.targets]
+    nominal = np.array([target.position for target in description.targets])
+    k = len(table.nodes)
+    columns = np.zeros((6 * k + 3 * len(names), len(g)))
+    _fill(columns, table, g, arm, np.zeros_like(g))
+    units = ("m", "m", "m", "rad", "rad", "rad")
+    terms = [
+        Term(name, tuple(Parameter(label, unit, shared=True) for label in row), columns[j * k : (j + 1) * k])
+        for j, (name, unit, row) in enumerate(zip(table.motions, units, labels, strict=True))
+    ]
+    places = tuple(
+        Parameter(name, "m", reference=float(value))
+        for row, position in zip(names, start.targets, strict=True)
+        for name, value in zip(row, position, strict=True)
+    )
+    terms.append(Term("targets", places, columns[6 * k :]))
+    size = float(np.sqrt(np.mean(np.sum(nominal**2, axis=1)))) or 1.0
+    loose = loose_motions(table, g, arm, size)
+    seen = np.isin(np.arange(len(names)), table.target)
+    constraints = motion_constraints(table, labels, loose, size)
+    constraints += target_constraints(table.direction, names, nominal, start.targets, seen)
+    return RotaryAxisModel(
+        observations=observations,
+        terms=tuple(terms),
+        constraints=tuple(constraints),
+        priors=unseen_motions(loose, labels, size),
+        left_out=(),
+        datum=ROTARY_DATUM,
+        table=table,
+        stations=start.stations,
+        targets=start.targets,
+        loose=loose,
+        size=size,
+    )

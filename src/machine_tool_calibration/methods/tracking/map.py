@@ -1,0 +1,178 @@
+"""The error map of a tracking interferometer's session: every target's position error, and the stations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, BoolArray
+from machine_tool_calibration.estimation.points import points_in_inner_datum
+from machine_tool_calibration.methods.tracking.datum import MAP_DATUM, turned_back
+from machine_tool_calibration.model.fit import Fit
+from machine_tool_calibration.model.model import NotDetermined
+from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.model.rigid_body import MachineTable, map_field
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.methods.tracking.model import TrackingModel
+
+__all__ = ["free_map", "table_map"]
+
+
+# Standard uncertainty above which a position error counts as not determined, m.
+_VAGUE = 1e-4
+# Stations lie in a plane or on a line where their least extent is below this share of the largest.
+_FLAT = 0.05
+
+
+@dataclass(frozen=True)
+class _Network:
+    """Targets and stations in the map's datum.
+
+    Attributes:
+        error: (n, d) position error of the targets.
+        covariance: (n, d, d).
+        good: (n,) whether a target is determined.
+        own: (S (d + 1),) the stations' unknowns.
+        own_u: their standard uncertainties.
+        why: reason for each target that is not determined.
+    """
+
+    error: Array
+    covariance: Array
+    good: BoolArray
+    own: Array
+    own_u: Array
+    why: dict[int, str]
+
+
+def free_map(model: TrackingModel, fit: Fit) -> ErrorMap:
+    """Every target's position error, from its own unknowns."""
+    d, own = model.dimension, fit.places[: len(model.own)]
+    stated = fit.joint.stated
+    local, theta = stated.solution.local[fit.index], stated.solution.theta
+    nominal, stations = model.targets[:, :d].T, model.stations[:, :d]
+    where, at = nominal, stations
+    if model.follows:
+        # The motions that change no reading are those of the places found.
+        where, at = nominal + local, stations + theta[own].reshape(-1, d + 1)[:, :d]
+    theta_motion = np.zeros((len(theta), model.motion.count))
+    theta_motion[own] = model.motion.of_stations(at)
+    result = points_in_inner_datum(
+        stated.parts[fit.index], stated.solution, fit.index, model.motion.of_targets(where), theta_motion
+    )
+    good, error, unknown = result.determined, result.value.T, result.theta[own]
+    if model.follows and good.any():
+        places = np.vstack([where.T[~good], at])
+        error = np.full_like(error, np.nan)
+        turned, others = turned_back(nominal.T[good], where.T[good], places)
+        error[good] = turned - nominal.T[good]
+        unknown = theta[own].reshape(-1, d + 1).copy()
+        unknown[:, :d] = others[-len(at) :] - stations
+    why = {int(k): _why_lost(model, fit, int(k)) for k in np.flatnonzero(~good)}
+    own_u = stated.scatter * np.sqrt(np.diag(result.theta_covariance)[own])
+    covariance = stated.scatter**2 * result.covariance.transpose(2, 0, 1)
+    return _published(model, fit, _Network(error, covariance, good, unknown.reshape(-1), own_u, why))
+
+
+def _why_lost(model: TrackingModel, fit: Fit, target: int) -> str:
+    """What keeps a target from being determined."""
+    if fit.solution.local_determined[fit.index][:, target].all():
+        count = len(np.unique(model.observations.readings.setup))
+        if count <= model.dimension:
+            return (
+                f"each target by itself needs {model.dimension + 1} stations, not {count}; the model rigid_body "
+                "(--model) may do with these"
+            )
+        return "a station that it needs is not determined"
+    stations = np.unique(model.observations.readings.setup[model.point == target])
+    if len(stations) >= model.dimension:
+        return "the directions from its stations lie too close to one line or plane"
+    names = ", ".join(model.description.setups[s].id for s in stations)
+    needed = f"{model.dimension} stations are needed"
+    return f"it was read from {names} only, and {needed}" if names else f"it was not read, and {needed}"
+
+
+def table_map(model: TrackingModel, fit: Fit, tables: tuple[MachineTable, ...]) -> ErrorMap:
+    """Every target's position error from the machine's error motions."""
+    d, n = model.dimension, len(model.targets)
+    field = map_field(tables, model.targets)[:, :, :d]
+    first = len(model.own)
+    place = slice(first, first + len(field))
+    flat = field.reshape(len(field), -1)
+    common = model.motion.at(model.targets[:, :d].T).transpose(2, 0, 1).reshape(n * d, -1)
+    fitted = np.linalg.lstsq(common, flat.T, rcond=None)[0]
+    flat = flat - (common @ fitted).T
+    blocks = flat.reshape(len(field), n, d)
+    covariance = np.einsum("knd,kl,lne->nde", blocks, fit.covariance[place, place], blocks, optimize=True)
+    # The stations move with the common motion that is taken out of the targets.
+    change = np.eye(len(fit.theta))[:first]
+    change[:, place] -= model.motion.of_stations(model.stations[:, :d]) @ fitted
+    own_u = np.sqrt(np.einsum("ij,jk,ik->i", change, fit.covariance, change))
+    loose = fit.solution.loose_directions()[fit.places][place]
+    good = np.ones(n, dtype=bool)
+    if loose.shape[1]:
+        good = (np.linalg.norm(flat.T @ loose, axis=1).reshape(n, d) < 1e-9).all(axis=1)
+    why = {int(k): "an error motion that it needs is not determined" for k in np.flatnonzero(~good)}
+    error = (fit.theta[place] @ flat).reshape(n, d)
+    return _published(model, fit, _Network(error, covariance, good, change @ fit.theta, own_u, why))
+
+
+def _published(model: TrackingModel, fit: Fit, network: _Network) -> ErrorMap:
+    """The contract's arrays; NaN where not determined."""
+    d, good = model.dimension, network.good
+    error = np.where(good[:, None], network.error, np.nan)
+    covariance = np.where(good[:, None, None], network.covariance, np.nan)
+    uncertainty = np.sqrt(np.einsum("nii->ni", covariance))
+    fixed = fit.determined[: len(network.own)].reshape(-1, d + 1)
+    own = np.where(fixed, network.own.reshape(-1, d + 1), np.nan)
+    own_u = np.where(fixed, network.own_u.reshape(-1, d + 1), np.nan)
+    # A direction known no better than this says nothing of a machine, and a linear fit little of it.
+    vague = uncertainty > _VAGUE
+    error, uncertainty = np.where(vague, np.nan, error), np.where(vague, np.nan, uncertainty)
+    covariance = np.where(vague[:, :, None] | vague[:, None, :], np.nan, covariance)
+    content = {
+        "points": model.targets,
+        "position_error": error,
+        "position_error_u": uncertainty,
+        "station_ids": [setup.id for setup in model.description.setups],
+        "stations": _three(model.stations[:, :d] + own[:, :d]),
+        "stations_u": _three(own_u[:, :d]),
+        "dead_path": model.path + own[:, d],
+        "dead_path_u": own_u[:, d],
+        "datum": MAP_DATUM,
+    }
+    lost = tuple(NotDetermined(f"target {_place(model.targets[k])}", why) for k, why in network.why.items())
+    lost += tuple(_vague(model, vague, j) for j in range(d) if vague[:, j].any())
+    full = np.full((len(covariance), 3, 3), np.nan)
+    full[:, :d, :d] = covariance
+    names = [parameter.name for parameter in model.own]
+    moved = dict(zip(names, zip(network.own.tolist(), network.own_u.tolist(), strict=True), strict=True))
+    return ErrorMap(content, model.targets, _three(error), _three(uncertainty), full, lost, moved)
+
+
+def _vague(model: TrackingModel, vague: BoolArray, j: int) -> NotDetermined:
+    """A direction that the arrangement of the stations hardly senses."""
+    count = int(vague[:, j].sum())
+    where = "all targets" if count == len(vague) else f"{count} of {len(vague)} targets"
+    centred = model.stations[:, : model.dimension] - model.stations[:, : model.dimension].mean(axis=0)
+    extents = np.linalg.svd(centred, compute_uv=False)
+    # A third or second direction in which the stations hardly differ.
+    flat = len(extents) < model.dimension or extents[-1] < _FLAT * extents[0]
+    why = f"its standard uncertainty would be above {1e3 * _VAGUE:g} mm"
+    if flat:
+        kind = "line" if model.dimension == 2 or extents[1] < _FLAT * extents[0] else "plane"
+        why = f"the stations stand nearly in a {kind}, so that the readings hardly sense it: {why}"
+    return NotDetermined(f"position_error along {'xyz'[j]} of {where}", why)
+
+
+def _place(position: Array) -> str:
+    return "(" + ", ".join(f"{1e3 * v:.6g}" for v in position) + ") mm"
+
+
+def _three(values: Array) -> Array:
+    out = np.full((len(values), 3), np.nan)
+    out[:, : values.shape[1]] = values
+    return out

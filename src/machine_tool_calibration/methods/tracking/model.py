@@ -1,0 +1,256 @@
+"""Tracking interferometer: multilateration from several stations (Ibaraki et al. 2014).
+
+`free`: the position of every target is unknown. `rigid_body`: the targets' errors are those of the machine's
+error motions and squareness; what these cannot explain stays in the residuals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.estimation.problem import FunctionPart, Part, group_points, group_rows
+from machine_tool_calibration.instruments.tracking import beam_direction
+from machine_tool_calibration.methods.tracking.datum import MAP_DATUM, NetworkMotion, OwnSight, carried_stations
+from machine_tool_calibration.methods.tracking.map import free_map, table_map
+from machine_tool_calibration.methods.tracking.multilateration import MultilaterationPart
+from machine_tool_calibration.model.fit import Fit
+from machine_tool_calibration.model.model import Constraint, MethodModel, Parameter, Prior
+from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.model.rigid_body import (
+    RIGID_BODY_DATUM,
+    MachineTable,
+    axis_nodes,
+    linear_axis_errors,
+    machine_terms,
+    table_datum,
+)
+from machine_tool_calibration.session.description import TrackingInterferometer
+from machine_tool_calibration.session.session import Session, distinct_places
+
+__all__ = ["MODELS", "TrackingModel", "build"]
+
+MODELS = ("free", "rigid_body")
+
+# Stations are set up to this by any means, m. Declared uncertainties below it are not relied on: the readings place a
+# station far better, except for motions that they do not sense.
+_ROUGHLY = 3e-4
+# Share of a coordinate in a motion that is not sensed above which the coordinate is not measured.
+_INVOLVED = 0.03
+
+
+@dataclass(frozen=True)
+class TrackingModel(MethodModel):
+    """Targets read from stations.
+
+    Attributes:
+        targets: (N, 3) distinct commanded positions, m.
+        point: (n,) which of them each reading belongs to.
+        stations: (S, 3) first estimates of the rotation centres, m.
+        path: (S,) first estimates of the path at the datum reading (dead path), m.
+        sight: how well each station's own readings place it.
+        carried: (S,) stations that the network holds.
+        tables: the machine's error motions in the model; None where every target is free.
+    """
+
+    targets: Array
+    point: IntArray
+    stations: Array
+    path: Array
+    sight: OwnSight
+    carried: BoolArray
+    tables: tuple[MachineTable, ...] | None
+
+    @property
+    def description(self) -> TrackingInterferometer:
+        """What `session.yaml` says."""
+        description = self.observations.session.description
+        assert isinstance(description, TrackingInterferometer)
+        return description
+
+    @property
+    def dimension(self) -> int:
+        """2 or 3."""
+        return self.description.dimension
+
+    @property
+    def follows(self) -> bool:
+        """Whether the beam follows the target, rather than staying on the commanded direction."""
+        return self.description.pointing == "tracking"
+
+    @cached_property
+    def motion(self) -> NetworkMotion:
+        """Shifts and turns of the whole network."""
+        return NetworkMotion(self.targets[:, : self.dimension])
+
+    @property
+    def own(self) -> tuple[Parameter, ...]:
+        """Rotation centre and dead path of every station."""
+        out = []
+        for setup, position, path in zip(self.description.setups, self.stations, self.path, strict=True):
+            axes = zip("xyz"[: self.dimension], position, strict=False)
+            out += [Parameter(f"{setup.id}.{axis}", "m", reference=float(value)) for axis, value in axes]
+            out.append(Parameter(f"{setup.id}.dead_path", "m", reference=float(path)))
+        return tuple(out)
+
+    @cached_property
+    def loose_stations(self) -> list[tuple[int, Array]]:
+        """Motions that the own readings of a station hardly sense; stations that nothing holds are left out."""
+        loose = self.sight.loose(self.observations.session.sigma, self.known)
+        return [(k, vector) for k, vector in loose if self.carried[k]]
+
+    @cached_property
+    def declared(self) -> frozenset[str]:
+        """Coordinates of stations for which the declared position stands."""
+        names = np.array([parameter.name for parameter in self.own]).reshape(len(self.stations), -1)
+        return frozenset(str(n) for k, v in self.loose_stations for n in names[k][np.abs(v) > _INVOLVED])
+
+    def why_not_determined(self, name: str) -> str | None:
+        """A station's coordinate that hardly changes its readings."""
+        if name not in self.declared:
+            return None
+        return (
+            "the readings of this station hardly change with it, wherever the targets are (they lie in a plane or "
+            "on a line with it, or in too narrow a fan); its declared position stands"
+        )
+
+    @property
+    def known(self) -> Array:
+        """(S,) what is taken as known of the stations' positions beforehand, at least, m."""
+        declared = [setup.position_uncertainty or 0.0 for setup in self.description.setups]
+        return np.maximum(declared, _ROUGHLY)
+
+    def part(self, own_index: IntArray, dense_index: IntArray) -> Part:
+        """Free targets are eliminated point by point; tables enter as columns."""
+        d = self.dimension
+        readings = self.observations.readings
+        block_index = own_index.reshape(-1, d + 1)
+        path = readings.displacement + self.path[readings.setup]
+        beam = None if self.follows else self.observations.direction.T[:d]
+        if self.tables is None:
+            return MultilaterationPart(
+                group_points(self.point, readings.setup),
+                path,
+                self.sigma,
+                self.targets.T[:d].copy(),
+                self.stations.T[:d].copy(),
+                beam,
+                self.dense(),
+                block_index,
+                dense_index,
+            )
+        linearise = self._linearise(path, beam)
+        return FunctionPart(
+            group_rows(readings.setup), self.sigma, linearise, block_index, dense_index, not self.follows
+        )
+
+    def _linearise(self, path: Array, beam: Array | None) -> Callable[[Array, Array], tuple[Array, Array, Array]]:
+        d = self.dimension
+        setup = self.observations.readings.setup
+        dense = self.dense()
+        along = self.observations.direction.T[:d]
+        nominal = self.targets[self.point][:, :d].T - self.stations[setup][:, :d].T
+
+        def linearise(own: Array, shared: Array) -> tuple[Array, Array, Array]:
+            line = nominal - own[:, :d][setup].T
+            if beam is None:
+                # The tables' share of the length is linear; the beam follows the target where it was commanded.
+                length = np.linalg.norm(line, axis=0)
+                direction = line / length
+            else:
+                length, direction = np.einsum("dn,dn->n", line, along), along
+            residual = path - length + own[:, d][setup] - shared @ dense
+            return residual, np.concatenate([-direction, -np.ones((1, len(path)))]), dense
+
+        return linearise
+
+    def error_map(self, fit: Fit) -> ErrorMap:
+        """Position error of every target in the datum in which they have no common motion."""
+        return free_map(self, fit) if self.tables is None else table_map(self, fit, self.tables)
+
+
+def build(session: Session, model: str = "free") -> TrackingModel:
+    """The model of a tracking interferometer's session.
+
+    Args:
+        session: the measurement.
+        model: `free` or `rigid_body`.
+    """
+    description = session.description
+    assert isinstance(description, TrackingInterferometer)
+    d = description.dimension
+    # A target whose readings were all lost is a target all the same: it keeps its place in the map.
+    read = np.isfinite(session.readings.displacement)
+    everywhere = session.readings.position()[:, :d]
+    first, point = distinct_places(everywhere)
+    targets = everywhere[first]
+    readings = session.readings
+    if not read.all():
+        readings, point = readings.select(read), point[read]
+    position = readings.position()
+    stations = np.array([setup.position for setup in description.setups])
+    if d == 2:
+        # The plane of the targets is that of the measurement.
+        level = position[0, 2] if len(position) else 0.0
+        targets = np.column_stack([targets, np.full(len(targets), level)])
+        stations[:, 2] = level
+    line = position - stations[readings.setup]
+    line[:, d:] = 0.0
+    length = np.sqrt(np.einsum("nj,nj->n", line, line))
+    direction = line / length[:, None]
+    if description.pointing == "open_loop":
+        elevation = readings.columns.get("elevation", np.zeros(len(readings))) if d == 3 else np.zeros(len(readings))
+        direction = beam_direction(readings.column("azimuth"), elevation)
+    path = np.zeros(len(stations))
+    for s in range(len(stations)):
+        mine = np.flatnonzero(readings.setup == s)
+        # No single reading decides.
+        path[s] = np.median(length[mine] - readings.displacement[mine]) if len(mine) else 0.0
+    free = TrackingModel(
+        observations=Observations(
+            session, readings, position, direction, np.zeros_like(direction), length, readings.setup
+        ),
+        terms=(),
+        constraints=(),
+        priors=(),
+        left_out=(),
+        datum=MAP_DATUM,
+        targets=targets,
+        point=point,
+        stations=stations,
+        path=path,
+        sight=OwnSight(direction[:, :d], readings.setup, len(stations)),
+        carried=carried_stations(point, readings.setup, len(targets), len(stations), d),
+        tables=None,
+    )
+    free = replace(free, priors=tuple(_known_places(free)))
+    if model == "free":
+        return replace(free, constraints=_station_datum(free))
+    chain = description.machine.kinematics
+    nodes = {axis: axis_nodes(targets[:, j]) for j, axis in enumerate("XYZ"[:d])}
+    tables, terms, left_out = machine_terms(free.observations, linear_axis_errors(chain, nodes))
+    datum = f"{RIGID_BODY_DATUM}; map: {MAP_DATUM}"
+    return replace(free, terms=terms, constraints=table_datum(tables), left_out=left_out, datum=datum, tables=tables)
+
+
+def _station_datum(model: TrackingModel) -> tuple[Constraint, ...]:
+    """No shift and no turn of the stations that the network carries; the map is carried over to the targets' datum."""
+    d, count = model.dimension, len(model.stations)
+    placed = model.sight.projectors(model.observations.session.sigma, model.known) * model.carried[:, None, None]
+    motion = model.motion.of_stations(model.stations[:, :d]).reshape(count, d + 1, -1)
+    rows = (placed @ motion).reshape(count * (d + 1), -1).T
+    names = [parameter.name for parameter in model.own]
+    return tuple(Constraint({n: float(v) for n, v in zip(names, row, strict=True) if v}) for row in rows)
+
+
+def _known_places(model: TrackingModel) -> Iterator[Prior]:
+    """What is declared of stations, for those motions of theirs that their own readings hardly sense."""
+    names = np.array([parameter.name for parameter in model.own]).reshape(len(model.stations), -1)
+    for k, vector in model.loose_stations:
+        weights = {str(n): float(v) for n, v in zip(names[k], vector, strict=True) if v}
+        yield Prior(weights, 0.0, float(model.known[k]))

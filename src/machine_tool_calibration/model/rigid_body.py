@@ -1,0 +1,206 @@
+"""The machine's error motions as tables and squareness: unknowns of a rigid-body model, with their datum."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.machine.chain import Chain
+from machine_tool_calibration.machine.error_motions import (
+    SQUARENESS,
+    interpolation,
+    motion_field,
+    parse_motion,
+    squareness_field,
+)
+from machine_tool_calibration.model.model import Constraint, NotDetermined, Parameter, Term
+from machine_tool_calibration.model.observations import Observations
+
+__all__ = ["RIGID_BODY_DATUM", "MachineTable", "axis_nodes", "linear_axis_errors", "machine_terms", "table_datum"]
+
+
+_MOST_NODES = 21
+
+
+@dataclass(frozen=True)
+class MachineTable:
+    """One error motion with its table, or one squareness error.
+
+    Attributes:
+        chain: the machine.
+        name: EXX, ECY, … or C0Y, ….
+        nodes: (k,) positions of the table on its axis, m; empty for a squareness.
+    """
+
+    chain: Chain
+    name: str
+    nodes: Array
+
+    @property
+    def is_squareness(self) -> bool:
+        """Whether it is one number rather than a table."""
+        return self.name in SQUARENESS
+
+    @property
+    def is_rotation(self) -> bool:
+        """Whether its values are angles."""
+        return self.is_squareness or parse_motion(self.name).is_rotation
+
+    @property
+    def is_straightness(self) -> bool:
+        """Whether it is a translation across its axis."""
+        if self.is_squareness:
+            return False
+        motion = parse_motion(self.name)
+        return not motion.is_rotation and motion.component != motion.axis
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the unknowns: `EXX(0.08)` is the value at 0.08 m."""
+        return (self.name,) if self.is_squareness else tuple(f"{self.name}({node:.6g})" for node in self.nodes)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The unknowns."""
+        unit = "rad" if self.is_rotation else "m"
+        return tuple(Parameter(label, unit, shared=True) for label in self.labels)
+
+    def scalar(self, position: Array, direction: Array) -> Array:
+        """(n,) what a unit of the motion at each position adds along the given directions (n, 3)."""
+        field = (
+            squareness_field(self.name, position)
+            if self.is_squareness
+            else motion_field(self.chain, parse_motion(self.name), position)
+        )
+        return np.asarray(np.einsum("nj,nj->n", field, direction))
+
+    def columns(self, position: Array, direction: Array) -> Array:
+        """(k, n) change along the direction per unit of each unknown.
+
+        Args:
+            position: (n, 3) commanded x, y, z, m.
+            direction: (n, 3).
+        """
+        along = self.scalar(position, direction)
+        if self.is_squareness:
+            return along[None]
+        axis = "XYZ".index(parse_motion(self.name).axis)
+        return interpolation(self.nodes, position[:, axis]) * along
+
+
+def axis_nodes(positions: Array) -> Array:
+    """Nodes for a table from the positions at which the axis was read.
+
+    The positions themselves (equal to the nanometre) if there are not too many; otherwise evenly spaced ones.
+    """
+    distinct = np.unique(np.round(positions, 9))
+    if len(distinct) <= _MOST_NODES:
+        return distinct
+    return np.linspace(distinct[0], distinct[-1], _MOST_NODES)
+
+
+def linear_axis_errors(
+    chain: Chain, nodes: dict[str, Array], axes: Iterable[str] | None = None
+) -> Sequence[MachineTable]:
+    """All 18 error motions and 3 squareness errors of the linear axes that have a table; translations first."""
+    moving = [axis for axis in "XYZ" if axis in chain.linear and len(nodes.get(axis, ())) > 1]
+    if axes is not None:
+        moving = [axis for axis in moving if axis in set(axes)]
+    out = [MachineTable(chain, f"E{c}{axis}", nodes[axis]) for axis in moving for c in "XYZ"]
+    pairs = {"C0Y": "XY", "B0Z": "XZ", "A0Z": "YZ"}
+    out += [MachineTable(chain, name, np.empty(0)) for name, pair in pairs.items() if set(pair) <= set(moving)]
+    out += [MachineTable(chain, f"E{c}{axis}", nodes[axis]) for axis in moving for c in "ABC"]
+    return out
+
+
+RIGID_BODY_DATUM = (
+    "every error motion is zero at its axis's zero (the node next to it); straightness is counted from the "
+    "least-squares line through its table, so that the slope between two axes is their squareness"
+)
+# Share of a column's norm that others leave below which it says nothing of its own.
+_OWN_SHARE = 1e-6
+
+
+def machine_terms(
+    observations: Observations, tables: Sequence[MachineTable]
+) -> tuple[tuple[MachineTable, ...], tuple[Term, ...], tuple[NotDetermined, ...]]:
+    """Terms of those error motions that the readings can tell apart.
+
+    Args:
+        observations: the readings.
+        tables: candidates in the order of preference: what only repeats earlier ones is left out.
+
+    Returns:
+        The tables kept, their terms, and what was left out with the reason.
+    """
+    kept, terms, left_out = [], [], []
+    basis = np.zeros((0, len(observations)))
+    for table in tables:
+        columns = table.columns(observations.position, observations.direction)
+        norms = np.linalg.norm(columns, axis=1)
+        # A rotation with a short lever arm still moves micrometres per radian: compare with one metre.
+        if norms.max(initial=0.0) < 1e-9 * np.sqrt(len(observations)):
+            left_out.append(
+                NotDetermined(
+                    table.name,
+                    "no reading depends on it: it does not move the functional point along any measured direction",
+                )
+            )
+            continue
+        # The straight part of a straightness is not its own: it is the squareness.
+        free = _free_part(table) @ columns
+        unit = free / np.maximum(np.linalg.norm(free, axis=1), 1e-12)[:, None]
+        rest = unit - (unit @ basis.T) @ basis
+        rest -= (rest @ basis.T) @ basis
+        if np.linalg.norm(rest, axis=1).max(initial=0.0) < _OWN_SHARE:
+            left_out.append(
+                NotDetermined(
+                    table.name,
+                    "the readings cannot tell it from the translations: its lever arm was the same throughout",
+                )
+            )
+            continue
+        _, s, vt = np.linalg.svd(rest, full_matrices=False)
+        basis = np.concatenate([basis, vt[s > _OWN_SHARE]])
+        kept.append(table)
+        terms.append(Term(table.name, table.parameters, columns))
+    return tuple(kept), tuple(terms), tuple(left_out)
+
+
+def table_datum(tables: Sequence[MachineTable]) -> tuple[Constraint, ...]:
+    """Zero of each table at the node next to the axis's zero, and no slope of a straightness."""
+    return tuple(
+        Constraint({label: float(w) for label, w in zip(table.labels, row, strict=True) if w})
+        for table in tables
+        for row in _datum_rows(table)
+    )
+
+
+def _datum_rows(table: MachineTable) -> Array:
+    """(c, k) datum of one table."""
+    if table.is_squareness:
+        return np.zeros((0, 1))
+    zero = np.zeros(len(table.nodes))
+    zero[int(np.argmin(np.abs(table.nodes)))] = 1.0
+    if not table.is_straightness:
+        return zero[None]
+    centred = table.nodes - table.nodes.mean()
+    return np.array([zero, centred / np.abs(centred).max()])
+
+
+def _free_part(table: MachineTable) -> Array:
+    """(f, k) orthonormal combinations of the table's values that its datum leaves free."""
+    rows = _datum_rows(table)
+    k = len(table.labels)
+    return np.eye(k) if not len(rows) else np.asarray(np.linalg.svd(rows, full_matrices=True)[2][len(rows) :])
+
+
+def map_field(tables: Sequence[MachineTable], position: Array) -> Array:
+    """(K, n, 3) position error at given places per unit of each unknown of the tables."""
+    n = len(position)
+    axes = [np.tile(np.eye(3)[j], (n, 1)) for j in range(3)]
+    columns = [np.stack([table.columns(position, axis) for axis in axes], axis=-1) for table in tables]
+    return np.concatenate(columns) if columns else np.zeros((0, n, 3))

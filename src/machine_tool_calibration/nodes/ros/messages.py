@@ -1,0 +1,233 @@
+"""Parts of messages that all nodes need: quality of service, stamps, status, poses, point clouds."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Mapping
+from enum import IntEnum
+
+import numpy as np
+from builtin_interfaces.msg import Duration, Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import Pose, PoseStamped, Quaternion
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import PointCloud2, PointField
+
+from machine_tool_calibration.arrays import Array
+
+__all__ = [
+    "COMMAND",
+    "LATCHED",
+    "READINGS",
+    "SLOW",
+    "STATE",
+    "Level",
+    "cloud",
+    "columns",
+    "duration_message",
+    "from_duration",
+    "from_message",
+    "nanoseconds",
+    "now",
+    "pose_message",
+    "quaternion_along",
+    "quaternion_of",
+    "rotation_of",
+    "seconds",
+    "status",
+    "status_message",
+    "to_message",
+    "values",
+]
+
+
+def _reliable(depth: int, durability: DurabilityPolicy = DurabilityPolicy.VOLATILE) -> QoSProfile:
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=durability,
+    )
+
+
+COMMAND = _reliable(10)
+STATE = _reliable(100)
+SLOW = _reliable(10)
+LATCHED = _reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)
+# kept for those who come late: an estimator or recorder that (re)starts in the middle gets every reading
+READINGS = _reliable(20000, DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+_GIGA = 1_000_000_000
+
+
+def from_message(stamp: Time) -> int:
+    """Nanoseconds of a stamp."""
+    return int(stamp.sec) * _GIGA + int(stamp.nanosec)
+
+
+def to_message(time: int) -> Time:
+    """The stamp of a time in nanoseconds."""
+    sec, nanosec = divmod(time, _GIGA)
+    return Time(sec=sec, nanosec=nanosec)
+
+
+def from_duration(duration: Duration) -> float:
+    """Seconds of a duration."""
+    return int(duration.sec) + int(duration.nanosec) * 1e-9
+
+
+def duration_message(time: float) -> Duration:
+    """A duration of that many seconds."""
+    sec, nanosec = divmod(nanoseconds(time), _GIGA)
+    return Duration(sec=sec, nanosec=nanosec)
+
+
+def nanoseconds(time: float) -> int:
+    """Seconds to nanoseconds."""
+    return round(time * _GIGA)
+
+
+def seconds(time: int) -> float:
+    """Nanoseconds to seconds; exact enough for differences, not for times since 1970."""
+    return time / _GIGA
+
+
+def now(node: Node) -> int:
+    """The node's ROS time, ns: simulated where `use_sim_time` is set."""
+    return int(node.get_clock().now().nanoseconds)
+
+
+class Level(IntEnum):
+    """Levels of a DiagnosticStatus."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+
+
+def status(name: str, level: Level, message: str, entries: Mapping[str, object]) -> DiagnosticStatus:
+    """One entry.
+
+    Args:
+        name: what it is about.
+        level: how it is.
+        message: one sentence for people.
+        entries: values for programs.
+    """
+    return DiagnosticStatus(
+        level=bytes([level]),
+        name=name,
+        message=message,
+        hardware_id="machine_tool_calibration",
+        values=[KeyValue(key=key, value=str(value)) for key, value in entries.items()],
+    )
+
+
+def status_message(stamp: int, name: str, level: Level, message: str, entries: Mapping[str, object]) -> DiagnosticArray:
+    """A message of one entry.
+
+    Args:
+        stamp: ROS time, ns.
+        name: what it is about.
+        level: how it is.
+        message: one sentence for people.
+        entries: values for programs.
+    """
+    array = DiagnosticArray(status=[status(name, level, message, entries)])
+    array.header.stamp = to_message(stamp)
+    return array
+
+
+def values(message: DiagnosticArray) -> dict[str, str]:
+    """Values of the first entry by key."""
+    return {entry.key: entry.value for entry in message.status[0].values} if message.status else {}
+
+
+def quaternion_along(direction: Array) -> Quaternion:
+    """The rotation that turns +X onto a direction (3,): first about Z, then down or up."""
+    x, y, z = map(float, direction)
+    azimuth, elevation = math.atan2(y, x), math.atan2(z, math.hypot(x, y))
+    cz, sz = math.cos(0.5 * azimuth), math.sin(0.5 * azimuth)
+    cy, sy = math.cos(-0.5 * elevation), math.sin(-0.5 * elevation)
+    return Quaternion(x=-sz * sy, y=cz * sy, z=sz * cy, w=cz * cy)
+
+
+def quaternion_of(rotation: Array) -> Quaternion:
+    """The quaternion of a rotation matrix (3, 3); the largest part is found first, so that nothing cancels."""
+    trace = float(np.trace(rotation))
+    parts = np.array([trace, *np.diag(rotation)])
+    k = int(np.argmax(parts))
+    q = np.zeros(4)  # w, x, y, z
+    if k == 0:
+        root = math.sqrt(1.0 + trace)
+        q[0] = 0.5 * root
+        q[1:] = np.array(
+            [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
+        ) / (2.0 * root)
+    else:
+        i, j, m = k - 1, k % 3, (k + 1) % 3
+        root = math.sqrt(1.0 + rotation[i, i] - rotation[j, j] - rotation[m, m])
+        q[1 + i] = 0.5 * root
+        q[0] = (rotation[m, j] - rotation[j, m]) / (2.0 * root)
+        q[1 + j] = (rotation[j, i] + rotation[i, j]) / (2.0 * root)
+        q[1 + m] = (rotation[m, i] + rotation[i, m]) / (2.0 * root)
+    w, x, y, z = map(float, q)
+    return Quaternion(x=x, y=y, z=z, w=w)
+
+
+def rotation_of(quaternion: Quaternion) -> Array:
+    """(3, 3) matrix of a quaternion."""
+    x, y, z, w = quaternion.x, quaternion.y, quaternion.z, quaternion.w
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def pose_message(stamp: int, frame: str, place: Array, turn: Quaternion) -> PoseStamped:
+    """A pose at a time, ns."""
+    message = PoseStamped(pose=Pose(orientation=turn))
+    message.header.stamp = to_message(stamp)
+    message.header.frame_id = frame
+    position = message.pose.position
+    position.x, position.y, position.z = map(float, place)
+    return message
+
+
+def cloud(stamp: int, fields: Mapping[str, Array], frame: str = "machine") -> PointCloud2:
+    """One row for each point.
+
+    Args:
+        stamp: ROS time, ns.
+        fields: (n,) values by name; NaN is a value that is not determined.
+        frame: in which x, y, z are given.
+    """
+    rows = np.column_stack(list(fields.values())).astype("<f8")
+    message = PointCloud2(
+        height=1,
+        width=len(rows),
+        fields=[
+            PointField(name=name, offset=8 * index, datatype=PointField.FLOAT64, count=1)
+            for index, name in enumerate(fields)
+        ],
+        is_bigendian=False,
+        point_step=8 * len(fields),
+        row_step=8 * rows.size,
+        data=array("B", rows.tobytes()),
+        is_dense=bool(np.all(np.isfinite(rows))),
+    )
+    message.header.stamp = to_message(stamp)
+    message.header.frame_id = frame
+    return message
+
+
+def columns(message: PointCloud2) -> dict[str, Array]:
+    """The fields of such a message, each (n,)."""
+    rows = np.frombuffer(bytes(message.data), "<f8").reshape(message.width, len(message.fields))
+    return {field.name: rows[:, index].copy() for index, field in enumerate(message.fields)}

@@ -1,0 +1,176 @@
+"""The frame of every node's process: parameters, start, spin, and a clean stop on SIGINT and SIGTERM."""
+
+from __future__ import annotations
+
+import faulthandler
+import os
+import signal
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import ParameterException
+from rclpy.executors import ExternalShutdownException
+from rclpy.experimental import EventsExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
+
+from machine_tool_calibration.errors import CalibrationError
+
+__all__ = ["STOP_GRACE", "declare", "default_environment", "post", "run", "use_sim_time"]
+
+
+def declare(
+    node: Node,
+    name: str,
+    default: Any,
+    description: str,
+    *,
+    unit: str = "",
+    low: float | None = None,
+    high: float | None = None,
+    choices: tuple[str, ...] = (),
+    read_only: bool = True,
+) -> Any:
+    """Declare a parameter and return its value.
+
+    Args:
+        node: whose parameter it is.
+        name: its name.
+        default: its value where nobody sets it; gives the type.
+        description: what it does.
+        unit: of a number.
+        low: least value.
+        high: greatest value.
+        choices: of a text.
+        read_only: whether it can be set at the start only.
+    """
+    descriptor = ParameterDescriptor(
+        name=name,
+        description=f"{description} [{unit}]" if unit else description,
+        read_only=read_only,
+        additional_constraints=f"one of {', '.join(choices)}" if choices else "",
+    )
+    if low is not None or high is not None:
+        low, high = (-1e308 if low is None else low), (1e308 if high is None else high)
+        if isinstance(default, float):
+            descriptor.floating_point_range = [FloatingPointRange(from_value=float(low), to_value=float(high))]
+        elif isinstance(default, int):
+            low, high = max(low, -(2**63)), min(high, 2**63 - 1)
+            descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
+    value = node.declare_parameter(name, default, descriptor).value
+    if choices and value not in choices:
+        raise CalibrationError(f"parameter {name} is {value!r}, not one of {', '.join(choices)}")
+    return value
+
+
+STOP_GRACE = 1.8  # s: nodes that have nothing to save end within 2 s, whatever happens
+_SAVE_GRACE = 30.0  # s: others may have a disk to wait for
+_STOPS = {signal.SIGINT, signal.SIGTERM}
+_TICK = 0.1  # s
+
+
+def default_environment() -> None:
+    """Discover on this machine only, unless the user says otherwise: the wheels have no security (SROS2).
+
+    Logs go where they can be written: without that no node starts for a user who has no home.
+    """
+    if "ROS_LOCALHOST_ONLY" not in os.environ:
+        os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    if not os.environ.get("ROS_LOG_DIR") and not os.environ.get("ROS_HOME"):
+        logs = Path(os.path.expanduser("~"), ".ros", "log")
+        there = next(folder for folder in (logs, *logs.parents) if folder.exists())
+        if not (logs.is_absolute() and there.is_dir() and os.access(there, os.W_OK)):
+            os.environ["ROS_LOG_DIR"] = str(Path(tempfile.gettempdir(), f"ros-log-{os.getuid()}"))
+
+
+def run(create: Callable[[], Node], args: list[str] | None = None, *, grace: float = _SAVE_GRACE) -> int:
+    """Run a node until SIGINT, SIGTERM or an external shutdown.
+
+    A node may have a method `close()`, which is called before it is destroyed, and an attribute `done`, which ends it
+    once it is true.
+
+    Args:
+        create: makes the node; called after rclpy is up.
+        args: command line, by default the process's own.
+        grace: a node that has not ended so long after the signal is ended by force, s.
+
+    Returns:
+        Exit status: 0 stopped as asked, 1 the node could not start (one line on standard error).
+    """
+    default_environment()
+    stop = threading.Event()
+    # A thread waits for the signals: it can end the process even where the middleware holds the main thread.
+    # Threads started from here on, the middleware's own, inherit the mask.
+    # A signal that a thread from before takes (BLAS, a timer) comes to these handlers instead.
+    for number in _STOPS:
+        signal.signal(number, lambda *_: stop.set())
+    signal.pthread_sigmask(signal.SIG_BLOCK, _STOPS)
+    threading.Thread(target=_await_stop, args=(stop, grace), name="signals", daemon=True).start()
+    # rclpy's own handlers end the context while callbacks run; without them the loop below finishes first
+    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    node: Node | None = None
+    executor = None
+    status = 0
+    try:
+        node = create()
+        executor = EventsExecutor()
+        executor.add_node(node)
+        node._post = executor.create_task  # type: ignore[attr-defined]
+        while not stop.is_set() and rclpy.ok() and not getattr(node, "done", False):
+            # spin() of this executor hangs in Jazzy
+            executor.spin_once(timeout_sec=_TICK)
+    except ExternalShutdownException:
+        pass
+    except (CalibrationError, ParameterException) as error:
+        name = node.get_name() if node is not None else Path(sys.argv[0]).stem
+        print(f"{name}: {' '.join(str(error).split())}", file=sys.stderr)
+        status = 1
+    finally:
+        if node is not None and hasattr(node, "close"):
+            node.close()
+        if executor is not None:
+            executor.shutdown()
+        if node is not None:
+            node.destroy_node()
+        if rclpy.ok():
+            rclpy.shutdown()
+    return status
+
+
+def _await_stop(stop: threading.Event, grace: float) -> None:
+    """Set the event at the first signal; end the process where that does not help."""
+    signal.sigwait(_STOPS)
+    stop.set()
+    time.sleep(grace)
+    faulthandler.dump_traceback(all_threads=True)
+    print(f"not ended {grace:g} s after the signal: ended by force", file=sys.stderr, flush=True)
+    os._exit(1)
+
+
+def post(node: Node, function: Callable[[], None]) -> None:
+    """Have a function called in the node's own thread; may be called from any thread.
+
+    An exception in the function is logged: this executor would crash on it.
+    """
+
+    def guarded() -> None:
+        try:
+            function()
+        except Exception as error:
+            node.get_logger().error(f"{type(error).__name__}: {error}")
+
+    node._post(guarded)  # type: ignore[attr-defined]
+
+
+def use_sim_time(node: Node) -> bool:
+    """Whether the node lives in simulated time."""
+    parameter: Parameter = node.get_parameter("use_sim_time")
+    return bool(parameter.value)

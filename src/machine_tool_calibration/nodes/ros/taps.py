@@ -1,0 +1,272 @@
+"""Subscriptions that hand over serialized messages with their times and numbers.
+
+The executor of this release that is fast enough cannot give a message's times, so nobody spins these
+subscriptions: whoever owns them takes what has come, every few milliseconds. The middleware stamps each message when it
+is sent and when it arrives, so the times do not depend on when it is taken. Of two topics one may arrive late where
+others keep the machine busy: in simulated time messages and ticks of the clock are put in order by when they were sent.
+"""
+
+from __future__ import annotations
+
+import importlib
+import time
+from bisect import bisect_right
+from dataclasses import dataclass, field, replace
+
+import rclpy
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
+from rosgraph_msgs.msg import Clock
+
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.nodes.ros.messages import from_message
+from machine_tool_calibration.recording.graph import compatible, request_for
+from machine_tool_calibration.recording.metadata import Qos
+
+__all__ = ["Taken", "Tap", "Taps", "message_class", "offered_qos"]
+
+_MOST_AT_ONCE = 2000  # messages of one topic, so that no topic keeps the others waiting
+_NO_NUMBER = 2**64 - 1
+# What any publisher of a clock can give; a lost tick costs no more than its step.
+_CLOCK = Qos(depth=1000, reliability="best_effort")
+# ns that a message waits for a tick that was sent after it, so that none before it is missing
+_OVERTAKEN = 1_000_000_000
+# ticks that are kept for messages that are still on their way
+_KEPT = 2_000
+
+
+@dataclass(frozen=True)
+class Taken:
+    """A serialized message; times in ns.
+
+    Attributes:
+        topic: absolute name.
+        data: as it came.
+        received: by the system's clock.
+        sent: by the system's clock; when it was received, if the middleware does not tell.
+        number: that the publisher gave it.
+        simulated: what the simulated clock showed when it was sent; 0 if that is not known.
+    """
+
+    topic: str
+    data: bytes
+    received: int
+    sent: int
+    number: int
+    simulated: int = 0
+
+
+@dataclass
+class Tap:
+    """One subscribed topic.
+
+    Attributes:
+        topic: absolute name.
+        type: such as `sensor_msgs/msg/JointState`.
+        request: what it asks of publishers.
+        offered: what they offer, as far as they were discovered.
+        type_hash: that the publishers tell.
+        messages: taken so far.
+        lost: that the publisher sent after the first one taken and that never came.
+        unseen: that it had sent before the first one taken.
+    """
+
+    topic: str
+    type: str
+    request: Qos
+    subscription: Subscription
+    offered: tuple[Qos, ...] = ()
+    type_hash: str = ""
+    messages: int = 0
+    lost: int = 0
+    unseen: int = 0
+    _last: int = field(default=0, repr=False)
+
+    @property
+    def publishers(self) -> int:
+        """Publishers that are matched."""
+        return self.subscription.get_publisher_count()
+
+    def count(self, number: int) -> None:
+        """Note a message's publication number; gaps are losses, as long as there is one publisher."""
+        self.messages += 1
+        if number in (0, _NO_NUMBER) or len(self.offered) > 1:
+            self._last = 0
+            return
+        if self.messages == 1:
+            self.unseen = number - 1
+        elif self._last and number > self._last:
+            self.lost += number - self._last - 1
+        self._last = number
+
+
+class Taps:
+    """All topics that are recorded."""
+
+    def __init__(self, node: Node, clock: str = "") -> None:
+        """A hidden node beside the given one, which nobody spins.
+
+        Args:
+            node: whose namespace and graph it shares.
+            clock: absolute name of the simulated clock that the messages are dated by, if there is one.
+        """
+        self._node = node
+        # remappings are applied by the owner; here they would rename this node too
+        self._hidden = rclpy.create_node(
+            f"_{node.get_name()}_taps",
+            namespace=node.get_namespace(),
+            use_global_arguments=False,
+            start_parameter_services=False,
+            enable_rosout=False,
+        )
+        self.taps: dict[str, Tap] = {}
+        kind = "rosgraph_msgs/msg/Clock"
+        self._clock = Tap(clock, kind, _CLOCK, self._subscribe(clock, kind, _CLOCK)) if clock else None
+        self._ticks: list[tuple[int, int]] = []  # when each was sent, and what it shows
+        self._undated: list[Taken] = []
+
+    def add(self, topic: str, message_type: str, request: Qos | None = None) -> Tap:
+        """Subscribe to a topic by its absolute name.
+
+        Args:
+            topic: the name.
+            message_type: such as `sensor_msgs/msg/JointState`.
+            request: what to ask of publishers; what all that are there can give if None.
+
+        Raises:
+            CalibrationError: the message type is not installed.
+        """
+        if request is None:
+            found = self._node.get_publishers_info_by_topic(topic)
+            request = request_for(offered_qos(info.qos_profile) for info in found)
+        tap = Tap(topic, message_type, request, self._subscribe(topic, message_type, request))
+        self.taps[topic] = tap
+        return tap
+
+    def discover(self, topic: str) -> bool:
+        """Learn what a topic's publishers offer, and ask for what they can give.
+
+        Returns:
+            Whether anything is known of it now that was not.
+        """
+        tap = self.taps[topic]
+        found = [info for info in self._node.get_publishers_info_by_topic(topic) if info.topic_type == tap.type]
+        offered = tuple(offered_qos(info.qos_profile) for info in found)
+        if not offered or offered == tap.offered:
+            return False
+        tap.offered = offered
+        tap.type_hash = str(found[0].topic_type_hash)
+        best = request_for(offered)
+        unmatched = any(not compatible(tap.request, profile) for profile in offered)
+        # nothing came yet: ask again for what was latched; else only where a publisher cannot be heard
+        if best != tap.request and (unmatched or (best.latched and not tap.messages)):
+            self._hidden.destroy_subscription(tap.subscription)
+            tap.request, tap.subscription = best, self._subscribe(topic, tap.type, best)
+        return True
+
+    def follow_clock(self) -> None:
+        """Ask for every tick, as soon as it is known that all who publish the clock can give that."""
+        if self._clock is None or self._clock.request.reliability == "reliable":
+            return
+        topic, kind = self._clock.topic, self._clock.type
+        offered = [offered_qos(info.qos_profile) for info in self._node.get_publishers_info_by_topic(topic)]
+        if offered and all(profile.reliability == "reliable" for profile in offered):
+            request = replace(_CLOCK, reliability="reliable")
+            self._hear_clock(self._clock)
+            self._hidden.destroy_subscription(self._clock.subscription)
+            self._clock = Tap(topic, kind, request, self._subscribe(topic, kind, request))
+
+    def take(self, *, last: bool = False) -> list[Taken]:
+        """What has come, in the order of its coming; in simulated time in that of its sending, as far as it is dated.
+
+        Args:
+            last: whether nothing more will be taken: then no message waits for ticks.
+        """
+        taken: list[Taken] = []
+        for tap in self.taps.values():
+            self._take(tap, taken)
+        if self._clock is not None:
+            return self._dated(self._clock, taken, last)
+        return sorted(taken, key=lambda message: message.received)
+
+    def _dated(self, clock: Tap, taken: list[Taken], last: bool) -> list[Taken]:
+        """Messages with the simulated time at which each was sent, however late they come or are taken."""
+        self._hear_clock(clock)
+        told, overdue = self._ticks[-1][0] if self._ticks else 0, time.time_ns() - _OVERTAKEN
+        ready, waiting = [], []
+        for message in (*self._undated, *taken):
+            (ready if last or message.sent < told or message.received < overdue else waiting).append(message)
+        self._undated = waiting
+        return [replace(m, simulated=self._shown(m.sent)) for m in sorted(ready, key=lambda m: m.sent)]
+
+    def _shown(self, sent: int) -> int:
+        """What the last tick before shows; what is older than all of them belongs to the first."""
+        before = bisect_right(self._ticks, sent, key=lambda tick: tick[0])
+        return self._ticks[max(before - 1, 0)][1] if self._ticks else 0
+
+    def _hear_clock(self, clock: Tap) -> None:
+        ticks: list[Taken] = []
+        self._take(clock, ticks)
+        if ticks:
+            new = [(tick.sent, from_message(deserialize_message(tick.data, Clock).clock)) for tick in ticks]
+            self._ticks = sorted([*self._ticks[-_KEPT:], *new])
+
+    def close(self) -> None:
+        """Unsubscribe."""
+        self._hidden.destroy_node()
+
+    def _take(self, tap: Tap, taken: list[Taken]) -> None:
+        handle, kind = tap.subscription.handle, tap.subscription.msg_type
+        with handle:
+            for _ in range(_MOST_AT_ONCE):
+                found = handle.take_message(kind, True)
+                if found is None:
+                    return
+                data, info = found
+                number = info["publication_sequence_number"] or 0
+                tap.count(number)
+                received, sent = info["received_timestamp"], info["source_timestamp"]
+                taken.append(Taken(tap.topic, data, received, sent or received, number))
+
+    def _subscribe(self, topic: str, message_type: str, request: Qos) -> Subscription:
+        return self._hidden.create_subscription(
+            message_class(message_type), topic, lambda _: None, _profile(request), raw=True
+        )
+
+
+def offered_qos(profile: QoSProfile) -> Qos:
+    """A publisher's profile as discovery tells it."""
+    return Qos(
+        history=HistoryPolicy(profile.history).short_key,
+        depth=profile.depth,
+        reliability=ReliabilityPolicy(profile.reliability).short_key,
+        durability=DurabilityPolicy(profile.durability).short_key,
+        deadline=profile.deadline.nanoseconds,
+        lifespan=profile.lifespan.nanoseconds,
+        liveliness=profile.liveliness.short_key,
+        lease=profile.liveliness_lease_duration.nanoseconds,
+    )
+
+
+def _profile(request: Qos) -> QoSProfile:
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=request.depth,
+        reliability=ReliabilityPolicy.get_from_short_key(request.reliability),
+        durability=DurabilityPolicy.get_from_short_key(request.durability),
+    )
+
+
+def message_class(message_type: str) -> type:
+    """The class of a message type such as `sensor_msgs/msg/JointState`.
+
+    Raises:
+        CalibrationError: it is not installed.
+    """
+    parts = message_type.split("/")
+    try:
+        return getattr(importlib.import_module(f"{parts[0]}.{parts[1]}"), parts[2])
+    except (ImportError, AttributeError, IndexError):
+        raise CalibrationError(f"the message type {message_type} is not installed") from None

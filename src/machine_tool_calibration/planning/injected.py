@@ -1,0 +1,186 @@
+"""What an effect's residuals look like: put into perfect data of a perfect machine, and fitted without it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.diagnosis.compare import compare
+from machine_tool_calibration.diagnosis.comparison import Comparison
+from machine_tool_calibration.diagnosis.search.look import absorbed_by
+from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.methods.identify import build_model
+from machine_tool_calibration.model.fit import Fit, fit_models, screen
+from machine_tool_calibration.model.model import MethodModel
+from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.simulation import FLAWS, PRESETS, FlawSpec, MachineSpec, SimulationSpec, simulate
+
+__all__ = ["AMPLITUDE", "PLANS", "Injected", "Shown", "inject", "where_it_shows"]
+
+AMPLITUDE = 5e-6
+"""Largest change of a reading that is put in, m."""
+
+PLANS = (
+    "tracking_2d",
+    "tracking_3d",
+    "rotary_axis",
+    "step_diagonal",
+    "probing_cross",
+    "probing_pins",
+    "grid_plate",
+    "iso230_2",
+)
+"""Simulated plans in which effects are shown, those of most interest first."""
+
+# Share of the change, by root mean square, that is clearly left, and below which the model has taken it up.
+_CLEAR, _TAKEN_UP = 0.3, 0.02
+_SEED = 7
+
+
+@dataclass(frozen=True)
+class Injected:
+    """An effect in perfect data.
+
+    Attributes:
+        effect: what was put in.
+        plan: name of the simulated plan.
+        comparison: the default model, which lacks the effect, against the readings.
+        change: (n,) what the effect did to each reading, m, without the mean of each run.
+        left: root mean square of what the model leaves over that of the change.
+        from_geometry: whether the simulator made it; otherwise it is the effect's own formula.
+    """
+
+    effect: Effect
+    plan: str
+    comparison: Comparison
+    change: Array
+    left: float
+    from_geometry: bool
+
+    @property
+    def taken_up(self) -> bool:
+        """Whether the model's own unknowns hide it."""
+        return self.left < _TAKEN_UP
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What becomes of an effect in one plan.
+
+    Attributes:
+        plan: name of the simulated plan.
+        method: its method.
+        left: share of the effect that the default model leaves; None where it cannot act.
+        taken_up_by: the unknowns that take most of the rest.
+        why_not: why it cannot act.
+    """
+
+    plan: str
+    method: str
+    left: float | None
+    taken_up_by: str = ""
+    why_not: str = ""
+
+
+def inject(effect: Effect, plans: Sequence[str] = PLANS) -> Injected | None:
+    """Put an effect into the first plan in which it clearly shows, or else into the one in which it shows best.
+
+    Returns:
+        None where no reading of any plan depends on it.
+    """
+    best: tuple[float, str, Session, Fit, Array] | None = None
+    for plan in plans:
+        made = _made(effect, plan)
+        if made is None:
+            continue
+        session, fit, change = made
+        left = _left(fit, change)
+        if best is None or left > best[0]:
+            best = left, plan, session, fit, change
+        if left > _CLEAR:
+            break
+    if best is None:
+        return None
+    left, plan, _, fit, change = best
+    return Injected(effect, plan, compare(fit), change, left, effect.id in FLAWS)
+
+
+def where_it_shows(effect: Effect, plans: Sequence[str] = PLANS) -> tuple[Shown, ...]:
+    """What each plan's default model leaves of an effect, and which unknowns take the rest."""
+    out = []
+    for plan in plans:
+        method = PRESETS[plan].method
+        why = effect.why_not(_perfect_model(plan).observations)
+        made = _made(effect, plan) if why is None else None
+        if made is None:
+            out.append(Shown(plan, method, None, why_not=why or "no reading depends on it"))
+            continue
+        _, fit, change = made
+        projected = screen(fit, change[None])
+        out.append(Shown(plan, method, _left(fit, change), absorbed_by(fit.joint, projected, slice(0, 1))))
+    return tuple(out)
+
+
+def _made(effect: Effect, plan: str) -> tuple[Session, Fit, Array] | None:
+    """A session with the effect, its fit without it, and the effect's change of each reading; None if there is none."""
+    model = _perfect_model(plan)
+    observations = model.observations
+    if effect.why_not(observations) is not None or not _acts(effect, model):
+        return None
+    clean = observations.session
+    if effect.id in FLAWS:
+        try:
+            session = simulate(_spec(plan, FlawSpec(id=effect.id, amplitude=AMPLITUDE))).session
+        except CalibrationError:
+            return None
+    else:
+        own = _own_change(effect, model)
+        if own is None:
+            return None
+        readings = clean.readings
+        moved = readings.displacement.copy()
+        moved[np.searchsorted(readings.row, observations.readings.row)] += own
+        session = clean.with_readings(replace(readings, displacement=moved))
+    change = (session.readings.displacement - clean.readings.displacement)[observations.readings.row]
+    for run in np.unique(observations.run):
+        change[observations.run == run] -= change[observations.run == run].mean()
+    if np.abs(change).max() < 1e-3 * AMPLITUDE:
+        return None
+    return session, fit_models([build_model(session)[0]]).fits[0], change
+
+
+def _acts(effect: Effect, model: MethodModel) -> bool:
+    """Whether a reading depends on it in first order: an absurdly large size would show in second order."""
+    observations = model.observations
+    return any(np.abs(effect.columns(observations, shape)).any() for shape in effect.shape_grid(observations)[:3])
+
+
+def _own_change(effect: Effect, model: MethodModel) -> Array | None:
+    """The effect's formula in the middle of its plausible ranges, scaled to the amplitude."""
+    observations = model.observations
+    grid = effect.shape_grid(observations)
+    if not grid:
+        return None
+    shape = grid[len(grid) // 2]
+    sizes = [(c.low + c.high) / 2 or c.high for c in effect.coefficients_for(observations, shape)]
+    change = np.asarray(sizes) @ effect.columns(observations, shape)
+    largest = float(np.max(np.abs(change), initial=0.0))
+    return np.asarray(change * (AMPLITUDE / largest)) if 0 < largest < np.inf else None
+
+
+def _perfect_model(plan: str) -> MethodModel:
+    return build_model(simulate(_spec(plan)).session)[0]
+
+
+def _spec(plan: str, *flaws: FlawSpec) -> SimulationSpec:
+    """A machine without errors, readings without noise."""
+    machine = MachineSpec(random=None)
+    return SimulationSpec(plan=PRESETS[plan], seed=_SEED, machine=machine, noise_factor=0.0, effects=flaws)
+
+
+def _left(fit: Fit, change: Array) -> float:
+    return min(float(np.sqrt(np.mean(fit.residuals**2) / np.mean(change**2))), 1.0)

@@ -1,0 +1,270 @@
+"""Contours of straight lines and arcs, and the points at which a probe touches them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, BoolArray
+from machine_tool_calibration.errors import SessionError
+
+__all__ = ["Arc", "Contour", "Material", "Segment", "Straight", "Touched", "join", "probe_points", "reachable"]
+
+
+@dataclass(frozen=True)
+class Straight:
+    """A straight line.
+
+    Attributes:
+        start: x, y, m.
+        end: x, y, m.
+    """
+
+    start: tuple[float, float]
+    end: tuple[float, float]
+
+    @property
+    def length(self) -> float:
+        """Way from start to end, m."""
+        return float(np.hypot(self.end[0] - self.start[0], self.end[1] - self.start[1]))
+
+    def place(self, share: Array) -> Array:
+        """(n, 2) points at shares of the length from 0 to 1, m."""
+        start, end = np.array(self.start), np.array(self.end)
+        return np.asarray(start + share[:, None] * (end - start))
+
+    def heading(self, share: Array) -> Array:
+        """(n, 2) unit vectors of travel."""
+        along = np.array(self.end) - np.array(self.start)
+        return np.tile(along / np.linalg.norm(along), (len(share), 1))
+
+    def turned_back(self) -> Straight:
+        """The same line travelled from its end."""
+        return Straight(self.end, self.start)
+
+    def distance(self, point: Array) -> Array:
+        """(n,) distance of points (n, 2) from the line, its ends included, m."""
+        start, along = np.array(self.start), np.array(self.end) - np.array(self.start)
+        share = np.clip((point - start) @ along / float(along @ along), 0.0, 1.0)
+        return np.asarray(np.linalg.norm(point - start - share[:, None] * along, axis=1))
+
+
+@dataclass(frozen=True)
+class Arc:
+    """An arc of a circle.
+
+    Attributes:
+        centre: x, y, m.
+        radius: m.
+        first: angle of the start about +Z from +X, rad.
+        sweep: angle travelled, positive counter-clockwise, at most a full turn, rad.
+    """
+
+    centre: tuple[float, float]
+    radius: float
+    first: float
+    sweep: float
+
+    @property
+    def length(self) -> float:
+        """Way from start to end, m."""
+        return abs(self.sweep) * self.radius
+
+    @property
+    def start(self) -> tuple[float, float]:
+        """x, y, m."""
+        x, y = self.place(np.zeros(1))[0]
+        return float(x), float(y)
+
+    @property
+    def end(self) -> tuple[float, float]:
+        """x, y, m."""
+        x, y = self.place(np.ones(1))[0]
+        return float(x), float(y)
+
+    def place(self, share: Array) -> Array:
+        """(n, 2) points at shares of the length from 0 to 1, m."""
+        angle = self.first + share * self.sweep
+        return np.asarray(np.array(self.centre) + self.radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1))
+
+    def heading(self, share: Array) -> Array:
+        """(n, 2) unit vectors of travel."""
+        angle = self.first + share * self.sweep
+        return np.asarray(np.sign(self.sweep) * np.stack([-np.sin(angle), np.cos(angle)], axis=-1))
+
+    def turned_back(self) -> Arc:
+        """The same arc travelled from its end."""
+        return Arc(self.centre, self.radius, self.first + self.sweep, -self.sweep)
+
+    def distance(self, point: Array) -> Array:
+        """(n,) distance of points (n, 2) from the arc, its ends included, m."""
+        away = point - np.array(self.centre)
+        angle = np.arctan2(away[:, 1], away[:, 0]) - self.first
+        inside = np.mod(np.sign(self.sweep) * angle, 2 * np.pi) <= abs(self.sweep) + 1e-12
+        ends = np.minimum(*(np.linalg.norm(point - np.array(end), axis=1) for end in (self.start, self.end)))
+        return np.asarray(np.where(inside, np.abs(np.linalg.norm(away, axis=1) - self.radius), ends))
+
+
+Segment = Straight | Arc
+
+
+Material = Literal["inside", "outside", "left", "right"]
+
+# Ends nearer than this are joined, m.
+_GAP = 1e-6
+# A turn of the outline by more than this is a corner, rad; curves come as polygons with smaller turns.
+_CORNER = 0.1
+# Accuracy of outlines that are polygons in place of curves, m.
+_TOUCH = 1e-6
+
+
+@dataclass(frozen=True)
+class Contour:
+    """Segments of which each begins where the one before ends.
+
+    Attributes:
+        segments: in the order of travel.
+        is_closed: whether the last one ends where the first begins.
+    """
+
+    segments: tuple[Segment, ...]
+    is_closed: bool
+
+    @property
+    def area(self) -> float:
+        """Enclosed area, positive where it is travelled counter-clockwise, m^2."""
+        total = 0.0
+        for segment in self.segments:
+            (x0, y0), (x1, y1) = segment.start, segment.end
+            total += 0.5 * (x0 * y1 - x1 * y0)
+            if isinstance(segment, Arc):
+                total += 0.5 * segment.radius**2 * (segment.sweep - float(np.sin(segment.sweep)))
+        return total
+
+
+@dataclass(frozen=True)
+class Touched:
+    """Points of a surface.
+
+    Attributes:
+        position: (n, 2) m.
+        normal: (n, 2) unit vectors from the material outwards.
+    """
+
+    position: Array
+    normal: Array
+
+    def select(self, keep: BoolArray) -> Touched:
+        """Some of the points."""
+        return Touched(self.position[keep], self.normal[keep])
+
+
+def join(segments: Sequence[Segment], gap: float = _GAP) -> list[Contour]:
+    """Chain segments, in whatever order and direction they come, to contours."""
+    left = list(segments)
+    contours = []
+    while left:
+        chain = [left.pop(0)]
+        grown = True
+        while grown and not (len(chain) > 1 and _near(chain[-1].end, chain[0].start, gap)):
+            grown = _grow(chain, left, gap)
+        closed = _near(chain[-1].end, chain[0].start, gap)
+        contours.append(Contour(tuple(chain), closed))
+    return contours
+
+
+def _grow(chain: list[Segment], left: list[Segment], gap: float) -> bool:
+    """Add one segment at the end of a chain, or at its beginning; whether one fitted."""
+    for k, segment in enumerate(left):
+        back = segment.turned_back()
+        for fits, piece, at_end in (
+            (_near(chain[-1].end, segment.start, gap), segment, True),
+            (_near(chain[-1].end, segment.end, gap), back, True),
+            (_near(chain[0].start, segment.end, gap), segment, False),
+            (_near(chain[0].start, segment.start, gap), back, False),
+        ):
+            if fits:
+                del left[k]
+                chain.insert(len(chain) if at_end else 0, piece)
+                return True
+    return False
+
+
+def _near(a: tuple[float, float], b: tuple[float, float], gap: float) -> bool:
+    return bool(np.hypot(a[0] - b[0], a[1] - b[1]) <= gap)
+
+
+def probe_points(contour: Contour, material: Material, spacing: float) -> Touched:
+    """Equally spaced points of a contour, none of them on a corner.
+
+    Args:
+        contour: the outline.
+        material: where the material is: `inside` or `outside` of a closed contour, `left` or `right` of its travel.
+        spacing: wanted distance of points between two corners, m; there is one at least.
+
+    Raises:
+        SessionError: inside or outside of an open contour.
+    """
+    if material in ("inside", "outside") and not contour.is_closed:
+        raise SessionError(f"an open outline has no {material}: say whether its material is left or right of it")
+    side = material
+    if material in ("inside", "outside"):
+        side = "left" if (material == "inside") == (contour.area > 0) else "right"
+    position, heading = [], []
+    for run in _smooth_runs(contour):
+        ends = np.cumsum([segment.length for segment in run])
+        count = max(1, round(float(ends[-1]) / spacing))
+        at = (np.arange(count) + 0.5) * ends[-1] / count
+        which = np.minimum(np.searchsorted(ends, at, side="right"), len(run) - 1)
+        for k in np.unique(which):
+            share = (at[which == k] - ends[k] + run[k].length) / run[k].length
+            position.append(run[k].place(share))
+            heading.append(run[k].heading(share))
+    along = np.concatenate(heading)
+    # Outwards is to the right of the travel where the material is on the left.
+    outward = np.stack([along[:, 1], -along[:, 0]], axis=-1)
+    return Touched(np.concatenate(position), outward if side == "left" else -outward)
+
+
+def _smooth_runs(contour: Contour) -> list[list[Segment]]:
+    """The contour's segments between its corners, in the order of travel."""
+    segments = list(contour.segments)
+    ends = np.array([segment.heading(np.ones(1))[0] for segment in segments])
+    starts = np.array([segment.heading(np.zeros(1))[0] for segment in segments])
+    # Whether there is a corner before each segment.
+    corner = np.sum(np.roll(ends, 1, axis=0) * starts, axis=1) < np.cos(_CORNER)
+    if not contour.is_closed:
+        corner[0] = True
+    elif corner.any():
+        first = int(np.flatnonzero(corner)[0])
+        segments, corner = segments[first:] + segments[:first], np.roll(corner, -first)
+    runs: list[list[Segment]] = [[segments[0]]]
+    for segment, begins in zip(segments[1:], corner[1:], strict=True):
+        if begins:
+            runs.append([])
+        runs[-1].append(segment)
+    return runs
+
+
+def reachable(
+    touched: Touched, obstacles: Sequence[Segment], stylus_radius: float, clearance: float = 0.0
+) -> BoolArray:
+    """(n,) whether the stylus sphere touches there and nowhere else.
+
+    Args:
+        touched: the points.
+        obstacles: all outlines in the plane of probing.
+        stylus_radius: m.
+        clearance: distance that the sphere must keep from everything but its contact, m.
+    """
+    centre = touched.position + stylus_radius * touched.normal
+    free = np.ones(len(centre), dtype=bool)
+    for segment in obstacles:
+        # What is next to the contact may be touched; another wall that is so near is in the way all the same.
+        own = segment.distance(touched.position) < 0.5 * stylus_radius
+        limit = np.where(own, stylus_radius, stylus_radius + clearance)
+        free &= segment.distance(centre) >= limit - _TOUCH
+    return free

@@ -1,0 +1,130 @@
+"""Outlines from a CSV file of corners or a DXF drawing (by ezdxf, an optional dependency).
+
+Lines, arcs, circles and polylines with bulges are taken exactly; ellipses and splines as polygons that are nowhere
+farther from them than a ten-thousandth of a millimetre.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.procedure.workpiece.outline import Arc, Contour, Segment, Straight, join
+
+__all__ = ["read_csv_outline", "read_dxf_outline"]
+
+
+_LARGEST = 64 << 20
+
+
+def read_csv_outline(file: Path, unit: float, *, closed: bool) -> list[Contour]:
+    """Read one outline.
+
+    Args:
+        file: with a heading that names the columns x and y.
+        unit: metres per unit of the file.
+        closed: whether the last corner is joined to the first.
+
+    Raises:
+        SessionError: the file cannot be read, or a corner is no pair of numbers; the message names file and row.
+    """
+    try:
+        if file.stat().st_size > _LARGEST:
+            raise SessionError(f"{file}: is larger than {_LARGEST >> 20} MB")
+        table = pd.read_csv(file, dtype=str, skipinitialspace=True, comment="#")
+    except OSError as error:
+        raise SessionError(f"{file}: cannot be read: {error.strerror}") from None
+    except (ValueError, UnicodeDecodeError) as error:
+        raise SessionError(f"{file}: is no table of comma-separated values: {' '.join(str(error).split())}") from None
+    for name in "xy":
+        if name not in table.columns:
+            raise SessionError(f"{file}: the column {name!r} is missing; an outline has the columns x and y")
+    corners = np.column_stack([pd.to_numeric(table[name], errors="coerce").to_numpy(float) for name in "xy"])
+    bad = np.flatnonzero(~np.isfinite(corners).all(axis=1))
+    if len(bad):
+        raise SessionError(f"{file} row {bad[0] + 1}: x and y must be numbers")
+    points = [(float(x) * unit, float(y) * unit) for x, y in corners]
+    ends = [*points[1:], points[0]] if closed and points else points[1:]
+    pieces = [Straight(a, b) for a, b in zip(points, ends, strict=False) if a != b]
+    if len(pieces) < (2 if closed else 1):
+        raise SessionError(f"{file}: an outline needs at least {3 if closed else 2} different corners")
+    return [Contour(tuple(pieces), closed)]
+
+
+_FLAT = 1e-7  # m
+_SHORTEST = 1e-9  # m
+# DXF $INSUNITS: metres per unit.
+_UNITS = {1: 0.0254, 2: 0.3048, 4: 1e-3, 5: 1e-2, 6: 1.0, 13: 1e-6, 14: 0.1}
+_LARGEST_DXF_OUTLINE = 256 << 20
+
+
+def read_dxf_outline(file: Path, unit: float | None, layer: str | None) -> list[Contour]:
+    """Read all outlines of a drawing's model space.
+
+    Args:
+        file: the drawing.
+        unit: metres per unit; what the drawing says if absent.
+        layer: only what is on this layer; all if absent.
+
+    Raises:
+        SessionError: ezdxf is not installed, the file is no DXF, its unit is not known, or nothing is in it.
+    """
+    try:
+        ezdxf, const = import_module("ezdxf"), import_module("ezdxf.lldxf.const")
+    except ImportError:
+        raise SessionError(f"{file}: reading DXF needs the package ezdxf: pip install ezdxf") from None
+    try:
+        if file.stat().st_size > _LARGEST_DXF_OUTLINE:
+            raise SessionError(f"{file}: is larger than {_LARGEST >> 20} MB")
+        drawing = ezdxf.readfile(str(file))
+    except (OSError, UnicodeDecodeError) as error:
+        raise SessionError(f"{file}: cannot be read as DXF: {' '.join(str(error).split())}") from None
+    except const.DXFError as error:
+        raise SessionError(f"{file}: is not a valid DXF drawing: {' '.join(str(error).split())}") from None
+    scale = unit if unit is not None else _UNITS.get(int(drawing.header.get("$INSUNITS", 0)))
+    if scale is None:
+        raise SessionError(
+            f"{file}: the drawing does not say its unit; say unit (mm, m or inch; on the command line --unit)"
+        )
+    entities = [e for e in drawing.modelspace() if layer is None or e.dxf.layer == layer]
+    pieces: list[Segment] = []
+    for entity in entities:
+        pieces += _pieces(entity, scale)
+    pieces = [piece for piece in pieces if piece.length > _SHORTEST]
+    if not pieces:
+        where = "" if layer is None else f" on the layer {layer!r}"
+        raise SessionError(f"{file}: no line, arc, circle, polyline, ellipse or spline{where}")
+    return join(pieces)
+
+
+def _pieces(entity: Any, scale: float) -> Iterator[Segment]:
+    """Segments of one entity, m."""
+    kind, data = entity.dxftype(), entity.dxf
+    if kind == "LINE":
+        yield Straight(_flat(data.start, scale), _flat(data.end, scale))
+    elif kind == "CIRCLE":
+        yield Arc(_flat(entity.ocs().to_wcs(data.center), scale), data.radius * scale, 0.0, 2 * np.pi)
+    elif kind == "ARC":
+        sweep = np.radians((data.end_angle - data.start_angle) % 360.0 or 360.0)
+        first, up = np.radians(data.start_angle), data.extrusion.z
+        if up < 0:  # drawn from below: x is mirrored
+            first, sweep = np.pi - first, -sweep
+        yield Arc(_flat(entity.ocs().to_wcs(data.center), scale), data.radius * scale, float(first), float(sweep))
+    elif kind in ("LWPOLYLINE", "POLYLINE"):
+        # Both come apart into lines and arcs, with bulges and mirrored planes resolved.
+        for part in entity.virtual_entities():
+            yield from _pieces(part, scale)
+    elif kind in ("ELLIPSE", "SPLINE"):
+        corners = [_flat(vertex, scale) for vertex in entity.flattening(_FLAT / scale)]
+        yield from (Straight(a, b) for a, b in itertools.pairwise(corners) if a != b)
+
+
+def _flat(point: Any, scale: float) -> tuple[float, float]:
+    return float(point[0]) * scale, float(point[1]) * scale

@@ -1,0 +1,49 @@
+"""A measurement, whatever form it has: a session folder or a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.session.folder import DESCRIPTION_FILE, OBSERVATIONS_FILE, read_session
+from machine_tool_calibration.session.session import Session
+
+__all__ = ["is_session_folder", "open_measurement"]
+
+
+def open_measurement(path: Path, topics: Mapping[str, str] | None = None, *, check: bool = True) -> Session:
+    """The session in a session folder, a rosbag2 folder or an `.mcap` file.
+
+    Args:
+        path: where it is.
+        topics: for a recording, names of the topics by role (`session`, `reading`) where they have other names.
+        check: also refuse what is readable but not enough for the method.
+
+    Raises:
+        SessionError: one line that says what is wrong and where.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise SessionError(f"{path}: no such file or folder")
+    if is_session_folder(path):
+        return read_session(path, check=check)
+    if path.is_file() and path.name in (DESCRIPTION_FILE, OBSERVATIONS_FILE):
+        return read_session(path.parent, check=check)
+    # here, because a session folder needs none of the recording's libraries
+    from machine_tool_calibration.recording.reader import is_bag
+    from machine_tool_calibration.recording.session_bag import session_from_bag
+
+    if is_bag(path):
+        return session_from_bag(path, topics, check=check)
+    if path.is_dir():
+        raise SessionError(
+            f"{path}: neither a session ({DESCRIPTION_FILE}, {OBSERVATIONS_FILE}) nor a recording "
+            "(metadata.yaml, .mcap) is in this folder"
+        )
+    raise SessionError(f"{path}: is neither a session folder nor a recording (.mcap)")
+
+
+def is_session_folder(path: Path) -> bool:
+    """Whether a folder holds a session, or half of one."""
+    return path.is_dir() and ((path / DESCRIPTION_FILE).exists() or (path / OBSERVATIONS_FILE).exists())

@@ -1,0 +1,165 @@
+"""The measurement in a recording, and a session as the recording that its measurement would have left."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from machine_tool_calibration.recording.cdr import JOINT_STATE, TEXT, JointStateReader, encode, encode_joint_state, text
+from machine_tool_calibration.recording.errors import RecordingError
+from machine_tool_calibration.recording.graph import LABELS, READING, SESSION, find_topics
+from machine_tool_calibration.recording.metadata import LATCHED, Qos
+from machine_tool_calibration.recording.reader import BagReader, Message
+from machine_tool_calibration.recording.writer import BagWriter
+from machine_tool_calibration.session.collect import INDEX_COLUMNS, Collector
+from machine_tool_calibration.session.description import Place
+from machine_tool_calibration.session.parse import description_yaml, parse_description
+from machine_tool_calibration.session.session import Session
+
+__all__ = ["reading_columns", "session_from_bag", "session_to_bag"]
+
+
+def session_from_bag(path: Path, topics: Mapping[str, str] | None = None, *, check: bool = True) -> Session:
+    """The session that was recorded, from the topics `session` and `reading`; all others are ignored.
+
+    A recording may hold several runs (the procedure was started again, or with another description): the last run that
+    has readings counts.
+
+    Args:
+        path: a rosbag2 folder or an `.mcap` file.
+        topics: names of the topics by role (`session`, `reading`) where they are not found by themselves.
+        check: also refuse what is readable but not enough for the method.
+
+    Raises:
+        SessionError: no such recording, damaged, unfinished, without a measurement, or a defect in the measurement.
+    """
+    bag = BagReader(Path(path))
+    names = find_topics(bag.path, bag.topics, topics)
+    labels = names[READING].rsplit("/", 1)[0] + "/" + LABELS
+    wanted = set(names.values())
+    if labels in bag.topics and bag.topics[labels].type == TEXT:
+        wanted.add(labels)
+    run: Collector | None = None
+    kept: Mapping[str, np.ndarray] = {}
+    for run, kept in _runs(bag, names, wanted, labels):  # noqa: B007 (the last one counts)
+        pass
+    if run is None:
+        raise RecordingError(f"{bag.path}: no readings with a session's description")
+    session = run.session(str(bag.path), check=check)
+    if any(len(values) != len(session.readings) for values in kept.values()):
+        raise RecordingError(f"{bag.path}: {labels} does not have a text for each reading")
+    if kept:
+        session = session.with_readings(replace(session.readings, labels={**session.readings.labels, **kept}))
+    return session
+
+
+def _runs(
+    bag: BagReader, names: Mapping[str, str], wanted: set[str], labels: str
+) -> Iterator[tuple[Collector, dict[str, np.ndarray]]]:
+    """The runs that have readings, with text columns of the user's own."""
+    reader = JointStateReader()
+    place = Place(f"{bag.path} {names[SESSION]}", f"{bag.path} {names[READING]}")
+    described = _description_text(bag, names[SESSION])
+    collector = Collector(parse_description(described, place.description), place)
+    kept: dict[str, np.ndarray] = {}
+    again = False
+    for message in bag.messages(wanted):
+        if message.topic == names[SESSION]:
+            latest = text(message.data)
+            again = True
+            if latest != described:
+                if len(collector):
+                    yield collector, kept
+                described = latest
+                collector, kept = Collector(parse_description(described, place.description), place), {}
+        elif message.topic == labels:
+            kept = _labels(bag, message)
+        else:
+            reading = reader.read(message.data)
+            # the same description again, and its clock starts anew: the procedure was started again
+            if again and reading.value("time") < collector.last_time:
+                yield collector, kept
+                collector, kept = Collector(collector.description, place), {}
+            collector.add(reading.frame, reading.names, reading.positions)
+            again = False
+    if len(collector):
+        yield collector, kept
+
+
+def _description_text(bag: BagReader, topic: str) -> str:
+    """The first description; it may stand behind the first readings, where the recorder met it late."""
+    return text(next(iter(bag.messages([topic]))).data)
+
+
+def _labels(bag: BagReader, message: Message) -> dict[str, np.ndarray]:
+    """Text columns of the user's own, which a JointState cannot carry."""
+    try:
+        content = json.loads(text(message.data))
+        return {
+            str(name): np.array([str(value) for value in values], dtype=np.str_) for name, values in content.items()
+        }
+    except (ValueError, AttributeError, TypeError, RecursionError):
+        raise RecordingError(f"{bag.path}: {message.topic} is not a JSON object of lists") from None
+
+
+_READINGS = Qos(depth=20000, durability="transient_local")
+
+
+def session_to_bag(session: Session, folder: Path, *, start: int = 0, namespace: str = "") -> None:
+    """Write a session as a bag with the topics `session` and `reading`.
+
+    Every reading is logged at `start` plus its `time`; without times, one second apart.
+
+    Args:
+        session: the measurement.
+        folder: the bag, which must not exist.
+        start: when the session began, ns since 1970.
+        namespace: of the topics.
+
+    Raises:
+        RecordingError: the folder is there already, or cannot be written.
+    """
+    prefix = f"/{namespace.strip('/')}" if namespace.strip("/") else ""
+    names, table = reading_columns(session)
+    time = session.readings.columns.get("time")
+    seconds = np.arange(len(session.readings), dtype=np.float64) if time is None else _ascending(time)
+    numbered = {label for label, key in INDEX_COLUMNS.values() if getattr(session.description, key, None) is not None}
+    labels = {name: values.tolist() for name, values in session.readings.labels.items() if name not in numbered}
+    with BagWriter(folder) as bag:
+        bag.add_topic(f"{prefix}/{SESSION}", TEXT, qos=[LATCHED])
+        bag.add_topic(f"{prefix}/{READING}", JOINT_STATE, qos=[_READINGS])
+        bag.write(f"{prefix}/{SESSION}", encode(TEXT, description_yaml(session.description)), start)
+        if labels:
+            bag.add_topic(f"{prefix}/{LABELS}", TEXT, qos=[LATCHED])
+            bag.write(f"{prefix}/{LABELS}", encode(TEXT, json.dumps(labels, ensure_ascii=False)), start)
+        stamps = start + np.round(seconds * 1e9).astype(np.int64)
+        for setup, stamp, row in zip(session.readings.setup, stamps.tolist(), table, strict=True):
+            data = encode_joint_state(max(0, stamp), session.setup_ids[setup], names, row)
+            bag.write(f"{prefix}/{READING}", data, stamp)
+
+
+def _ascending(time: np.ndarray) -> np.ndarray:
+    """Times at which readings are logged: none before the start or an earlier reading, which keeps their order."""
+    return np.maximum.accumulate(np.fmax(time, 0.0))
+
+
+def reading_columns(session: Session) -> tuple[list[str], np.ndarray]:
+    """Names and values (n, len(names)) of the `reading` messages of a session's readings."""
+    readings = session.readings
+    columns: dict[str, np.ndarray] = {}
+    if "time" in readings.columns:
+        columns["time"] = readings.columns["time"]
+    columns["repeat"] = readings.repeat.astype(np.float64)
+    for column, (label, key) in INDEX_COLUMNS.items():
+        entries = getattr(session.description, key, None)
+        if label in readings.labels and entries is not None:
+            places = {entry.id: index for index, entry in enumerate(entries)}
+            unique, inverse = np.unique(readings.labels[label], return_inverse=True)
+            columns[column] = np.array([places.get(str(name), np.nan) for name in unique])[inverse]
+    columns |= {name: values for name, values in readings.columns.items() if name not in columns}
+    columns["displacement"] = readings.displacement
+    return list(columns), np.column_stack(list(columns.values()))

@@ -1,0 +1,217 @@
+"""A comparison in plain words, and for programs: one JSON document, and the readings as columns of a table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from scipy import special
+
+from machine_tool_calibration.diagnosis.comparison import Comparison, JointComparison, Overall
+
+__all__ = ["comparison_columns", "comparison_document", "in_words", "joint_columns", "joint_document", "joint_in_words"]
+
+
+# Chances at which the fit is called worse, or better, than declared, and repeats speak against the model.
+_LEVEL, _TOO_GOOD, _LACK = 0.01, 0.999, 0.003
+# Chance below which it fits only nearly.
+_NEARLY = 0.05
+# Share of the misfit that repeats must show to be called as large.
+_NOISE = 0.7
+# A few readings stand out: beyond so many times the bulk's scatter, at most this share, the bulk itself this quiet.
+_FAR, _FEW, _QUIET = 5.0, 0.1, 0.7
+# How much worse than all readings together a setup must be to be named.
+_WORSE = 1.15
+
+
+def in_words(comparison: Comparison) -> str:
+    """What a person wants to know first: does the model fit, and if not, where not; lengths in micrometres."""
+    overall = comparison.overall
+    ratio, p = overall.ratio, overall.p_value
+    if p > _TOO_GOOD:
+        first = f"the readings scatter only {_ratio(ratio)} times the declared uncertainty, which is too large"
+    elif p >= _LEVEL:
+        nearly = "nearly " if p < _NEARLY else ""
+        first = f"the model fits {nearly}within the declared uncertainty ({_um(overall.noise.declared)}; p = {p:.2g})"
+    else:
+        first = f"the readings scatter {_ratio(ratio)} times the declared uncertainty; {_where(comparison)}"
+    apart = _stand_out(comparison)
+    cause = " What the cause is, `mtcal diagnose` says." if p < _LEVEL else ""
+    return f"{first}.{apart} {_repeats(overall, bool(apart))}{cause}"
+
+
+def joint_in_words(comparison: JointComparison) -> str:
+    """Whether the common model fits all sessions, and if not, which it fits worst."""
+    joint = comparison.joint
+    ratio, p = joint.reduced_chi_square**0.5, joint.p_value
+    if p > _TOO_GOOD:
+        return f"the readings scatter only {_ratio(ratio)} times the declared uncertainty, which is too large."
+    if p >= _LEVEL:
+        nearly = "nearly " if p < _NEARLY else ""
+        return f"the model fits all sessions {nearly}within the declared uncertainty (p = {p:.2g})."
+    label, worst = comparison.parts[0]
+    where = "all sessions alike"
+    if worst.reduced_chi_square is not None and worst.reduced_chi_square >= _WORSE**2 * joint.reduced_chi_square:
+        times = _ratio(worst.reduced_chi_square**0.5)
+        where = f"worst is session {label} ({times} times, {worst.share:.0%} of all misfit)"
+    return (
+        f"the readings scatter {_ratio(ratio)} times the declared uncertainty; {where}. Whether the sessions "
+        "contradict each other, `mtcal identify` says."
+    )
+
+
+def _where(comparison: Comparison) -> str:
+    ranked = [s for s in comparison.setups if s.reduced_chi_square is not None]
+    if len(ranked) < 2:
+        return "there is one setup"
+    worst = ranked[0]
+    assert worst.reduced_chi_square is not None
+    if worst.reduced_chi_square < _WORSE**2 * comparison.overall.reduced_chi_square:
+        return "all setups alike"
+    times = worst.reduced_chi_square**0.5
+    return f"worst is setup {worst.name} ({_ratio(times)} times, {worst.share:.0%} of all misfit)"
+
+
+def _repeats(overall: Overall, apart: bool) -> str:
+    noise = overall.noise
+    if noise.from_repeats is None:
+        return "Nothing was repeated often enough to tell noise from a lack of fit."
+    scatter = f"Readings repeated at one place scatter {_um(noise.from_repeats)} (declared {_um(noise.declared)})"
+    lack = noise.lack_of_fit_p
+    if lack is not None and lack < _LACK:
+        return f"{scatter}, and places differ by more than that: the model lacks something, or setups do not reproduce."
+    if overall.p_value >= _LEVEL or apart:
+        return f"{scatter}."
+    if noise.from_repeats < _NOISE * overall.ratio * noise.declared:
+        return f"{scatter}: what is left is more than their noise; the model lacks something, or runs do not reproduce."
+    return (
+        f"{scatter}: repeats differ as much, so either the declared uncertainty is too small, or something changes "
+        "from one repeat to the next (time, temperature)."
+    )
+
+
+def _stand_out(comparison: Comparison) -> str:
+    """A few large residuals over a quiet rest."""
+    normal = np.abs(comparison.studentized[np.isfinite(comparison.studentized)])
+    if not len(normal):
+        return ""
+    bulk = float(np.median(normal)) / float(special.ndtri(0.75))
+    far = int((normal > _FAR * max(bulk, 1.0)).sum())
+    if not far or far > _FEW * len(normal) or bulk > _QUIET * comparison.overall.ratio:
+        return ""
+    return (
+        f" {far} reading{'s stand' if far > 1 else ' stands'} far out of the others, "
+        f"which scatter {bulk:.2g} times the declared uncertainty."
+    )
+
+
+def _ratio(value: float) -> str:
+    return f"{value:.2f}" if value < 1.5 else f"{value:.1f}"
+
+
+def _um(value: float) -> str:
+    return f"{1e6 * value:.2g} µm"
+
+
+def comparison_document(comparison: Comparison) -> dict[str, Any]:
+    """The comparison as `mtcal-comparison/1`: SI units, None where the model takes a figure up."""
+    overall, session = comparison.overall, comparison.fit.model.observations.session
+    rows = comparison.fit.model.observations.readings.row
+    ids = session.setup_ids
+    setup = comparison.fit.model.observations.readings.setup
+    return {
+        "format": "mtcal-comparison/1",
+        "method": session.method,
+        "effects": list(comparison.effects),
+        "summary": in_words(comparison),
+        "readings": overall.readings,
+        "rms_residual": overall.rms,
+        "reduced_chi_square": overall.reduced_chi_square,
+        "degrees_of_freedom": overall.degrees_of_freedom,
+        "p_value": overall.p_value,
+        "noise": {"declared": overall.noise.declared, "from_repeats": overall.noise.from_repeats},
+        "lack_of_fit_p_value": overall.noise.lack_of_fit_p,
+        "setups": [asdict(share) for share in comparison.setups],
+        "runs": [asdict(share) for share in comparison.runs],
+        "labels": {name: [asdict(share) for share in shares] for name, shares in comparison.labels.items()},
+        "regions": [asdict(region) for region in comparison.regions],
+        "approaches": [asdict(approach) for approach in comparison.approaches],
+        "trends": [asdict(trend) for trend in comparison.trends],
+        "depends_on": [{"covariate": name, "share": share} for name, share in comparison.telling],
+        "worst": [
+            {
+                "row": int(rows[k]),
+                "setup": ids[setup[k]],
+                "residual": float(comparison.residual[k]),
+                "studentized": float(comparison.studentized[k]),
+            }
+            for k in comparison.worst
+        ],
+    }
+
+
+def comparison_columns(comparison: Comparison) -> Mapping[str, np.ndarray]:
+    """Every reading with what was predicted: columns of equal length, SI, in the order of the recording."""
+    observations = comparison.fit.model.observations
+    readings = observations.readings
+    ids = np.asarray(observations.session.setup_ids)
+    out: dict[str, np.ndarray] = {
+        "row": readings.row,
+        "setup": ids[readings.setup],
+        "repeat": readings.repeat,
+        **{name: np.asarray(values) for name, values in readings.labels.items()},
+        **{f"position_{axis}": observations.position[:, j] for j, axis in enumerate("xyz")},
+        **{f"direction_{axis}": observations.direction[:, j] for j, axis in enumerate("xyz")},
+        "measured": comparison.measured,
+        "predicted": comparison.predicted,
+        "residual": comparison.residual,
+        "studentized": comparison.studentized,
+    }
+    known = {**readings.columns, **comparison.covariates}
+    return out | {name.replace(" ", "_"): values for name, values in known.items() if name not in (*out, "order")}
+
+
+def joint_document(comparison: JointComparison) -> dict[str, Any]:
+    """That of several sessions: the same keys for all of them together, and under `sessions` those of each."""
+    joint = comparison.joint
+    return {
+        "format": "mtcal-comparison/1",
+        "method": "joint",
+        "effects": list(comparison.effects),
+        "summary": joint_in_words(comparison),
+        "readings": comparison.readings,
+        "rms_residual": comparison.rms,
+        "reduced_chi_square": joint.reduced_chi_square,
+        "degrees_of_freedom": joint.solution.degrees_of_freedom,
+        "p_value": joint.p_value,
+        "sessions": [
+            {"label": label, **comparison_document(one)}
+            for label, one in zip(comparison.labels, comparison.sessions, strict=True)
+        ],
+        "setups": [{"session": label, **asdict(share)} for label, share in comparison.setups],
+        "worst": [
+            {
+                "session": label,
+                "row": int(readings.row[k]),
+                "setup": one.fit.model.observations.session.setup_ids[readings.setup[k]],
+                "residual": float(one.residual[k]),
+                "studentized": float(one.studentized[k]),
+            }
+            for label, one, k in comparison.worst
+            for readings in [one.fit.model.observations.readings]
+        ],
+    }
+
+
+def joint_columns(comparison: JointComparison) -> Mapping[str, np.ndarray]:
+    """Every reading of every session with its label; what a session did not record is empty (NaN, or no text)."""
+    every = [comparison_columns(one) for one in comparison.sessions]
+    count = [one.overall.readings for one in comparison.sessions]
+    out = {"session": np.repeat(np.asarray(comparison.labels), count)}
+    for name in dict.fromkeys(name for columns in every for name in columns):
+        text = any(columns[name].dtype.kind in "USO" for columns in every if name in columns)
+        missing = "" if text else np.nan
+        out[name] = np.concatenate([c.get(name, np.full(n, missing)) for c, n in zip(every, count, strict=True)])
+    return out

@@ -1,0 +1,322 @@
+"""A comparison as tables of text, in micrometres."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from machine_tool_calibration.diagnosis.comparison import Approach, Comparison, JointComparison, Share, Trend
+from machine_tool_calibration.reports.diagnosis import TextTable
+from machine_tool_calibration.reports.quantities import micrometres, quantity
+
+__all__ = ["NOT_TOLD", "chance", "comparison_tables", "expanded", "joint_tables", "together", "trends_table", "untold"]
+
+
+# What stands where the model's own unknowns leave no number.
+NOT_TOLD = "–"
+_MOST_PLACES = 6
+_TAKEN_UP = "the model's own unknowns take up whatever there is"
+
+
+def expanded(value: float | None, uncertainty: float | None, factor: float) -> str:
+    """A value with its expanded uncertainty (k = 2), of which two figures are shown; never with an exponent.
+
+    Args:
+        value: None where the data does not determine it.
+        uncertainty: standard uncertainty.
+        factor: from SI to the unit shown.
+    """
+    if value is None or uncertainty is None:
+        return NOT_TOLD
+    shown, number = 2 * factor * uncertainty, factor * value
+    digits = 1 - math.floor(math.log10(shown)) if shown > 0 else 3
+    if digits < 0:
+        number, shown = round(number, digits), round(shown, digits)
+    places = min(max(digits, 0), _MOST_PLACES)
+    # A zero has no sign: -0.00 says nothing that 0.00 does not.
+    text = f"{number:+.{places}f}"
+    return f"{text[1:] if float(text) == 0.0 else text} ± {shown:.{places}f}"
+
+
+def chance(p: float | None) -> str:
+    """A p-value."""
+    if p is None:
+        return NOT_TOLD
+    return f"{p:.2g}" if p >= 1e-4 else "< 0.0001"
+
+
+def untold(
+    heads: Sequence[str], rows: Sequence[tuple[str, ...]], columns: Sequence[int]
+) -> tuple[tuple[tuple[str, ...], ...], str]:
+    """Empty those columns of uncertain values that hold no number at all, and say what dashes mean.
+
+    Args:
+        heads: of the table.
+        rows: of the table.
+        columns: those that hold values with an uncertainty.
+
+    Returns:
+        The rows, and a note.
+    """
+    nowhere = [k for k in columns if all(row[k] == NOT_TOLD for row in rows)]
+    shown = tuple(tuple("" if k in nowhere else cell for k, cell in enumerate(row)) for row in rows)
+    notes = []
+    if any(row[k] == NOT_TOLD for row in shown for k in columns):
+        notes.append(f"{NOT_TOLD}: {_TAKEN_UP}")
+    if nowhere:
+        names = " and ".join(heads[k].split(" / ")[0] for k in nowhere)
+        notes.append(f"nothing is told of the {names}: {_TAKEN_UP}")
+    return shown, "; ".join(notes)
+
+
+_MICRO = 1e6
+_MOST = 8
+# Correlation from which two covariates changed together, so that a line over one is a line over the other.
+_TOGETHER = 0.9
+# Chance above which a line says nothing, and how many are shown all the same.
+_NOTHING, _LEAST = 0.05, 1
+
+
+def trends_table(comparison: Comparison) -> TextTable:
+    """Straight lines over time, temperature and every other covariate, the clearest first."""
+    told = [t for t in comparison.trends if t.slope is not None and t.added is not None]
+    groups = together(comparison, told)
+    clear = [group for group in groups if (group[0].p_value or 0.0) < _NOTHING]
+    shown = (clear or groups[:_LEAST])[:_MOST]
+    rows = tuple(
+        (
+            first.covariate,
+            ", ".join(sorted((t.covariate for t in others), key=lambda name: name != "time")),
+            expanded(first.slope, first.slope_u, _MICRO * first.span),
+            expanded(first.added, first.added_u, _MICRO * first.span),
+            chance(first.p_value),
+        )
+        for first, *others in shown
+    )
+    columns = ("over", "with it went", "residuals change by / µm", "the model would need / µm", "chance")
+    return TextTable(
+        "Straight lines over time, temperature and what else was recorded", columns, rows, _note(comparison, shown)
+    )
+
+
+def together(comparison: Comparison, trends: list[Trend]) -> list[list[Trend]]:
+    """Trends whose covariates changed together, in the order of the clearest of each; that one leads its group."""
+    groups: list[list[Trend]] = []
+    for trend in trends:
+        values = comparison.covariates[trend.covariate]
+        for group in groups:
+            if abs(np.corrcoef(values, comparison.covariates[group[0].covariate])[0, 1]) > _TOGETHER:
+                group.append(trend)
+                break
+        else:
+            groups.append([trend])
+    return groups
+
+
+def _note(comparison: Comparison, shown: list[list[Trend]]) -> str:
+    tried = len(comparison.trends)
+    notes = [
+        "from one end of what was recorded to the other; the model would need more than the residuals show, "
+        "because its other unknowns take a part up"
+    ]
+    if any(len(group) > 1 for group in shown):
+        notes.append("what went together cannot be told apart here")
+    listed = {t.covariate for group in shown for t in group}
+    rest = [t.covariate for t in comparison.trends if t.covariate not in listed and t.slope is not None]
+    if rest:
+        notes.append(f"nothing clear over {', '.join(rest)}")
+    hidden = [t.covariate for t in comparison.trends if t.slope is None or t.added is None]
+    if hidden:
+        notes.append(f"the model's own unknowns take up what there is over {', '.join(hidden)}")
+    notes.append(
+        f"{tried} tried: the smallest chance of so many is about {1 / (tried + 1):.1g} where nothing is the matter; "
+        "`mtcal diagnose` allows for that"
+    )
+    return "; ".join(notes)
+
+
+_MICRO = 1e6
+_MOST_PARTS, _MOST_LABELS = 12, 5
+_HOUR = 3600.0
+_HEADS = "× declared: scatter over the declared uncertainty; of all misfit: share of the sum of squares"
+# Names and factors of positions for people.
+_UNITS = {"x": ("mm", 1e3), "y": ("mm", 1e3), "z": ("mm", 1e3), "c": ("deg", 180.0 / math.pi)}
+
+
+def comparison_tables(comparison: Comparison) -> Iterator[TextTable]:
+    """Where the model fails: the whole, setups, regions, approaches, trends, single readings."""
+    yield _overall(comparison)
+    setups = _parts("Setups, worst first", "setup", comparison.setups, _MOST_PARTS)
+    yield replace(setups, note=f"{_HEADS}; {setups.note}".removesuffix("; "))
+    yield from _within(comparison)
+
+
+def _within(comparison: Comparison) -> Iterator[TextTable]:
+    """What follows the setups of a session."""
+    if len(comparison.runs) > len(comparison.setups):
+        yield _parts("Repeats, worst first", "setup and repeat", comparison.runs, _MOST_LABELS)
+    for name, shares in comparison.labels.items():
+        if len(shares) > 1:
+            yield _labels(name, shares)
+    if comparison.regions:
+        yield _regions(comparison)
+    if comparison.approaches:
+        yield _approaches(comparison)
+    if comparison.trends:
+        yield trends_table(comparison)
+    yield _worst(comparison)
+
+
+def joint_tables(comparison: JointComparison) -> Iterator[TextTable]:
+    """Where the model of several sessions fails: sessions, setups of all, and what else is in each session."""
+    joint = comparison.joint
+    rows = (
+        ("measured − predicted, RMS", quantity(comparison.rms, "m")),
+        (
+            "reduced chi-square (1 if the model and the declared uncertainty are right)",
+            f"{joint.reduced_chi_square:.3g}, {joint.solution.degrees_of_freedom} degrees of freedom",
+        ),
+        ("chance of so large a scatter, if the model is right", chance(joint.p_value)),
+    )
+    yield TextTable(f"All {comparison.readings} readings of {len(comparison.labels)} sessions", ("", ""), rows)
+    parts = [share for _, share in comparison.parts]
+    yield _parts("Sessions, worst first", "session", parts, len(parts))
+    named = [replace(share, name=f"{label}/{share.name}") for label, share in comparison.setups]
+    setups = _parts("Setups of all sessions, worst first", "setup", named, _MOST_PARTS)
+    yield replace(setups, note=f"{_HEADS}; {setups.note}".removesuffix("; "))
+    for label, one in zip(comparison.labels, comparison.sessions, strict=True):
+        for table in _within(one):
+            yield replace(table, title=f"{label}: {table.title[0].lower()}{table.title[1:]}")
+
+
+def _overall(comparison: Comparison) -> TextTable:
+    overall = comparison.overall
+    repeats = overall.noise.from_repeats
+    rows = [
+        ("measured − predicted, RMS", quantity(overall.rms, "m")),
+        ("declared standard uncertainty of a reading", quantity(overall.noise.declared, "m")),
+        (
+            "scatter of readings repeated at one place",
+            "not repeated often enough to tell" if repeats is None else quantity(repeats, "m"),
+        ),
+        (
+            "reduced chi-square (1 if the model and the declared uncertainty are right)",
+            f"{overall.reduced_chi_square:.3g}, {overall.degrees_of_freedom} degrees of freedom",
+        ),
+        ("chance of so large a scatter, if the model is right", chance(overall.p_value)),
+    ]
+    if overall.noise.lack_of_fit_p is not None:
+        rows.append(("chance that places differ so much more than repeats do", chance(overall.noise.lack_of_fit_p)))
+    note = "every ± below is an expanded uncertainty (k = 2)"
+    return TextTable(f"All {overall.readings} readings", ("", ""), tuple(rows), note)
+
+
+def _parts(title: str, head: str, shares: Sequence[Share], most: int) -> TextTable:
+    rows = tuple(
+        (
+            share.name,
+            str(share.readings),
+            micrometres(share.rms),
+            _times(share),
+            f"{share.share:.0%}",
+            expanded(share.mean, share.mean_u, _MICRO),
+            expanded(share.slope, share.slope_u, _MICRO * _HOUR),
+            "" if share.worst_row is None else str(share.worst_row),
+        )
+        for share in shares[:most]
+    )
+    columns = (head, "readings", "RMS / µm", "× declared", "of all misfit", "mean / µm", "drift / (µm/h)", "worst row")
+    shown, note = untold(columns, rows, (5, 6))
+    if len(shares) > most:
+        note = f"{len(shares) - most} more; {note}".removesuffix("; ")
+    return TextTable(title, columns, shown, note)
+
+
+def _labels(name: str, shares: Sequence[Share]) -> TextTable:
+    rows = tuple(
+        (s.name, str(s.readings), micrometres(s.rms), _times(s), f"{s.share:.0%}", str(s.worst_row))
+        for s in shares[:_MOST_LABELS]
+    )
+    more = f"{len(shares) - _MOST_LABELS} more" if len(shares) > _MOST_LABELS else ""
+    columns = (name, "readings", "RMS / µm", "× declared", "of all misfit", "worst row")
+    return TextTable(f"By {name}, worst first", columns, rows, more)
+
+
+def _regions(comparison: Comparison) -> TextTable:
+    rows = []
+    for axis in dict.fromkeys(region.axis for region in comparison.regions):
+        mine = [region for region in comparison.regions if region.axis == axis]
+        unit, factor = _UNITS[axis]
+        worst = sorted(mine, key=lambda region: -(region.fit.reduced_chi_square or 0.0))
+        for region in worst[:3]:
+            low, high = (f"{factor * value:.4g}" for value in (region.low, region.high))
+            where = low if low == high else f"{low} to {high}"
+            share = region.fit
+            rows.append(
+                (
+                    axis,
+                    f"{where} {unit}",
+                    str(share.readings),
+                    micrometres(share.rms),
+                    _times(share),
+                    expanded(share.mean, share.mean_u, _MICRO),
+                )
+            )
+    columns = ("axis", "position", "readings", "RMS / µm", "× declared", "mean / µm")
+    shown, note = untold(columns, tuple(rows), (5,))
+    return TextTable("Regions of each axis, the three worst", columns, shown, note)
+
+
+def _approaches(comparison: Comparison) -> TextTable:
+    rows = tuple(
+        (
+            a.axis,
+            f"{a.forward} / {a.backward}",
+            expanded(a.difference, a.difference_u, _MICRO),
+            _apart(a),
+            chance(a.p_value),
+        )
+        for a in comparison.approaches
+    )
+    columns = ("axis", "readings after + / −", "residual after + minus after − / µm", "axis stands apart by", "chance")
+    shown, note = untold(columns, rows, (2, 3))
+    note = (
+        "axis stands apart by: what the two directions would have to differ by on the axis (a backlash of half width b "
+        f"gives −2 b); chance: that noise alone makes so much; {note}"
+    ).removesuffix("; ")
+    return TextTable("Direction of approach", columns, shown, note)
+
+
+def _apart(approach: Approach) -> str:
+    text = expanded(approach.displacement, approach.displacement_u, _MICRO)
+    return text if approach.displacement is None else f"{text} {'µrad' if approach.axis == 'c' else 'µm'}"
+
+
+def _worst(comparison: Comparison) -> TextTable:
+    readings = comparison.fit.model.observations.readings
+    ids = comparison.fit.model.observations.session.setup_ids
+    labels = tuple(readings.labels)
+    rows = tuple(
+        (
+            str(readings.row[k]),
+            ids[readings.setup[k]],
+            str(readings.repeat[k]),
+            *(str(readings.labels[name][k]) for name in labels),
+            f"{_MICRO * comparison.residual[k]:+.2f}",
+            f"{comparison.studentized[k]:+.1f}",
+        )
+        for k in comparison.worst[:_MOST_LABELS]
+    )
+    columns = ("row", "setup", "repeat", *labels, "residual / µm", "× expected")
+    note = (
+        "× expected: over the scatter that the declared uncertainty lets this residual have; row 0 is the second line "
+        "of observations.csv"
+    )
+    return TextTable("Single readings, worst first", columns, rows, note)
+
+
+def _times(share: Share) -> str:
+    return "–" if share.reduced_chi_square is None else f"{share.reduced_chi_square**0.5:.2f}"

@@ -1,0 +1,349 @@
+"""A diagnosis for people: in plain words first, then tables; text only, without a terminal's colours."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from machine_tool_calibration.diagnosis.consequence import Consequence, before_and_after, rms
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis
+from machine_tool_calibration.diagnosis.search.findings import Finding
+from machine_tool_calibration.diagnosis.search.look import Absorbed
+from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.model.result import Estimate
+from machine_tool_calibration.planning.advice import Advice, alias_groups_of
+from machine_tool_calibration.planning.dominant import Dominant
+from machine_tool_calibration.reports.diagnosis_document import smallest_sizes
+from machine_tool_calibration.reports.quantities import (
+    TextTable,
+    duration,
+    micrometres,
+    probability,
+    quantity,
+    range_of,
+    sizes_in_words,
+)
+from machine_tool_calibration.reports.unknowns import POINTS, in_map, unknowns_in_words
+from machine_tool_calibration.reports.verdict import verdict_words
+from machine_tool_calibration.residuals.pool import Pool
+
+__all__ = [
+    "Report",
+    "TextTable",
+    "coefficients_table",
+    "diagnosis_report",
+    "dominant_words",
+    "hidden_table",
+    "in_map_table",
+]
+
+
+def dominant_words(found: Dominant) -> Iterator[str]:
+    """Sentences; where the scatter of the readings dominates, only more of them help, and nothing is proposed.
+
+    Args:
+        found: what dominates.
+    """
+    if found.cause == "readings":
+        yield (
+            f"the readings' own scatter dominates the map's uncertainty, U = {micrometres(2 * found.uncertainty)} µm "
+            f"(k = 2) on the average: {100 * found.shares['readings']:.0f} % of its variance; more repeats help"
+        )
+        return
+    share = f"{100 * found.shares[found.cause]:.0f} % of its variance"
+    assumed = f"angular errors of {1e6 * found.angular:.3g} µrad"
+    if found.cause == "time":
+        assumed = f"a drift of {3.6e9 * found.drift:.3g} µm per hour"
+    yield (
+        f"{found.cause} dominate{'s' if found.cause == 'time' else ''} the map's uncertainty, "
+        f"U = {micrometres(2 * found.uncertainty)} µm (k = 2) on the average: {share}, for {assumed}"
+    )
+    for remedy in found.remedies:
+        besides = f", and {remedy.aside}" if remedy.aside else ""
+        time = f" ({duration(remedy.seconds)}{besides})" if remedy.seconds is not None else ""
+        again = "" if found.again is None else f"; the same once more: {micrometres(2 * found.again)} µm"
+        yield f"  {remedy.measure}{time}: U = {micrometres(2 * remedy.uncertainty)} µm{again}"
+    if not found.remedies:
+        yield "  none of the further measurements that were considered does clearly better than the same once more"
+
+
+# Errors of position that are not the machine's: a map that takes them up is wrong by them.
+_NOT_THE_MACHINES = ("workpiece_thermal", "table_thermal_growth")
+
+
+def coefficients_table(diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> TextTable:
+    """Every coefficient of the effects found: what it is, and its size."""
+    observations = diagnosis.fits[0].fits[0].model.observations
+    known = _effects(diagnosis)
+    rows = []
+    for name in diagnosis.accepted:
+        effect, change = known.get(name), changes.get(name)
+        meanings = {} if effect is None else effect.meanings(observations)
+        for p in () if change is None else change.parameters:
+            size = quantity(p.value, p.unit, p.standard_uncertainty)
+            rows.append((name, p.name.removeprefix(f"{name}."), meanings.get(p.name, ""), size))
+    heads = ("effect", "coefficient", "what it is", "size ± U (k = 2)")
+    return TextTable("What was found, coefficient by coefficient", heads, tuple(rows))
+
+
+def in_map_table(diagnosis: Diagnosis) -> TextTable:
+    """Errors of the machine that are part of the map already: whatever their size, nothing needs to be added."""
+    title = "Errors that the map holds already, whatever their size: nothing needs to be added for them"
+    return TextTable(title, ("errors", "they are part of"), _rows(diagnosis, True))
+
+
+def hidden_table(diagnosis: Diagnosis) -> TextTable:
+    """Effects that would not show, because an unknown of the set-up, or the map, takes their place."""
+    title = "Effects that would not show here: an unknown changes the readings in the same way"
+    rows = _rows(diagnosis, False)
+    wrong = any(in_map(a.by.split(", ")[0]) for a in _absorbed(diagnosis, False))
+    note = "taken for an error motion, a squareness or the points, they make the map wrong" if wrong else ""
+    return TextTable(title, ("effects", "taken for"), rows, note)
+
+
+def _rows(diagnosis: Diagnosis, of_map: bool) -> tuple[tuple[str, ...], ...]:
+    by: dict[str, list[str]] = {}
+    for a in _absorbed(diagnosis, of_map):
+        by.setdefault(_words(a, of_map, diagnosis), []).append(a.effect)
+    return tuple((", ".join(names), what) for what, names in by.items())
+
+
+def _absorbed(diagnosis: Diagnosis, of_map: bool) -> list[Absorbed]:
+    known, method = _effects(diagnosis), diagnosis.session.method
+    return [a for a in diagnosis.look.absorbed if _of_the_map(a, known.get(a.effect), method) == of_map]
+
+
+def _of_the_map(absorbed: Absorbed, effect: Effect | None, method: str) -> bool:
+    """Whether what takes an effect up is the map, which is meant to say it."""
+    names = absorbed.by.split(", ")
+    if absorbed.effect in names:
+        return True
+    if effect is None or effect.kind != "position" or effect.id in _NOT_THE_MACHINES:
+        return False
+    # The points of a probing are those of the workpiece, whose form is not the machine's.
+    return in_map(names[0]) and not (names[0] == POINTS and method == "probing")
+
+
+def _words(absorbed: Absorbed, of_map: bool, diagnosis: Diagnosis) -> str:
+    names = absorbed.by.split(", ")
+    if absorbed.effect in names:
+        return "unknowns of this model themselves"
+    chosen = [name for name in names if in_map(name) or not of_map]
+    if chosen == [POINTS] and diagnosis.session.method == "probing":
+        return "form of the workpiece: each probed point has an error of its own"
+    return unknowns_in_words(chosen, list(_effects(diagnosis)))
+
+
+def _effects(diagnosis: Diagnosis) -> dict[str, Effect]:
+    """All effects that were looked for."""
+    return {f.name: f.candidate.effect for f in diagnosis.look.findings if f.candidate.effect is not None}
+
+
+_SHOWN = 8
+_MANY = 3
+
+
+@dataclass(frozen=True)
+class Report:
+    """A diagnosis in words.
+
+    Attributes:
+        words: paragraphs, the verdict first.
+        tables: the numbers; empty ones are left out.
+    """
+
+    words: tuple[str, ...]
+    tables: tuple[TextTable, ...]
+
+
+def diagnosis_report(
+    diagnosis: Diagnosis, advice: Advice, changes: Mapping[str, Consequence], shown: int = _SHOWN
+) -> Report:
+    """The diagnosis in words and tables.
+
+    Args:
+        diagnosis: what was found.
+        advice: what to measure next.
+        changes: what candidates change, by id.
+        shown: how many candidates beside the accepted ones; 0 for all.
+    """
+    tables = [
+        _candidates(diagnosis, changes, shown),
+        coefficients_table(diagnosis, changes),
+        _outliers(diagnosis),
+        _structure(diagnosis),
+        _alike(diagnosis, advice),
+        _next(advice),
+        hidden_table(diagnosis),
+        in_map_table(diagnosis),
+        _detectable(diagnosis),
+        _excluded(diagnosis),
+    ]
+    words = list(verdict_words(diagnosis, changes, advice))
+    if advice.dominant is not None and advice.dominant.cause != "readings":
+        words += dominant_words(advice.dominant)
+    return Report(tuple(words), tuple(table for table in tables if table.rows))
+
+
+def _candidates(diagnosis: Diagnosis, changes: Mapping[str, Consequence], shown: int) -> TextTable:
+    letters: dict[str, str] = {}
+    for k, group in enumerate(alias_groups_of(diagnosis)):
+        for name in group:
+            letters.setdefault(name, chr(ord("A") + k % 26))
+    accepted = diagnosis.accepted
+    ranked = [f for f in diagnosis.ranked if f.rank]
+    rows = []
+    for r in ranked[: len(accepted) + shown] if shown else ranked:
+        name = r.name
+        change = changes.get(name)
+        _, after = before_and_after(diagnosis, r, changes)
+        rows.append(
+            (
+                f"{'✓ ' if name in accepted else ''}{name}",
+                letters.get(name, ""),
+                probability(r.probability),
+                probability(r.family_p_value),
+                _sizes(r, change),
+                "" if r.plausible else "no",
+                _held_out(diagnosis, name),
+                micrometres(after),
+                micrometres(None if change is None else change.map_change_rms),
+            )
+        )
+    title = "Effects looked for, the most probable first"
+    if diagnosis.verdict == "unexplained":
+        title = "Effects looked for: none of them is named as the cause"
+    left = len(ranked) - len(rows)
+    before = micrometres(rms(Pool(diagnosis.fits[0]).residuals))
+    note = (
+        "alike: the same letter, look-alikes; p: chance of doing as well, paid for the whole search; size ± U (k = 2); "
+        "left out: share by which the error of predicting readings left out falls, the worst of setups, blocks of "
+        f"places and cycles; residual and map: RMS with it in the model; without any the residual is {before} µm"
+    )
+    if accepted:
+        note = f"✓ found; {note}; the others as they were before anything was added"
+    if any(not r.plausible for r in ranked):
+        note += "; plausible: no, if such a size does not occur"
+    if left:
+        note += f"; {left} less probable {'one is' if left == 1 else 'ones are'} left out"
+    heads = ("effect", "alike", "probability", "p", "size", "plausible", "left out", "residual / µm", "map moves / µm")
+    return TextTable(title, heads, tuple(rows), note)
+
+
+def _held_out(diagnosis: Diagnosis, name: str) -> str:
+    """How an effect does on readings that were left out; empty where that was not asked."""
+    gains = [p.gain for p in diagnosis.predicted.get(name, ())]
+    return f"{100 * min(gains):+.0f} %" if gains else ""
+
+
+def _sizes(ranked: Finding, change: Consequence | None) -> str:
+    if change is not None and change.parameters:
+        return sizes_in_words(change.parameters)
+    name = ranked.name
+    sizes = [
+        Estimate(f"{name}.{s.coefficient.name}", s.value, s.standard_uncertainty, s.coefficient.unit)
+        for s in ranked.sizes
+    ]
+    return sizes_in_words(sizes)
+
+
+def _outliers(diagnosis: Diagnosis) -> TextTable:
+    rows = tuple(
+        (str(o.row), f"{o.studentized:+.1f}", f"{1e6 * o.deviation:+.2f}")
+        for o in sorted(diagnosis.outliers, key=lambda o: o.row)
+    )
+    return TextTable(
+        "Readings that do not belong to the rest; they were set aside",
+        ("row", "× expected", "deviation / µm"),
+        rows,
+        "× expected: deviation over the scatter that it should have; row 0 is the second line of observations.csv",
+    )
+
+
+def _structure(diagnosis: Diagnosis) -> TextTable:
+    left = diagnosis.look.left
+    rows = tuple((s.covariate, s.shape, probability(s.p_value), f"{100 * s.share:.0f} %") for s in left[:_SHOWN])
+    title = "What the residuals still depend on"
+    note = f"{len(left) - _SHOWN} more" if len(left) > _SHOWN else ""
+    return TextTable(title, ("covariate", "shape", "p", "share of the sum of squares"), rows, note)
+
+
+def _alike(diagnosis: Diagnosis, advice: Advice) -> TextTable:
+    rows = []
+    for s in advice.separations:
+        told = s.effects[0] in diagnosis.accepted
+        rows.append(
+            (
+                ", ".join(s.effects),
+                s.measure,
+                duration(s.seconds),
+                s.aside,
+                f"{s.cosine_before:.2f} → {s.cosine_after:.2f}" if s.kind is not None else "",
+                f"{s.apart_before:.1f} → {s.apart_after:.1f}" if told else "",
+            )
+        )
+    heads = ("look-alikes", "to tell them apart", "time", "besides", "cosine", "apart / u")
+    note = "cosine: how alike their patterns are in the readings, now → then; 1: not to be told apart"
+    if any(row[-1] for row in rows):
+        note += "; apart: how far the patterns differ at the size found, in standard uncertainties u"
+    return TextTable("Look-alikes, and what to measure next", heads, tuple(rows), note)
+
+
+def _next(advice: Advice) -> TextTable:
+    rows = tuple(
+        (
+            v.effect,
+            v.measure,
+            duration(v.seconds),
+            v.aside,
+            "not at all" if v.before is None else quantity(v.before, v.unit),
+            quantity(v.after, v.unit),
+        )
+        for v in advice.visibilities
+    )
+    heads = ("effect", "to see it", "time", "besides", "seen from: now", "then")
+    return TextTable("Effects that hardly show here, and what would show them", heads, rows)
+
+
+def _detectable(diagnosis: Diagnosis) -> TextTable:
+    rows = []
+    for found in diagnosis.look.findings:
+        sizes = smallest_sizes(found)
+        if sizes:
+            rows.append((found.name, *_smallest(found, sizes)))
+    rows.sort()
+    title = "Smallest size that this measurement would have found (80 % power)"
+    note = "what each coefficient is, `mtcal effects ID` says" if rows else ""
+    return TextTable(title, ("effect", "smallest size", "sizes that occur"), tuple(rows), note)
+
+
+def _smallest(ranked: Finding, sizes: Mapping[str, float | None]) -> tuple[str, str]:
+    known = {s.coefficient.name: s.coefficient for s in ranked.sizes}
+    first = known[next(iter(sizes))]
+    seen = {name: value for name, value in sizes.items() if value is not None}
+    if not seen:
+        text = "none that occurs"
+    elif len(sizes) <= _MANY:
+        text = ", ".join(f"{name}: {quantity(value, known[name].unit)}" for name, value in seen.items())
+    else:
+        low, high = min(seen.values()), max(seen.values())
+        many = f"{len(sizes)}" if len(seen) == len(sizes) else f"{len(seen)} of {len(sizes)}"
+        text = f"{many} coefficients, {quantity(low, first.unit)} to {quantity(high, first.unit)}"
+    return text, range_of(first.low, first.high, first.unit)
+
+
+def _excluded(diagnosis: Diagnosis) -> TextTable:
+    by: dict[str, list[str]] = {}
+    for name, why in diagnosis.excluded.items():
+        by.setdefault(why, []).append(name)
+    rows = tuple((", ".join(names), why) for why, names in _longest_last(by))
+    return TextTable("Effects that were not looked for", ("effect", "why"), rows)
+
+
+def _longest_last(by: Mapping[str, list[str]]) -> Iterator[tuple[str, list[str]]]:
+    lengths = np.argsort([len(names) for names in by.values()], kind="stable")
+    items = list(by.items())
+    for k in lengths:
+        yield items[int(k)]

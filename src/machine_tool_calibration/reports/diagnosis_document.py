@@ -1,0 +1,217 @@
+"""A diagnosis for programs: the contract's JSON document `mtcal-diagnosis/1`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from machine_tool_calibration.diagnosis.consequence import (
+    Consequence,
+    before_and_after,
+    consequences,
+    effect_estimates,
+    rms,
+)
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis
+from machine_tool_calibration.diagnosis.search.findings import Finding
+from machine_tool_calibration.diagnosis.search.look import Structure
+from machine_tool_calibration.model.fit import JointFit
+from machine_tool_calibration.model.result import plain, spread_document
+from machine_tool_calibration.planning.advice import Advice, Separation, Visibility, alias_groups_of
+from machine_tool_calibration.planning.what_to_measure import what_to_measure
+from machine_tool_calibration.residuals.pool import Pool
+
+__all__ = ["diagnosis_document", "smallest_sizes"]
+
+# Probability from which a set of effects is told.
+_TOLD = 0.01
+# Multiple of the largest size that occurs beyond which an effect counts as not detectable.
+_BEYOND = 10.0
+
+
+def diagnosis_document(
+    diagnosis: Diagnosis, advice: Advice | None = None, changes: Mapping[str, Consequence] | None = None
+) -> dict[str, Any]:
+    """The diagnosis as the contract's JSON document; what is not known is null.
+
+    Beyond the contract: `accepted` (effects named as the cause, the surest first), `likely` (those that are not sure
+    enough), `refused` (probable effects that are not added, with the reason), `sets` (sets of effects with their
+    probabilities), `probabilities` of nothing and of an unknown structure, `spread` (what does not reproduce),
+    `false_alarm_rate` (of this search where nothing is missing), and in every candidate `plausible`, `p_value_alone`
+    (not paid for the search), `explained_rms` and `predicts` (readings that were left out); `detectable`, `excluded`,
+    `structure_left` (after the accepted effects), `visible_by` (what would show an effect that hardly shows) and
+    `dominant` (what dominates the map's uncertainty, and what makes it smaller).
+
+    With the verdict `unexplained` no effect is the cause: `accepted` is empty.
+
+    Args:
+        diagnosis: what was found.
+        advice: what to measure next; worked out for the method's default model if absent.
+        changes: what candidates change, by id; worked out if absent.
+    """
+    advice = what_to_measure(diagnosis) if advice is None else advice
+    changes = consequences(diagnosis) if changes is None else changes
+    look, noise = diagnosis.look, diagnosis.noise
+    document = {
+        "format": "mtcal-diagnosis/1",
+        "method": diagnosis.session.method if len(diagnosis.sessions) == 1 else "joint",
+        "sessions": [] if diagnosis.labels is None else list(diagnosis.labels),
+        "verdict": diagnosis.verdict,
+        "accepted": list(diagnosis.accepted),
+        "observations": sum(len(session.readings) for session in diagnosis.sessions) + len(diagnosis.outliers),
+        "noise": {
+            "declared": noise.declared,
+            "from_repeats": noise.from_repeats,
+            "repeats_degrees_of_freedom": noise.repeats,
+            "chi_square_p_value": noise.chi_square_p,
+            "lack_of_fit_p_value": noise.lack_of_fit_p,
+        },
+        "spread": [spread_document(size) for size in diagnosis.fits[-1].stated.sizes],
+        "probabilities": {"nothing": look.nothing, "unknown_structure": look.unknown},
+        "likely": list(diagnosis.likely),
+        "refused": [{"effect": name, "why": why} for name, why in diagnosis.refused.items()],
+        "sets": [{"effects": list(names), "probability": p} for names, p in look.sets if p >= _TOLD],
+        "false_alarm_rate": look.false_alarms,
+        "fit": {
+            "before": _fit(diagnosis.fits[0]),
+            "after": _fit(diagnosis.fits[-1]),
+        },
+        "candidates": [_candidate(diagnosis, f, changes) for f in diagnosis.ranked if f.rank],
+        "alias_groups": [list(group) for group in alias_groups_of(diagnosis)],
+        "separate_by": [_separation(s) for s in advice.separations],
+        "absorbed": [{"effect": a.effect, "by": a.by} for a in look.absorbed],
+        "structure": [_structure(s) for s in look.structure],
+        "structure_left": [_structure(s) for s in look.left],
+        "outliers": [
+            {**_named(label), "row": o.row, "studentized": o.studentized, "deviation": o.deviation}
+            for label, own in zip(diagnosis.labels or ("",), diagnosis.set_aside, strict=True)
+            for o in sorted(own, key=lambda o: o.row)
+        ],
+        "detectable": list(_detectable(diagnosis)),
+        "visible_by": [_visibility(v) for v in advice.visibilities],
+        "dominant": None if advice.dominant is None else advice.dominant.document(),
+        "excluded": [{"effect": name, "why": why} for name, why in diagnosis.excluded.items()],
+    }
+    return dict(plain(document))
+
+
+def _named(label: str) -> dict[str, str]:
+    """The session, where there are several."""
+    return {"session": label} if label else {}
+
+
+def _candidate(diagnosis: Diagnosis, found: Finding, changes: Mapping[str, Consequence]) -> dict[str, Any]:
+    change = changes.get(found.name)
+    before, after = before_and_after(diagnosis, found, changes)
+    predicted = diagnosis.predicted.get(found.name, ())
+    return {
+        "effect": found.name,
+        "probability": found.probability,
+        "p_value": found.family_p_value,
+        "p_value_alone": found.p_value,
+        "delta_bic": -found.bic_gain,
+        "rms_before": before,
+        "rms_after": after,
+        "explained_rms": float(np.sqrt(max(before**2 - after**2, 0.0))),
+        "cross_validated_gain": min((p.gain for p in predicted), default=None),
+        "predicts": [
+            {"left_out": p.what, "gain": p.gain, "parts": list(p.log_gains), "speaks_against": p.speaks_against}
+            for p in predicted
+        ],
+        "parameters": _parameters(found, change),
+        "map_change_rms": None if change is None else change.map_change_rms,
+        "plausible": found.plausible,
+    }
+
+
+def _parameters(ranked: Finding, change: Consequence | None) -> list[dict[str, Any]]:
+    """The coefficients of a full fit where there is one, otherwise those of the screening."""
+    name = ranked.name
+    if change is not None:
+        return [
+            {"name": p.name, "value": p.value, "standard_uncertainty": p.standard_uncertainty, "unit": p.unit}
+            for p in change.parameters
+        ]
+    out: list[dict[str, Any]] = [
+        {
+            "name": f"{name}.{size.coefficient.name}",
+            "value": size.value,
+            "standard_uncertainty": size.standard_uncertainty,
+            "unit": size.coefficient.unit,
+        }
+        for size in ranked.sizes
+    ]
+    shapes = ranked.candidate.effect.shapes if ranked.candidate.effect is not None else ()
+    out += [
+        {"name": f"{name}.{shape.name}", "value": value, "standard_uncertainty": None, "unit": shape.unit}
+        for shape, value in zip(shapes, ranked.shape, strict=False)
+        if not shape.discrete
+    ]
+    return out
+
+
+def _fit(joint: JointFit) -> dict[str, Any]:
+    names = dict.fromkeys(term.name for model in joint.assembly.models for term in model.terms)
+    return {
+        "effects": [name for name in names if effect_estimates(joint, [name])],
+        "rms_residual": rms(Pool(joint).residuals),
+        "reduced_chi_square": joint.reduced_chi_square,
+        "degrees_of_freedom": joint.solution.degrees_of_freedom,
+        "p_value": joint.p_value,
+    }
+
+
+def _separation(separation: Separation) -> dict[str, Any]:
+    return {
+        "effects": list(separation.effects),
+        "measure": separation.measure,
+        "separates": separation.kind is not None and separation.separates,
+        "cosine_before": separation.cosine_before,
+        "cosine_after": separation.cosine_after,
+        "seconds": separation.seconds,
+        "besides": separation.aside or None,
+    }
+
+
+def _visibility(visibility: Visibility) -> dict[str, Any]:
+    return {
+        "effect": visibility.effect,
+        "measure": visibility.measure,
+        "coefficient": visibility.coefficient,
+        "unit": visibility.unit,
+        "detectable_before": visibility.before,
+        "detectable_after": visibility.after,
+        "seconds": visibility.seconds,
+        "besides": visibility.aside or None,
+    }
+
+
+def _structure(structure: Structure) -> dict[str, Any]:
+    return {
+        "covariate": structure.covariate,
+        "shape": structure.shape,
+        "p_value": structure.p_value,
+        "share": structure.share,
+    }
+
+
+def _detectable(diagnosis: Diagnosis) -> Iterator[dict[str, Any]]:
+    """Smallest size of each effect that this measurement would have found with a power of 80 %."""
+    for f in diagnosis.look.findings:
+        smallest = smallest_sizes(f)
+        if smallest:
+            units = {size.coefficient.name: size.coefficient.unit for size in f.sizes}
+            yield {
+                "effect": f.name,
+                "smallest": [
+                    {"name": f"{f.name}.{key}", "value": value, "unit": units[key]} for key, value in smallest.items()
+                ],
+            }
+
+
+def smallest_sizes(found: Finding) -> dict[str, float | None]:
+    """Smallest detectable size of each coefficient; None where it is beyond all that occurs, as if it were absorbed."""
+    limits = {s.coefficient.name: max(abs(s.coefficient.low), abs(s.coefficient.high)) for s in found.sizes}
+    return {key: value if value <= _BEYOND * limits[key] else None for key, value in found.detectable.items()}

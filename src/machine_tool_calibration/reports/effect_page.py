@@ -1,0 +1,142 @@
+"""What the catalogue says of an effect: as a record, in a table, on a page."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape
+from machine_tool_calibration.planning.injected import AMPLITUDE, Injected, Shown
+from machine_tool_calibration.reports.diagnosis import TextTable
+from machine_tool_calibration.reports.quantities import range_of
+from machine_tool_calibration.reports.unknowns import unknowns_in_words
+
+__all__ = ["coefficients_in_words", "effect_document", "effects_table", "gallery_page", "shown_table"]
+
+# Share of an effect in the residuals from which the rest is not worth a word.
+_NEARLY_ALL = 0.95
+
+_INTRODUCTION = f"""# What effects look like
+
+Each effect is put into perfect readings of a machine without errors by the simulator, which knows nothing of the
+effect's formula; the largest change of a reading is {AMPLITUDE * 1e6:.0f} µm. The method's default model, which lacks
+the effect, is fitted. Coloured: what it leaves, by setup, with the running mean in black. Gray: what the effect did to
+the readings, without the mean of each run. Arrows: what is left, along the direction that the instrument senses.
+
+This page and its pictures are made by `mtcal effects ID … --gallery FOLDER`.
+"""
+
+
+def coefficients_in_words(effect: Effect) -> list[str]:
+    """Each coefficient: what it is, and its plausible range."""
+    linear = [f"{_what(c)}: {range_of(c.low, c.high, c.unit)}" for c in effect.coefficients]
+    if not linear:
+        linear = ["a set for each setup" if effect.setup_level else "as many as are needed"]
+    for s in effect.shapes:
+        span = f"{s.low:g} to {s.high:g}, chosen" if s.discrete else f"{range_of(s.low, s.high, s.unit)}, fitted"
+        linear.append(f"{_what(s)}: {span}")
+    return linear
+
+
+def _what(coefficient: Coefficient | Shape) -> str:
+    meaning = coefficient.meaning
+    return f"{coefficient.name} ({meaning})" if meaning else coefficient.name
+
+
+def effect_document(effect: Effect) -> dict[str, Any]:
+    """The effect for programs; SI units."""
+    return {
+        "id": effect.id,
+        "title": effect.title,
+        "formula": effect.formula,
+        "enters": effect.kind,
+        "coefficients": [{"name": c.name, "unit": c.unit, "low": c.low, "high": c.high} for c in effect.coefficients],
+        "nonlinear": [
+            {"name": s.name, "unit": s.unit, "low": s.low, "high": s.high, "discrete": s.discrete}
+            for s in effect.shapes
+        ],
+        "columns": list(effect.needs),
+        "methods": list(effect.methods),
+        "for_each_setup": effect.setup_level,
+        "source": effect.source,
+    }
+
+
+def effects_table(effects: Sequence[Effect]) -> TextTable:
+    """The catalogue; effects that differ only by the axis make one line, with the formula of the first."""
+    lines: dict[tuple[str, ...], list[Effect]] = {}
+    for effect in effects:
+        lines.setdefault(_without_axis(effect), []).append(effect)
+    rows = tuple(
+        (
+            " ".join(effect.id for effect in alike),
+            alike[0].title,
+            alike[0].formula,
+            ", ".join(m.split("_")[0] for m in alike[0].methods) or "all",
+        )
+        for alike in lines.values()
+    )
+    note = "what is written is that of the first, and likewise of the others" if len(lines) < len(effects) else ""
+    return TextTable("Effects that can be looked for", ("id", "effect", "formula", "methods"), rows, note)
+
+
+def _without_axis(effect: Effect) -> tuple[str, ...]:
+    """What an effect says of itself, with a mark where the axis stands."""
+    motion = re.fullmatch(r"E[XYZ]([XYZ])|E[ABC]([XYZ])|[ABC]0[XYZ]", effect.id)
+    axis = (motion[1] or motion[2] or "") if motion else effect.id[-1] if effect.id[-2:-1] == "_" else ""
+    texts = (effect.title, effect.formula, *effect.methods)
+    if motion:
+        kind = "squareness" if "0" in effect.id else "rotation" if motion[2] else "translation"
+        texts = (kind, *(text.replace(effect.id, "*") for text in texts))
+    if not axis:
+        return texts
+    return tuple(re.sub(rf"(?<![A-Za-z]){axis}(?![A-Za-z])", "*", text, flags=re.IGNORECASE) for text in texts)
+
+
+def shown_table(shown: Sequence[Shown]) -> TextTable:
+    """What becomes of an effect in each simulated plan."""
+    rows = tuple(
+        (
+            s.plan,
+            f"{s.left:.0%}",
+            "" if s.left > _NEARLY_ALL or not s.taken_up_by else unknowns_in_words(s.taken_up_by.split(", ")),
+        )
+        for s in shown
+        if s.left is not None
+    )
+    without: dict[str, list[str]] = {}
+    for s in shown:
+        if s.left is None:
+            without.setdefault(s.why_not, []).append(s.plan)
+    notes = ["from simulated readings without noise"] if rows else []
+    notes += [f"not in {', '.join(plans)}: {why}" for why, plans in without.items()]
+    title = "What the default model leaves of it in the residuals of a plan, and what it takes the rest for"
+    return TextTable(title, ("plan", "left", "the rest is taken for"), rows, "; ".join(notes))
+
+
+def gallery_page(effects: Sequence[Effect], found: Mapping[str, Injected | None]) -> str:
+    """Markdown page with a picture of every effect beside it."""
+    parts = [_INTRODUCTION]
+    for effect in effects:
+        injected = found[effect.id]
+        lines = [
+            f"## {effect.id}\n",
+            f"{effect.title[:1].upper()}{effect.title[1:]}: `{effect.formula}`\n",
+            f"Coefficients: {'; '.join(coefficients_in_words(effect))}. Source: {effect.source}.\n",
+        ]
+        if injected is None:
+            lines.append("No reading of the simulated plans depends on it.\n")
+        else:
+            lines.append(f"![residuals of {effect.id}]({effect.id}.png)\n")
+            lines.append(_fate(injected) + "\n")
+        parts.append("\n".join(lines))
+    return "\n".join(parts)
+
+
+def _fate(injected: Injected) -> str:
+    plan = f"`{injected.plan}`"
+    made = "" if injected.from_geometry else " The readings were made with the effect's own formula."
+    if injected.taken_up:
+        return f"In every simulated plan the model's own unknowns take it up (shown: {plan}): nothing to see.{made}"
+    return f"In {plan} the default model leaves {injected.left:.0%} of it (root mean square).{made}"

@@ -1,0 +1,168 @@
+"""The file that keeps the models of a measurement: `history.yaml` in a session folder, or beside a recording."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from pydantic import ValidationError
+
+from machine_tool_calibration.diagnosis.history import History
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.recording.open import is_session_folder
+from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.session.text import read_text
+from machine_tool_calibration.session.yaml_text import Document, load_yaml
+
+__all__ = ["HISTORY_FILE", "fingerprint", "history_path", "read_history", "update_history"]
+
+HISTORY_FILE = "history.yaml"
+_LARGEST = 64 << 20
+# Of a file's name that names several sessions, bytes: file systems allow 255.
+_LONGEST_NAME, _SHORT_NAME = 200, 40
+_HEAD = "# Models tried by `mtcal improve`; `mtcal history` lists, compares and undoes them.\n"
+
+
+def history_path(*measurements: Path) -> Path:
+    """Where a history is kept: in the session folder, beside the recording, or beside the first of several sessions.
+
+    Of several the first by its path, in whatever order they are given; the file's name names them all.
+    """
+    folders = [_folder(Path(measurement)) for measurement in measurements]
+    if len(folders) > 1:
+        ordered = sorted(folder.absolute() for folder in folders)
+        place = ordered[0].parent
+        names = [os.path.relpath(folder, place).replace(os.sep, "-") for folder in ordered]
+        name = "+".join(names)
+        if len(name.encode()) > _LONGEST_NAME:
+            name = f"{names[0][:_SHORT_NAME]}+{len(names) - 1}-{hashlib.sha256(name.encode()).hexdigest()[:16]}"
+        return place / f"{name}.{HISTORY_FILE}"
+    if is_session_folder(folders[0]):
+        return folders[0] / HISTORY_FILE
+    recording = folders[0].absolute()
+    return recording.with_name(f"{recording.name}.{HISTORY_FILE}")
+
+
+def _folder(measurement: Path) -> Path:
+    inside = measurement.is_file() and measurement.name in ("session.yaml", "observations.csv")
+    return measurement.parent if inside else measurement
+
+
+def fingerprint(*sessions: Session) -> str:
+    """Short text that changes with any reading; of several sessions the same in any order."""
+    if len(sessions) > 1:
+        every = "\0".join(sorted(fingerprint(session) for session in sessions))
+        return f"sha256-{hashlib.sha256(every.encode()).hexdigest()[:16]}"
+    (session,) = sessions
+    readings = session.readings
+    digest = hashlib.sha256(session.method.encode())
+    arrays: list[tuple[str, np.ndarray]] = [
+        ("setup", readings.setup),
+        ("repeat", readings.repeat),
+        ("displacement", readings.displacement),
+        *sorted(readings.columns.items()),
+    ]
+    for name, values in arrays:
+        digest.update(name.encode() + b"\0" + np.ascontiguousarray(values).tobytes())
+    for name, labels in sorted(readings.labels.items()):
+        digest.update("\0".join([name, *(str(v) for v in labels)]).encode())
+    return f"sha256-{digest.hexdigest()[:16]}"
+
+
+def read_history(path: Path) -> History:
+    """The history in a file; an empty one if there is no file.
+
+    Raises:
+        SessionError: one line with file, line and key of the first defect; the file is left as it is.
+    """
+    if not path.exists():
+        return History()
+    document = load_yaml(read_text(path, _LARGEST), str(path))
+    if not isinstance(document.value, dict):
+        raise SessionError(f"{path}: is no history of models; move it away to start a new one")
+    try:
+        return History.model_validate(document.value)
+    except ValidationError as error:
+        raise SessionError(_message(path, document, dict(error.errors(include_url=False)[0]))) from None
+
+
+def _message(path: Path, document: Document, defect: dict[str, Any]) -> str:
+    where = tuple(defect["loc"])
+    line = document.line(where) if where else None
+    key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in where).lstrip(".")
+    text = str(defect.get("ctx", {}).get("error") or defect["msg"])
+    at = f"{path} line {line}" if line else str(path)
+    what = f"{key}: {text}" if key else text
+    return f"{at}: {what[0].lower()}{what[1:]}; mend the file, or move it away to start a new history"
+
+
+def update_history(path: Path, change: Callable[[History], History]) -> History:
+    """Read the history, change it, and put the new one in its place.
+
+    Whatever happens, the file holds the whole old history or the whole new one; two commands at once wait for each
+    other.
+
+    Args:
+        path: the file; its folder must be there.
+        change: makes the new history from the old one.
+
+    Raises:
+        SessionError: the file is damaged (and is left as it is), or cannot be written.
+    """
+    try:
+        with _alone(path.parent):
+            old = read_history(path)
+            new = change(old)
+            if new != old:
+                _write(path, new)
+    except OSError as error:
+        raise SessionError(f"{path}: cannot be written: {error.strerror}") from None
+    return new
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """One process at a time in a folder, where the system can tell."""
+    try:
+        import fcntl
+    except ImportError:  # pragma: no cover - not on this system
+        yield
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        with suppress(OSError):  # some network drives cannot
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Quotes whatever a reader of YAML 1.2 would take for a number."""
+
+
+_NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?$")
+_Dumper.add_implicit_resolver("tag:yaml.org,2002:float", _NUMBER, list("-+.0123456789"))
+
+
+def _write(path: Path, history: History) -> None:
+    content = history.model_dump(mode="json")
+    text = _HEAD + yaml.dump(content, Dumper=_Dumper, sort_keys=False, width=120, allow_unicode=True)
+    part = path.with_name(f"{path.name}.part")
+    with part.open("w", encoding="utf-8") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(part, path)
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)

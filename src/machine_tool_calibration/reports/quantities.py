@@ -1,0 +1,159 @@
+"""A table of text, for a terminal or a page."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from machine_tool_calibration.model.result import Estimate
+
+__all__ = [
+    "TextTable",
+    "duration",
+    "micrometres",
+    "probability",
+    "quantity",
+    "range_of",
+    "residual_change",
+    "sizes_in_words",
+    "spread_words",
+]
+
+
+# Probability from which what does not reproduce is told with a size.
+_SURE = 0.9
+_FAMILIES = {"run": "runs", "mounting": "mountings", "pass": "passes over the axis"}
+# Coefficients of an effect beyond which only one is shown.
+_MANY = 3
+# (smallest absolute value, factor, unit) for each SI unit, the largest first.
+_SCALES: dict[str, tuple[tuple[float, float, str], ...]] = {
+    "1": ((1e-3, 1.0, ""), (0.0, 1e6, "µm/m")),
+    "m": ((1.0, 1.0, "m"), (1e-3, 1e3, "mm"), (0.0, 1e6, "µm")),
+    "rad": ((0.1, 1.0, "rad"), (0.0, 1e6, "µrad")),
+    "s": ((7200.0, 1 / 3600.0, "h"), (120.0, 1 / 60.0, "min"), (0.0, 1.0, "s")),
+    "1/K": ((0.0, 1e6, "µm/(m K)"),),
+    "m/K": ((0.0, 1e6, "µm/K"),),
+    "rad/K": ((0.0, 1e6, "µrad/K"),),
+    "m/s": ((0.0, 3.6e9, "µm/h"),),
+    "rad/s": ((0.0, 3.6e9, "µrad/h"),),
+}
+
+
+def quantity(value: float, unit: str, uncertainty: float | None = None) -> str:
+    """A value with its unit, and its expanded uncertainty if there is one.
+
+    Args:
+        value: in the unit.
+        unit: SI.
+        uncertainty: standard uncertainty; shown expanded (k = 2).
+    """
+    expanded = None if uncertainty is None or not math.isfinite(uncertainty) else 2.0 * uncertainty
+    size = max(abs(value), expanded or 0.0)
+    factor, shown = next(((f, u) for low, f, u in _SCALES.get(unit, ()) if size >= low), (1.0, unit))
+    number, after = value * factor, f" {shown}" if shown not in ("", "1") else ""
+    if expanded is None or expanded == 0.0:
+        return f"{_figures(number)}{after}"
+    expanded *= factor
+    places = max(1 - math.floor(math.log10(expanded)), 0) if expanded < 1e15 else 0
+    if places > 9:
+        return f"{_figures(number)} ± {_figures(expanded)}{after}"
+    return f"{number:.{places}f} ± {expanded:.{places}f}{after}"
+
+
+def _figures(value: float) -> str:
+    """Three figures, without an exponent where that is readable."""
+    if value == 0.0 or not math.isfinite(value):
+        return f"{value:g}"
+    digits = 2 - math.floor(math.log10(abs(value)))
+    return f"{value:.{max(digits, 0)}f}" if -3 <= digits <= 8 else f"{value:.2e}"
+
+
+def micrometres(metres: float | None) -> str:
+    """Length in micrometres without the unit, for a table; a dash if it is not known."""
+    if metres is None or not math.isfinite(metres):
+        return "–"
+    value = metres * 1e6
+    return f"{value:.3f}" if abs(value) < 9.9995 else f"{value:.1f}"
+
+
+def probability(value: float) -> str:
+    """A probability or p-value without a long tail of zeros."""
+    if value < 1e-6:
+        return "< 1e-6"
+    return f"{value:.1e}" if value < 1e-3 else f"{value:.3f}" if value < 0.1 else f"{value:.2f}"
+
+
+def duration(seconds: float | None) -> str:
+    """A time as people say it."""
+    if seconds is None:
+        return "–"
+    if seconds < 90.0:
+        return f"{seconds:.0f} s"
+    if seconds < 5400.0:
+        return f"{seconds / 60.0:.0f} min"
+    return f"{seconds / 3600.0:.1f} h"
+
+
+def range_of(low: float, high: float, unit: str) -> str:
+    """A plausible range."""
+    if low == -high:
+        return f"±{quantity(high, unit)}"
+    return f"{quantity(low, unit)} to {quantity(high, unit)}"
+
+
+def residual_change(before: float, after: float) -> str:
+    """How the residual of a better model stands to that of the first one.
+
+    Args:
+        before: RMS with the first model, m.
+        after: RMS with the better one, m; larger where unknowns with a variance of their own, such as small angles,
+            had taken up what the better model explains.
+    """
+    if after < before:
+        return f"the residual falls from {quantity(before, 'm')} to {quantity(after, 'm')} RMS"
+    return (
+        f"the residual is {quantity(after, 'm')} RMS after {quantity(before, 'm')}, "
+        "as free unknowns had taken up what is in the model now"
+    )
+
+
+def sizes_in_words(parameters: Sequence[Estimate]) -> str:
+    """Coefficients of one effect with their expanded uncertainty; of many, the most significant one."""
+    if not parameters:
+        return "–"
+    shown = list(parameters)
+    if len(shown) > _MANY:
+        shown = [max(shown, key=lambda p: abs(p.value) / max(p.standard_uncertainty, 1e-300))]
+    text = ", ".join(f"{p.name.split('.', 1)[-1]} = {quantity(p.value, p.unit, p.standard_uncertainty)}" for p in shown)
+    return text if len(shown) == len(parameters) else f"{len(parameters)} coefficients, {text}"
+
+
+def spread_words(sizes: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """What does not reproduce, where that is sure: from the entries `spread` of a result."""
+    for entry in sizes:
+        if entry["probability"] > _SURE and entry["size"] > 0:
+            low, high = (quantity(end, "m") for end in entry["interval"])
+            yield (
+                f"The {_FAMILIES.get(entry['family'], entry['family'])} differ among themselves by "
+                f"{quantity(entry['size'], 'm')} RMS ({low} to {high} with 95 %), beside the scatter of the readings; "
+                "the uncertainties contain it."
+            )
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """A table of text.
+
+    Attributes:
+        title: what it shows.
+        columns: heads.
+        rows: as many texts as there are heads.
+        note: to be read below it.
+    """
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    note: str = ""

@@ -1,0 +1,230 @@
+"""The verdict in sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from machine_tool_calibration.diagnosis.consequence import Consequence, rms
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis
+from machine_tool_calibration.diagnosis.search.look import Structure
+from machine_tool_calibration.model.result import spread_document
+from machine_tool_calibration.planning.advice import Advice, Separation
+from machine_tool_calibration.reports.quantities import (
+    probability,
+    quantity,
+    residual_change,
+    sizes_in_words,
+    spread_words,
+)
+from machine_tool_calibration.residuals.pool import Pool
+from machine_tool_calibration.session.session import Session
+
+__all__ = ["mounted_more_than_once", "verdict_words"]
+
+# Chance below which residuals count as larger than declared.
+_TOO_LARGE = 0.01
+_MANY = 3
+# Standard uncertainties between look-alikes from which the readings tell them apart all the same.
+_APART = 6.0
+# Chance below which a backlash of the impossible sign is no accident.
+_REVERSED = 1e-6
+# Scatter of repeats over that of all, below which places differ more than their repeats.
+_SHARED = 0.7
+
+
+def verdict_words(diagnosis: Diagnosis, changes: Mapping[str, Consequence], advice: Advice) -> Iterator[str]:
+    """Paragraphs: the verdict, every effect found, and what the data cannot tell."""
+    yield _verdict(diagnosis)
+    for name in diagnosis.accepted:
+        yield _found(diagnosis, name, changes.get(name), advice)
+    for name, why in diagnosis.refused.items():
+        p = probability(diagnosis.look.of(name).probability)
+        yield f"{_title(diagnosis, name)} is probable ({p}) and not added: {why}."
+    if diagnosis.verdict == "unexplained":
+        yield from _unexplained(diagnosis)
+    if diagnosis.outliers and diagnosis.verdict != "outliers":
+        n = len(diagnosis.outliers)
+        yield f"{'One reading was' if n == 1 else f'{n} readings were'} set aside before, as outliers: see below."
+    yield from spread_words([spread_document(size) for size in diagnosis.fits[-1].stated.sizes])
+    yield from _reversed(diagnosis)
+    yield from _noise(diagnosis)
+
+
+def _reversed(diagnosis: Diagnosis) -> Iterator[str]:
+    """Backlash that comes out negative and is certain: the sign of a column is wrong, not the machine."""
+    for f in diagnosis.look.findings:
+        certain = any(s.value < -_APART * s.standard_uncertainty for s in f.sizes)
+        if f.rank and certain and f.name.startswith("backlash_"):
+            axis = f.name[-1]
+            yield (
+                f"{f.name} would come out negative, which no backlash is: the sign of dir_{axis}, or that of "
+                "the deviations, looks reversed."
+            )
+
+
+def _verdict(diagnosis: Diagnosis) -> str:
+    look, declared = diagnosis.look, quantity(diagnosis.noise.declared, "m")
+    residual = f"{quantity(rms(Pool(diagnosis.fits[0]).residuals), 'm')} RMS (declared uncertainty {declared})"
+    if diagnosis.verdict == "missing_effect":
+        names = [_title(diagnosis, name) for name in diagnosis.accepted]
+        what = names[0] if len(names) == 1 else f"{len(names)} effects: {', '.join(names)}"
+        return f"The model lacks {what}."
+    if diagnosis.verdict == "unexplained" and look.unknown < 1.0 - look.nothing - look.unknown:
+        return (
+            f"Something is missing (probability {probability(1.0 - look.nothing)}), and these readings do not tell "
+            "which effect it is: none is named as the cause."
+        )
+    if diagnosis.verdict == "unexplained":
+        return "The model lacks something that no effect of the catalogue explains. No effect is named as the cause."
+    if diagnosis.verdict == "outliers":
+        n = len(diagnosis.outliers)
+        many = "One reading does" if n == 1 else f"{n} readings do"
+        return (
+            f"{many} not belong to the rest: single, large deviations that do not repeat, as a chip or a broken beam "
+            f"makes them. Without them nothing is missing that this measurement could show; the residual is {residual}."
+        )
+    if diagnosis.likely:
+        return f"No effect is sure: the residual is {residual}. {_likeliest(diagnosis)}"
+    if diagnosis.session.method == "direct" and look.fit.p_value < _TOO_LARGE:
+        return f"No effect and no pattern stands out from the scatter of the deviations: the residual is {residual}."
+    return (
+        f"Nothing is missing that this measurement could show (probability {probability(look.nothing)}): the residual "
+        f"is {residual}."
+    )
+
+
+def _likeliest(diagnosis: Diagnosis) -> str:
+    found = [f"{name} ({probability(diagnosis.look.of(name).probability)})" for name in diagnosis.likely]
+    return f"Likely, with the probability that it is missing: {', '.join(found)}."
+
+
+def _title(diagnosis: Diagnosis, name: str) -> str:
+    effect = diagnosis.look.of(name).candidate.effect
+    return f"{effect.title} ({name})" if effect is not None else name
+
+
+def _found(diagnosis: Diagnosis, name: str, change: Consequence | None, advice: Advice) -> str:
+    found = diagnosis.look.of(name)
+    effect = found.candidate.effect
+    words = [f"{name}: {effect.formula}." if effect is not None else f"{name}."]
+    if change is not None:
+        if 0 < len(change.parameters) <= _MANY:
+            words.append(f"Its size is {sizes_in_words(change.parameters)} (k = 2).")
+        elif change.parameters:
+            words.append(f"Its size is that of {len(change.parameters)} coefficients, listed below.")
+        if change.signal_rms is not None and change.signal_largest is not None:
+            words.append(
+                f"It changes the readings by {quantity(change.signal_rms, 'm')} RMS, "
+                f"{quantity(change.signal_largest, 'm')} at most."
+            )
+        moved = ""
+        if change.map_change_rms is not None:
+            moved = f", and the errors at the tool point move by {quantity(change.map_change_rms, 'm')} RMS"
+        words.append(f"With it in the model {residual_change(change.rms_before, change.rms_after)}{moved}.")
+    words.append(f"The probability that it is missing is {probability(found.probability)}.")
+    predicted = diagnosis.predicted.get(name, ())
+    if predicted:
+        shares = ", ".join(f"{p.what} {100 * p.gain:+.0f} %" for p in predicted)
+        words.append(f"Readings that were left out are predicted better with it (mean square error less by: {shares}).")
+    if not found.plausible:
+        words.append("Such a size does not usually occur: look for another cause as well.")
+    separation = next((s for s in advice.separations if s.effects[0] == name), None)
+    if separation is not None:
+        rivals = [diagnosis.look.of(other).probability for other in separation.effects[1:]]
+        words.append(_lookalike(separation, max(rivals, default=0.0) > 0.1 * found.probability))
+    return " ".join(words)
+
+
+def _lookalike(separation: Separation, as_good: bool) -> str:
+    """What to say of look-alikes, which may do as well with nonlinear coefficients of their own."""
+    others = " or ".join(separation.effects[1:])
+    if separation.apart_before >= _APART and not as_good:
+        return (
+            f"A look-alike, {others}, would leave a similar pattern in the residuals, but at the size found the "
+            f"readings tell them apart: the patterns differ by {separation.apart_before:.0f} standard uncertainties."
+        )
+    text = f"It may as well be {others}: this measurement cannot tell them apart."
+    return f"{text} To tell: {separation.measure}." if separation.kind is not None else text
+
+
+def _unexplained(diagnosis: Diagnosis) -> Iterator[str]:
+    left = diagnosis.look.structure
+    if left:
+        best = left[0]
+        yield (
+            f"The residuals depend on {_covariate(best)}: this takes up {100 * best.share:.0f} % of their sum of "
+            f"squares (p {probability(best.p_value)})."
+        )
+    if diagnosis.contradicted:
+        fit, repeats = diagnosis.fits[-1], diagnosis.noise.from_repeats
+        text = f"The readings scatter {np.sqrt(fit.reduced_chi_square):.1f} times as much as declared"
+        yield f"{text}, repeats by {quantity(repeats, 'm')}." if repeats is not None else f"{text}."
+    if diagnosis.likely:
+        yield f"{_likeliest(diagnosis)} None of these accounts for what is left."
+
+
+def _covariate(structure: Structure) -> str:
+    if structure.covariate == "place":
+        return f"the place: {structure.shape}"
+    shape = {"smooth": "in a smooth curve", "periodic": "in waves", "its sign": "by its sign"}
+    return f"{structure.covariate}, {shape.get(structure.shape, structure.shape)}"
+
+
+def _noise(diagnosis: Diagnosis) -> Iterator[str]:
+    noise, joint = diagnosis.noise, diagnosis.fits[-1]
+    ratio = float(np.sqrt(joint.reduced_chi_square))
+    again = mounted_more_than_once(diagnosis.session)
+    if diagnosis.session.method == "direct":
+        yield from _scatter(diagnosis)
+        return
+    if diagnosis.verdict in ("adequate", "outliers", "missing_effect") and joint.p_value < _TOO_LARGE:
+        text = f"The readings scatter {ratio:.2f} times as much as declared, which chance does not explain."
+        if noise.from_repeats is not None and diagnosis.noisy:
+            repeats = quantity(noise.from_repeats, "m")
+            text += f" Repeats scatter as much ({repeats}): the declared uncertainty is too small."
+        elif again:
+            text += " The rest is what does not reproduce, or the model in a way that no effect and no covariate shows."
+        else:
+            text += (
+                " Whether that is the model or the reproducibility of the setups cannot be told: none was measured "
+                "again after being mounted again."
+            )
+        yield text
+
+
+def _scatter(diagnosis: Diagnosis) -> Iterator[str]:
+    """Scatter of direct deviations: a part's or an axis's own, which no instrument declares."""
+    noise, fit = diagnosis.noise, diagnosis.fits[-1]
+    declared = noise.declared
+    found = float(np.sqrt(fit.reduced_chi_square)) * declared
+    both = f"scatter {quantity(found, 'm')}, declared {quantity(declared, 'm')}"
+    if fit.p_value < _TOO_LARGE:
+        yield f"The deviations scatter more about the model than was declared ({both}): sizes and tests use it."
+    elif fit.p_value > 1.0 - _TOO_LARGE:
+        yield f"The deviations scatter less about the model than was declared ({both}): tests use what they scatter."
+    else:
+        yield f"The deviations scatter about the model as was declared ({both})."
+    repeats = noise.from_repeats
+    if repeats is not None and repeats < _SHARED * found and diagnosis.verdict != "unexplained":
+        yield (
+            f"Repeats of one place agree within {quantity(repeats, 'm')}, places differ from each other by more, "
+            "without a pattern: that is the scatter of the part, or of the machine from place to place."
+        )
+    if diagnosis.verdict == "missing_effect" and diagnosis.look.left:
+        best = diagnosis.look.left[0]
+        yield (
+            f"What is left still depends on {_covariate(best)}: {100 * best.share:.0f} % of its sum of squares (p "
+            f"{probability(best.p_value)}), which no single effect of the catalogue explains. The effects that were "
+            "found stay as they are beside it."
+        )
+
+
+def mounted_more_than_once(session: Session) -> bool:
+    """Whether a setup was measured, left, and measured again."""
+    setup = session.readings.setup
+    if not len(setup):
+        return False
+    stretches = setup[np.r_[True, np.diff(setup) != 0]]
+    return len(stretches) > len(np.unique(stretches))

@@ -1,0 +1,485 @@
+"""Single readings that do not belong to the rest: a chip under the probe, a broken beam, a wrong count.
+
+A start that gross errors do not reach (`estimation/robust.py`) says which readings are suspected. They are held out,
+and each is compared with what all others predict of it: its deviation over that deviation's standard uncertainty, from
+the scatter of the others, follows Student's distribution if it is sound (Baarda 1968; Cook and Weisberg 1982). Of the
+suspected, the worst is set aside, the others are judged anew, and so on, all by small matrices of the suspected alone;
+what stands out no longer is put back. A few fits do for any number of gross errors.
+
+Where an effect is missing, all residuals are large, so is the scatter, and none stands out. What its neighbours in the
+run share is no gross error either, but something that lasts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import special
+
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.estimation.problem import Part
+from machine_tool_calibration.estimation.reduction import single_blas
+from machine_tool_calibration.estimation.robust import FAR, Reweighted, robust_start, scaled_residuals
+from machine_tool_calibration.estimation.solve import Solution, solve
+from machine_tool_calibration.model.fit import Fit, fit_models
+from machine_tool_calibration.model.model import MethodModel, assemble
+from machine_tool_calibration.residuals.leverage import Reach, reach, taken
+from machine_tool_calibration.session.session import Readings, Session
+
+__all__ = ["Outlier", "find_outliers", "set_aside"]
+
+# Chance that a clean session has any reading called an outlier, and the least number of standard uncertainties.
+_LEVEL = 0.002
+_LEAST = 4.5
+# Suspected are readings from so many standard uncertainties on: more than can be set aside, but few of the sound ones.
+_SUSPECTED = 3.0
+# Not more than this share of the readings: beyond, they are no longer isolated.
+_MOST = 0.2
+# A reading with less than this share of itself in its residual cannot be judged.
+_SEEN = 0.02
+# Weight of a reading that is held out: it still places what nothing else places.
+_HELD = 1e-8
+# A residual that holds less than this of its reading's variance says nothing of it.
+_UNSEEN = 1e-6
+# Fits with other readings held out, and models made anew without those set aside.
+_ROUNDS = 8
+_MODELS = 3
+# Suspected readings that are judged together; more are judged place by place.
+_TOGETHER = 800
+# Neighbours on one side in a run whose median says whether a deviation lasts, and the share of it that they must have.
+_BESIDE = 3
+_SHARED = 0.4
+# Another reading is as likely the wrong one if the sum of squares says so within this, or within this share of it.
+_AMBIGUOUS = 6.0
+_ALIKE = 1e-3
+# A reading that explains this share of it is suspected as well: so many for each one set aside, and so many times over.
+_NEARLY = 0.7
+_BEST = 3
+_SWAPS = 4
+# Products of readings and unknowns, and of readings and those set aside, up to which all readings are compared with
+# each that is set aside; beyond, those of its place.
+_COMPARED = 4e7
+_PAIRS = 1e6
+# The scatter's root mean square counts up to this factor above what the median of the absolute residuals says.
+_TAILS = 1.5
+# Scatter over the declared uncertainty from which an effect may be missing, and the factor on the limit then.
+_MISFIT = 1.1
+_UNEVEN = 1.5
+# Where the tails of the deviations are looked at, and the degrees of freedom of Student's distribution tried there.
+_SHOULDERS = (0.8, 0.9, 0.95)
+_DOFS = (4.0, 6.0, 10.0, 20.0, 1000.0)
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """A reading that was set aside.
+
+    Attributes:
+        row: its number in the recording.
+        studentized: its deviation from what all others predict, over that deviation's standard uncertainty.
+        deviation: that deviation, m.
+        reason: in words.
+    """
+
+    row: int
+    studentized: float
+    deviation: float
+    reason: str = "it does not belong to the rest"
+
+
+def find_outliers(session: Session, build: Callable[[Session], MethodModel]) -> tuple[list[Outlier], Session, Fit]:
+    """Set aside the readings that stand out of all others.
+
+    Args:
+        session: the measurement.
+        build: makes the model of a session.
+
+    Returns:
+        Outliers, the largest first, the session without these readings, and its fit.
+
+    Raises:
+        ModelError: the data does not allow the model.
+    """
+    found = _found(session, build)
+    if found:
+        readings = session.readings
+        session = session.with_readings(readings.select(~np.isin(readings.row, [o.row for o in found])))
+    return found, session, fit_models([build(session)]).fits[0]
+
+
+def set_aside(session: Session, build: Callable[[Session], MethodModel]) -> tuple[list[Outlier], Session]:
+    """The same, with the readings that stand out as lost ones: what they alone measured is then named.
+
+    Args:
+        session: the measurement.
+        build: makes the model of a session.
+    """
+    found = _found(session, build)
+    return found, _lost(session, found) if found else session
+
+
+def _lost(session: Session, found: list[Outlier]) -> Session:
+    readings = session.readings
+    gone = np.isin(readings.row, [o.row for o in found])
+    return session.with_readings(replace(readings, displacement=np.where(gone, np.nan, readings.displacement)))
+
+
+@single_blas()
+def _found(session: Session, build: Callable[[Session], MethodModel]) -> list[Outlier]:
+    """All rounds; a model that draws more from the readings than unknowns is made anew without what was set aside."""
+    found: list[Outlier] = []
+    part = session
+    for _ in range(_MODELS):
+        try:
+            more = _Search(build(part)).outliers()
+        except (ModelError, np.linalg.LinAlgError):
+            # Too little for the model, which its own fit will say; or what was set aside leaves too little.
+            return []
+        if not more:
+            break
+        found += more
+        part = _lost(session, found)
+    if len(found) > _MOST * max(int(np.isfinite(session.readings.displacement).sum()), 1):
+        return []
+    return sorted(found, key=lambda o: -abs(o.studentized))
+
+
+@dataclass(frozen=True)
+class _Judged:
+    """A fit in which some readings are held out.
+
+    Attributes:
+        part: the readings as they were linearised for it, without weights.
+        solution: of it.
+        weight: (n,) of the readings, next to nothing for those held out.
+        residual: (n,) over the declared uncertainty; of a reading held out, from what all others predict.
+        taken: (n,) variance of the prediction over the reading's.
+        scale: scatter of the others over the declared uncertainty.
+        limit: of studentized deviations.
+    """
+
+    part: Part
+    solution: Solution
+    weight: Array
+    residual: Array
+    taken: Array
+    scale: float
+    limit: float
+
+
+class _Search:
+    """The search in one model."""
+
+    def __init__(self, model: MethodModel) -> None:
+        self.problem = assemble([model]).problem
+        self.part = self.problem.parts[0]
+        self.readings = model.observations.readings
+        self.sigma = model.sigma
+        self.n = self.part.n_readings
+        self.direct = model.observations.session.method == "direct"
+        self.run = _runs(model)
+        self.near = _near(self.part, self.readings)
+        self.start = np.zeros(self.problem.size), np.zeros((self.part.dimension, self.part.n_points))
+
+    def outliers(self) -> list[Outlier]:
+        """Readings that stand out."""
+        held, seen = self._start()
+        tried = held
+        for _ in range(_SWAPS):
+            held, seen = self._settled(held, seen)
+            others = np.setdiff1d(self._rivals(held, seen), tried)
+            if not len(others):
+                break
+            # One reading may be wrong where several seem so.
+            tried = np.union1d(tried, others)
+            held = np.union1d(held, others)
+            seen = self._fit(held)
+        if not len(held):
+            return []
+        return self._named(held, seen)
+
+    def _start(self) -> tuple[IntArray, _Judged]:
+        """Readings that a robust fit suspects, and the fit without them."""
+        unknowns = self.problem.size - len(self.problem.constraints) + self.part.dimension * self.part.n_points
+        theta, local, residuals = robust_start(self.problem, unknowns)
+        size = np.abs(residuals[0])
+        self.start = theta, local[0]
+        spare = max(1.0 - unknowns / self.n, 0.1)
+        scale = max(float(np.median(size)) / (0.6745 * np.sqrt(spare)), 0.5)
+        suspected = np.flatnonzero(size > _SUSPECTED * scale)
+        most = int(_MOST * self.n)
+        if len(suspected) > most:
+            suspected = np.argsort(-size)[:most]
+        seen = self._fit(suspected)
+        return np.sort(suspected), seen
+
+    def _fit(self, held: IntArray) -> _Judged:
+        weight = np.ones(self.n)
+        weight[held] = _HELD
+        for _ in range(1 if self.part.linear else 2):
+            # At places near the nominal ones: a point that only what is held out could place may be found anywhere.
+            theta, local = self.start
+            near = np.where(np.abs(local) < FAR, local, 0.0)
+            part = Reweighted(self.part, weight, None if self.part.linear else (theta, near))
+            solution = solve(replace(self.problem, parts=[part]), theta, [near])
+            self.start = solution.theta, solution.local[0]
+        seen = part.weighted(np.ones(self.n))
+        residual = scaled_residuals(seen, *self.start)
+        share = taken(seen, solution, 0, weight)
+        free = np.ones(self.n, dtype=bool)
+        free[held] = False
+        judged = free & (1.0 - share > _SEEN)
+        if not judged.any():
+            return _Judged(seen, solution, weight, residual, share, np.inf, np.inf)
+        studentized = np.abs(residual[judged]) / np.sqrt(1.0 - share[judged])
+        bulk = max(float(np.median(studentized)) / 0.6745, 1e-9)
+        dof = max(float(np.sum(1.0 - np.clip(share[free], 0.0, 1.0))), 1.0)
+        mean = float(np.sqrt(np.sum(residual[free] ** 2) / dof))
+        scale = float(np.clip(mean, bulk, _TAILS * bulk))
+        limit = max(-float(special.stdtrit(max(dof, 4.0), _LEVEL / self.n / 2)), _LEAST)
+        limit = max(limit, _limit_of_tails(studentized / bulk))
+        if not self.direct and scale > _MISFIT and special.chdtrc(dof, dof * scale**2) < _LEVEL:
+            # Something is missing, and what it leaves is not as even as noise. An axis or a part may scatter more than
+            # the instrument that reads it.
+            limit *= _UNEVEN
+        return _Judged(seen, solution, weight, residual, share, scale, limit)
+
+    def _settled(self, held: IntArray, seen: _Judged) -> tuple[IntArray, _Judged]:
+        """Hold out what stands out, and nothing else."""
+        tried: set[bytes] = set()
+        for _ in range(_ROUNDS):
+            kept = 1.0 - seen.taken
+            free = np.ones(self.n, dtype=bool)
+            free[held] = False
+            size = np.zeros(self.n)
+            able = free & (kept > _SEEN)
+            size[able] = np.abs(seen.residual[able]) / np.sqrt(kept[able]) / seen.scale
+            fresh = np.flatnonzero(size > min(seen.limit, _SUSPECTED + 1.0)) if np.isfinite(seen.scale) else held[:0]
+            suspected = np.union1d(held, fresh)
+            suspected = suspected[~self._lasting(suspected, seen.residual)]
+            if len(fresh):
+                # Only what was held out has its deviation from what all others predict.
+                seen = self._fit(suspected)
+            guilty = self._guilty(suspected, seen)
+            key = guilty.tobytes()
+            if np.array_equal(guilty, held) and not len(np.setdiff1d(fresh, guilty)):
+                break
+            if key in tried:
+                held = guilty
+                seen = self._fit(held)
+                break
+            tried.add(key)
+            held = guilty
+            seen = self._fit(held)
+        return held, seen
+
+    def _guilty(self, suspected: IntArray, seen: _Judged) -> IntArray:
+        """Which of the suspected stand out while the sound ones among them are put back."""
+        if not len(suspected):
+            return suspected
+        reached = reach(seen.part, seen.solution, 0, seen.weight, suspected)
+        out = []
+        for block in _blocks(reached):
+            one = Reach(reached.shared[block], reached.own[block], reached.point[block])
+            products = one.products(one, seen.solution.covariance)
+            deviation = seen.residual[suspected[block]]
+            chosen = _worst(products, deviation, seen.limit * seen.scale)
+            out.append(suspected[block][chosen])
+        return np.sort(np.concatenate(out))
+
+    def _lasting(self, suspected: IntArray, residual: Array) -> BoolArray:
+        """(k,) whether the neighbours on a side in the run share the deviation."""
+        out = np.zeros(len(suspected), dtype=bool)
+        order, place = self.run
+        position = np.empty(self.n, dtype=np.int64)
+        position[order] = np.arange(self.n)
+        at = position[suspected]
+        for side in (-1, 1):
+            near = at[:, None] + side * np.arange(1, _BESIDE + 1)
+            inside = (near >= 0) & (near < self.n)
+            near = np.clip(near, 0, self.n - 1)
+            inside &= place[near] == place[at][:, None]
+            count = inside.sum(axis=1)
+            values = np.sort(np.where(inside, residual[order[near]], np.inf), axis=1)
+            row = np.arange(len(at))
+            upper, lower = values[row, np.minimum(count // 2, _BESIDE - 1)], values[row, np.maximum(count - 1, 0) // 2]
+            told = count > 1
+            beside = np.where(told, 0.5 * (np.where(told, upper, 0.0) + np.where(told, lower, 0.0)), 0.0)
+            own = residual[suspected]
+            out |= told & (beside * own > 0) & (np.abs(beside) > _SHARED * np.abs(own))
+        return out
+
+    def _alternatives(self, held: IntArray, seen: _Judged) -> Iterator[tuple[int, float, IntArray, Array]]:
+        """For each reading held out: what it costs to put it back, and what other readings save if held out instead."""
+        reached = reach(seen.part, seen.solution, 0, seen.weight, held)
+        everything = self.n * max(self.problem.size, 1) <= _COMPARED and self.n * len(held) <= _PAIRS
+        index = np.arange(self.n) if everything else np.flatnonzero(np.isin(self.near, self.near[held]))
+        index = np.setdiff1d(index, held)
+        if not everything:
+            index = index[np.argsort(self.near[index], kind="stable")]
+        near = self.near[index]
+        whole = reach(seen.part, seen.solution, 0, seen.weight, index)
+        kept = 1.0 - seen.taken[index]
+        residual = seen.residual[index] / seen.scale
+        for number, k in enumerate(held):
+            one = Reach(reached.shared[[number]], reached.own[[number]], reached.point[[number]])
+            first, last = (0, len(index)) if everything else np.searchsorted(near, [self.near[k], self.near[k] + 1])
+            pool = slice(int(first), int(last))
+            others = Reach(whole.shared[pool], whole.own[pool], whole.point[pool])
+            tied = one.products(others, seen.solution.covariance)[0]
+            variance = 1.0 + seen.taken[k]
+            deviation = seen.residual[k] / seen.scale
+            left = residual[pool] - tied * deviation / variance
+            share = kept[pool] + tied**2 / variance
+            saved = np.where(share > _SEEN, left**2 / np.maximum(share, _SEEN), 0.0)
+            yield int(k), float(deviation**2 / variance), index[pool], saved
+
+    def _rivals(self, held: IntArray, seen: _Judged) -> IntArray:
+        """Readings that explain nearly as much, or more, if they are held out in place of one that is."""
+        out = [held[:0]]
+        if len(held):
+            for _, cost, others, saved in self._alternatives(held, seen):
+                best = np.argsort(-saved)[:_BEST]
+                out.append(others[best[saved[best] > _NEARLY * cost]])
+        return np.unique(np.concatenate(out))
+
+    def _named(self, held: IntArray, seen: _Judged) -> list[Outlier]:
+        """What is held out, with what may as well be wrong in its place."""
+        rows = self.readings.row
+        out: dict[int, Outlier] = {}
+        same = _places(self.readings)
+        for k, cost, others, saved in self._alternatives(held, seen):
+            root = float(np.sqrt(cost)) * float(np.sign(seen.residual[k]) or 1.0)
+            deviation = float(seen.residual[k] * self.sigma[k])
+            words = f"it is off by {_size(deviation)} from what all others say, {abs(root):.1f} times its scatter"
+            alike = others[saved > max(cost - max(_AMBIGUOUS, _ALIKE * cost), 0.5 * seen.limit**2)]
+            if len(alike):
+                partner = [int(j) for j in alike if same[j] == same[k]]
+                names = ", ".join(str(int(rows[j])) for j in sorted(partner or alike)[:4])
+                if partner:
+                    apart = float(abs(self.readings.displacement[k] - self.readings.displacement[partner[0]]))
+                    words = f"two readings of one place differ by {_size(apart)} and nothing tells which is right"
+                else:
+                    several = "rows" if len(alike) > 1 else "row"
+                    words = f"it contradicts {several} {names} and nothing tells which is right"
+                for j in alike:
+                    other = words if partner else f"it contradicts row {int(rows[k])} and nothing tells which is right"
+                    out.setdefault(int(j), Outlier(int(rows[j]), root, -deviation, other))
+            out[k] = Outlier(int(rows[k]), root, deviation, words)
+        return list(out.values())
+
+
+def _worst(products: Array, deviation: Array, limit: float) -> IntArray:
+    """Set aside the worst of the suspected, judge the others anew, and put back what stands out no longer.
+
+    Args:
+        products: (k, k) covariance of the predictions of the suspected, which took part with the weight `_HELD`.
+        deviation: (k,) of the suspected from these predictions.
+        limit: of a deviation over its standard uncertainty.
+
+    Returns:
+        Indices of those that stand out.
+    """
+    # With h the variance of a prediction in which they have no part at all, h / (1 + w h) is the one at hand. Of what
+    # they alone determine, all of it is theirs.
+    if len(deviation) == 1 and _HELD * products[0, 0] < 1e-3:
+        return np.flatnonzero(np.abs(deviation) > limit * np.sqrt(1.0 + np.diag(products)))
+    values, vectors = np.linalg.eigh((products + products.T) / 2)
+    share = np.clip(_HELD * values, 0.0, 1.0)
+    alone = share > 0.5
+    variance = np.where(alone, 0.0, np.maximum(values, 0.0) / np.where(alone, 1.0, 1.0 - share))
+    known = np.where(alone, 0.0, 1.0 / (1.0 + variance))
+    inverse = (vectors * known) @ vectors.T
+    pulled = vectors @ (known * (1.0 + _HELD * variance) * (vectors.T @ deviation))
+    # With all put back: the residuals over what they would be with a variance of one, and what each is known by.
+    whole, pull = inverse.copy(), pulled.copy()
+    apart = np.zeros(len(deviation), dtype=bool)
+    while True:
+        seen = np.diag(inverse)
+        size = np.where(apart | (seen < _UNSEEN), 0.0, np.abs(pulled) / np.sqrt(np.maximum(seen, _UNSEEN)))
+        worst = int(np.argmax(size))
+        if size[worst] <= limit:
+            break
+        apart[worst] = True
+        column = inverse[:, worst] / inverse[worst, worst]
+        pulled = pulled - column * pulled[worst]
+        inverse = inverse - np.outer(column, inverse[worst])
+    while apart.any():
+        out = np.flatnonzero(apart)
+        spread = np.linalg.inv(whole[np.ix_(out, out)])
+        size = np.abs(spread @ pull[out]) / np.sqrt(np.diag(spread))
+        least = int(np.argmin(size))
+        if size[least] > limit:
+            break
+        apart[out[least]] = False
+    return np.flatnonzero(apart)
+
+
+def _blocks(reached: Reach) -> list[IntArray]:
+    """The suspected in groups that are judged together: all, or point by point where they are many."""
+    k = len(reached.point)
+    if k <= _TOGETHER:
+        return [np.arange(k)]
+    if (reached.point >= 0).all():
+        order = np.argsort(reached.point, kind="stable")
+        return np.split(order, np.flatnonzero(np.diff(reached.point[order])) + 1)
+    return np.array_split(np.arange(k), -(-k // _TOGETHER))
+
+
+def _runs(model: MethodModel) -> tuple[IntArray, IntArray]:
+    """Order of the readings run by run, and the run of each in that order."""
+    readings = model.observations.readings
+    others = [readings.labels["target"]] if "target" in readings.labels else []
+    # Deviations of a place along x and along y stand beside each other, and are two runs.
+    others += [np.round(readings.columns[name], 6) for name in ("gx", "gy", "gz") if name in readings.columns]
+    numbered = [np.unique(values, return_inverse=True)[1].reshape(-1) for values in others]
+    run = groups(readings.repeat, readings.setup, *numbered)
+    order = np.argsort(run, kind="stable")
+    return order, run[order]
+
+
+def _near(part: Part, readings: Readings) -> IntArray:
+    """(n,) index shared by readings of one point of the model, or of one place where it has none."""
+    if not part.dimension:
+        return _places(readings)
+    out = np.zeros(part.n_readings, dtype=np.int64)
+    for group in part.groups:
+        there = group.rows >= 0
+        out[group.rows[there]] = np.broadcast_to(group.points, group.rows.shape)[there]
+    return out
+
+
+def _places(readings: Readings) -> IntArray:
+    """(n,) index shared by readings that repeat each other, whatever the direction of approach."""
+    keys = [readings.setup.astype(float)]
+    keys += [np.round(readings.columns[a] * 1e9) for a in ("x", "y", "z", "c") if a in readings.columns]
+    keys += [np.round(readings.columns[a] * 1e6) for a in ("gx", "gy", "gz") if a in readings.columns]
+    keys += [np.unique(values, return_inverse=True)[1].astype(float) for values in readings.labels.values()]
+    return np.asarray(np.unique(np.stack(keys), axis=1, return_inverse=True)[1].reshape(-1))
+
+
+def _size(deviation: float) -> str:
+    size = abs(deviation)
+    return f"{size * 1e6:.3g} µm" if size < 1e-3 else f"{size * 1e3:.3g} mm" if size < 1.0 else f"{size:.3g} m"
+
+
+def _limit_of_tails(size: Array) -> float:
+    """Limit for residuals that scatter with longer tails than noise does, as holes do that a drill made.
+
+    Student's distribution with as many degrees of freedom as the shoulders of the residuals ask for; readings further
+    out than the shoulders have no say.
+
+    Args:
+        size: absolute residuals over the bulk's standard deviation.
+    """
+    shoulder = np.array([np.quantile(size, q) for q in _SHOULDERS])
+    probability = (1 + np.array(_SHOULDERS)) / 2
+    misfit = []
+    for dof in _DOFS:
+        expected = special.stdtrit(dof, probability) / special.stdtrit(dof, 0.75) * special.ndtri(0.75)
+        misfit.append(float(np.sum(np.log(np.maximum(shoulder, 1e-9) / expected) ** 2)))
+    dof = _DOFS[int(np.argmin(misfit))]
+    return -float(special.stdtrit(dof, _LEVEL / len(size) / 2) / special.stdtrit(dof, 0.75) * special.ndtri(0.75))

@@ -1,0 +1,109 @@
+"""Checks that a session is enough for its method and free of what cannot be right."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.session.checks.consistency import check_consistency
+from machine_tool_calibration.session.checks.enough import check_enough
+from machine_tool_calibration.session.checks.units import check_units
+from machine_tool_calibration.session.description import Place, needed_columns
+from machine_tool_calibration.session.session import Session
+
+__all__ = ["Place", "check_session"]
+
+# Share of different times among the readings from which the time tells readings apart.
+_TOLD_BY_TIME = 0.4
+
+
+def check_session(session: Session, place: Place | None = None) -> None:
+    """Refuse a session that cannot be right or is not enough for its method.
+
+    Checked are: values that are missing where a displacement was read; times that run backwards; a reading that stands
+    there twice; units that must be wrong (`check_units`); stations, targets and readings that the method needs
+    (`check_enough`); and readings that contradict the nominal geometry while a common mistake would explain them
+    (`check_consistency`).
+
+    Args:
+        session: the measurement.
+        place: how messages name its parts; by default all is named by the session's source.
+
+    Raises:
+        SessionError: one line that names the place and the defect, or the suspicion.
+    """
+    place = place or Place(session.source, session.source)
+    _check_missing(session, place)
+    _check_time(session, place)
+    _check_signs(session, place)
+    _check_doubled(session, place)
+    check_units(session, place)
+    check_enough(session, place)
+    check_consistency(session, place)
+
+
+def _check_missing(session: Session, place: Place) -> None:
+    readings = session.readings
+    measured = np.isfinite(readings.displacement)
+    if not measured.any():
+        raise SessionError(f"{place.readings}: no reading: every displacement is missing")
+    for name in needed_columns(session.description):
+        if name in readings.columns:
+            bad = np.flatnonzero(measured & ~np.isfinite(readings.columns[name]))
+        elif name in readings.labels:
+            bad = np.flatnonzero(measured & (readings.labels[name] == ""))
+        else:
+            continue
+        if len(bad):
+            raise SessionError(f"{place.row(readings.row[bad[0]])}: {name} is missing where a displacement was read")
+
+
+def _check_time(session: Session, place: Place) -> None:
+    time = session.readings.columns.get("time")
+    if time is None:
+        return
+    known = np.flatnonzero(np.isfinite(time))
+    back = np.flatnonzero(np.diff(time[known]) < 0)
+    if len(back):
+        before, at = known[back[0]], known[back[0] + 1]
+        where = place.row(session.readings.row[at])
+        raise SessionError(f"{where}: time runs backwards, from {time[before]:.9g} s to {time[at]:.9g} s")
+
+
+def _check_doubled(session: Session, place: Place) -> None:
+    """The same reading twice, to the last column: a line that was copied, not a reading that was repeated."""
+    readings = session.readings
+    time = readings.columns.get("time")
+    if time is None:
+        return
+    # Only readings at the same time can be the same; what is missing in both is equal in both.
+    times = pd.Series(np.where(np.isnan(time), 0.0, time))
+    repeated = times.duplicated().to_numpy()
+    # Where the clock does not tell readings apart, equal ones may be different ones.
+    if not repeated.any() or np.count_nonzero(~repeated) < _TOLD_BY_TIME * len(readings):
+        return
+    readings = readings.select(times.duplicated(keep=False).to_numpy())
+    table = pd.DataFrame({"setup": readings.setup, "repeat": readings.repeat, "displacement": readings.displacement})
+    table = pd.concat([table, pd.DataFrame({**readings.columns, **readings.labels}).add_prefix("column ")], axis=1)
+    table = table.fillna(0.0)
+    again = np.flatnonzero(table.duplicated().to_numpy() & np.isfinite(readings.displacement))
+    if not len(again):
+        return
+    at = int(again[0])
+    first = int(np.argmax((table == table.iloc[at]).all(axis=1)))
+    more = f", and {len(again) - 1} more like it" if len(again) > 1 else ""
+    raise SessionError(
+        f"{place.row(readings.row[at])}: the same reading as {place.row(readings.row[first])}, at the same time and in "
+        f"every column{more}: a line that was copied? A repeat has its own time and number"
+    )
+
+
+def _check_signs(session: Session, place: Place) -> None:
+    for name, values in session.readings.columns.items():
+        if not name.startswith("dir_"):
+            continue
+        bad = np.flatnonzero(np.isfinite(values) & ~np.isin(values, (-1.0, 0.0, 1.0)))
+        if len(bad):
+            where = place.row(session.readings.row[bad[0]])
+            raise SessionError(f"{where}: {name} is {values[bad[0]]:g}, not +1 or -1")

@@ -1,0 +1,170 @@
+"""Magnitudes that no machine tool has: millimetres, degrees, kelvin, hectopascals or percent by mistake."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.session.description import Direct, Place, Probing, StationSetup, StepDiagonal
+from machine_tool_calibration.session.session import Session
+
+__all__ = ["check_units"]
+
+_LARGEST_MACHINE = 50.0  # m
+_LARGEST_TRAVEL = 100.0  # m
+_FARTHEST_STATION = 200.0  # m
+_THOUSAND = 100.0  # a ratio beyond this is taken for 1000
+_MICROMETRES_FROM = 3e4  # m: a machine's travel in millimetres is not as large
+_MILLIMETRES = "these look like millimetres; lengths are in metres"
+_SATURATED = 1.05  # relative humidity, with a sensor's own error
+_DEGREES = "these look like degrees; angles are in radians"
+
+
+def check_units(session: Session, place: Place) -> None:
+    """Refuse magnitudes that can only be a wrong unit.
+
+    Raises:
+        SessionError: the file, key or column and row, the value, and the unit that is suspected.
+    """
+    _travel(session, place)
+    _positions(session, place)
+    _instrument(session, place)
+    _angles(session, place)
+    _displacement(session, place)
+    _environment(session, place)
+
+
+def _travel(session: Session, place: Place) -> None:
+    for name, (low, high) in session.description.machine.travel.items():
+        reach = max(abs(low), abs(high))
+        if name.lower() in "xyz" and reach > _LARGEST_TRAVEL:
+            raise SessionError(f"{place.description}: machine.travel.{name} reaches {reach:g} m; {_MILLIMETRES}")
+
+
+def _positions(session: Session, place: Place) -> None:
+    for axis in "xyz":
+        values = session.readings.columns.get(axis)
+        if values is None or not np.isfinite(values).any():
+            continue
+        row, reach = _largest(values)
+        where = place.row(session.readings.row[row])
+        travel = _reach(session, axis)
+        if travel is not None and reach > _THOUSAND * travel:
+            raise SessionError(
+                f"{where}: {axis} is {values[row]:g} m and the travel ends at {travel:g} m; {_MILLIMETRES}"
+            )
+        if reach > (_LARGEST_MACHINE if travel is None else max(_LARGEST_MACHINE, 2 * travel)):
+            raise SessionError(f"{where}: {axis} is {values[row]:g} m; {_MILLIMETRES}")
+
+
+def _instrument(session: Session, place: Place) -> None:
+    description = session.description
+    for index, setup in enumerate(description.setups):
+        if isinstance(setup, StationSetup) and max(map(abs, setup.position)) > _FARTHEST_STATION:
+            where = f"{place.description}: setups[{index}].position"
+            raise SessionError(
+                f"{where}: station {setup.id!r} is {max(map(abs, setup.position)):g} m away; {_MILLIMETRES}"
+            )
+    for key in ("targets", "workpiece"):
+        for index, entry in enumerate(getattr(description, key, ())):
+            reach = max(map(abs, entry.position))
+            if reach > _LARGEST_MACHINE:
+                raise SessionError(f"{place.description}: {key}[{index}].position is {reach:g} m; {_MILLIMETRES}")
+    if isinstance(description, Probing):
+        for index, point in enumerate(description.workpiece):
+            length = float(np.hypot(*point.normal))
+            if abs(length - 1.0) > 0.01:
+                where = f"{place.description}: workpiece[{index}].normal"
+                raise SessionError(f"{where}: the normal of point {point.id!r} has length {length:g}, not 1")
+        if description.probe is not None and description.probe.stylus_diameter > 0.1:
+            diameter = description.probe.stylus_diameter
+            raise SessionError(f"{place.description}: probe.stylus_diameter is {diameter:g} m; {_MILLIMETRES}")
+    if isinstance(description, StepDiagonal):
+        for index, run in enumerate(description.setups):
+            reach = max(map(abs, run.start))
+            if reach > _LARGEST_MACHINE:
+                raise SessionError(f"{place.description}: setups[{index}].start is {reach:g} m; {_MILLIMETRES}")
+    if isinstance(description, StepDiagonal) and max(description.step) * description.blocks > _LARGEST_TRAVEL:
+        raise SessionError(
+            f"{place.description}: step: {description.blocks} blocks of {max(description.step):g} m; {_MILLIMETRES}"
+        )
+    if isinstance(description, Direct):
+        _directions(session, place)
+    sigma = description.standard_uncertainty.displacement
+    if sigma > 1e-2:
+        raise SessionError(
+            f"{place.description}: standard_uncertainty.displacement is {sigma:g} m; "
+            "this looks like another unit than metres"
+        )
+
+
+def _directions(session: Session, place: Place) -> None:
+    columns = session.readings.columns
+    length = np.sqrt(columns["gx"] ** 2 + columns["gy"] ** 2 + columns["gz"] ** 2)
+    bad = np.flatnonzero(np.isfinite(session.readings.displacement) & ~(np.abs(length - 1.0) <= 0.05))
+    if len(bad):
+        where = place.row(session.readings.row[bad[0]])
+        raise SessionError(f"{where}: the direction (gx, gy, gz) has length {length[bad[0]]:g}, not 1")
+
+
+def _angles(session: Session, place: Place) -> None:
+    # several turns are plausible for a rotary axis, not for a beam
+    limits = {"azimuth": 2 * np.pi, "elevation": np.pi / 2, "a": 4 * np.pi, "b": 4 * np.pi, "c": 4 * np.pi}
+    for name, limit in limits.items():
+        values = session.readings.columns.get(name)
+        if values is None or not np.isfinite(values).any():
+            continue
+        row, reach = _largest(values)
+        if reach > limit + 0.1:
+            where = place.row(session.readings.row[row])
+            raise SessionError(f"{where}: {name} is {values[row]:g} rad; {_DEGREES}")
+    for index, setup in enumerate(session.description.setups):
+        angle = getattr(setup, "c", 0.0)
+        if abs(angle) > 4 * np.pi + 0.1:
+            raise SessionError(f"{place.description}: setups[{index}].c is {angle:g} rad; {_DEGREES}")
+
+
+def _displacement(session: Session, place: Place) -> None:
+    values = session.readings.displacement
+    if session.method in ("direct", "probing"):
+        typical = float(np.median(np.abs(values[np.isfinite(values)])))
+        if typical > 0.02:
+            raise SessionError(
+                f"{place.readings}: displacement is {typical:g} m in the middle; "
+                "these look like millimetres or micrometres; deviations are in metres"
+            )
+        return
+    row, reach = _largest(values)
+    if reach > _FARTHEST_STATION:
+        where = place.row(session.readings.row[row])
+        unit = _MILLIMETRES if reach < _MICROMETRES_FROM else _MILLIMETRES.replace("milli", "micro")
+        raise SessionError(f"{where}: displacement is {values[row]:g} m; {unit}")
+
+
+def _environment(session: Session, place: Place) -> None:
+    for name, values in session.readings.columns.items():
+        if not np.isfinite(values).any():
+            continue
+        row, reach = _largest(values)
+        where = place.row(session.readings.row[row])
+        if name.startswith("temperature_") and reach > 150.0:
+            raise SessionError(f"{where}: {name} is {values[row]:g} degrees Celsius; these look like kelvin")
+        if name == "air_pressure" and reach < 2000.0:
+            unit = "hectopascals" if reach > 200 else "kilopascals"
+            raise SessionError(f"{where}: air_pressure is {values[row]:g} Pa; these look like {unit}")
+        if name == "relative_humidity" and reach > _SATURATED:
+            raise SessionError(
+                f"{where}: relative_humidity is {values[row]:g}; these look like percent; it is from 0 to 1"
+            )
+
+
+def _reach(session: Session, axis: str) -> float | None:
+    travel = session.description.machine.travel
+    bounds = travel.get(axis) or travel.get(axis.upper())
+    return None if bounds is None else max(abs(bounds[0]), abs(bounds[1]))
+
+
+def _largest(values: Array) -> tuple[int, float]:
+    row = int(np.nanargmax(np.abs(values)))
+    return row, float(abs(values[row]))

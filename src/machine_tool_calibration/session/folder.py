@@ -1,0 +1,106 @@
+"""A session folder: `session.yaml` and `observations.csv`, read and written."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.session.checks import check_session
+from machine_tool_calibration.session.csv_text import write_csv
+from machine_tool_calibration.session.description import Place, require_columns
+from machine_tool_calibration.session.parse import description_yaml, parse_description
+from machine_tool_calibration.session.session import Session, assemble
+from machine_tool_calibration.session.table import NUMERIC_COLUMNS, read_table
+from machine_tool_calibration.session.text import read_text
+
+__all__ = [
+    "DESCRIPTION_FILE",
+    "OBSERVATIONS_FILE",
+    "description_yaml",
+    "parse_description",
+    "read_session",
+    "readings_frame",
+    "write_session",
+]
+
+
+DESCRIPTION_FILE = "session.yaml"
+OBSERVATIONS_FILE = "observations.csv"
+_LARGEST_DESCRIPTION = 16 << 20
+
+
+def read_session(path: Path, *, check: bool = True) -> Session:
+    """Read a session folder: `session.yaml` and `observations.csv`.
+
+    Args:
+        path: the folder.
+        check: also refuse what is readable but cannot be right or is not enough for the method (`check_session`).
+
+    Raises:
+        SessionError: one line with file and row, line or key.
+    """
+    folder = Path(path)
+    if not folder.is_dir():
+        what = "is not a session folder" if folder.exists() else "no such file or folder"
+        raise SessionError(f"{folder}: {what}")
+    described, observed = folder / DESCRIPTION_FILE, folder / OBSERVATIONS_FILE
+    for file in (described, observed):
+        if not file.exists():
+            raise SessionError(f"{folder}: no {file.name} in this folder; a session needs it")
+    description = parse_description(read_text(described, _LARGEST_DESCRIPTION), str(described))
+    table = read_table(observed)
+    require_columns(description, table.layout.columns, str(observed))
+    place = Place(str(described), str(observed), table.layout.line)
+    session = Session(description, assemble(description, table.numbers, table.labels, place), source=str(folder))
+    if check:
+        check_session(session, place)
+    return session
+
+
+_ORDER = ("time", "setup", "repeat", "target", "point", *NUMERIC_COLUMNS[2:])
+
+
+def readings_frame(session: Session) -> pd.DataFrame:
+    """The readings as a table with the columns of `observations.csv`, in the contract's order."""
+    readings = session.readings
+    columns: dict[str, np.ndarray] = {
+        "setup": np.asarray(session.setup_ids, dtype=object)[readings.setup],
+        "repeat": readings.repeat,
+        "displacement": readings.displacement,
+        **readings.columns,
+        **readings.labels,
+    }
+    names = [name for name in _ORDER if name in columns] + [name for name in columns if name not in _ORDER]
+    return pd.DataFrame({name: columns[name] for name in names})
+
+
+def write_session(session: Session, folder: Path, *, overwrite: bool = False) -> None:
+    """Write `session.yaml` and `observations.csv`; numbers come back to the last bit.
+
+    Args:
+        session: the measurement.
+        folder: made where it is missing.
+        overwrite: replace a session that is already there.
+
+    Raises:
+        SessionError: a session is already there, or the folder cannot be written.
+    """
+    folder = Path(folder)
+    described, observed = folder / "session.yaml", folder / "observations.csv"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if not overwrite and (described.exists() or observed.exists()):
+            raise SessionError(f"{folder}: holds a session already; choose another folder")
+        # first beside the target, then renamed: a write that is cut short leaves what was there
+        parts = [file.with_name(file.name + ".part") for file in (described, observed)]
+        parts[0].write_text(description_yaml(session.description), encoding="utf-8")
+        with parts[1].open("w", encoding="utf-8", newline="") as stream:
+            write_csv(readings_frame(session), stream)
+        for part, file in zip(parts, (described, observed), strict=True):
+            os.replace(part, file)
+    except OSError as error:
+        raise SessionError(f"{folder}: cannot be written: {error.strerror}") from None

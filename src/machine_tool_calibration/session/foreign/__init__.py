@@ -1,8 +1,0 @@
-"""Tables of other programs (coordinate measuring machines, laser trackers, interferometers) as sessions."""
-
-from __future__ import annotations
-
-from machine_tool_calibration.session.foreign.build import Imported, import_table
-from machine_tool_calibration.session.foreign.mapping import Mapping, parse_mapping, read_mapping
-
-__all__ = ["Imported", "Mapping", "import_table", "parse_mapping", "read_mapping"]

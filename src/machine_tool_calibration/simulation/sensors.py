@@ -1,0 +1,174 @@
+"""Simulated instruments: laser interferometer on a flat mirror, tracking interferometer, touch-trigger probe."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.simulation.motions import cross
+
+__all__ = ["Pointer", "across", "aim", "beam_direction", "distance", "mirror_path", "probed", "sensed_path", "tilted"]
+
+
+def mirror_path(source: Array, beam: Array, mirror: Array, normal: Array) -> Array:
+    """(n,) length of the beam from its source to a plane mirror, m.
+
+    Where the ray source + L beam meets the plane through `mirror` with `normal`: L = n.(m - s) / (n.l). A
+    mirror that moves by d changes it by n.d / (n.l) (Ibaraki and Hata 2010, with a tilted mirror).
+
+    Args:
+        source: (n, 3) or (3,) where the beam leaves the laser, m.
+        beam: (n, 3) or (3,) unit vector l of the beam.
+        mirror: (n, 3) a point of the mirror's plane, m.
+        normal: (n, 3) or (3,) the mirror's normal n.
+    """
+    line = np.einsum("...i,...i->...", np.broadcast_to(normal, np.shape(mirror)), mirror - source)
+    slope = np.einsum("...i,...i->...", *np.broadcast_arrays(normal, beam))
+    length: Array = line / slope
+    return length
+
+
+def across(beam: Array) -> tuple[Array, Array]:
+    """Two unit vectors (…, 3) at right angles to a beam (…, 3) and to each other; the first is horizontal."""
+    up = np.where(np.abs(beam[..., 2:]) > 0.999, np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0]))
+    first = cross(up, beam)
+    first = first / np.linalg.norm(first, axis=-1, keepdims=True)
+    return first, cross(beam, first)
+
+
+def tilted(beam: Array, tilt: Array) -> Array:
+    """(n, 3) normals tilted off a beam (n, 3) by the two parts of `tilt` (n, 2), rad, towards `across(beam)`."""
+    first, second = across(beam)
+    normal = beam + tilt[..., :1] * first + tilt[..., 1:] * second
+    unit: Array = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+    return unit
+
+
+def aim(station: Array, target: Array, dimension: int = 3) -> tuple[Array, Array]:
+    """Commanded azimuth and elevation of the beam.
+
+    Args:
+        station: (n, 3) estimate of the rotation centre, machine frame, m.
+        target: (n, 3) commanded target, m.
+        dimension: 2 for a pointer with azimuth only; its elevation is zero.
+
+    Returns:
+        (n,) azimuth from +X towards +Y in (-pi, pi], and (n,) elevation from the XY plane towards +Z, rad.
+    """
+    line = np.asarray(target, float) - np.asarray(station, float)
+    azimuth = np.arctan2(line[..., 1], line[..., 0])
+    flat = np.hypot(line[..., 0], line[..., 1])
+    elevation = np.arctan2(line[..., 2], flat) if dimension == 3 else np.zeros_like(azimuth)
+    return azimuth, elevation
+
+
+def beam_direction(azimuth: Array, elevation: Array) -> Array:
+    """(n, 3) unit vectors of beams of that azimuth and elevation, rad."""
+    flat = np.cos(elevation)
+    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=-1)
+
+
+def sensed_path(target: Array, origin: Array, direction: Array) -> Array:
+    """(n,) path from `origin` (n, 3) along `direction` (n, 3) that a retroreflector at `target` returns, m."""
+    path: Array = np.einsum("...i,...i->...", np.asarray(target, float) - origin, direction)
+    return path
+
+
+def distance(target: Array, origin: Array) -> Array:
+    """(n,) distance, m: the path of a beam that follows the target."""
+    line = np.asarray(target, float) - origin
+    length: Array = np.sqrt(np.einsum("...i,...i->...", line, line))
+    return length
+
+
+@dataclass(frozen=True)
+class Pointer:
+    """The true errors of the rotary pointer.
+
+    Attributes:
+        zero_offset: the beam's azimuth is greater than commanded by this, rad.
+        elevation_offset: likewise its elevation, rad.
+        radial: radial error motion of the azimuth axis as harmonics of the azimuth: (cos, sin) parts by
+            order, m. The rotation centre moves *against* the beam as seen from above, so that the path grows by
+            (sum of c cos(k azimuth) + s sin(k azimuth)) cos(elevation).
+        eccentricity: the beam passes this far beside the rotation centre, to its left, m.
+    """
+
+    zero_offset: float = 0.0
+    elevation_offset: float = 0.0
+    radial: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+    eccentricity: float = 0.0
+
+    def beam(
+        self,
+        azimuth: Array,
+        elevation: Array,
+        station: Array,
+        turn: Array | float = 0.0,
+        radial: Array | float = 0.0,
+    ) -> tuple[Array, Array]:
+        """Origin and direction of the true beam.
+
+        Args:
+            azimuth: (n,) commanded, rad.
+            elevation: (n,) commanded, rad.
+            station: (n, 3) true rotation centre, m.
+            turn: further turn of the azimuth, rad.
+            radial: further radial error motion (as `radial` of the class), m.
+
+        Returns:
+            (n, 3) origin, m, and (n, 3) unit direction.
+        """
+        direction = beam_direction(azimuth + self.zero_offset + turn, elevation + self.elevation_offset)
+        back: Array | float = radial
+        for order, (cosine, sine) in self.radial.items():
+            back = back + cosine * np.cos(order * azimuth) + sine * np.sin(order * azimuth)
+        left = np.stack([-direction[..., 1], direction[..., 0], np.zeros_like(direction[..., 0])], axis=-1)
+        flat = beam_direction(azimuth, np.zeros_like(azimuth))
+        origin = station - np.asarray(back)[..., None] * flat + self.eccentricity * left
+        return origin, direction
+
+
+def probed(
+    centre: Array,
+    approach: Array,
+    surface: Array,
+    normal: Array,
+    radius: float,
+    curvature: Array | float = 0.0,
+) -> Array:
+    """How far outside its nominal place the probe touches a surface.
+
+    The sphere's centre runs along a straight line against the nominal normal; it touches where its distance
+    from the actual surface is its radius. The surface is a plane or a cylinder or sphere around the point.
+
+    Args:
+        centre: (n, 3) where the sphere's centre really is when the probe is commanded to the nominal contact, m.
+        approach: (n, 3) nominal outward normals, unit; the probe moves against them.
+        surface: (n, 3) the actual surface point, m.
+        normal: (n, 3) the actual outward normal there, unit.
+        radius: of the stylus sphere, m.
+        curvature: (n,) of the surface, 1/m: positive for a pin, negative for a hole (less than 1/radius), 0 flat.
+
+    Returns:
+        (n,) probed displacement along the nominal outward normal, m: positive where there is too much material.
+        To first order approach.(surface error) - approach.(error of the centre).
+    """
+    bend = np.broadcast_to(np.asarray(curvature, float), centre.shape[:1])
+    flat = bend == 0.0
+    gap = radius - np.einsum("ni,ni->n", normal, centre - surface)
+    plane: Array = gap / np.einsum("ni,ni->n", normal, approach)
+    if np.all(flat):
+        return plane
+    rho = 1.0 / np.where(flat, 1.0, bend)
+    line = centre - (surface - rho[:, None] * normal)  # from the surface's centre of curvature
+    b = np.einsum("ni,ni->n", approach, line)
+    c = np.einsum("ni,ni->n", line, line) - (rho + radius) ** 2
+    root = np.sqrt(np.maximum(b * b - c, 0.0))
+    # the root near zero of s^2 + 2 b s + c = 0, without the loss of digits of -b + root
+    curved = -c / (b + np.copysign(root, b))
+    touched: Array = np.where(flat, plane, curved)
+    return touched

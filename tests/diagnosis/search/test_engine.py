@@ -1,0 +1,130 @@
+"""What a whole diagnosis says of sessions whose truth is known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
+from machine_tool_calibration.diagnosis.search.priors import ACCEPTED
+from machine_tool_calibration.effects.catalogue import catalogue
+from machine_tool_calibration.planning.advice import Advice
+from machine_tool_calibration.reports.verdict import verdict_words
+from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, Spread, simulate
+
+
+def simulated(plan: str, seed: int, flaws: Sequence[FlawSpec] = (), spread: float = 0.0) -> Session:
+    """A session, with slopes and bows of each mounting in standard uncertainties."""
+    spec = SimulationSpec(plan=PRESETS[plan], seed=seed, effects=tuple(flaws))
+    size = spread * simulate(spec).session.sigma
+    return simulate(spec.model_copy(update={"spread": Spread(slope=size, bow=size)})).session
+
+
+def with_columns(session: Session, displacement: np.ndarray | None = None, without: str = "") -> Session:
+    readings = session.readings
+    columns = {name: values for name, values in readings.columns.items() if name != without}
+    moved = readings.displacement if displacement is None else readings.displacement + displacement
+    return session.with_readings(replace(readings, columns=columns, displacement=moved))
+
+
+@pytest.mark.parametrize("plan", ["tracking_2d", "rotary_axis", "step_diagonal", "probing_cross"])
+def test_setups_that_do_not_reproduce_are_no_effect(plan: str) -> None:
+    found = diagnose(simulated(plan, 21, spread=1.0), sets=19)
+    assert found.verdict == "adequate"
+    assert found.accepted == ()
+    assert max(size.probability for size in found.fits[-1].stated.sizes) > 0.5
+
+
+@pytest.mark.parametrize(
+    ("plan", "effect", "amplitude"), [("tracking_2d", "backlash_y", 1.5e-6), ("probing_cross", "probe_pretravel", 6e-6)]
+)
+def test_an_effect_is_found_beside_setups_that_do_not_reproduce(plan: str, effect: str, amplitude: float) -> None:
+    spec = FlawSpec(id=effect, amplitude=amplitude)
+    found = diagnose(simulated(plan, 22, [spec], spread=0.4), sets=19)
+    assert found.verdict == "missing_effect"
+    assert found.accepted == (effect,)
+    assert found.look.of(effect).probability > ACCEPTED
+    assert not found.refused
+    true = simulate(SimulationSpec(plan=PRESETS[plan], seed=22, effects=(spec,))).truth.effects[0].size
+    if effect == "backlash_y":
+        (size,) = found.look.of(effect).sizes
+        assert abs(size.value - true) < 4.0 * size.standard_uncertainty
+
+
+def test_warm_up_and_backlash_of_an_axis_are_both_found() -> None:
+    # Warm after a third of the run: slower, it would be a drift.
+    flaws = [FlawSpec(id="warmup_x", amplitude=8e-6, parameters={"tau": 160.0}), FlawSpec(id="backlash_x", size=1.5e-6)]
+    found = diagnose(simulated("iso230_2", 23, flaws), sets=19)
+    assert found.verdict == "missing_effect"
+    assert set(found.accepted) == {"warmup_x", "backlash_x"}
+    # In one pass: the pair is in the best set, and each was weighed beside the other.
+    assert set(found.look.sets[0][0]) == {"warmup_x", "backlash_x"}
+
+
+def test_backlash_of_a_sign_that_cannot_be_is_not_accepted() -> None:
+    """Whatever its size: no dead path of a screw is negative."""
+    for size in (-1e-6, -2e-5, -4e-4):
+        found = diagnose(simulated("tracking_2d", 24, [FlawSpec(id="backlash_y", size=size)]), sets=19)
+        assert "backlash_y" not in found.accepted
+        assert found.look.of("backlash_y").probability < 0.1
+        assert not found.look.of("backlash_y").possible
+
+
+def test_a_wave_that_nobody_knows_is_unexplained_and_its_period_told() -> None:
+    session = simulated("tracking_2d", 25)
+    time = session.readings.columns["time"]
+    found = diagnose(with_columns(session, 1.5e-6 * np.sin(2.0 * np.pi * time / 173.0)), sets=19)
+    assert found.verdict == "unexplained"
+    assert found.accepted == ()
+    assert found.look.unknown > 0.99
+    waves = [s for s in found.look.structure if s.covariate == "time" and "period" in s.shape]
+    assert float(waves[0].shape.split()[-2]) == pytest.approx(173.0, rel=0.01)
+    assert waves[0].share == max(s.share for s in found.look.structure)
+
+
+def in_seconds(found: Diagnosis) -> set[str]:
+    """Effects and structures that speak of time."""
+    effects = {
+        f.name
+        for f in found.look.findings
+        if f.candidate.effect is not None and any(shape.unit == "s" for shape in f.candidate.effect.shapes)
+    }
+    return effects | {s.covariate for s in found.look.structure if s.covariate == "time" or s.shape.endswith(" s")}
+
+
+def test_without_times_nothing_is_told_in_seconds() -> None:
+    session = simulated("tracking_2d", 26)
+    order = np.arange(len(session.readings))
+    disturbed = with_columns(session, 1.5e-6 * np.sin(2.0 * np.pi * order / 17.0), without="time")
+    found = diagnose(disturbed, sets=19)
+    assert found.verdict == "unexplained"
+    assert in_seconds(found) == set()
+    waves = [s for s in found.look.structure if "period" in s.shape]
+    assert waves[0].shape.endswith("readings")
+    assert float(waves[0].shape.split()[-2]) == pytest.approx(17.0, rel=0.01)
+    assert "linear_drift" in found.excluded and "warmup_x" in found.excluded
+
+
+def test_an_effect_that_would_leave_the_map_undetermined_is_refused_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every angle read once, one after the other: a station that drifts all the while is an error of the axis."""
+    session = simulated("rotary_axis_one_way", 4, [FlawSpec(id="station_drift", amplitude=6e-6)])
+    # Of its look-alikes, some of which the data determines, none is looked for.
+    only = {"station_drift": catalogue()["station_drift"]}
+    monkeypatch.setattr("machine_tool_calibration.diagnosis.diagnose.catalogue", lambda own: only)
+    monkeypatch.setattr("machine_tool_calibration.diagnosis.diagnose.predictions", lambda *_: {})
+    found = diagnose(session, sets=19)
+    assert found.look.accepted == ("station_drift",)
+    assert found.accepted == ()
+    assert set(found.refused) == {"station_drift"}
+    assert "determine" in found.refused["station_drift"]
+    assert found.verdict in ("adequate", "unexplained")
+    words = " ".join(verdict_words(found, {}, Advice((), (), None)))
+    assert found.refused["station_drift"] in words
+    # The model stays as it was, and so does what it determines.
+    assert len(found.fits) == 1
+    own = found.fits[0].fits[0]
+    assert np.isfinite(np.asarray(own.model.error_map(own).content["EZC"], dtype=float)).all()

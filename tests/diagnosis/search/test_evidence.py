@@ -1,0 +1,187 @@
+"""Evidence of an effect: against a direct integration over its coefficients, the noise and the sizes of spread."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from scipy import integrate, stats
+from scipy.special import logsumexp
+
+from machine_tool_calibration.diagnosis.search.evidence import Block, Gram, metrics, table
+from machine_tool_calibration.diagnosis.search.priors import SCALE_STEP, SMALLEST_SIGNAL
+from machine_tool_calibration.estimation.variance_components import DECLARED_WORTH, log_prior, ratio_grid
+
+N = 24
+EVER = np.inf
+
+
+def columns(seed: int, count: int, size: float = 1.0) -> np.ndarray:
+    return size * np.random.default_rng(seed).normal(size=(N, count))
+
+
+def gram_of(candidates: np.ndarray, spread: np.ndarray, readings: np.ndarray) -> Gram:
+    """Inner products without any model: all that lies outside it is everything."""
+    readings = readings[:, None] if readings.ndim == 1 else readings
+    return Gram(
+        inner=candidates.T @ candidates,
+        spread=spread.T @ spread,
+        cross=spread.T @ candidates,
+        data=candidates.T @ readings,
+        spread_data=spread.T @ readings,
+        squares=np.sum(readings**2, axis=0),
+        family=np.zeros(spread.shape[1], dtype=np.int64),
+        freedom=len(readings),
+    )
+
+
+def block(
+    candidate: int, first: int, unit: Sequence[float], low: float = -EVER, high: float = EVER, share: float = 0.0
+) -> Block:
+    k = len(unit)
+    return Block(candidate, slice(first, first + k), np.array(unit), np.full(k, low), np.full(k, high), share)
+
+
+def log_marginal(readings: np.ndarray, covariance: np.ndarray) -> float:
+    """log p(y) up to what all models share, the variance of the noise integrated with what was declared as prior."""
+    squares = float(readings @ np.linalg.solve(covariance, readings))
+    determinant = np.linalg.slogdet(covariance)[1]
+    return float(-0.5 * determinant - 0.5 * (N + DECLARED_WORTH) * np.log(DECLARED_WORTH + squares))
+
+
+def scales_of(signal: float) -> np.ndarray:
+    """1, 1/5, ... as long as there is a signal to be seen."""
+    out = [1.0]
+    while signal * out[-1] / SCALE_STEP >= SMALLEST_SIGNAL:
+        out.append(out[-1] / SCALE_STEP)
+    return np.array(out)
+
+
+def explicit(readings: np.ndarray, wide: np.ndarray, unit: np.ndarray, spread: np.ndarray) -> tuple[float, float]:
+    """Logarithms of the evidence with columns and without, by explicit covariance matrices."""
+    signal = float(np.linalg.svd(wide * unit, compute_uv=False)[0])
+    scales = scales_of(signal)
+    with_it, without = [], []
+    ratios = ratio_grid(1 if spread.shape[1] else 0)
+    for ratio, prior in zip(ratios, log_prior(ratios), strict=True):
+        base = np.eye(N) + (spread @ spread.T) * (ratio[0] ** 2 if ratio else 0.0)
+        without.append(prior + log_marginal(readings, base))
+        for scale in scales:
+            own = wide * unit * scale
+            with_it.append(prior - np.log(len(scales)) + log_marginal(readings, base + own @ own.T))
+    return float(logsumexp(with_it)), float(logsumexp(without))
+
+
+@pytest.mark.parametrize("spread_columns", [0, 3])
+@pytest.mark.parametrize("size", [0.0, 0.7])
+def test_one_effect_with_explicit_covariances(spread_columns: int, size: float) -> None:
+    wide, spread = columns(1, 2, 4.0), columns(2, spread_columns)
+    readings = np.random.default_rng(3).normal(size=N) + wide @ [size, -size] + 2.0 * spread.sum(axis=1)
+    unit = np.array([2.0, 0.5])
+    gram = gram_of(wide, spread, readings)
+    found = table(gram, [block(0, 0, unit)], metrics(gram), 1)
+    with_it, without = explicit(readings, wide, unit, spread)
+    assert found.log_factors[0, 0] == pytest.approx(with_it - without, abs=1e-6)
+    assert (found.log_factors[0, 0] > 5.0) == (size > 0.0)
+
+
+def test_one_coefficient_with_a_direct_integration_over_it_and_the_noise() -> None:
+    """Two nested integrals: over the coefficient, normal about zero, and over the variance of the noise."""
+    wide = columns(4, 1)
+    readings = np.random.default_rng(5).normal(size=N) + 0.9 * wide[:, 0]
+    gram = gram_of(wide, np.zeros((N, 0)), readings)
+    # A signal so small that there is one scale only.
+    unit = 1.5 * SMALLEST_SIGNAL / np.linalg.norm(wide)
+    found = table(gram, [block(0, 0, [unit])], metrics(gram), 1)
+
+    log_variance = np.linspace(-2.5, 3.0, 401)[:, None]
+    coefficient = np.linspace(-3.0, 3.0, 801)[None, :]
+    noise = np.exp(0.5 * log_variance)
+    prior = np.exp(-0.5 * DECLARED_WORTH * (log_variance + noise**-2.0))
+
+    def likelihood(value: np.ndarray) -> np.ndarray:
+        squares = np.sum((readings[:, None] - value.reshape(-1) * wide) ** 2, axis=0)
+        return np.exp(-0.5 * N * log_variance - 0.5 * squares * noise**-2.0)
+
+    # The coefficient's scale is in units of the noise, as conjugate priors have it.
+    own = stats.norm.pdf(coefficient, scale=unit * noise)
+    inner = integrate.simpson(own * likelihood(coefficient), x=coefficient[0], axis=1)
+    with_it = integrate.simpson(inner * prior[:, 0], x=log_variance[:, 0])
+    without = integrate.simpson((likelihood(np.zeros(1)) * prior)[:, 0], x=log_variance[:, 0])
+    assert found.log_factors[0, 0] == pytest.approx(np.log(with_it / without), abs=1e-4)
+
+
+def test_sums_over_nonlinear_coefficients_have_their_shares() -> None:
+    wide = columns(6, 2, 3.0)
+    readings = np.random.default_rng(7).normal(size=N) + wide[:, 1]
+    gram = gram_of(wide, np.zeros((N, 0)), readings)
+    half = -np.log(2.0)
+    both = table(gram, [block(0, 0, [1.0], share=half), block(0, 1, [1.0], share=half)], metrics(gram), 1)
+    one, other = (table(gram, [block(0, first, [1.0])], metrics(gram), 1).log_evidence[0, 0] for first in (0, 1))
+    assert both.log_evidence[0, 0] == pytest.approx(np.logaddexp(one, other) + half)
+    best = both.best[0]
+    assert best is not None and best.block == 1
+
+
+def test_a_sign_that_does_not_occur_is_cut_off() -> None:
+    """No backlash is negative: readings that say so clearly speak against it, and those of the other sign for it."""
+    wide = columns(8, 1)
+    noise = np.random.default_rng(9).normal(size=N)
+    factors = {}
+    for sign in (-1.0, 1.0):
+        gram = gram_of(wide, np.zeros((N, 0)), noise + 1.5 * sign * wide[:, 0])
+        # Half of the prior lies on either side.
+        for low in (-EVER, 0.0):
+            factors[sign, low] = table(gram, [block(0, 0, [2.0], low)], metrics(gram), 1).log_factors[0, 0]
+    assert factors[1.0, 0.0] == pytest.approx(factors[1.0, -EVER] + np.log(2.0), abs=1e-3)
+    assert factors[-1.0, -EVER] > 5.0
+    assert factors[-1.0, 0.0] < 0.0
+
+
+def test_what_the_model_takes_up_has_no_evidence() -> None:
+    wide = np.zeros((N, 1))
+    gram = gram_of(wide, np.zeros((N, 0)), np.random.default_rng(1).normal(size=N))
+    found = table(gram, [block(0, 0, [1.0])], metrics(gram), 1)
+    assert found.best == (None,)
+    assert found.log_evidence[0, 0] == -np.inf
+
+
+@pytest.mark.parametrize("spread_columns", [0, 3])
+def test_a_folded_member_is_the_same_as_its_columns_in_the_covariance(spread_columns: int) -> None:
+    wide, spread = columns(10, 3, 2.0), columns(11, spread_columns)
+    readings = np.random.default_rng(12).normal(size=N) + wide @ [0.0, 0.5, 1.0]
+    gram = gram_of(wide, spread, readings)
+    member, scale = np.array([1, 2]), np.array([0.7, 1.3])
+    ratios = ratio_grid(1 if spread_columns else 0)
+    for metric, ratio, prior in zip(metrics(gram), ratios, log_prior(ratios), strict=True):
+        beside = metric.beside(gram, member, scale)
+        own = wide[:, member] * scale
+        covariance = np.eye(N) + (spread @ spread.T) * (ratio[0] ** 2 if ratio else 0.0) + own @ own.T
+        inverse = np.linalg.inv(covariance)
+        assert beside.inner(gram, slice(None), slice(None)) == pytest.approx(wide.T @ inverse @ wide, abs=1e-8)
+        assert beside.data(gram)[:, 0] == pytest.approx(wide.T @ inverse @ readings, abs=1e-8)
+        assert beside.squares(gram)[0] == pytest.approx(readings @ inverse @ readings)
+        assert beside.log_null(gram)[0] == pytest.approx(prior + log_marginal(readings, covariance))
+
+
+def test_folding_one_after_the_other_is_folding_both() -> None:
+    wide = columns(13, 3)
+    gram = gram_of(wide, columns(14, 2), np.random.default_rng(15).normal(size=N))
+    metric = metrics(gram)[-1]
+    one, two = np.array([0]), np.array([2])
+    apart = metric.beside(gram, one, np.array([0.4])).beside(gram, two, np.array([1.1]))
+    together = metric.beside(gram, np.array([0, 2]), np.array([0.4, 1.1]))
+    assert apart.log_null(gram) == pytest.approx(together.log_null(gram))
+    assert apart.data(gram) == pytest.approx(together.data(gram))
+
+
+def test_data_sets_side_by_side_are_those_one_by_one() -> None:
+    wide, spread = columns(16, 2), columns(17, 2)
+    readings = np.random.default_rng(18).normal(size=(N, 4))
+    blocks = [block(0, 0, [1.0], low=0.0), block(1, 1, [2.0])]
+    gram = gram_of(wide, spread, readings)
+    together = table(gram, blocks, metrics(gram), 2).log_factors
+    for k in range(4):
+        alone = gram_of(wide, spread, readings[:, k])
+        assert together[:, k] == pytest.approx(table(alone, blocks, metrics(alone), 2).log_factors[:, 0])

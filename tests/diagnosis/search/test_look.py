@@ -1,0 +1,93 @@
+"""One look at what a model leaves: structures beside effects, and probabilities that belong together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped, effect_candidates
+from machine_tool_calibration.diagnosis.search.look import Look, look_at
+from machine_tool_calibration.diagnosis.search.priors import ACCEPTED
+from machine_tool_calibration.effects.catalogue import catalogue
+from machine_tool_calibration.methods.identify import build_model
+from machine_tool_calibration.model.fit import fit_models
+from machine_tool_calibration.residuals.pool import Pool
+from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
+
+EFFECTS = ("backlash_x", "backlash_y", "pointer_radial_error", "retroreflector_form", "pointer_zero_offset")
+
+
+@cache
+def session(effect: str | None) -> Session:
+    flaws = () if effect is None else (FlawSpec(id=effect, amplitude=4e-6),)
+    return simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=5, effects=flaws)).session
+
+
+def looked(measured: Session, structures: Sequence[tuple[str, np.ndarray]] = ()) -> Look:
+    fit = fit_models([build_model(measured)[0]])
+    candidates, _ = effect_candidates(Pool(fit), [catalogue()[name] for name in EFFECTS])
+    made = [Candidate(name, (Shaped((), columns),)) for name, columns in structures]
+    return look_at(fit, candidates, made, np.random.default_rng(1), 49, side_by_side=False)
+
+
+def columns_of(effect: str) -> np.ndarray:
+    return catalogue()[effect].columns(build_model(session(None))[0].observations)
+
+
+def test_a_structure_in_the_span_of_an_effect_is_that_effect() -> None:
+    """Otherwise it would take a share of its probability."""
+    copied = 3.0 * columns_of("backlash_y")
+    look = looked(session("backlash_y"), [("dir_y: its sign", copied)])
+    assert look.unknown == 0.0
+    assert look.structure == ()
+    without = looked(session("backlash_y"))
+    assert look.of("backlash_y").probability > 0.9
+    assert look.of("backlash_y").probability == pytest.approx(without.of("backlash_y").probability)
+
+
+def test_a_structure_of_its_own_is_told_and_no_effect_is() -> None:
+    rng = np.random.default_rng(3)
+    own = rng.normal(size=(1, len(session(None).readings)))
+    readings = session(None).readings
+    moved = session(None).with_readings(
+        replace(readings, displacement=readings.displacement + 1.0 * session(None).sigma * own[0])
+    )
+    look = looked(moved, [("temper: smooth", own)])
+    assert look.unknown > 0.99
+    assert look.structure[0].covariate == "temper" and look.structure[0].shape == "smooth"
+    assert 0.2 < look.structure[0].share < 0.8
+    assert look.accepted == ()
+
+
+def test_probabilities_belong_together() -> None:
+    for effect in (None, "backlash_y"):
+        look = looked(session(effect))
+        assert sum(p for _, p in look.sets) == pytest.approx(1.0)
+        assert look.nothing == pytest.approx(dict(look.sets).get((), 0.0))
+        for finding in look.findings:
+            with_it = sum(p for names, p in look.sets if finding.name in names)
+            assert finding.probability == pytest.approx(with_it)
+            assert 0.0 <= finding.p_value <= finding.family_p_value <= 1.0
+        assert 0.0 <= look.false_alarms <= 0.1
+
+
+def test_what_the_model_absorbs_is_neither_found_nor_detectable() -> None:
+    look = looked(session(None))
+    (absorbed,) = (a for a in look.absorbed if a.effect == "pointer_zero_offset")
+    assert absorbed.by
+    found = look.of("pointer_zero_offset")
+    assert (found.rank, found.probability, found.detectable, found.place) == (0, 0.0, {}, None)
+
+
+def test_look_alikes_make_a_group_and_the_likeliest_is_accepted() -> None:
+    look = looked(session("pointer_radial_error"))
+    (group,) = (g for g in look.groups if "pointer_radial_error" in g)
+    assert set(group) == {"pointer_radial_error", "retroreflector_form"}
+    assert look.accepted == (group[0],)
+    assert sum(look.of(name).probability for name in group) > ACCEPTED
+    assert look.of(group[0]).probability >= look.of(group[1]).probability

@@ -1,0 +1,128 @@
+"""The posterior over sets of effects, on columns made by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.diagnosis.search.evidence import Block, Gram
+from machine_tool_calibration.diagnosis.search.posterior import Posterior, search
+from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, EFFECT
+
+N = 60
+
+
+def searched(
+    columns: np.ndarray, readings: np.ndarray, *, side_by_side: bool = False, low: float = -np.inf
+) -> Posterior:
+    """The posterior of effects of one column each, with a largest size of ten."""
+    count = columns.shape[1]
+    gram = Gram(
+        inner=columns.T @ columns,
+        spread=np.zeros((0, 0)),
+        cross=np.zeros((0, count)),
+        data=(columns.T @ readings)[:, None],
+        spread_data=np.zeros((0, 1)),
+        squares=np.array([readings @ readings]),
+        family=np.zeros(0, dtype=np.int64),
+        freedom=N,
+    )
+    blocks = [
+        Block(k, slice(k, k + 1), np.array([5.0]), np.array([low]), np.array([np.inf]), 0.0) for k in range(count)
+    ]
+    odds = np.full(count, np.log(EFFECT / (1.0 - EFFECT)))
+    return search(gram, blocks, odds, side_by_side=side_by_side, pairs_among=range(count))
+
+
+def made(seed: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """(n, count) columns of norm 8, at right angles, and noise."""
+    rng = np.random.default_rng(seed)
+    return 8.0 * np.linalg.qr(rng.normal(size=(N, count)))[0], rng.normal(size=N)
+
+
+def test_probabilities_of_all_sets_sum_to_one() -> None:
+    columns, noise = made(1, 5)
+    for size in (0.0, 1.0):
+        found = searched(columns, noise + size * columns[:, 2])
+        assert found.probability.sum() == pytest.approx(1.0)
+        assert (np.diff(found.probability) <= 1e-15).all()
+        assert len({frozenset(members) for members in found.sets}) == len(found.sets)
+        for k in range(5):
+            alone = sum(p for members, p in zip(found.sets, found.probability, strict=True) if k in members)
+            assert found.of(k) == pytest.approx(alone)
+        assert found.of_any(range(5)) + found.without(0, 0) == pytest.approx(
+            1.0 - next(p for members, p in zip(found.sets, found.probability, strict=True) if not members)
+        )
+
+
+def test_nothing_is_the_likeliest_where_nothing_is() -> None:
+    for seed in range(5):
+        columns, noise = made(seed, 8)
+        found = searched(columns, noise)
+        assert found.best == {}
+        assert found.probability[0] > ACCEPTED
+
+
+def test_columns_nearly_alike_share_the_probability() -> None:
+    columns, noise = made(2, 4)
+    columns[:, 1] = 8.0 * (0.999 * columns[:, 0] / 8.0 + np.sqrt(1.0 - 0.999**2) * columns[:, 1] / 8.0)
+    found = searched(columns, noise + 1.2 * columns[:, 0])
+    assert found.of_any([0, 1]) > 0.99
+    assert min(found.of(0), found.of(1)) > 0.2
+    # One or the other, not both.
+    assert found.of(0) + found.of(1) < 1.2
+    assert found.without(0, 1) + found.without(1, 0) > 0.8
+
+
+def test_a_pair_that_hides_each_other_is_found() -> None:
+    """Two columns that are almost opposite: neither leads alone, both together are certain."""
+    columns, noise = made(3, 6)
+    u, v = columns[:, 0].copy(), columns[:, 1].copy()
+    columns[:, 0], columns[:, 1] = 0.96 * u + 0.28 * v, -0.96 * u + 0.28 * v
+    found = searched(columns, noise - noise @ u / (u @ u) * u + 2.0 * (columns[:, 0] + columns[:, 1]))
+    single = found.single.log_factors[:2, 0]
+    both = found.log_weights[frozenset({0, 1})] - found.log_weights[frozenset()]
+    assert both > 5.0 + max(single.max(), 0.0)
+    assert set(found.best) == {0, 1}
+    assert min(found.of(0), found.of(1)) > 0.99
+
+
+def test_three_effects_are_found_in_one_search() -> None:
+    columns, noise = made(4, 10)
+    found = searched(columns, noise + columns[:, [1, 4, 7]].sum(axis=1))
+    assert set(found.best) == {1, 4, 7}
+    assert found.probability[0] > ACCEPTED
+
+
+def test_many_effects_side_by_side() -> None:
+    columns, noise = made(5, 14)
+    there = [0, 2, 3, 5, 6, 8, 9, 11]
+    readings = noise + columns[:, there].sum(axis=1)
+    assert set(searched(columns, readings, side_by_side=True).best) == set(there)
+
+
+def test_a_later_effect_may_unseat_an_earlier_one() -> None:
+    """The sum of two effects looks like a third one; that one leads alone and is not in the best set."""
+    columns, noise = made(6, 6)
+    alike = columns[:, 1] + columns[:, 2] + 0.3 * columns[:, 5]
+    columns = np.column_stack([8.0 * alike / np.linalg.norm(alike), columns[:, 1:5]])
+    found = searched(columns, noise + 3.0 * (columns[:, 1] + columns[:, 2]))
+    assert int(np.argmax(found.single.log_factors[:, 0])) == 0
+    assert set(found.best) == {1, 2}
+
+
+def test_the_wrong_sign_is_no_effect() -> None:
+    columns, noise = made(7, 4)
+    for size in (0.7, 1.5, 4.0):
+        assert searched(columns, noise - size * columns[:, 1]).of(1) > 0.99
+        assert searched(columns, noise - size * columns[:, 1], low=0.0).of(1) < EFFECT
+
+
+def test_a_factor_of_a_member_is_beside_the_rest() -> None:
+    columns, noise = made(8, 5)
+    found = searched(columns, noise + columns[:, 0] + columns[:, 3])
+    assert set(found.best) == {0, 3}
+    beside = found.log_weights[frozenset({0, 3})] - found.log_weights[frozenset({3})] - found.log_odds[0]
+    assert found.log_factor(0) == pytest.approx(beside)
+    # The other is no longer noise: the evidence is stronger than alone.
+    assert found.log_factor(0) > found.single.log_factors[0, 0]

@@ -1,0 +1,95 @@
+"""An effect on readings that were left out: a real one predicts them, one that bends around the readings does not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.diagnosis.diagnose import diagnose
+from machine_tool_calibration.diagnosis.search.candidates import effect_candidates
+from machine_tool_calibration.diagnosis.search.look import Look, look_at
+from machine_tool_calibration.diagnosis.search.prediction import Prediction, predictions
+from machine_tool_calibration.effects.catalogue import catalogue
+from machine_tool_calibration.methods.identify import build_model
+from machine_tool_calibration.model.fit import JointFit, fit_models
+from machine_tool_calibration.residuals.pool import Pool
+from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
+
+EFFECT = "backlash_y"
+
+
+def fit_of(parts: Sequence[Session]) -> JointFit:
+    return fit_models([build_model(part)[0] for part in parts])
+
+
+def with_effect(only_in: int | None) -> Session:
+    """Backlash of 5 um; in one setup alone, if asked, where no machine has it."""
+    session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=4)).session
+    column = catalogue()[EFFECT].columns(build_model(session)[0].observations)[0]
+    if only_in is not None:
+        column = column * (session.readings.setup == only_in)
+    readings = session.readings
+    return session.with_readings(replace(readings, displacement=readings.displacement + 5e-6 * column))
+
+
+def predicted(session: Session) -> tuple[Prediction, ...]:
+    fit = fit_of([session])
+    candidates, _ = effect_candidates(Pool(fit), [catalogue()[EFFECT]])
+    look: Look = look_at(fit, candidates, [], np.random.default_rng(1), 1, side_by_side=False)
+    return predictions([session], replace(look, accepted=(EFFECT,)), fit_of)[EFFECT]
+
+
+def test_a_real_effect_predicts_every_part() -> None:
+    found = predicted(with_effect(None))
+    assert {"setups", "blocks of places", "cycles"} == {each.what for each in found}
+    for each in found:
+        assert np.isfinite(each.log_gains).all()
+        assert min(each.log_gains) > 0.0
+        assert 0.0 < each.gain < 1.0
+        assert not each.speaks_against
+
+
+def test_an_effect_of_one_setup_does_not_predict_the_others() -> None:
+    found = {each.what: each for each in predicted(with_effect(0))}
+    setups = found["setups"]
+    # The setup that has it tells for it; without one of the others the effect is surer.
+    assert setups.log_gains[0] > 3.0
+    assert min(setups.log_gains[1:]) < -3.0
+    assert setups.speaks_against
+
+
+def test_such_an_effect_is_refused_although_it_is_probable() -> None:
+    found = diagnose(with_effect(0), seed=1, sets=19)
+    assert EFFECT not in found.accepted
+
+
+def test_without_an_accepted_effect_there_is_nothing_to_predict() -> None:
+    session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=4)).session
+    fit = fit_of([session])
+    look = look_at(fit, effect_candidates(Pool(fit), [catalogue()[EFFECT]])[0], [], np.random.default_rng(1), 1,
+                   side_by_side=False)  # fmt: skip
+    assert predictions([session], look, fit_of) == {}
+
+
+@pytest.mark.parametrize(
+    ("gains", "against"),
+    [
+        ((5.0, 4.0, 6.0), False),
+        ((20.0, -1.0, -1.0), False),
+        ((-2.0, -2.0), True),
+        ((30.0, -4.0, -4.0, 1.0), True),
+        ((30.0, 2.0, -4.0, 1.0), False),
+    ],
+)
+def test_parts_that_are_predicted_worse_speak_against(gains: tuple[float, ...], against: bool) -> None:
+    assert Prediction("setups", gains, 100).speaks_against is against
+
+
+def test_the_gain_is_the_share_by_which_the_mean_square_falls() -> None:
+    """Ten readings, known noise that an effect halves: each gains log 2 in likelihood."""
+    assert Prediction("setups", (5.0 * np.log(2.0), 5.0 * np.log(2.0)), 10).gain == pytest.approx(0.75)
+    assert Prediction("setups", (0.0, 0.0), 10).gain == 0.0

@@ -1,0 +1,58 @@
+import pytest
+from pydantic import ValidationError
+
+from machine_tool_calibration.diagnosis.history import Entry, History
+from machine_tool_calibration.errors import ModelError
+
+
+def entry(*effects: str, rms: float = 1e-6, data: str = "sha256-1", **changes: object) -> Entry:
+    fields: dict[str, object] = {
+        "number": 1, "made": "2026-01-01T00:00:00+00:00", "by": "improve", "model": "free", "effects": effects,
+        "change": effects[-1] if effects else "", "data": data, "used": 288, "rms_residual": rms,
+        "degrees_of_freedom": 200,
+    }  # fmt: skip
+    return Entry.model_validate(fields | changes)
+
+
+def test_models_are_numbered_and_know_where_they_come_from() -> None:
+    history = History().grown([entry(), entry("backlash_y"), entry("backlash_y", "dead_path")])
+    assert [(e.number, e.parent) for e in history.models] == [(1, None), (2, 1), (3, 2)]
+    assert history.current == 3
+    assert history.in_use is not None
+    assert history.in_use.effects == ("backlash_y", "dead_path")
+
+
+def test_undo_goes_back_to_where_the_model_came_from_and_keeps_it() -> None:
+    history = History().grown([entry(), entry("backlash_y")]).grown([entry(), entry("dead_path")])
+    assert [(e.number, e.parent) for e in history.models] == [(1, None), (2, 1), (3, 1)]
+    undone = history.undone()
+    assert undone.current == 1
+    assert undone.models == history.models
+    with pytest.raises(ModelError, match="made from no other"):
+        undone.undone()
+    assert undone.using(2).current == 2
+    with pytest.raises(ModelError, match="no model 7; it has 1, 2, 3"):
+        undone.using(7)
+    with pytest.raises(ModelError, match="empty"):
+        History().undone()
+
+
+def test_the_same_model_is_not_kept_twice_but_another_outcome_is() -> None:
+    once = History().grown([entry(), entry("backlash_y")])
+    twice = once.undone().grown([entry(), entry("backlash_y", made="2027-01-01T00:00:00+00:00")])
+    assert twice == once
+    assert len(once.grown([entry(rms=2e-6)]).models) == 3
+    assert len(once.grown([entry(data="sha256-2")]).models) == 3
+    assert len(once.grown([entry(set_aside=(4, 5))]).models) == 3
+    assert len(once.grown([]).models) == 2
+
+
+def test_a_history_that_contradicts_itself_is_refused() -> None:
+    for models, current in (
+        ([entry(), entry()], 1),
+        ([entry()], 3),
+        ([entry(parent=9)], 1),
+        ([entry(parent=1)], 1),
+    ):
+        with pytest.raises(ValidationError):
+            History(models=tuple(models), current=current)

@@ -1,0 +1,136 @@
+"""The loop on simulated machines: the hidden effect is added, the error falls, the map comes nearer to the truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.diagnosis.improve import Improvement, entries, improve
+from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, simulate
+
+
+@cache
+def improved(seed: int, backlash: float = 0.0) -> tuple[Improvement, list[float]]:
+    """The loop on a tracking interferometer's session, with backlash of Y, and the shares of progress that it told."""
+    shares: list[float] = []
+    effects = (FlawSpec(id="backlash_y", size=backlash),) if backlash else ()
+    session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=seed, effects=effects)).session
+    return improve(session, sets=199, progress=lambda what, share: shares.append(share)), shares
+
+
+def map_error(done: Improvement, step: int, truth: dict[str, list[list[float]]]) -> float:
+    """RMS distance from the true errors once the best shift and turn is taken out, m."""
+    error_map = done.steps[step].result.error_map
+    points, true = np.array(truth["points"])[:, :2], np.array(truth["position_error"])[:, :2]
+    assert error_map.points[:, :2] == pytest.approx(points)
+    difference: Array = error_map.error[:, :2] - true
+    n = len(points)
+    rigid = np.zeros((n, 2, 3))
+    rigid[:, 0, 0] = rigid[:, 1, 1] = 1.0
+    rigid[:, 0, 2], rigid[:, 1, 2] = -points[:, 1], points[:, 0]
+    flat = rigid.reshape(2 * n, 3)
+    left = difference.ravel() - flat @ np.linalg.lstsq(flat, difference.ravel(), rcond=None)[0]
+    return float(np.sqrt(np.sum(left**2) / n))
+
+
+def test_the_hidden_effect_is_added_and_everything_falls() -> None:
+    spec = SimulationSpec(plan=PRESETS["tracking_2d"], seed=77, effects=(FlawSpec(id="backlash_y", size=2e-6),))
+    simulated = simulate(spec)
+    done, _ = improved(77, 2e-6)
+    assert [s.change for s in done.steps] == ["", "backlash_y"]
+    assert [s.label for s in done.steps] == ["first model", "+ backlash_y"]
+    first, last = done.steps
+    assert last.result.rms_residual < 0.4 * first.result.rms_residual
+    assert last.reduced_chi_square == pytest.approx(1.0, abs=0.3)
+    assert first.left_at_tool is not None
+    assert last.left_at_tool is not None
+    assert last.left_at_tool < 0.4 * first.left_at_tool
+    assert last.map_uncertainty is not None
+    assert last.map_uncertainty <= last.left_at_tool < 1.2 * last.map_uncertainty
+    assert last.map_change is not None
+    truth = simulated.truth.document()
+    before, after = map_error(done, 0, truth), map_error(done, 1, truth)
+    assert after < 0.6 * before
+    # What the table calls left at the tool point is of the size of what is really left.
+    assert after < 2 * last.left_at_tool
+    (size,) = last.parameters
+    assert abs(size.value - 2e-6) < 4 * size.standard_uncertainty
+
+
+def test_what_is_left_can_be_compared_between_models() -> None:
+    """A model that lacks something underestimates what it leaves: how far its map is off the last one is counted."""
+    effects = (FlawSpec(id="probe_pretravel", amplitude=4e-6),)
+    done = improve(simulate(SimulationSpec(plan=PRESETS["probing_cross"], seed=7, effects=effects)).session, sets=199)
+    first, last = done.steps
+    assert last.map_change is not None and first.left_at_tool is not None
+    before, after = done.left_at_tool(first), done.left_at_tool(last)
+    assert before is not None and after is not None
+    assert before >= max(last.map_change, 2 * first.left_at_tool)
+    assert after == pytest.approx(2 * last.left_at_tool)  # type: ignore[operator]
+
+
+def test_nothing_is_added_where_nothing_is_missing() -> None:
+    done, _ = improved(101)
+    assert [s.change for s in done.steps] == [""]
+
+
+def test_nothing_is_added_for_what_no_effect_explains() -> None:
+    effects = (FlawSpec(id="unlisted_cubic_path", amplitude=4e-6),)
+    done = improve(simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=6, effects=effects)).session, sets=199)
+    assert done.diagnosis.verdict == "unexplained"
+    assert [s.change for s in done.steps] == [""]
+
+
+def test_outliers_are_set_aside_first() -> None:
+    spec = SimulationSpec(plan=PRESETS["probing_cross"], seed=9, chips=Chips(fraction=0.02))
+    simulated = simulate(spec)
+    done = improve(simulated.session, sets=199)
+    n = len(simulated.truth.outliers)
+    assert [s.label for s in done.steps] == ["first model", f"{n} readings set aside"]
+    assert done.steps[1].set_aside == tuple(sorted(simulated.truth.outliers))
+    assert len(done.steps[1].result.fit.model.observations) == len(simulated.session.readings) - n
+    assert done.steps[1].result.rms_residual < 0.5 * done.steps[0].result.rms_residual
+
+
+def test_effects_that_are_there_already_stay() -> None:
+    effects = (FlawSpec(id="backlash_y", size=1.5e-6), FlawSpec(id="backlash_x", size=1.2e-6))
+    session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=31, effects=effects)).session
+    done = improve(session, effects=["backlash_y"], sets=199)
+    assert [s.result.effects for s in done.steps] == [("backlash_y",), ("backlash_y", "backlash_x")]
+    assert {p.name for p in done.steps[-1].parameters} == {"backlash_y.b", "backlash_x.b"}
+
+
+def test_direct_readings_see_the_tool_point_itself() -> None:
+    effects = (FlawSpec(id="backlash_x", size=2e-6),)
+    done = improve(simulate(SimulationSpec(plan=PRESETS["iso230_2"], seed=4, effects=effects)).session, sets=199)
+    first, last = done.steps
+    # One axis, both directions of approach: all of the backlash is unexplained first, and nothing of it in the end.
+    assert first.unexplained_at_tool == pytest.approx(2e-6, rel=0.1)
+    assert last.unexplained_at_tool < 1e-7
+    assert first.left_at_tool is not None
+    assert first.left_at_tool >= first.unexplained_at_tool
+    assert last.map_change == pytest.approx(2e-6, rel=0.1)
+
+
+def test_steps_become_entries_of_a_history() -> None:
+    done, _ = improved(77, 2e-6)
+    first, last = entries(done, "sha256-1", ["sha256-1"], "2026-01-01T00:00:00+00:00", "improve")
+    assert (first.effects, last.effects) == ((), ("backlash_y",))
+    assert last.rms_residual == done.steps[1].result.rms_residual
+    assert [p.name for p in last.parameters] == ["backlash_y.b"]
+    assert last.map_change_rms == done.steps[1].map_change
+    # A record without what a method does not map.
+    bare = replace(done.steps[1], map_rms=None, map_uncertainty=None, map_change=None)
+    assert bare.left_at_tool is None
+    assert done.left_at_tool(bare) is None
+    assert entries(replace(done, steps=(bare,)), "sha256-1", ["sha256-1"], "2026", "improve")[0].map_rms is None
+
+
+def test_progress_rises_to_one() -> None:
+    _, shares = improved(101)
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0

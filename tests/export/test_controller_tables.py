@@ -1,0 +1,213 @@
+"""Tables for controllers: what stands in the files, and that a controller that follows them takes the errors away."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.errors import CalibrationError, ModelError
+from machine_tool_calibration.export import FORMATS, linuxcnc, read_tables, write_tables
+from machine_tool_calibration.export.preview import preview
+from machine_tool_calibration.methods.axis_tables import AxisTable, AxisTables, axis_tables
+from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.model.model import NotDetermined
+from machine_tool_calibration.model.result import Result
+from machine_tool_calibration.recording.open import open_measurement
+
+DATA = Path(__file__).parents[1] / "data"
+VOLUMETRIC = ("isg", "etalon", "csv", "json")
+
+
+@pytest.fixture(scope="module")
+def plane() -> Result:
+    """A machine's X and Y, rigid bodies, from a tracking interferometer."""
+    return identify(open_measurement(DATA / "tracking_2d"), model="rigid_body")
+
+
+@pytest.fixture(scope="module")
+def tables(plane: Result) -> AxisTables:
+    return axis_tables(plane)
+
+
+def one_axis(tables: AxisTables, nodes: np.ndarray, value: np.ndarray, half: float = 0.0) -> AxisTables:
+    table = AxisTable("EXX", nodes, value, np.full(len(nodes), 1e-7))
+    backlash = {"X": (half, 1e-8)} if half else {}
+    return replace(tables, tables=(table,), squareness={}, backlash=backlash, left_out=())
+
+
+def negated(tables: AxisTables) -> AxisTables:
+    return replace(
+        tables,
+        tables=tuple(replace(table, value=-table.value) for table in tables.tables),
+        squareness={name: (-value, u) for name, (value, u) in tables.squareness.items()},
+    )
+
+
+def test_tables_are_the_parameters_of_the_result(plane: Result, tables: AxisTables) -> None:
+    known = {estimate.name: estimate for estimate in plane.parameters}
+    exx = next(table for table in tables.tables if table.name == "EXX")
+    assert exx.value[2] == known[f"EXX({exx.nodes[2]:.6g})"].value
+    assert exx.uncertainty[2] == known[f"EXX({exx.nodes[2]:.6g})"].standard_uncertainty
+    assert tables.squareness["C0Y"] == (known["C0Y"].value, known["C0Y"].standard_uncertainty)
+    assert "EZX" in {entry.name for entry in tables.left_out}
+
+
+@pytest.mark.parametrize("form", VOLUMETRIC)
+def test_a_volumetric_table_takes_all_errors_away(form: str, plane: Result, tables: AxisTables) -> None:
+    left = preview(plane.error_map, read_tables(form, write_tables(form, tables, "cell 1"), tables))
+    assert left[-1].rms_before > 1e-6
+    assert left[-1].largest_after < 2e-9  # the last digit of millimetres
+    assert not left[-1].worse
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_a_wrong_sign_shows_in_the_preview(form: str, plane: Result, tables: AxisTables) -> None:
+    left = preview(plane.error_map, read_tables(form, write_tables(form, negated(tables), "cell 1"), tables))
+    assert left[-1].worse
+    if form in VOLUMETRIC:
+        assert left[-1].rms_after == pytest.approx(2 * left[-1].rms_before, rel=1e-3)
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_every_format_says_its_conventions(form: str, tables: AxisTables) -> None:
+    files = write_tables(form, tables, "cell 1")
+    text = "\n".join(files.values())
+    for word in ("sign: ", "units: ", "reference point: ", "datum: ", "squareness: ", "cell 1", "EZX: "):
+        assert word in text
+
+
+def test_linuxcnc_lines_are_nominal_and_actual_positions(tables: AxisTables) -> None:
+    made = one_axis(tables, np.array([-0.1, 0.0, 0.2]), np.array([4e-6, 0.0, -7e-6]), half=1e-6)
+    files = linuxcnc.write(made, "cell 1")
+    assert files["x.comp"].splitlines() == [
+        "-100.000000 -99.9970000 -99.9950000",  # moving forward it lags by half the reversal error
+        "0.000000 -0.0010000 0.0010000",
+        "200.000000 199.9920000 199.9940000",
+    ]
+    ini = files["compensation.ini"]
+    assert "[JOINT_0]" in ini and "COMP_FILE = x.comp" in ini and "COMP_FILE_TYPE = 0" in ini
+    assert all(line.startswith(("#", "[", "COMP_FILE")) for line in ini.splitlines() if line)
+
+
+def test_linuxcnc_corrects_a_machine(tables: AxisTables) -> None:
+    """The manual's rule, in closed loop: the joint is sent where the table's actual position equals the command."""
+    nodes = np.linspace(0.0, 0.5, 11)
+    value, half = 5e-6 * np.sin(9 * nodes), 2e-6
+    files = linuxcnc.write(one_axis(tables, nodes, value, half), "cell 1")
+    nominal, forward, reverse = np.loadtxt(files["x.comp"].splitlines(), unpack=True) / 1e3
+    commands = np.linspace(0.01, 0.49, 97)
+    for direction, actual in ((1, forward), (-1, reverse)):
+        sent = commands + np.interp(commands, nominal, nominal - actual)
+        reached = sent + np.interp(sent, nodes, value) - half * direction
+        assert np.abs(reached - commands).max() < 2e-9
+        assert np.abs(np.interp(commands, nodes, value) - half * direction).max() > 5e-6
+
+
+def test_linuxcnc_trims_are_what_is_added(tables: AxisTables) -> None:
+    made = one_axis(tables, np.array([-0.1, 0.0, 0.2]), np.array([4e-6, 0.0, -7e-6]), half=1e-6)
+    files = linuxcnc.write_trims(made, "cell 1")
+    assert files["x.comp"].splitlines() == [
+        "-100.000000 -0.0030000 -0.0050000",
+        "0.000000 0.0010000 -0.0010000",
+        "200.000000 0.0080000 0.0060000",
+    ]
+    assert "COMP_FILE_TYPE = 1" in files["compensation.ini"]
+    # the program's rule: of type 0 the trim is nominal minus actual, of type 1 it is what stands there
+    of_positions = np.loadtxt(linuxcnc.write(made, "cell 1")["x.comp"].splitlines())
+    of_trims = np.loadtxt(files["x.comp"].splitlines())
+    assert np.abs(of_positions[:, :1] - of_positions[:, 1:] - of_trims[:, 1:]).max() < 1e-9
+    one, other = linuxcnc.read(linuxcnc.write(made, "cell 1"), made), linuxcnc.read_trims(files, made)
+    assert one.tables[0].value == pytest.approx(other.tables[0].value, abs=1e-12)
+    assert one.backlash["X"][0] == pytest.approx(other.backlash["X"][0], abs=1e-12)
+
+
+def test_linuxcnc_reads_256_lines_at_most(tables: AxisTables) -> None:
+    nodes = np.linspace(0.0, 1.0, 1001)
+    made = one_axis(tables, nodes, 1e-5 * nodes)
+    lines = linuxcnc.write(made, "cell 1")["x.comp"].splitlines()
+    assert len(lines) == 256
+    assert lines[0].startswith("0.000000 ") and lines[-1].startswith("1000.000000 1000.0100000")
+    with pytest.raises(CalibrationError, match="257 lines"):
+        linuxcnc.read({"x.comp": "\n".join(f"{k} {k} {k}" for k in range(257))}, made)
+
+
+def test_linuxcnc_needs_a_positioning_error(tables: AxisTables) -> None:
+    straight = replace(tables.tables[0], name="EYX")
+    lost = replace(tables, tables=(straight,), left_out=(NotDetermined("EXX", "2 of its 6 nodes"),))
+    with pytest.raises(ModelError, match=r"no positioning error .* EXX: 2 of its 6 nodes"):
+        linuxcnc.write(lost, "cell 1")
+
+
+def test_isg_numbers_are_millimetres_and_radians(tables: AxisTables) -> None:
+    angle = AxisTable("ECX", np.array([0.0, 0.1]), np.array([0.0, 2e-5]), np.full(2, 1e-6))
+    base = one_axis(tables, np.array([0.0, 0.1]), np.array([0.0, 3e-6]))
+    made = replace(base, tables=(*base.tables, angle), squareness={"C0Y": (4e-5, 1e-6)})
+    rows = [
+        line.split() for line in write_tables("isg", made, "s")["compensation.csv"].splitlines() if line[:2] != "//"
+    ]
+    assert rows == [
+        ["C0Y"],
+        ["0.000040000000"],
+        ["#"],
+        ["X", "EXX", "ECX"],
+        ["0.000000", "0.000000000", "0.000000000000"],
+        ["100.000000", "0.003000000", "0.000020000000"],
+    ]
+    blocks = write_tables("etalon", made, "s")["compensation.exc"]
+    assert "[C0Y]\nVALUE = 0.000040000000\n[EXX]\nGridpoints = {\n  0.000000 0.000000000\n" in blocks
+    assert "  100.000000 0.000020000000\n}  // end of ECX\n" in blocks
+
+
+@pytest.mark.parametrize("form", ["csv", "json"])
+def test_plain_files_come_back_to_the_last_bit(form: str, tables: AxisTables) -> None:
+    back = read_tables(form, write_tables(form, tables, "cell 1"), tables)
+    for made, read in zip(tables.tables, back.tables, strict=True):
+        assert made.name == read.name
+        assert np.array_equal(made.nodes, read.nodes) and np.array_equal(made.value, read.value)
+
+
+def test_plain_files_say_deviation_and_compensation(tables: AxisTables) -> None:
+    text = write_tables("csv", tables, "cell 1")["compensation.csv"]
+    rows = list(csv.DictReader(line for line in text.splitlines() if line[0] != "#"))
+    assert all(float(row["compensation"]) == -float(row["deviation"]) for row in rows)
+    document = json.loads(write_tables("json", tables, "cell 1")["compensation.json"])
+    assert document["tables"]["EXX"]["compensation"] == [-v for v in document["tables"]["EXX"]["deviation"]]
+    assert document["chain"] == "w-C-b-Y-X-Z-t"
+
+
+def test_step_diagonal_profiles_hold_the_squareness() -> None:
+    result = identify(open_measurement(DATA / "step_diagonal"))
+    made = axis_tables(result)
+    assert not made.squareness and "count it twice" in made.squareness_words
+    content = result.error_map.content
+    exy = next(table for table in made.tables if table.name == "EXY")
+    assert np.array_equal(exy.value, content["y"][:, 0]) and np.array_equal(exy.nodes, content["y_position"])
+    assert preview(result.error_map, made)[-1].largest_after < 1e-12
+
+
+def test_an_incomplete_table_is_left_out(plane: Result) -> None:
+    """A straight line over a gap would be a number that the data does not determine."""
+    determined = plane.fit.determined.copy()
+    names = [parameter.name for parameter in plane.fit.model.parameters]
+    determined[names.index("EXX(0.16)")] = False
+
+    class Fit:
+        def __getattr__(self, name: str) -> object:
+            return determined if name == "determined" else getattr(plane.fit, name)
+
+    made = axis_tables(replace(plane, fit=Fit()))  # type: ignore[arg-type]
+    assert "EXX" not in {table.name for table in made.tables}
+    assert "EYX" in {table.name for table in made.tables}
+    assert any(entry.name.startswith("EXX") for entry in made.left_out)
+
+
+def test_a_result_without_tables_is_refused() -> None:
+    with pytest.raises(ModelError, match="identify with --model rigid_body"):
+        axis_tables(identify(open_measurement(DATA / "tracking_2d")))
+    with pytest.raises(ModelError, match="none of a linear axis"):
+        axis_tables(identify(open_measurement(DATA / "rotary_axis")))

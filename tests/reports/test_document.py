@@ -1,0 +1,216 @@
+"""The JSON document of a diagnosis: the contract's keys, honest numbers, and no cause where none is known."""
+
+from __future__ import annotations
+
+import json
+import math
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
+from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
+from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, simulate
+
+from ..diagnosed import diagnosed
+
+VERDICTS = {
+    "adequate": SimulationSpec(plan=PRESETS["tracking_2d"], seed=101),
+    "missing_effect": SimulationSpec(
+        plan=PRESETS["tracking_2d"], seed=77, effects=(FlawSpec(id="backlash_y", amplitude=1.5e-6),)
+    ),
+    "unexplained": SimulationSpec(
+        plan=PRESETS["tracking_2d"], seed=6, effects=(FlawSpec(id="unlisted_cubic_path", amplitude=4e-6),)
+    ),
+    "look-alike": SimulationSpec(
+        plan=PRESETS["tracking_2d"], seed=5, effects=(FlawSpec(id="pointer_radial_error", amplitude=4e-6),)
+    ),
+    "outliers": SimulationSpec(plan=PRESETS["probing_cross"], seed=9, chips=Chips(fraction=0.02)),
+}
+KEYS = {
+    "format": str,
+    "verdict": str,
+    "noise": dict,
+    "candidates": list,
+    "alias_groups": list,
+    "separate_by": list,
+    "absorbed": list,
+    "structure": list,
+    "outliers": list,
+}
+CANDIDATE = {
+    "effect", "probability", "p_value", "delta_bic", "rms_before", "rms_after", "cross_validated_gain", "parameters",
+    "map_change_rms",
+}  # fmt: skip
+
+
+@cache
+def found(verdict: str) -> tuple[Diagnosis, dict[str, Any]]:
+    diagnosis = diagnosed(VERDICTS[verdict])
+    return diagnosis, diagnosis_document(diagnosis)
+
+
+def numbers(value: Any) -> list[float]:
+    if isinstance(value, dict):
+        return [n for entry in value.values() for n in numbers(entry)]
+    if isinstance(value, list):
+        return [n for entry in value for n in numbers(entry)]
+    return [float(value)] if isinstance(value, int | float) else []
+
+
+@pytest.mark.parametrize("verdict", list(VERDICTS))
+def test_the_contract(verdict: str) -> None:
+    _, document = found(verdict)
+    text = json.dumps(document, allow_nan=False)
+    assert json.loads(text) == document
+    assert document["format"] == "mtcal-diagnosis/1"
+    assert document["verdict"] == {"look-alike": "missing_effect"}.get(verdict, verdict)
+    for key, kind in KEYS.items():
+        assert isinstance(document[key], kind), key
+    assert document["noise"]["declared"] > 0
+    assert document["noise"]["from_repeats"] is None or document["noise"]["from_repeats"] > 0
+    assert all(math.isfinite(n) for n in numbers(document))
+    assert document["candidates"]
+    for candidate in document["candidates"]:
+        assert set(candidate) >= CANDIDATE
+        assert 0.0 <= candidate["probability"] <= 1.0
+        assert 0.0 <= candidate["p_value"] <= 1.0
+        assert candidate["rms_after"] <= candidate["rms_before"] * 1.001
+        for parameter in candidate["parameters"]:
+            assert set(parameter) == {"name", "value", "standard_uncertainty", "unit"}
+            assert parameter["name"].startswith(f"{candidate['effect']}.")
+    told = document["sets"]
+    assert sum(entry["probability"] for entry in told) <= 1.0 + 1e-9
+    for candidate in document["candidates"]:
+        # An effect is missing in every set that holds it, told or not.
+        with_it = sum(entry["probability"] for entry in told if candidate["effect"] in entry["effects"])
+        assert with_it <= candidate["probability"] + 1e-9
+        assert candidate["probability"] + document["probabilities"]["nothing"] <= 1.0 + 1e-9
+    names = {c["effect"] for c in document["candidates"]}
+    for group in document["alias_groups"]:
+        assert len(group) > 1
+        assert set(group) <= names
+    for entry in document["separate_by"]:
+        assert len(entry["effects"]) > 1
+        assert entry["measure"]
+    for entry in document["absorbed"]:
+        assert set(entry) == {"effect", "by"}
+        assert entry["by"]
+        assert entry["effect"] not in names
+    for entry in [*document["structure"], *document["structure_left"]]:
+        assert {"covariate", "shape", "p_value"} <= set(entry)
+    looked_for = names | {a["effect"] for a in document["absorbed"]}
+    assert not looked_for & {e["effect"] for e in document["excluded"]}
+
+
+@pytest.mark.parametrize("verdict", list(VERDICTS))
+def test_candidates_come_best_first_after_those_accepted(verdict: str) -> None:
+    _, document = found(verdict)
+    names = [c["effect"] for c in document["candidates"]]
+    accepted = document["accepted"]
+    assert names[: len(accepted)] == accepted
+    assert len(set(names)) == len(names)
+    rest = [c["probability"] for c in document["candidates"][len(accepted) :]]
+    assert rest == pytest.approx(sorted(rest, reverse=True), rel=1e-6)
+
+
+def test_the_effect_that_was_hidden_stands_first_with_its_size() -> None:
+    _, document = found("missing_effect")
+    assert document["accepted"] == ["backlash_y"]
+    first = document["candidates"][0]
+    # The same with a part that varies along the axis is its only rival.
+    group = next(group for group in document["alias_groups"] if "backlash_y" in group)
+    assert first["probability"] > 0.5
+    assert sum(c["probability"] for c in document["candidates"] if c["effect"] in group) > 0.99
+    assert first["p_value"] < 1e-6
+    assert first["delta_bic"] < -50
+    # Every way of leaving readings out tells for it, by far more than any chance, and so does each of its parts.
+    assert {"setups", "blocks of places"} <= {entry["left_out"] for entry in first["predicts"]}
+    for entry in first["predicts"]:
+        assert sum(entry["parts"]) > 20.0
+        assert min(entry["parts"]) > 0.0
+        assert not entry["speaks_against"]
+    assert 0.0 < first["cross_validated_gain"] == min(entry["gain"] for entry in first["predicts"])
+    assert first["rms_after"] < 0.5 * first["rms_before"]
+    (size,) = first["parameters"]
+    assert size["unit"] == "m"
+    true = simulate(VERDICTS["missing_effect"]).truth.effects[0].size
+    assert abs(size["value"] - true) < 4 * size["standard_uncertainty"]
+
+
+def test_parameters_and_map_change_are_those_of_an_identification() -> None:
+    diagnosis, document = found("missing_effect")
+    first = document["candidates"][0]
+    without = identify(diagnosis.session)
+    with_it = identify(diagnosis.session, effects=["backlash_y"])
+    expected = {p.name: p for p in with_it.parameters}
+    for parameter in first["parameters"]:
+        assert parameter["value"] == pytest.approx(expected[parameter["name"]].value, rel=1e-6)
+        assert parameter["standard_uncertainty"] == pytest.approx(
+            expected[parameter["name"]].standard_uncertainty, rel=1e-6
+        )
+    change = with_it.error_map.error[:, :2] - without.error_map.error[:, :2]
+    assert first["map_change_rms"] == pytest.approx(np.sqrt(np.mean(np.sum(change**2, axis=1))), rel=1e-4)
+    assert first["rms_after"] == pytest.approx(with_it.rms_residual, rel=1e-6)
+    assert first["rms_before"] == pytest.approx(without.rms_residual, rel=1e-6)
+
+
+def test_candidates_that_were_not_added_in_full_have_no_map_change() -> None:
+    _, document = found("missing_effect")
+    changes = [c["map_change_rms"] for c in document["candidates"]]
+    assert all(change is not None for change in changes[:5])
+    assert all(change is None for change in changes[5:])
+
+
+def test_a_look_alike_of_the_effect_found_is_in_its_group_and_not_called_absorbed() -> None:
+    _, document = found("look-alike")
+    pair = {"pointer_radial_error", "retroreflector_form"}
+    assert document["accepted"][0] in pair
+    assert any(pair <= set(group) for group in document["alias_groups"])
+    assert not pair & {a["effect"] for a in document["absorbed"]}
+    # Their columns are the same: nothing but the sizes that occur tells them apart, so that neither is ruled out.
+    one, other = (next(c for c in document["candidates"] if c["effect"] == name) for name in sorted(pair))
+    assert one["delta_bic"] == pytest.approx(other["delta_bic"])
+    assert one["rms_after"] == pytest.approx(other["rms_after"], rel=1e-6)
+    assert min(one["probability"], other["probability"]) > 0.05
+    assert one["probability"] + other["probability"] > 0.95
+
+
+def test_unexplained_names_no_cause() -> None:
+    diagnosis, document = found("unexplained")
+    assert document["accepted"] == []
+    assert document["structure"]
+    assert document["structure"][0]["p_value"] < 0.02
+    assert document["structure"][0]["covariate"]
+    assert max(c["probability"] for c in document["candidates"]) < 0.2
+    assert diagnosis.verdict == "unexplained"
+
+
+def test_outliers_are_named_by_row() -> None:
+    _, document = found("outliers")
+    truth = simulate(VERDICTS["outliers"]).truth
+    rows = [entry["row"] for entry in document["outliers"]]
+    assert rows == sorted(rows)
+    assert set(rows) == set(truth.outliers)
+    assert all(abs(entry["studentized"]) > 4 for entry in document["outliers"])
+
+
+def test_smallest_detectable_sizes_are_sizes_that_occur_or_null() -> None:
+    diagnosis, document = found("adequate")
+    entries = {entry["effect"]: entry["smallest"] for entry in document["detectable"]}
+    assert entries["backlash_y"][0]["value"] < 5e-7
+    for sizes in entries.values():
+        for size in sizes:
+            assert size["value"] is None or size["value"] > 0
+    assert set(entries) == {f.name for f in diagnosis.look.findings if f.rank}
+
+
+def test_what_is_in_the_model_already_is_no_candidate() -> None:
+    session = simulate(VERDICTS["missing_effect"]).session
+    document = diagnosis_document(diagnose(session, effects=["backlash_y"], sets=199))
+    assert document["fit"]["before"]["effects"] == ["backlash_y"]
+    assert "backlash_y" not in {c["effect"] for c in document["candidates"]}
+    assert document["fit"]["before"]["rms_residual"] < 4e-7

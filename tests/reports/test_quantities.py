@@ -1,0 +1,51 @@
+import pytest
+
+from machine_tool_calibration.model.result import Estimate
+from machine_tool_calibration.reports.quantities import (
+    duration,
+    micrometres,
+    probability,
+    quantity,
+    range_of,
+    sizes_in_words,
+)
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "uncertainty", "text"),
+    [
+        (1.5052e-6, "m", 2.7e-8, "1.505 ± 0.054 µm"),
+        (-5.859, "m", 0.1159, "-5.86 ± 0.23 m"),
+        (0.00282, "m", 7e-6, "2.820 ± 0.014 mm"),
+        (1.3e-5, "rad", 1.4e-7, "13.00 ± 0.28 µrad"),
+        (7.4e-6, "1/K", 5e-7, "7.4 ± 1.0 µm/(m K)"),
+        (1e-10, "m/s", None, "0.360 µm/h"),
+        (5480.0, "s", None, "91.3 min"),
+        (0.0, "m", None, "0 µm"),
+        (0.25, "1", 0.1, "0.25 ± 0.20"),
+        (3.76e-5, "1", 4e-7, "37.60 ± 0.80 µm/m"),
+        (3e-6, "m", float("inf"), "3.00 µm"),
+        (2.0, "m kg", 0.0, "2.00 m kg"),
+        (5e-6, "m", 3e-3, "0.0 ± 6.0 mm"),
+    ],
+)
+def test_quantities(value: float, unit: str, uncertainty: float | None, text: str) -> None:
+    assert quantity(value, unit, uncertainty) == text
+
+
+def test_numbers_in_tables() -> None:
+    assert micrometres(None) == "–"
+    assert micrometres(2.61e-7) == "0.261"
+    assert micrometres(4.23e-5) == "42.3"
+    assert [probability(p) for p in (0.0, 2e-4, 0.0123, 0.5)] == ["< 1e-6", "2.0e-04", "0.012", "0.50"]
+    assert [duration(s) for s in (None, 20.0, 2364.0, 7040.0)] == ["–", "20 s", "39 min", "2.0 h"]
+    assert range_of(-1e-4, 1e-4, "m") == "±100 µm"
+    assert range_of(0.0, 5e-5, "m") == "0 µm to 50.0 µm"
+
+
+def test_of_many_coefficients_the_most_significant_is_shown() -> None:
+    few = [Estimate("warmup_x.a", 1e-6, 1e-7, "m"), Estimate("warmup_x.tau", 600.0, 60.0, "s")]
+    assert sizes_in_words(few) == "a = 1.00 ± 0.20 µm, tau = 10.0 ± 2.0 min"
+    many = [Estimate(f"form.s{k}", k * 1e-7, 1e-7, "m") for k in range(2, 7)]
+    assert sizes_in_words(many) == "5 coefficients, s6 = 0.60 ± 0.20 µm"
+    assert sizes_in_words([]) == "–"

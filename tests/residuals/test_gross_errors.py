@@ -1,0 +1,157 @@
+"""Gross errors of any size in every method: found, named, not used; sound readings are kept."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.errors import ModelError, SessionError
+from machine_tool_calibration.methods.identify import build_model, identify
+from machine_tool_calibration.residuals.leverage import leverage
+from machine_tool_calibration.residuals.outliers import find_outliers, set_aside
+from machine_tool_calibration.session.checks import check_session
+from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, Spread, TrackingPlan, simulate
+
+PLANS = {
+    "tracking_2d": PRESETS["tracking_2d"],
+    "tracking_3d": PRESETS["tracking_3d"],
+    "tracking_3d_following": TrackingPlan(dimension=3, pointing="tracking"),
+    "rotary_axis": PRESETS["rotary_axis"],
+    "step_diagonal": PRESETS["step_diagonal"],
+    "probing_cross": PRESETS["probing_cross"],
+    "iso230_2": PRESETS["iso230_2"],
+    "grid_plate": PRESETS["grid_plate"],
+}
+
+
+def with_gross_errors(session: Session, share: float, seed: int) -> tuple[Session, set[int]]:
+    """From ten standard uncertainties to a metre, each order of magnitude as often as the next."""
+    rng = np.random.default_rng(seed)
+    readings, n = session.readings, len(session.readings)
+    hit = rng.random(n) < share
+    size = 10 * session.sigma * np.exp(rng.uniform(0.0, np.log(0.1 / session.sigma), n))
+    sign = 1.0 if session.method == "probing" else rng.choice([-1.0, 1.0], n)
+    changed = replace(readings, displacement=readings.displacement + np.where(hit, sign * size, 0.0))
+    return session.with_readings(changed), {int(row) for row in readings.row[hit]}
+
+
+@pytest.mark.parametrize("name", PLANS)
+def test_gross_errors_of_five_percent_are_found(name: str) -> None:
+    session = simulate(SimulationSpec(plan=PLANS[name], seed=11)).session
+    wrong, rows = with_gross_errors(session, 0.05, 12)
+    found, kept, fit = find_outliers(wrong, lambda part: build_model(part)[0])
+    missed = rows - {o.row for o in found}
+    if missed:
+        # Only what hardly shows in its own residual: the model follows most of it.
+        used = fit.model.observations.readings.row
+        free = np.sqrt(1.0 - leverage(fit))[np.isin(used, list(missed))]
+        error = (wrong.readings.displacement - session.readings.displacement)[sorted(missed)]
+        assert (np.abs(error) * free < 6.0 * session.sigma).all()
+    # Sound ones only where nothing tells which is right.
+    assert all("nothing tells which is right" in o.reason for o in found if o.row not in rows)
+    assert len(found) <= 1.5 * len(rows)
+    assert len(kept.readings) == len(session.readings) - len(found)
+    assert 0.6 < fit.joint.reduced_chi_square < 1.4
+
+
+@pytest.mark.parametrize("name", PLANS)
+def test_sound_readings_are_kept(name: str) -> None:
+    """Also where setups do not reproduce: a slope and a bow of two standard uncertainties in each."""
+    for seed, size in ((1, 0.0), (2, 2.0)):
+        noise = simulate(SimulationSpec(plan=PLANS[name], seed=seed)).session.sigma
+        spread = Spread(slope=size * noise, bow=size * noise)
+        session = simulate(SimulationSpec(plan=PLANS[name], seed=seed, spread=spread)).session
+        assert set_aside(session, lambda part: build_model(part)[0])[0] == []
+
+
+@pytest.mark.parametrize(
+    ("name", "effect", "size"),
+    [
+        ("tracking_2d", "backlash_y", 1e-5),
+        ("iso230_2", "backlash_x", 1e-5),
+        ("probing_cross", "probe_pretravel", 1e-5),
+        ("tracking_3d", "station_drift", 1e-8),
+    ],
+)
+def test_a_missing_effect_is_no_gross_error(name: str, effect: str, size: float) -> None:
+    spec = SimulationSpec(plan=PLANS[name], seed=3, effects=(FlawSpec(id=effect, size=size),))
+    found, _ = set_aside(simulate(spec).session, lambda part: build_model(part)[0])
+    assert len(found) <= 1
+
+
+def test_a_step_within_a_run_is_no_gross_error() -> None:
+    session = simulate(SimulationSpec(plan=PLANS["tracking_2d"], seed=4)).session
+    readings = session.readings
+    mine = np.flatnonzero((readings.setup == 0) & (readings.repeat == 0))
+    change = np.zeros(len(readings))
+    change[mine[len(mine) // 2 :]] = 20 * session.sigma
+    stepped = session.with_readings(replace(readings, displacement=readings.displacement + change))
+    assert set_aside(stepped, lambda part: build_model(part)[0])[0] == []
+
+
+def test_two_readings_of_a_place_of_which_either_may_be_wrong() -> None:
+    plan = PRESETS["straightness"].model_copy(update={"repeats": 2})
+    session = simulate(SimulationSpec(plan=plan, seed=5)).session
+    readings = session.readings
+    change = np.zeros(len(readings))
+    change[4] = 3e-4
+    result = identify(session.with_readings(replace(readings, displacement=readings.displacement + change)))
+    same = np.flatnonzero(readings.columns["x"] == readings.columns["x"][4])
+    assert {r.row for r in result.rejected} == set(same.tolist())
+    assert all("two readings of one place differ by" in r.reason for r in result.rejected)
+
+
+def test_identify_names_what_it_does_not_use() -> None:
+    session = simulate(SimulationSpec(plan=PLANS["tracking_3d"], seed=6)).session
+    wrong, rows = with_gross_errors(session, 0.02, 7)
+    document = identify(wrong).document()
+    assert rows <= {entry["row"] for entry in document["rejected"]}
+    assert document["used"] + len(document["rejected"]) == document["observations"] == len(session.readings)
+    error = np.array(document["error_map"]["position_error"], dtype=float)
+    clean = np.array(identify(session).document()["error_map"]["position_error"])
+    assert np.nanmax(np.abs(error - clean)) < 2e-6
+    assert identify(session).document()["rejected"] == []
+
+
+@pytest.mark.parametrize("pair", ["xy", "xz", "yz"])
+@pytest.mark.parametrize("name", ["tracking_2d", "tracking_3d", "step_diagonal", "probing_cross"])
+def test_columns_that_are_exchanged_are_refused(name: str, pair: str) -> None:
+    session = simulate(SimulationSpec(plan=PLANS[name], seed=8)).session
+    if "z" in pair and name in ("tracking_2d", "probing_cross"):
+        pytest.skip("nothing moves along z")
+    check_session(session)
+    columns = dict(session.readings.columns)
+    columns[pair[0]], columns[pair[1]] = columns[pair[1]], columns[pair[0]]
+    with pytest.raises(SessionError, match=f"columns {pair[0]} and {pair[1]} look exchanged"):
+        check_session(session.with_readings(replace(session.readings, columns=columns)))
+
+
+def test_stations_in_a_plane_do_not_tell_what_is_across_it() -> None:
+    stations = ((-0.3, -0.3, 0.2), (0.7, -0.3, 0.2), (-0.3, 0.7, 0.2), (0.7, 0.7, 0.2), (0.2, -0.5, 0.2))
+    result = identify(simulate(SimulationSpec(plan=TrackingPlan(dimension=3, stations=stations), seed=1)).session)
+    assert np.isnan(result.error_map.error[:, 2]).all()
+    assert np.isfinite(result.error_map.error[:, :2]).any()
+    named = {entry.name: entry.why for entry in result.not_determined}
+    assert "the stations stand nearly in a plane" in named["position_error along z of all targets"]
+
+
+def test_stations_on_a_line_are_refused() -> None:
+    stations = tuple((-0.5, y, 0.2) for y in (-0.3, 0.0, 0.3, 0.7))
+    session = simulate(SimulationSpec(plan=TrackingPlan(dimension=3, stations=stations), seed=1)).session
+    with pytest.raises(SessionError, match="all stations stand on one line"):
+        check_session(session)
+
+
+def test_position_errors_of_centimetres_are_refused() -> None:
+    session = simulate(SimulationSpec(plan=PLANS["tracking_3d"], seed=9)).session
+    readings = session.readings
+    x = readings.columns["x"]
+    # One target was not where its columns say.
+    there = np.isclose(x, x.max()) & np.isclose(readings.columns["y"], 0.0) & np.isclose(readings.columns["z"], 0.0)
+    moved = session.with_readings(replace(readings, columns={**readings.columns, "x": np.where(there, x + 0.05, x)}))
+    with pytest.raises(ModelError, match="which no machine has"):
+        identify(moved, keep_all=True)
+    assert np.nanmax(np.abs(identify(moved, keep_all=True, allow_impossible=True).error_map.error)) > 0.01

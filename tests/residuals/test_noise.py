@@ -1,0 +1,39 @@
+"""Noise from repeats: of readings that repeat each other, and of no others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.methods.identify import build_model
+from machine_tool_calibration.model.fit import Fit, fit_models
+from machine_tool_calibration.residuals.noise import noise_of, same_place
+from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
+
+
+def fitted(plan: str, off: float) -> Fit:
+    """A session in which every place is off by an amount of its own, in standard uncertainties."""
+    chosen = PRESETS[plan]
+    if chosen.method == "tracking_interferometer":
+        # Every second run backwards would approach a place from the other side: no repeat.
+        chosen = chosen.model_copy(update={"order": "same"})
+    session = simulate(SimulationSpec(plan=chosen, seed=3)).session
+    place = same_place(build_model(session)[0].observations)
+    change = off * session.sigma * np.random.default_rng(3).normal(size=place.max() + 1)
+    readings = session.readings
+    moved = session.with_readings(replace(readings, displacement=readings.displacement + change[place]))
+    return fit_models([build_model(moved)[0]]).fits[0]
+
+
+@pytest.mark.parametrize("plan", ["tracking_2d", "iso230_2", "grid_plate", "step_diagonal"])
+def test_repeats_show_the_noise_however_much_places_differ(plan: str) -> None:
+    for off in (0.0, 6.0):
+        noise = noise_of(fitted(plan, off))
+        assert noise.from_repeats is not None and noise.lack_of_fit_p is not None
+        assert noise.from_repeats == pytest.approx(noise.declared, rel=4.0 / np.sqrt(2.0 * noise.repeats))
+        if off:
+            assert noise.lack_of_fit_p < 1e-6
+        else:
+            assert noise.lack_of_fit_p > 1e-3
