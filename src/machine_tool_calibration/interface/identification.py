@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 __all__ = ["Fit", "identify", "split_effects"]
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Fit(Shown):
     """The machine's errors from one measurement, each with its uncertainty.
 

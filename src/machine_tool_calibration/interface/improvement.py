@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["Improvement", "improve", "plot_improvement"]
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Improvement(Shown):
     """The models on the way from the first one to the best.
 
