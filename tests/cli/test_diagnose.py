@@ -12,7 +12,7 @@ from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
-SETS = ["--sets", "19"]
+SETS = ["--sets", "199"]
 
 
 @pytest.fixture(scope="module")

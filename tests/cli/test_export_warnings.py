@@ -30,7 +30,7 @@ def improved(session: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder.mkdir()
     for name in ("session.yaml", "observations.csv"):
         (folder / name).write_bytes((session / name).read_bytes())
-    assert run(["improve", str(folder), "--sets", "19", "-o", str(folder.parent / "out")]) == 0
+    assert run(["improve", str(folder), "--sets", "199", "-o", str(folder.parent / "out")]) == 0
     return folder
 
 

@@ -13,7 +13,7 @@ from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.recording.open import open_measurement
 from machine_tool_calibration.reports.history_file import read_history
 
-SETS = ["--sets", "19"]
+SETS = ["--sets", "199"]
 Run = pytest.CaptureFixture[str]
 
 
