@@ -8,8 +8,8 @@ import rclpy
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 
-from machine_tool_calibration.nodes.stamps import to_message
-from machine_tool_calibration.nodes.taps import Taken, Taps
+from machine_tool_calibration.nodes.ros.messages import to_message
+from machine_tool_calibration.nodes.ros.taps import Taken, Taps
 
 SECOND = 10**9
 LONG_AGO = 1_000 * SECOND  # by the system's clock: whatever was received then has waited long enough
