@@ -8,7 +8,6 @@ from functools import cached_property
 from pathlib import PurePath
 
 import numpy as np
-import pandas as pd
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.errors import SessionError
@@ -138,6 +137,8 @@ def distinct_places(position: Array) -> tuple[IntArray, IntArray]:
     Returns:
         (k,) the first reading at each of the k places, in order, and (n,) the place of each reading.
     """
+    import pandas as pd  # here, because most nodes never need it and it doubles the time in which they start
+
     keys = np.round(position * 1e9).astype(np.int64)
     # A hash of one mixed code for each position; should two places ever mix to the same code, a sort by rows.
     code = keys @ _MIX[: keys.shape[1]]
