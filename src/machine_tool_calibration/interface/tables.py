@@ -60,7 +60,7 @@ def error_map(result: Result | JointResult) -> pd.DataFrame:
 def _places(result: Result) -> dict[str, Any]:
     """What a method says of the places of its map besides where they are."""
     content, session = result.error_map.content, result.fit.model.observations.session
-    if session.method == "step_diagonal":
+    if session.spec.profiles:
         return {"axis": np.repeat(list("xyz"), [len(content[axis]) for axis in "xyz"])}
     if isinstance(session.description, RotaryAxis):
         axis = (session.description.machine.axis or "C").lower()
@@ -112,7 +112,7 @@ def _single(result: Result) -> Iterator[_Value]:
         axis = (session.description.machine.axis or "C").upper()
         for name in (f"E{component}{axis}" for component in "XYZABC"):
             yield from _curve(name, content[axis.lower()], content[name], content[f"{name}_u"])
-    elif session.method == "step_diagonal":
+    elif session.spec.profiles:
         yield from _profiles(content)
     else:
         yield from _unknowns(result)

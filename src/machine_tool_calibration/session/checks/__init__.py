@@ -9,7 +9,8 @@ from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.checks.consistency import check_consistency
 from machine_tool_calibration.session.checks.enough import check_enough
 from machine_tool_calibration.session.checks.units import check_units
-from machine_tool_calibration.session.description import Place, needed_columns
+from machine_tool_calibration.session.columns import needed_columns
+from machine_tool_calibration.session.description import Place
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["Place", "check_session"]
