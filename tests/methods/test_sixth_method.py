@@ -14,7 +14,7 @@ from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.diagnosis.compare import compare
 from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.methods.identify import identify, identify_sessions
 from machine_tool_calibration.session import catalogue
 from machine_tool_calibration.session.folder import read_session
 
@@ -117,6 +117,18 @@ def test_nothing_is_found_where_nothing_is_missing_and_a_backlash_where_there_is
 
 
 @pytest.mark.usefixtures("plugin")
+def test_two_sessions_share_the_machine_s_squareness(tmp_path: Path) -> None:
+    sessions = [read_session(circles(tmp_path / f"on_day_{seed}", seed=seed)) for seed in (1, 2)]
+    alone = {p.name: p.standard_uncertainty for p in identify(sessions[0]).parameters}
+    joint = identify_sessions(sessions, ["first", "second"])
+    found = {p.name: (p.value, p.standard_uncertainty) for p in joint.parameters}
+    value, u = found["C0Y"]
+    assert abs(value - SQUARENESS) < 4.0 * u
+    assert 0.5 * alone["C0Y"] < u < 0.9 * alone["C0Y"]
+    assert {"first/scale_mismatch", "second/scale_mismatch"} <= found.keys()
+
+
+@pytest.mark.usefixtures("plugin")
 def test_the_command_line_knows_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = str(circles(tmp_path / "circles", backlash=BACKLASH))
     assert run(["identify", folder, "--effect", "backlash_y", "--json"]) == 0
@@ -126,7 +138,8 @@ def test_the_command_line_knows_it(tmp_path: Path, capsys: pytest.CaptureFixture
     assert run(["identify", folder, "--plot", "-o", str(tmp_path / "out")]) == 0
     assert "circles with a ball bar" in capsys.readouterr().out
     assert (tmp_path / "out" / "error_map.png").exists()
-    assert run(["compare", folder]) == 0
+    assert run(["convert", folder, str(tmp_path / "bag")]) == 0
+    assert run(["compare", str(tmp_path / "bag")]) == 0
     assert run(["diagnose", folder]) == 0
     assert "backlash_y" in capsys.readouterr().out
 
