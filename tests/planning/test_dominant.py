@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from machine_tool_calibration.methods.step_diagonal import build
+from machine_tool_calibration.methods.step_diagonal.build import build
 from machine_tool_calibration.methods.step_diagonal.profiles import eq17
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.nodes.shared import procedure_file
@@ -145,4 +145,3 @@ def test_a_plan_says_it_before_anything_is_measured() -> None:
     assert promised.dominant is not None
     assert promised.dominant.angular == 1e-7
     assert promised.document()["dominant"]["cause"] == promised.dominant.cause
-

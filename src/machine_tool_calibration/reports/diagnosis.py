@@ -111,11 +111,11 @@ def _rows(diagnosis: Diagnosis, of_map: bool) -> tuple[tuple[str, ...], ...]:
 
 
 def _absorbed(diagnosis: Diagnosis, of_map: bool) -> list[Absorbed]:
-    known, method = _effects(diagnosis), diagnosis.session.method
-    return [a for a in diagnosis.look.absorbed if _of_the_map(a, known.get(a.effect), method) == of_map]
+    known, surface = _effects(diagnosis), diagnosis.session.spec.probes_surface
+    return [a for a in diagnosis.look.absorbed if _of_the_map(a, known.get(a.effect), surface) == of_map]
 
 
-def _of_the_map(absorbed: Absorbed, effect: Effect | None, method: str) -> bool:
+def _of_the_map(absorbed: Absorbed, effect: Effect | None, surface: bool) -> bool:
     """Whether what takes an effect up is the map, which is meant to say it."""
     names = absorbed.by.split(", ")
     if absorbed.effect in names:
@@ -123,7 +123,7 @@ def _of_the_map(absorbed: Absorbed, effect: Effect | None, method: str) -> bool:
     if effect is None or effect.kind != "position" or effect.id in _NOT_THE_MACHINES:
         return False
     # The points of a probing are those of the workpiece, whose form is not the machine's.
-    return in_map(names[0]) and not (names[0] == POINTS and method == "probing")
+    return in_map(names[0]) and not (names[0] == POINTS and surface)
 
 
 def _words(absorbed: Absorbed, of_map: bool, diagnosis: Diagnosis) -> str:
@@ -131,7 +131,7 @@ def _words(absorbed: Absorbed, of_map: bool, diagnosis: Diagnosis) -> str:
     if absorbed.effect in names:
         return "unknowns of this model themselves"
     chosen = [name for name in names if in_map(name) or not of_map]
-    if chosen == [POINTS] and diagnosis.session.method == "probing":
+    if chosen == [POINTS] and diagnosis.session.spec.probes_surface:
         return "form of the workpiece: each probed point has an error of its own"
     return unknowns_in_words(chosen, list(_effects(diagnosis)))
 
