@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray
-from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.model.fit import Fit, JointFit, fit_models, screen, screen_joint
-from machine_tool_calibration.model.model import MethodModel, NotDetermined, Parameter, Term
+from machine_tool_calibration.model.model import Kind, MethodModel, NotDetermined, Parameter, Term
 from machine_tool_calibration.model.observations import Observations
 
 __all__ = ["ABSORBED", "add_effects", "best_shape", "common_shape", "displacement_field", "effect_term"]
@@ -63,8 +63,7 @@ def effect_term(
     """
     columns = effect.columns(observations, shape)
     parameters = [
-        Parameter(f"{effect.id}.{c.name}", c.unit, c.low, c.high, shared=not effect.of_session)
-        for c in effect.coefficients_for(observations, shape)
+        _coefficient(effect, c, 0.0, not effect.of_session) for c in effect.coefficients_for(observations, shape)
     ]
     if size is not None:
         for j, coefficient in enumerate(effect.shapes):
@@ -76,20 +75,25 @@ def effect_term(
             down[j] -= step
             slope = (effect.columns(observations, tuple(up)) - effect.columns(observations, tuple(down))) / (2 * step)
             columns = np.concatenate([columns, (size @ slope)[None]])
-            parameters.append(
-                Parameter(
-                    f"{effect.id}.{coefficient.name}",
-                    coefficient.unit,
-                    coefficient.low,
-                    coefficient.high,
-                    shape[j],
-                    True,
-                )
-            )
+            parameters.append(_coefficient(effect, coefficient, shape[j], True))
     field = None
     if mapped:
         field = displacement_field(effect, observations, lambda o: effect_term(effect, o, shape, size, False).columns)
     return Term(effect.id, tuple(parameters), columns, field)
+
+
+def _coefficient(effect: Effect, of: Coefficient | Shape, reference: float, shared: bool) -> Parameter:
+    return Parameter(
+        f"{effect.id}.{of.name}",
+        of.unit,
+        of.low,
+        of.high,
+        reference,
+        shared,
+        kind=Kind.EFFECT,
+        owner=effect.id,
+        meaning=of.meaning,
+    )
 
 
 def best_shape(

@@ -16,7 +16,7 @@ from machine_tool_calibration.machine.error_motions import (
     parse_motion,
     squareness_field,
 )
-from machine_tool_calibration.model.model import Constraint, NotDetermined, Parameter, Term
+from machine_tool_calibration.model.model import Constraint, Kind, NotDetermined, Parameter, Term, motion_value
 from machine_tool_calibration.model.observations import Observations
 
 __all__ = ["RIGID_BODY_DATUM", "MachineTable", "axis_nodes", "linear_axis_errors", "machine_terms", "table_datum"]
@@ -60,13 +60,15 @@ class MachineTable:
     @property
     def labels(self) -> tuple[str, ...]:
         """Names of the unknowns: `EXX(0.08)` is the value at 0.08 m."""
-        return (self.name,) if self.is_squareness else tuple(f"{self.name}({node:.6g})" for node in self.nodes)
+        return tuple(parameter.name for parameter in self.parameters)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """The unknowns."""
+        if self.is_squareness:
+            return (Parameter(self.name, "rad", shared=True, kind=Kind.SQUARENESS, owner=self.name),)
         unit = "rad" if self.is_rotation else "m"
-        return tuple(Parameter(label, unit, shared=True) for label in self.labels)
+        return tuple(motion_value(self.name, node, unit) for node in self.nodes)
 
     def scalar(self, position: Array, direction: Array) -> Array:
         """(n,) what a unit of the motion at each position adds along the given directions (n, 3)."""

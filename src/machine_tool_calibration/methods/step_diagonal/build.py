@@ -21,7 +21,7 @@ from machine_tool_calibration.methods.step_diagonal.model import DATUM, Spread, 
 from machine_tool_calibration.methods.step_diagonal.orders import free_angles
 from machine_tool_calibration.methods.step_diagonal.small_angles import LARGEST, NONE, SMALLEST, coarse_nodes
 from machine_tool_calibration.methods.step_diagonal.terms import angle_term, sensed_tables, tilt_terms
-from machine_tool_calibration.model.model import NotDetermined, Term, assemble
+from machine_tool_calibration.model.model import Kind, NotDetermined, Parameter, Term, assemble
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.rigid_body import MachineTable, linear_axis_errors, map_field, table_datum
 from machine_tool_calibration.session.session import Readings, Session
@@ -123,7 +123,7 @@ def build(session: Session, model: str = "small_angles") -> StepDiagonalModel:
         angles=(),
         spread=None,
         nominal=observations.path,
-        run_names=_run_names(session, readings),
+        offsets=_offsets(session, readings),
     )
     base = replace(base, nominal=base.nominal + _second_order(base, displacement))
     if model in ("translations", "aligned_mirror"):
@@ -149,9 +149,14 @@ def _observations(session: Session, readings: Readings, runs: Sequence[Run]) -> 
     return observations, displacement
 
 
-def _run_names(session: Session, readings: Readings) -> tuple[str, ...]:
+def _offsets(session: Session, readings: Readings) -> tuple[Parameter, ...]:
+    """For each run, in the order of their numbers."""
     pairs = np.unique(np.stack([readings.setup, readings.repeat]), axis=1).T
-    return tuple(f"{session.setup_ids[setup]}.offset_{repeat}" for setup, repeat in pairs)
+    named = ((session.setup_ids[setup], int(repeat)) for setup, repeat in pairs)
+    return tuple(
+        Parameter(f"{setup}.offset_{repeat}", "m", kind=Kind.RUN_OFFSET, owner=setup, at=repeat)
+        for setup, repeat in named
+    )
 
 
 def _second_order(model: StepDiagonalModel, displacement: Array) -> Array:
