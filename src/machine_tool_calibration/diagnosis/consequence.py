@@ -14,6 +14,7 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.model.fit import JointFit
+from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.model.result import ErrorMap, Estimate
 from machine_tool_calibration.residuals.pool import Pool
 
@@ -118,9 +119,7 @@ def effect_estimates(fit: JointFit, effects: Sequence[str]) -> tuple[Estimate, .
     uncertainty = np.sqrt(np.maximum(np.diag(published.covariance), 0.0))
     found = zip(fit.assembly.parameters, published.theta, uncertainty, published.is_determined(), strict=True)
     return tuple(
-        Estimate(p.name, float(p.reference + value), float(u), p.unit)
-        for p, value, u, good in found
-        if good and "." in p.name and p.name.rpartition("/")[2].split(".")[0] in effects
+        Estimate.of(p, value, u) for p, value, u, good in found if good and p.kind is Kind.EFFECT and p.owner in effects
     )
 
 
@@ -133,7 +132,7 @@ def _signal(joint: JointFit, name: str) -> tuple[Array, Array]:
         for term in fit.model.terms:
             place = slice(first, first + len(term.parameters))
             first += len(term.parameters)
-            if term.name != name or not term.parameters[0].name.startswith(f"{name}."):
+            if term.name != name or term.parameters[0].kind is not Kind.EFFECT:
                 continue
             # Unknowns that count from a reference are nonlinear coefficients, whose share the other columns hold.
             linear = np.array([p.reference == 0.0 for p in term.parameters])

@@ -202,7 +202,7 @@ def _without_absorbed(model: MethodModel, effects: Sequence[Effect]) -> tuple[Me
         if left.any():
             kept.append(effect)
         else:
-            absorbed.append(NotDetermined(effect.id, _TAKEN_UP))
+            absorbed.append(NotDetermined(effect.id, _TAKEN_UP, effect.id))
     return replace(model, left_out=tuple(absorbed)), kept
 
 
@@ -220,7 +220,7 @@ def _determined_columns(model: MethodModel, terms: Sequence[Term]) -> tuple[list
         own = seen[first : first + len(term.columns)]
         first += len(term.columns)
         kept.append(term if own.all() else _with_columns(term, own))
-        left += [NotDetermined(p.name, _TAKEN_UP) for p, s in zip(term.parameters, own, strict=True) if not s]
+        left += [NotDetermined(p.name, _TAKEN_UP, p.owner) for p, s in zip(term.parameters, own, strict=True) if not s]
     return kept, tuple(left)
 
 
@@ -259,7 +259,7 @@ def _told_apart(model: MethodModel, terms: Sequence[Term]) -> tuple[list[Term], 
         term = terms[k]
         kept[k] = _with_columns(term, good)
         why = "the other effects in the model say the same"
-        left += [NotDetermined(p.name, why) for p, g in zip(term.parameters, good, strict=True) if not g]
+        left += [NotDetermined(p.name, why, p.owner) for p, g in zip(term.parameters, good, strict=True) if not g]
         taken += [int(j) for j in own[good] if seen[j]]
     return [term for term in kept if term.parameters], tuple(left)
 
@@ -310,7 +310,9 @@ def add_effects(model: MethodModel, effects: Sequence[Effect]) -> MethodModel:
             )
             for effect in curved
         ]
-        base = replace(base, left_out=base.left_out + tuple(NotDetermined(name, why) for name in loose.values()))
+        base = replace(
+            base, left_out=base.left_out + tuple(NotDetermined(name, why, effect) for effect, name in loose.items())
+        )
         full = base.with_terms(held)
     return full.settled()
 

@@ -146,7 +146,7 @@ class JointResult:
         solution = self.fit.published
         sigma = np.sqrt(np.diag(solution.covariance).clip(0.0))
         return [
-            Estimate(p.name, float(p.reference + value), float(u), p.unit)
+            Estimate.of(p, value, u)
             for p, value, u, good in zip(
                 self.fit.assembly.parameters, solution.theta, sigma, solution.is_determined(), strict=True
             )
@@ -160,7 +160,7 @@ class JointResult:
             entry.name: entry.why
             for model in self.common.models
             for entry in model.left_out
-            if entry.name.partition(".")[0] in self.effects
+            if entry.effect in self.effects
         }
         names = [p.name for p in self.fit.assembly.parameters]
         solution = self.fit.solution
@@ -212,7 +212,7 @@ class JointResult:
                 )
             ],
             "agreement": plain(asdict(self.agreement)),
-            "parameters": [asdict(estimate) for estimate in self.parameters],
+            "parameters": [estimate.document() for estimate in self.parameters],
             "not_determined": self.not_determined,
             "datum": self.common.datum,
             "error_map": plain(self.error_map.content),

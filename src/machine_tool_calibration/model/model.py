@@ -95,7 +95,8 @@ class Parameter:
     @property
     def family(self) -> str:
         """Name under which it is told: that of the error motion for the values of a table."""
-        return self.name.partition("(")[0] if self.kind is Kind.MOTION else self.name
+        label = len(self.session)
+        return self.name[:label] + self.name[label:].partition("(")[0] if self.kind is Kind.MOTION else self.name
 
     @property
     def in_map(self) -> bool:
@@ -165,10 +166,11 @@ class Prior:
 
 @dataclass(frozen=True)
 class NotDetermined:
-    """What the data cannot determine, and why."""
+    """What the data cannot determine, and why; of an effect or its coefficient also the effect's id."""
 
     name: str
     why: str
+    effect: str = ""
 
 
 @dataclass(frozen=True)
@@ -266,6 +268,11 @@ class Assembly:
     parameters: tuple[Parameter, ...]
     places: tuple[IntArray, ...]
     labels: tuple[str, ...] | None = None
+
+    @property
+    def unknowns(self) -> dict[str, Parameter]:
+        """The shared unknowns by the name under which each is published."""
+        return {parameter.name: parameter for parameter in self.parameters}
 
     def published(self, index: int, parameter: Parameter) -> str:
         """Name of an unknown of one of the models: with the session's label, unless it is the machine's."""
