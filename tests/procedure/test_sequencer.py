@@ -3,7 +3,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from machine_tool_calibration.procedure.events import Aimed, Arrived, Captured, Motion, Refused
-from machine_tool_calibration.procedure.sequencer import State, Timing
+from machine_tool_calibration.procedure.progress import State, Timing
 
 from .procedures import TEXT, small
 from .world import SECOND, World

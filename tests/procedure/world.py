@@ -24,7 +24,8 @@ from machine_tool_calibration.procedure.events import (
     Stop,
 )
 from machine_tool_calibration.procedure.plan import Plan
-from machine_tool_calibration.procedure.sequencer import Sequencer, State, Timing
+from machine_tool_calibration.procedure.progress import State, Timing
+from machine_tool_calibration.procedure.sequencer import Sequencer
 
 SECOND = 1_000_000_000
 TICK = 0.1

@@ -55,7 +55,8 @@ from machine_tool_calibration.procedure.events import (
     SetDatum,
     Stop,
 )
-from machine_tool_calibration.procedure.sequencer import Sequencer, State, Timing
+from machine_tool_calibration.procedure.progress import State, Timing
+from machine_tool_calibration.procedure.sequencer import Sequencer
 from machine_tool_calibration.session.parse import description_yaml
 
 __all__ = ["ProcedureNode", "main"]
