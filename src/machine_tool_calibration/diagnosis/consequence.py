@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, rms
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.findings import Finding
 from machine_tool_calibration.errors import ModelError
@@ -18,7 +18,7 @@ from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.model.result import ErrorMap, Estimate
 from machine_tool_calibration.residuals.pool import Pool
 
-__all__ = ["Consequence", "before_and_after", "consequences", "effect_estimates", "map_change", "map_rms", "rms"]
+__all__ = ["Consequence", "before_and_after", "consequences", "effect_estimates", "map_change", "map_rms"]
 
 # How many of the best candidates are added in full, each by itself.
 _MOST = 4
@@ -168,8 +168,3 @@ def map_rms(values: Array) -> float | None:
     if not points.any():
         return None
     return float(np.sqrt(np.sum(np.where(known, values, 0.0) ** 2) / points.sum()))
-
-
-def rms(values: Array) -> float:
-    """Root mean square."""
-    return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0

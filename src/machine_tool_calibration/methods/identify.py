@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.effects.effect_terms import add_effects
@@ -138,7 +139,7 @@ class JointResult:
     @property
     def rms_residual(self) -> float:
         """Root mean square of measured minus predicted, m."""
-        return float(np.sqrt(np.mean(np.concatenate([fit.residuals for fit in self.fit.fits]) ** 2)))
+        return rms(np.concatenate([fit.residuals for fit in self.fit.fits]))
 
     @property
     def parameters(self) -> list[Estimate]:
@@ -205,7 +206,7 @@ class JointResult:
                     "model": name,
                     "observations": count,
                     "used": len(model.observations),
-                    "rms_residual": float(np.sqrt(np.mean(values**2))),
+                    "rms_residual": rms(values),
                 }
                 for label, model, name, count, values in zip(
                     self.labels, self.common.models, self.model_names, self.observations, residuals, strict=True

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, rms
 from machine_tool_calibration.model.fit import Fit, JointFit
 from machine_tool_calibration.model.model import NotDetermined, Parameter
 from machine_tool_calibration.model.stated import FamilySize
@@ -112,7 +112,7 @@ class Result:
     @property
     def rms_residual(self) -> float:
         """Root mean square of measured minus predicted, m."""
-        return float(np.sqrt(np.mean(self.fit.residuals**2)))
+        return rms(self.fit.residuals)
 
     @property
     def parameters(self) -> list[Estimate]:

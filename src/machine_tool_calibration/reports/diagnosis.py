@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from machine_tool_calibration.diagnosis.consequence import Consequence, before_and_after, rms
+from machine_tool_calibration.arrays import rms
+from machine_tool_calibration.diagnosis.consequence import Consequence, before_and_after
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.findings import Finding
 from machine_tool_calibration.diagnosis.search.look import Absorbed

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.diagnosis.consequence import (
     Consequence,
     before_and_after,
     consequences,
     effect_estimates,
-    rms,
 )
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.findings import Finding

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, IntArray, groups
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.robust import robust_start
 from machine_tool_calibration.methods.step_diagonal.geometry import (
@@ -138,8 +138,7 @@ def _observations(session: Session, readings: Readings, runs: Sequence[Run]) -> 
 
     The path begins at the start of the run: how far the laser stood from there is dead path.
     """
-    pairs = np.stack([readings.setup, readings.repeat])
-    run = np.unique(pairs, axis=1, return_inverse=True)[1].reshape(-1).astype(np.int64)
+    run = groups(readings.setup, readings.repeat)
     position = readings.position()
     beam = np.array([r.beam for r in runs])[readings.setup]
     displacement = position - np.array([r.start for r in runs])[readings.setup]
