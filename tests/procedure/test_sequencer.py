@@ -187,7 +187,7 @@ def test_a_slow_pointer_makes_the_axes_wait():
     (hold, _again) = handle(Aimed("A", azimuth, elevation, late))
     assert isinstance(hold, Motion)
     assert hold.stamp >= late
-    assert hold.points[-1][0] == motion.points[-1][0]
+    assert hold.points[-1].position == motion.points[-1].position
 
 
 def test_commands_carry_times_for_a_real_controller():

@@ -139,9 +139,9 @@ class World:
                 return  # an old command, overtaken by a newer one
             self.moves.append(motion)
             self.clock = max(self.clock, motion.stamp)
-            self.arrived = self.clock + round(motion.points[-2][1] * SECOND)
-            self.clock += round(motion.points[-1][1] * SECOND)
-            self.axes = dict(motion.points[-1][0])
+            self.arrived = self.clock + round(motion.points[-2].time * SECOND)
+            self.clock += round(motion.points[-1].time * SECOND)
+            self.axes = dict(motion.points[-1].position)
             self.post("instrument hears", ("axes", self.clock, (self.arrived, dict(self.axes))))
         self.post("procedure", Arrived(motion.stamp, self.arrived, self.clock, self.epochs["axes"]))
 

@@ -29,6 +29,7 @@ from machine_tool_calibration.procedure.events import (
     Refused,
     SetDatum,
     Stop,
+    Waypoint,
 )
 from machine_tool_calibration.procedure.motion import move
 from machine_tool_calibration.procedure.plan import Plan, Step, sensing_direction
@@ -206,10 +207,10 @@ class Sequencer:
             here = self._here if self._here is not None and self._here.keys() >= place.keys() else place
             part = move({name: here[name] for name in place}, place, self.plan.limits)
             clock += max(part.duration, 1e-3)  # a controller wants times that increase
-            points.append((place, clock))
+            points.append(Waypoint(place, clock))
             self._here = place
         dwell = self.plan.procedure.motion.dwell
-        points.append((step.position, clock + dwell))
+        points.append(Waypoint(step.position, clock + dwell))
         stamp = max(now, self._floor + 1)
         self._floor = stamp
         pending = Pending(Phase.MOVE, Motion(stamp, tuple(points)), since=wall, sent=wall)
