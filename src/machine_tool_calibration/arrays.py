@@ -2,25 +2,43 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Array", "BoolArray", "IntArray", "groups"]
+__all__ = ["Array", "BoolArray", "IntArray", "groups", "rms"]
 
 Array = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
+_LARGEST = 2**62
 
-def groups(*keys: IntArray) -> IntArray:
+
+def groups(*keys: npt.NDArray[Any]) -> IntArray:
     """(n,) number of the group of each entry, from 0: entries with the same keys share one; sorted by the keys.
 
     As `np.unique` of the stacked keys does, without sorting columns.
 
     Args:
-        keys: one or several (n,) of small integers from 0.
+        keys: one or several (n,) of numbers or texts; integers are small.
     """
-    code = keys[0].astype(np.int64)
-    for key in keys[1:]:
-        code = code * (int(key.max(initial=0)) + 1) + key
-    return np.unique(code, return_inverse=True)[1].reshape(-1)
+    code, size = np.zeros(len(keys[0]), dtype=np.int64), 1
+    for key in keys:
+        number = key.astype(np.int64) - int(key.min(initial=0)) if key.dtype.kind in "iub" else _numbers(key)
+        most = int(number.max(initial=0)) + 1
+        if size * most > _LARGEST:
+            code = _numbers(code)
+            size = int(code.max(initial=0)) + 1
+        code, size = code * most + number, size * most
+    return _numbers(code)
+
+
+def _numbers(key: npt.NDArray[Any]) -> IntArray:
+    return np.unique(key, return_inverse=True)[1].reshape(-1)
+
+
+def rms(values: Array) -> float:
+    """Root mean square; 0 of nothing."""
+    return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0

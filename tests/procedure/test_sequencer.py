@@ -3,7 +3,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from machine_tool_calibration.procedure.events import Aimed, Arrived, Captured, Motion, Refused
-from machine_tool_calibration.procedure.sequencer import State, Timing
+from machine_tool_calibration.procedure.progress import State, Timing
 
 from .procedures import TEXT, small
 from .world import SECOND, World
@@ -187,7 +187,7 @@ def test_a_slow_pointer_makes_the_axes_wait():
     (hold, _again) = handle(Aimed("A", azimuth, elevation, late))
     assert isinstance(hold, Motion)
     assert hold.stamp >= late
-    assert hold.points[-1][0] == motion.points[-1][0]
+    assert hold.points[-1].position == motion.points[-1].position
 
 
 def test_commands_carry_times_for_a_real_controller():

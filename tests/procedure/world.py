@@ -24,7 +24,8 @@ from machine_tool_calibration.procedure.events import (
     Stop,
 )
 from machine_tool_calibration.procedure.plan import Plan
-from machine_tool_calibration.procedure.sequencer import Sequencer, State, Timing
+from machine_tool_calibration.procedure.progress import State, Timing
+from machine_tool_calibration.procedure.sequencer import Sequencer
 
 SECOND = 1_000_000_000
 TICK = 0.1
@@ -138,9 +139,9 @@ class World:
                 return  # an old command, overtaken by a newer one
             self.moves.append(motion)
             self.clock = max(self.clock, motion.stamp)
-            self.arrived = self.clock + round(motion.points[-2][1] * SECOND)
-            self.clock += round(motion.points[-1][1] * SECOND)
-            self.axes = dict(motion.points[-1][0])
+            self.arrived = self.clock + round(motion.points[-2].time * SECOND)
+            self.clock += round(motion.points[-1].time * SECOND)
+            self.axes = dict(motion.points[-1].position)
             self.post("instrument hears", ("axes", self.clock, (self.arrived, dict(self.axes))))
         self.post("procedure", Arrived(motion.stamp, self.arrived, self.clock, self.epochs["axes"]))
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from machine_tool_calibration.cli.diagnosing import show_table
+from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.reports.quantities import TextTable, spread_words
 from machine_tool_calibration.reports.unknowns import unknown_in_words
 
@@ -16,15 +17,14 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from machine_tool_calibration.effects.effect import Effect
     from machine_tool_calibration.model.fit import JointFit
+    from machine_tool_calibration.model.model import Parameter
     from machine_tool_calibration.session.session import Session
 
 __all__ = [
     "direct_tables",
     "figures",
     "grouped",
-    "meanings",
     "measured",
     "scatter_words",
     "show_result",
@@ -274,35 +274,17 @@ def _three(value: float) -> str:
 
 _MOST_ROWS_IDENTIFIED = 40
 _MOST_NAMES = 8
-_TABLE = re.compile(r"((?:.*[./])?E[XYZABC][XYZABC])\((.+)\)")
 _UNITS = {"m": (1e6, "µm"), "rad": (1e6, "µrad"), "m/s": (3.6e9, "µm/h"), "rad/s": (3.6e9, "µrad/h")}
-_PLACE = re.compile(r".*\.([xyz]|dead_path)")
 
 
-def meanings(fit: JointFit, ids: Sequence[str], own: Sequence[Effect]) -> dict[str, str]:
-    """What the coefficients of the effects in the model are, by the name under which each is published."""
-    from machine_tool_calibration.effects.catalogue import find_effects
-
-    out = {}
-    for index, model in enumerate(fit.assembly.models):
-        parameters = {p.name: p for p in model.parameters}
-        for effect in find_effects(ids, own):
-            for name, what in effect.meanings(model.observations).items():
-                if name in parameters:
-                    out[fit.assembly.published(index, parameters[name])] = what
-    return out
-
-
-def show_result(
-    screen: Console, document: Mapping[str, Any], opened: Iterable[Session], meanings: Mapping[str, str] | None = None
-) -> None:
+def show_result(screen: Console, document: Mapping[str, Any], opened: Iterable[Session], fit: JointFit) -> None:
     """Print a result document.
 
     Args:
         screen: where.
         document: of the result.
         opened: the sessions that were identified.
-        meanings: what coefficients of effects are, by name.
+        fit: behind it.
     """
     from rich.table import Table
 
@@ -329,7 +311,7 @@ def show_result(
         screen.print(document["agreement"]["statement"])
     for reason, rows in grouped((str(entry["row"]), entry["reason"]) for entry in document["rejected"]):
         screen.print(f"not used: {'rows' if ',' in rows else 'row'} {rows} (the first row is 0): {reason}")
-    _show_parameters(screen, document, meanings or {})
+    _show_parameters(screen, document, fit)
     for why, names in grouped((entry["name"], entry["why"]) for entry in document["not_determined"]):
         screen.print(f"not determined: {names}: {why}")
     screen.print(f"datum: {document['datum']}")
@@ -392,24 +374,18 @@ def grouped(entries: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
     ]
 
 
-def _show_parameters(screen: Console, document: Mapping[str, Any], meanings: Mapping[str, str]) -> None:
-    single = [entry for entry in document["parameters"] if not _TABLE.fullmatch(entry["name"])]
-    effects = document["effects"]
-    added = tuple(f"{effect}." for effect in effects)
-    labels = tuple(f"{entry['label']}/" for entry in document.get("sessions", ()))
-
-    def is_added(name: str) -> bool:
-        # An effect of which each session has its own carries the session's label.
-        bare = next((name.removeprefix(label) for label in labels if name.startswith(label)), name)
-        return bool(added) and bare.startswith(added)
-
+def _show_parameters(screen: Console, document: Mapping[str, Any], fit: JointFit) -> None:
+    unknowns = fit.assembly.unknowns
+    single = [entry for entry in document["parameters"] if unknowns[entry["name"]].kind is not Kind.MOTION]
     # Effects first, then what is of the machine (squareness), then what is of the setups.
-    single.sort(key=lambda entry: 0 if is_added(entry["name"]) else 1 + ("." in entry["name"]))
+    order = {Kind.EFFECT: 0, Kind.SQUARENESS: 1}
+    single.sort(key=lambda entry: order.get(unknowns[entry["name"]].kind, 2))
     rows = []
     for entry in single[:_MOST_ROWS_IDENTIFIED]:
         name = entry["name"]
-        place = _PLACE.fullmatch(name) is not None
-        what = meanings.get(name) or unknown_in_words(name, effects)
+        unknown = unknowns[name]
+        place = unknown.kind in (Kind.PLACE, Kind.DEAD_PATH)
+        what = unknown.meaning or unknown_in_words(unknown)
         texts = shown(entry["value"], entry["standard_uncertainty"], entry["unit"], place)
         rows.append((name, *texts, "" if what == name else what))
     if rows:
@@ -417,17 +393,17 @@ def _show_parameters(screen: Console, document: Mapping[str, Any], meanings: Map
         note = f"{left} more; --json gives all of them" if left else ""
         heads = ("name", "value", "u (k = 1)", "U (k = 2)", "unit", "what it is")
         show_table(screen, TextTable("Parameters", heads, tuple(rows), note))
-    _show_tables(screen, document)
+    _show_tables(screen, document, unknowns)
 
 
-def _show_tables(screen: Console, document: Mapping[str, Any]) -> None:
+def _show_tables(screen: Console, document: Mapping[str, Any], unknowns: Mapping[str, Parameter]) -> None:
     """Each table of an error motion in one row; none of what is not determined."""
     lost = {entry["name"] for entry in document["not_determined"]}
     tables: dict[str, list[Mapping[str, Any]]] = {}
     for entry in document["parameters"]:
-        match = _TABLE.fullmatch(entry["name"])
-        if match is not None and match[1].removeprefix("angle.") not in lost:
-            tables.setdefault(match[1], []).append(entry)
+        unknown = unknowns[entry["name"]]
+        if unknown.kind is Kind.MOTION and unknown.owner not in lost:
+            tables.setdefault(unknown.family, []).append(entry)
     rows = []
     for name, own in tables.items():
         value, u = (1e6 * np.array([entry[key] for entry in own]) for key in ("value", "standard_uncertainty"))

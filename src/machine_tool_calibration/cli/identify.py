@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from machine_tool_calibration.cli.diagnosing import current_models
-from machine_tool_calibration.cli.identified import meanings, show_result
+from machine_tool_calibration.cli.identified import show_result
 from machine_tool_calibration.cli.output import console, json_option, plain, session_labels, to_json, write_json
 
 if TYPE_CHECKING:
@@ -85,9 +85,8 @@ def command(
         return
     if "formulation" in document:
         _show_profiles(document)
-    else:
-        known = {} if fit is None else meanings(fit, document["effects"], own)
-        show_result(console(), document, opened, known)
+    elif fit is not None:
+        show_result(console(), document, opened, fit)
     for path in written:
         console().print(f"written: {path}")
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from machine_tool_calibration.arrays import Array, BoolArray
+from machine_tool_calibration.arrays import Array, BoolArray, rms
 from machine_tool_calibration.diagnosis.comparison import (
     Approach,
     Comparison,
@@ -202,9 +202,8 @@ class _Look:
 
     def _overall(self) -> Overall:
         fit = self.fit
-        rms = float(np.sqrt(np.mean(self.residual**2)))
         noise = noise_of(fit)
-        return Overall(self.n, rms, fit.joint.reduced_chi_square, self.dof, fit.joint.p_value, noise)
+        return Overall(self.n, rms(self.residual), fit.joint.reduced_chi_square, self.dof, fit.joint.p_value, noise)
 
     def _share_of_all(self) -> Overall:
         """One of several sessions: its sum of squares over what is left of its own readings by the common model."""
@@ -220,8 +219,7 @@ class _Look:
         if repeats >= FEWEST_REPEATS:
             scatter = declared * float(np.sqrt(np.sum((self.normal - mean[place]) ** 2) / repeats))
         noise = Noise(declared, scatter, repeats, p, None)
-        rms = float(np.sqrt(np.mean(self.residual**2)))
-        return Overall(self.n, rms, squares / left if left > _LEAST_LEFT else 1.0, round(left), p, noise)
+        return Overall(self.n, rms(self.residual), squares / left if left > _LEAST_LEFT else 1.0, round(left), p, noise)
 
     def _shares(self, parts: Mapping[str, BoolArray], *, sums: bool) -> list[Share]:
         means = slopes = None
@@ -240,7 +238,7 @@ class _Look:
                 Share(
                     name,
                     len(where),
-                    float(np.sqrt(np.mean(self.residual[mask] ** 2))),
+                    rms(self.residual[mask]),
                     squares / left if left > _LEAST_LEFT else None,
                     squares / total if total > 0 else 0.0,
                     *(means[k] if means else (None, None)),

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, rms
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.model.fit import Fit, JointFit
 from machine_tool_calibration.residuals.noise import Noise
@@ -214,7 +214,7 @@ class JointComparison:
     @property
     def rms(self) -> float:
         """Root mean square of measured minus predicted over all readings, m."""
-        return float(np.sqrt(np.mean(np.concatenate([one.residual for one in self.sessions]) ** 2)))
+        return rms(np.concatenate([one.residual for one in self.sessions]))
 
     @property
     def parts(self) -> tuple[tuple[str, Share], ...]:

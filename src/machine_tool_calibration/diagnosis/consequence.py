@@ -7,17 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, rms
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.findings import Finding
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.model.fit import JointFit
+from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.model.result import ErrorMap, Estimate
 from machine_tool_calibration.residuals.pool import Pool
 
-__all__ = ["Consequence", "before_and_after", "consequences", "effect_estimates", "map_change", "map_rms", "rms"]
+__all__ = ["Consequence", "before_and_after", "consequences", "effect_estimates", "map_change", "map_rms"]
 
 # How many of the best candidates are added in full, each by itself.
 _MOST = 4
@@ -118,9 +119,7 @@ def effect_estimates(fit: JointFit, effects: Sequence[str]) -> tuple[Estimate, .
     uncertainty = np.sqrt(np.maximum(np.diag(published.covariance), 0.0))
     found = zip(fit.assembly.parameters, published.theta, uncertainty, published.is_determined(), strict=True)
     return tuple(
-        Estimate(p.name, float(p.reference + value), float(u), p.unit)
-        for p, value, u, good in found
-        if good and "." in p.name and p.name.rpartition("/")[2].split(".")[0] in effects
+        Estimate.of(p, value, u) for p, value, u, good in found if good and p.kind is Kind.EFFECT and p.owner in effects
     )
 
 
@@ -133,7 +132,7 @@ def _signal(joint: JointFit, name: str) -> tuple[Array, Array]:
         for term in fit.model.terms:
             place = slice(first, first + len(term.parameters))
             first += len(term.parameters)
-            if term.name != name or not term.parameters[0].name.startswith(f"{name}."):
+            if term.name != name or term.parameters[0].kind is not Kind.EFFECT:
                 continue
             # Unknowns that count from a reference are nonlinear coefficients, whose share the other columns hold.
             linear = np.array([p.reference == 0.0 for p in term.parameters])
@@ -169,8 +168,3 @@ def map_rms(values: Array) -> float | None:
     if not points.any():
         return None
     return float(np.sqrt(np.sum(np.where(known, values, 0.0) ** 2) / points.sum()))
-
-
-def rms(values: Array) -> float:
-    """Root mean square."""
-    return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray
-from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.model.fit import Fit, JointFit, fit_models, screen, screen_joint
-from machine_tool_calibration.model.model import MethodModel, NotDetermined, Parameter, Term
+from machine_tool_calibration.model.model import Kind, MethodModel, NotDetermined, Parameter, Term
 from machine_tool_calibration.model.observations import Observations
 
 __all__ = ["ABSORBED", "add_effects", "best_shape", "common_shape", "displacement_field", "effect_term"]
@@ -63,8 +63,7 @@ def effect_term(
     """
     columns = effect.columns(observations, shape)
     parameters = [
-        Parameter(f"{effect.id}.{c.name}", c.unit, c.low, c.high, shared=not effect.of_session)
-        for c in effect.coefficients_for(observations, shape)
+        _coefficient(effect, c, 0.0, not effect.of_session) for c in effect.coefficients_for(observations, shape)
     ]
     if size is not None:
         for j, coefficient in enumerate(effect.shapes):
@@ -76,20 +75,25 @@ def effect_term(
             down[j] -= step
             slope = (effect.columns(observations, tuple(up)) - effect.columns(observations, tuple(down))) / (2 * step)
             columns = np.concatenate([columns, (size @ slope)[None]])
-            parameters.append(
-                Parameter(
-                    f"{effect.id}.{coefficient.name}",
-                    coefficient.unit,
-                    coefficient.low,
-                    coefficient.high,
-                    shape[j],
-                    True,
-                )
-            )
+            parameters.append(_coefficient(effect, coefficient, shape[j], True))
     field = None
     if mapped:
         field = displacement_field(effect, observations, lambda o: effect_term(effect, o, shape, size, False).columns)
     return Term(effect.id, tuple(parameters), columns, field)
+
+
+def _coefficient(effect: Effect, of: Coefficient | Shape, reference: float, shared: bool) -> Parameter:
+    return Parameter(
+        f"{effect.id}.{of.name}",
+        of.unit,
+        of.low,
+        of.high,
+        reference,
+        shared,
+        kind=Kind.EFFECT,
+        owner=effect.id,
+        meaning=of.meaning,
+    )
 
 
 def best_shape(
@@ -198,7 +202,7 @@ def _without_absorbed(model: MethodModel, effects: Sequence[Effect]) -> tuple[Me
         if left.any():
             kept.append(effect)
         else:
-            absorbed.append(NotDetermined(effect.id, _TAKEN_UP))
+            absorbed.append(NotDetermined(effect.id, _TAKEN_UP, effect.id))
     return replace(model, left_out=tuple(absorbed)), kept
 
 
@@ -216,7 +220,7 @@ def _determined_columns(model: MethodModel, terms: Sequence[Term]) -> tuple[list
         own = seen[first : first + len(term.columns)]
         first += len(term.columns)
         kept.append(term if own.all() else _with_columns(term, own))
-        left += [NotDetermined(p.name, _TAKEN_UP) for p, s in zip(term.parameters, own, strict=True) if not s]
+        left += [NotDetermined(p.name, _TAKEN_UP, p.owner) for p, s in zip(term.parameters, own, strict=True) if not s]
     return kept, tuple(left)
 
 
@@ -255,7 +259,7 @@ def _told_apart(model: MethodModel, terms: Sequence[Term]) -> tuple[list[Term], 
         term = terms[k]
         kept[k] = _with_columns(term, good)
         why = "the other effects in the model say the same"
-        left += [NotDetermined(p.name, why) for p, g in zip(term.parameters, good, strict=True) if not g]
+        left += [NotDetermined(p.name, why, p.owner) for p, g in zip(term.parameters, good, strict=True) if not g]
         taken += [int(j) for j in own[good] if seen[j]]
     return [term for term in kept if term.parameters], tuple(left)
 
@@ -306,7 +310,9 @@ def add_effects(model: MethodModel, effects: Sequence[Effect]) -> MethodModel:
             )
             for effect in curved
         ]
-        base = replace(base, left_out=base.left_out + tuple(NotDetermined(name, why) for name in loose.values()))
+        base = replace(
+            base, left_out=base.left_out + tuple(NotDetermined(name, why, effect) for effect, name in loose.items())
+        )
         full = base.with_terms(held)
     return full.settled()
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg
@@ -20,7 +21,7 @@ from machine_tool_calibration.estimation.elimination import Rows, local_step
 from machine_tool_calibration.estimation.problem import Part, Problem
 from machine_tool_calibration.estimation.reduction import gram, over_chunks, single_blas
 
-__all__ = ["FAR", "Reweighted", "blocks_of", "robust_start", "scaled_residuals"]
+__all__ = ["FAR", "Reweighted", "RobustStart", "blocks_of", "robust_start", "scaled_residuals"]
 
 _TUNING = 1.345
 # Residuals beyond so many times the scale count less than by Huber.
@@ -115,7 +116,21 @@ def blocks_of(part: Part) -> IntArray:
 
 
 @single_blas()
-def robust_start(problem: Problem, unknowns: int) -> tuple[Array, list[Array], list[Array]]:
+class RobustStart(NamedTuple):
+    """Where gross errors have little say.
+
+    Attributes:
+        theta: shared unknowns.
+        local: for each part of the problem, its points.
+        residuals: for each part, over the declared uncertainty.
+    """
+
+    theta: Array
+    local: list[Array]
+    residuals: list[Array]
+
+
+def robust_start(problem: Problem, unknowns: int) -> RobustStart:
     """Shared unknowns, points, and residuals over the declared uncertainty, little moved by gross errors.
 
     Args:
@@ -134,13 +149,13 @@ def robust_start(problem: Problem, unknowns: int) -> tuple[Array, list[Array], l
         ]
         theta, local, weights, predicted = _at_one_place(problem, frozen, theta, local, weights, spare)
         if all(part.linear for part in problem.parts):
-            return theta, local, predicted
+            return RobustStart(theta, local, predicted)
         local = [np.where(np.abs(own) < FAR, own, 0.0) for own in local]
         residuals = [scaled_residuals(part, theta, own) for part, own in zip(problem.parts, local, strict=True)]
         off = np.concatenate([a - b for a, b in zip(residuals, predicted, strict=True)])
         if np.quantile(np.abs(off), 0.98) < _MOVED:
             break
-    return theta, local, residuals
+    return RobustStart(theta, local, residuals)
 
 
 def _first_weights(part: Part, theta: Array, local: Array) -> Array:

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.model.fit import Fit
-from machine_tool_calibration.model.model import Term
+from machine_tool_calibration.model.model import Kind, Term
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.result import ErrorMap
 
@@ -93,7 +93,7 @@ def displacement(effect: Effect, fit: Fit) -> Array:
     known = {
         parameter.name: float(parameter.reference + value)
         for parameter, value, good in zip(fit.model.parameters, fit.theta, fit.determined, strict=True)
-        if good and parameter.name.startswith(f"{effect.id}.")
+        if good and parameter.kind is Kind.EFFECT and parameter.owner == effect.id
     }
     shape = _shape(effect, term, observations, known)
     size = _sizes(effect, observations, shape, known)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, rms
 from machine_tool_calibration.methods.axis_tables import AxisTables
 from machine_tool_calibration.model.result import ErrorMap
 
@@ -67,9 +67,6 @@ def preview(error_map: ErrorMap, compensation: AxisTables, directions: Array | N
 
 
 def _left(name: str, before: Array, after: Array, spread: Array) -> Left:
-    def rms(values: Array) -> float:
-        return float(np.sqrt(np.mean(values**2)))
-
     def largest(values: Array) -> float:
         return float(np.abs(values).max())
 

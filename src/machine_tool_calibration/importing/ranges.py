@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, IntArray, groups
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.importing.columns import Columns, Rows
 from machine_tool_calibration.importing.points import best_motion, check_size, has_angles, station_points
@@ -86,14 +86,8 @@ def _origin(columns: Columns, axis: str) -> float:
 
 
 def _groups(*keys: np.ndarray) -> IntArray:
-    """(n,) number of the combination of keys."""
-    number = np.zeros(len(keys[0]), dtype=np.int64)
-    for key in keys:
-        entry = np.round(key, 9) if key.dtype.kind == "f" else key
-        unique, inverse = np.unique(entry, return_inverse=True)
-        number = number * len(unique) + inverse.reshape(-1)
-        number = np.unique(number, return_inverse=True)[1].reshape(-1)
-    return number
+    """(n,) number of the combination of keys, numbers equal to the nanometre."""
+    return groups(*(np.round(key, 9) if key.dtype.kind == "f" else key for key in keys))
 
 
 def _occurrence(group: IntArray) -> Array:

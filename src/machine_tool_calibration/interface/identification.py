@@ -120,7 +120,7 @@ class Fit(Shown):
         Columns: `value` and standard uncertainty `u` in `unit` (SI), `determined`, `meaning` in words, `why_not`:
         where it is not determined value and uncertainty are NaN, and this is the reason.
         """
-        return tables.parameters(self.result, self._document, self._meanings)
+        return tables.parameters(self.result, self._document)
 
     @cached_property
     def residuals(self) -> pd.DataFrame:
@@ -175,7 +175,7 @@ class Fit(Shown):
         from machine_tool_calibration.cli.identified import show_result
 
         sessions = self.measurement.sessions
-        return printed(lambda screen: show_result(screen, self._document, sessions, self._meanings))
+        return printed(lambda screen: show_result(screen, self._document, sessions, self.result.joint))
 
     def document(self) -> dict[str, Any]:
         """The same for programs, as `mtcal identify --json` writes it (`mtcal-result/1`); None is not determined."""
@@ -241,12 +241,6 @@ class Fit(Shown):
     @cached_property
     def _document(self) -> dict[str, Any]:
         return self.result.document()
-
-    @cached_property
-    def _meanings(self) -> dict[str, str]:
-        from machine_tool_calibration.cli.identified import meanings
-
-        return meanings(self.result.joint, self.effects, self.own)
 
     def _figures(self) -> dict[str, Figure]:
         from machine_tool_calibration.plots.pictures import common_figures, figures

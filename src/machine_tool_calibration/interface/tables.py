@@ -5,7 +5,6 @@ SI units. `u…` are standard uncertainties (k = 1); an expanded uncertainty U (
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -16,13 +15,12 @@ import pandas as pd
 from machine_tool_calibration.machine.error_motions import SQUARENESS, parse_motion
 from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.model.fit import Fit
+from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.session.description import Probing
 from machine_tool_calibration.session.folder import readings_frame
 
 __all__ = ["error_map", "error_motions", "parameters", "residuals", "workpiece"]
-
-_ENTRY = re.compile(r"(E[XYZABC][XYZABC])\((.+)\)")
 
 
 @dataclass(frozen=True)
@@ -149,31 +147,29 @@ def _unknowns(result: Result) -> Iterator[_Value]:
     setups = result.fit.model.observations.session.description.setups
     angle = {setup.id: float(getattr(setup, "c", np.nan)) for setup in setups}
     for parameter in result.fit.model.parameters:
-        match = _ENTRY.fullmatch(parameter.name)
-        if match is None and parameter.name not in SQUARENESS:
+        if parameter.kind not in (Kind.MOTION, Kind.SQUARENESS):
             continue
-        name, place = (parameter.name, None) if match is None else match.groups()
-        position = np.nan if place is None else angle[place] if place in angle else float(place)
+        position = angle[parameter.at] if isinstance(parameter.at, str) else parameter.at
         estimate = told.get(parameter.name)
         value, u = (np.nan, np.nan) if estimate is None else (estimate.value, estimate.standard_uncertainty)
-        yield _Value(name, position, value, u)
+        yield _Value(parameter.owner, np.nan if position is None else position, value, u)
 
 
-def parameters(result: Result | JointResult, document: Mapping[str, Any], meanings: Mapping[str, str]) -> pd.DataFrame:
+def parameters(result: Result | JointResult, document: Mapping[str, Any]) -> pd.DataFrame:
     """Every unknown of the model, by name.
 
     Args:
         result: of the identification.
         document: its document.
-        meanings: what coefficients of effects are, by name.
 
     Returns:
         `value` and standard uncertainty `u` in `unit`, `determined`, `meaning` in words, and `why_not` the data
         determines it.
     """
-    from machine_tool_calibration.reports.unknowns import unknown_in_words
+    from machine_tool_calibration.reports.unknowns import named_in_words
 
-    units = {parameter.name: parameter.unit for parameter in result.joint.assembly.parameters}
+    unknowns = result.joint.assembly.unknowns
+    words = named_in_words(result.joint, document["effects"])
     rows = [
         {
             "name": entry["name"],
@@ -190,15 +186,14 @@ def parameters(result: Result | JointResult, document: Mapping[str, Any], meanin
             "name": entry["name"],
             "value": np.nan,
             "u": np.nan,
-            "unit": units.get(entry["name"], ""),
+            "unit": unknowns[entry["name"]].unit if entry["name"] in unknowns else "",
             "determined": False,
             "why_not": entry["why"],
         }
         for entry in document["not_determined"]
     ]
     for row in rows:
-        what = meanings.get(row["name"]) or unknown_in_words(row["name"], document["effects"])
-        row["meaning"] = "" if what == row["name"] else what
+        row["meaning"] = words.get(row["name"], "")
     columns = ["name", "value", "u", "unit", "determined", "meaning", "why_not"]
     return pd.DataFrame(rows, columns=columns).set_index("name")
 

@@ -18,6 +18,7 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.machine.chain import Chain
 
 __all__ = [
+    "ERROR_MOTIONS",
     "SQUARENESS",
     "ErrorMotion",
     "interpolation",
@@ -51,6 +52,7 @@ def interpolation(nodes: Array, position: Array) -> Array:
     return weights
 
 
+ERROR_MOTIONS = tuple(f"E{component}{axis}" for axis in "XYZABC" for component in "XYZABC")
 SQUARENESS = ("A0Z", "B0Z", "C0Y")
 _TRANSLATIONS = "XYZ"
 _ROTATIONS = "ABC"

@@ -256,10 +256,13 @@ def _take(table: AxisTable, found: list[AxisTable], left_out: list[NotDetermined
         )
 
 
+_BACKLASH = {f"backlash_{axis.lower()}": axis for axis in "XYZ"}
+
+
 def _backlash(estimated: Sequence[Estimate]) -> dict[str, tuple[float, float]]:
     found = {}
     for estimate in estimated:
-        effect, _, coefficient = estimate.name.partition(".")
-        if effect in ("backlash_x", "backlash_y", "backlash_z") and coefficient == "b":
-            found[effect[-1].upper()] = (estimate.value, estimate.standard_uncertainty)
+        axis = _BACKLASH.get(estimate.owner)
+        if axis is not None:
+            found[axis] = (estimate.value, estimate.standard_uncertainty)
     return found

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.effects.effect_terms import add_effects
@@ -123,7 +124,7 @@ class JointResult:
     @property
     def rms_residual(self) -> float:
         """Root mean square of measured minus predicted, m."""
-        return float(np.sqrt(np.mean(np.concatenate([fit.residuals for fit in self.fit.fits]) ** 2)))
+        return rms(np.concatenate([fit.residuals for fit in self.fit.fits]))
 
     @property
     def parameters(self) -> list[Estimate]:
@@ -131,7 +132,7 @@ class JointResult:
         solution = self.fit.published
         sigma = np.sqrt(np.diag(solution.covariance).clip(0.0))
         return [
-            Estimate(p.name, float(p.reference + value), float(u), p.unit)
+            Estimate.of(p, value, u)
             for p, value, u, good in zip(
                 self.fit.assembly.parameters, solution.theta, sigma, solution.is_determined(), strict=True
             )
@@ -145,7 +146,7 @@ class JointResult:
             entry.name: entry.why
             for model in self.common.models
             for entry in model.left_out
-            if entry.name.partition(".")[0] in self.effects
+            if entry.effect in self.effects
         }
         names = [p.name for p in self.fit.assembly.parameters]
         solution = self.fit.solution
@@ -190,14 +191,14 @@ class JointResult:
                     "model": name,
                     "observations": count,
                     "used": len(model.observations),
-                    "rms_residual": float(np.sqrt(np.mean(values**2))),
+                    "rms_residual": rms(values),
                 }
                 for label, model, name, count, values in zip(
                     self.labels, self.common.models, self.model_names, self.observations, residuals, strict=True
                 )
             ],
             "agreement": plain(asdict(self.agreement)),
-            "parameters": [asdict(estimate) for estimate in self.parameters],
+            "parameters": [estimate.document() for estimate in self.parameters],
             "not_determined": self.not_determined,
             "datum": self.common.datum,
             "error_map": plain(self.error_map.content),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import Enum, auto
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -19,12 +20,50 @@ if TYPE_CHECKING:
     from machine_tool_calibration.model.result import ErrorMap
     from machine_tool_calibration.model.stated import RandomUnknowns
 
-__all__ = ["Assembly", "Constraint", "MethodModel", "NotDetermined", "Parameter", "Prior", "Term", "assemble"]
+__all__ = [
+    "POINTS",
+    "Assembly",
+    "Constraint",
+    "Kind",
+    "MethodModel",
+    "NotDetermined",
+    "Parameter",
+    "Prior",
+    "Term",
+    "assemble",
+    "dead_path_of",
+    "motion_value",
+    "place_of",
+]
+
+
+class Kind(Enum):
+    """What an unknown is."""
+
+    MOTION = auto()
+    """Value of an error motion."""
+    SQUARENESS = auto()
+    EFFECT = auto()
+    """Coefficient of an effect."""
+    POINTS = auto()
+    """The errors of all points of a map, each with unknowns of its own."""
+    PLACE = auto()
+    """Coordinate of a station or target."""
+    DEAD_PATH = auto()
+    OFFSET = auto()
+    """Zero of a setup."""
+    RUN_OFFSET = auto()
+    """Zero of one run (repeat) of a setup."""
+    TILT = auto()
+    """Of a flat mirror."""
+    MOUNTING = auto()
+    """Shift or turn of what was mounted."""
+    OTHER = auto()
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """An unknown.
+    """An unknown. Its name identifies it; what it is, the other attributes say.
 
     Attributes:
         name: unique in the model.
@@ -33,6 +72,12 @@ class Parameter:
         high: largest plausible value, if there is one.
         reference: what the unknown is counted from; the published value is reference plus unknown.
         shared: whether it belongs to the machine, so that several sessions have it in common.
+        kind: what it is.
+        owner: of what: the error motion, squareness or effect, the setup, station or target.
+        at: which of its owner's: the position of a value in its table, m or rad; the setup at which the axis stood; the
+            number of the repeat.
+        meaning: of an effect's coefficient, in a few words.
+        session: label of the session whose own it is, once several are assembled.
     """
 
     name: str
@@ -41,6 +86,47 @@ class Parameter:
     high: float | None = None
     reference: float = 0.0
     shared: bool = False
+    kind: Kind = Kind.OTHER
+    owner: str = ""
+    at: float | str | None = None
+    meaning: str = ""
+    session: str = ""
+
+    @property
+    def family(self) -> str:
+        """Name under which it is told: that of the error motion for the values of a table."""
+        label = len(self.session)
+        return self.name[:label] + self.name[label:].partition("(")[0] if self.kind is Kind.MOTION else self.name
+
+    @property
+    def in_map(self) -> bool:
+        """Whether it is part of what the map of errors says: a motion, a squareness, the points themselves."""
+        return self.kind in (Kind.MOTION, Kind.SQUARENESS, Kind.POINTS) and not self.session
+
+
+POINTS = Parameter("the points' own unknowns", "m", kind=Kind.POINTS)
+"""Stands for the free points of a map, where an effect is absorbed by them."""
+
+
+def motion_value(motion: str, at: float | str, unit: str, *, shared: bool = True, prefix: str = "") -> Parameter:
+    """The value of an error motion at a position of its axis, or at a setup: `EXX(0.08)`, `ECC(C1)`.
+
+    Positions that are equal to six figures are one, which sessions have in common.
+    """
+    place = at if isinstance(at, str) else f"{at:.6g}"
+    where = at if isinstance(at, str) else float(place)
+    return Parameter(f"{prefix}{motion}({place})", unit, shared=shared, kind=Kind.MOTION, owner=motion, at=where)
+
+
+def place_of(owner: str, axis: str, stated: float) -> Parameter:
+    """A coordinate of a station or target, counted from where it is stated to be, m."""
+    return Parameter(f"{owner}.{axis}", "m", reference=stated, kind=Kind.PLACE, owner=owner)
+
+
+def dead_path_of(owner: str, stated: float, repeat: int | None = None) -> Parameter:
+    """The distance at which a station (or a station and its target) reads zero, of every repeat or of one, m."""
+    middle = "" if repeat is None else f".{repeat}"
+    return Parameter(f"{owner}{middle}.dead_path", "m", reference=stated, kind=Kind.DEAD_PATH, owner=owner, at=repeat)
 
 
 @dataclass(frozen=True)
@@ -80,10 +166,11 @@ class Prior:
 
 @dataclass(frozen=True)
 class NotDetermined:
-    """What the data cannot determine, and why."""
+    """What the data cannot determine, and why; of an effect or its coefficient also the effect's id."""
 
     name: str
     why: str
+    effect: str = ""
 
 
 @dataclass(frozen=True)
@@ -182,6 +269,11 @@ class Assembly:
     places: tuple[IntArray, ...]
     labels: tuple[str, ...] | None = None
 
+    @property
+    def unknowns(self) -> dict[str, Parameter]:
+        """The shared unknowns by the name under which each is published."""
+        return {parameter.name: parameter for parameter in self.parameters}
+
     def published(self, index: int, parameter: Parameter) -> str:
         """Name of an unknown of one of the models: with the session's label, unless it is the machine's."""
         return _published(parameter, None if self.labels is None else self.labels[index])
@@ -207,10 +299,12 @@ def assemble(models: Sequence[MethodModel], labels: Sequence[str] | None = None)
             if parameter.name in seen:
                 raise ModelError(f"the model has the unknown {parameter.name!r} twice")
             seen.add(parameter.name)
-            name = _published(parameter, None if labels is None else labels[number])
+            label = None if labels is None else labels[number]
+            name = _published(parameter, label)
             if name not in place:
                 place[name] = len(parameters)
-                parameters.append(replace(parameter, name=name))
+                own = "" if label is None or parameter.shared else label
+                parameters.append(replace(parameter, name=name, session=own))
             index.append(place[name])
         places.append(np.array(index, dtype=np.int64))
     m = len(parameters)

@@ -77,7 +77,7 @@ def reproducibility(observations: Observations) -> tuple[Family, ...]:
     order = np.argsort(time, kind="stable")
     keys = [readings.setup, readings.repeat]
     if "target" in needed_columns(observations.session.description):
-        keys.append(np.unique(readings.labels["target"], return_inverse=True)[1].reshape(-1))
+        keys.append(readings.labels["target"])
     run = _numbered(groups(*keys))
     mounting = np.empty(len(readings), dtype=np.int64)
     mounting[order] = np.cumsum(np.r_[0, np.diff(readings.setup[order]) != 0])[: len(readings)]

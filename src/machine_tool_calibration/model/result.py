@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, rms
 from machine_tool_calibration.model.fit import Fit, JointFit
-from machine_tool_calibration.model.model import NotDetermined
+from machine_tool_calibration.model.model import NotDetermined, Parameter
 from machine_tool_calibration.model.stated import FamilySize
 
 __all__ = ["EffectSet", "ErrorMap", "Estimate", "Rejected", "Result", "averaged_document", "plain", "spread_document"]
@@ -18,12 +18,28 @@ __all__ = ["EffectSet", "ErrorMap", "Estimate", "Rejected", "Result", "averaged_
 
 @dataclass(frozen=True)
 class Estimate:
-    """A parameter with its standard uncertainty (k = 1)."""
+    """A parameter with its standard uncertainty (k = 1), and of what it is (`Parameter.owner`)."""
 
     name: str
     value: float
     standard_uncertainty: float
     unit: str
+    owner: str = ""
+
+    @staticmethod
+    def of(parameter: Parameter, value: float, standard_uncertainty: float) -> Estimate:
+        """Of an unknown that is counted from its reference."""
+        published = float(parameter.reference + value)
+        return Estimate(parameter.name, published, float(standard_uncertainty), parameter.unit, parameter.owner)
+
+    def document(self) -> dict[str, Any]:
+        """As an entry of a document."""
+        return {
+            "name": self.name,
+            "value": self.value,
+            "standard_uncertainty": self.standard_uncertainty,
+            "unit": self.unit,
+        }
 
 
 @dataclass(frozen=True)
@@ -96,7 +112,7 @@ class Result:
     @property
     def rms_residual(self) -> float:
         """Root mean square of measured minus predicted, m."""
-        return float(np.sqrt(np.mean(self.fit.residuals**2)))
+        return rms(self.fit.residuals)
 
     @property
     def parameters(self) -> list[Estimate]:
@@ -108,7 +124,7 @@ class Result:
         for parameter, value, u, good in found:
             if good:
                 value, u = moved.get(parameter.name, (value, u))
-                out.append(Estimate(parameter.name, float(parameter.reference + value), float(u), parameter.unit))
+                out.append(Estimate.of(parameter, value, u))
         return out
 
     @property
@@ -148,10 +164,7 @@ class Result:
             "p_value": joint.p_value,
             "effects": list(self.effects),
             "averaged_over": averaged_document(self.averaged),
-            "parameters": [
-                {"name": e.name, "value": e.value, "standard_uncertainty": e.standard_uncertainty, "unit": e.unit}
-                for e in self.parameters
-            ],
+            "parameters": [estimate.document() for estimate in self.parameters],
             "not_determined": [{"name": n.name, "why": n.why} for n in self.not_determined],
             "spread": [spread_document(size) for size in joint.stated.sizes],
             "scatter_factor": joint.stated.scatter,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -16,10 +17,18 @@ from machine_tool_calibration.machine.error_motions import (
     parse_motion,
     squareness_field,
 )
-from machine_tool_calibration.model.model import Constraint, NotDetermined, Parameter, Term
+from machine_tool_calibration.model.model import Constraint, Kind, NotDetermined, Parameter, Term, motion_value
 from machine_tool_calibration.model.observations import Observations
 
-__all__ = ["RIGID_BODY_DATUM", "MachineTable", "axis_nodes", "linear_axis_errors", "machine_terms", "table_datum"]
+__all__ = [
+    "RIGID_BODY_DATUM",
+    "MachineTable",
+    "axis_nodes",
+    "linear_axis_errors",
+    "machine_terms",
+    "table_datum",
+    "tables_content",
+]
 
 
 _MOST_NODES = 21
@@ -60,13 +69,15 @@ class MachineTable:
     @property
     def labels(self) -> tuple[str, ...]:
         """Names of the unknowns: `EXX(0.08)` is the value at 0.08 m."""
-        return (self.name,) if self.is_squareness else tuple(f"{self.name}({node:.6g})" for node in self.nodes)
+        return tuple(parameter.name for parameter in self.parameters)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """The unknowns."""
+        if self.is_squareness:
+            return (Parameter(self.name, "rad", shared=True, kind=Kind.SQUARENESS, owner=self.name),)
         unit = "rad" if self.is_rotation else "m"
-        return tuple(Parameter(label, unit, shared=True) for label in self.labels)
+        return tuple(motion_value(self.name, node, unit) for node in self.nodes)
 
     def scalar(self, position: Array, direction: Array) -> Array:
         """(n,) what a unit of the motion at each position adds along the given directions (n, 3)."""
@@ -204,3 +215,23 @@ def map_field(tables: Sequence[MachineTable], position: Array) -> Array:
     axes = [np.tile(np.eye(3)[j], (n, 1)) for j in range(3)]
     columns = [np.stack([table.columns(position, axis) for axis in axes], axis=-1) for table in tables]
     return np.concatenate(columns) if columns else np.zeros((0, n, 3))
+
+
+def tables_content(tables: Iterable[MachineTable], value: Array, sigma: Array) -> dict[str, Any]:
+    """For a map: nodes, values and standard uncertainties of each error motion; a squareness has no nodes.
+
+    Args:
+        tables: the error motions.
+        value: of their unknowns one after the other, m or rad.
+        sigma: standard uncertainty of each.
+    """
+    out: dict[str, Any] = {}
+    first = 0
+    for table in tables:
+        mine = slice(first, first + len(table.parameters))
+        first = mine.stop
+        if table.is_squareness:
+            out[table.name] = {"value": value[mine][0], "value_u": sigma[mine][0]}
+        else:
+            out[table.name] = {"nodes": table.nodes, "value": value[mine], "value_u": sigma[mine]}
+    return out

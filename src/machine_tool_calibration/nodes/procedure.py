@@ -55,7 +55,8 @@ from machine_tool_calibration.procedure.events import (
     SetDatum,
     Stop,
 )
-from machine_tool_calibration.procedure.sequencer import Sequencer, State, Timing
+from machine_tool_calibration.procedure.progress import State, Timing
+from machine_tool_calibration.procedure.sequencer import Sequencer
 from machine_tool_calibration.session.parse import description_yaml
 
 __all__ = ["ProcedureNode", "main"]
@@ -238,11 +239,11 @@ class ProcedureNode(Node):
             return
         self._seen.add("axes")
         stamp = from_message(message.header.stamp)
-        goal = motion.points[-1][0]
+        goal = motion.points[-1].position
         off = max(abs(self._here.get(name, float("inf")) - place) for name, place in goal.items())
         is_still = not any(abs(rate) > self._position_tolerance for rate in message.velocity)
         # the dwell is part of the trajectory: the first points must have been passed
-        earliest = motion.stamp + round(motion.points[-2][1] * 1e9)
+        earliest = motion.stamp + round(motion.points[-2].time * 1e9)
         if off <= self._position_tolerance and is_still and stamp >= earliest:
             self._hear(Arrived(motion.stamp, stamp, stamp))
 
@@ -374,7 +375,7 @@ def _answered(handler: Callable[[], str]) -> Callable[[Trigger.Request, Trigger.
 
 
 def _trajectory(motion: Motion) -> JointTrajectory:
-    names = list(motion.points[-1][0])
+    names = list(motion.points[-1].position)
     message = JointTrajectory(joint_names=names)
     message.header.stamp = to_message(motion.stamp)
     message.header.frame_id = "machine"

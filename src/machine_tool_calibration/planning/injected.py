@@ -15,7 +15,7 @@ from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.methods.identify import build_model
 from machine_tool_calibration.model.fit import Fit, fit_models, screen
-from machine_tool_calibration.model.model import MethodModel
+from machine_tool_calibration.model.model import MethodModel, Parameter
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import FLAWS, PRESETS, FlawSpec, MachineSpec, SimulationSpec, simulate
 
@@ -82,7 +82,7 @@ class Shown:
     plan: str
     method: str
     left: float | None
-    taken_up_by: str = ""
+    taken_up_by: tuple[Parameter, ...] = ()
     why_not: str = ""
 
 

@@ -15,6 +15,7 @@ from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.estimation.reduction import single_blas
+from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.planning.advice import ALIKE, Advice, Separation, Visibility, alias_groups_of
 from machine_tool_calibration.planning.dominant import limits_of
@@ -44,9 +45,9 @@ def present_effects(diagnosis: Diagnosis, own: Sequence[Effect]) -> list[Assumed
     values = {p.name: float(p.reference + v) for p, v in zip(fit.model.parameters, fit.theta, strict=True)}
     out = []
     for term in fit.model.terms:
-        names = {p.name for p in term.parameters}
-        if term.name not in known or not all(name.startswith(f"{term.name}.") for name in names):
+        if term.name not in known or not all(p.kind is Kind.EFFECT for p in term.parameters):
             continue
+        names = {p.name for p in term.parameters}
         effect = known[term.name]
         shape = _shape(effect, values, names, fit.model.observations)
         if shape is not None:

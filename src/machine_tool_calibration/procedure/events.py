@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 __all__ = [
     "Action",
@@ -23,6 +24,7 @@ __all__ = [
     "Refused",
     "SetDatum",
     "Stop",
+    "Waypoint",
 ]
 
 
@@ -105,12 +107,19 @@ class DatumSet:
     inputs: Mapping[str, int] = field(default_factory=dict)
 
 
+class Waypoint(NamedTuple):
+    """Positions of the axes, m or rad, and the time from the start of the motion, s."""
+
+    position: Mapping[str, float]
+    time: float
+
+
 @dataclass(frozen=True)
 class Motion:
-    """Move the axes: positions in m or rad, each with its time from the start in s."""
+    """Move the axes along these points."""
 
     stamp: int
-    points: tuple[tuple[Mapping[str, float], float], ...]
+    points: tuple[Waypoint, ...]
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from enum import StrEnum
 
 import numpy as np
 
@@ -31,121 +29,19 @@ from machine_tool_calibration.procedure.events import (
     Refused,
     SetDatum,
     Stop,
+    Waypoint,
 )
 from machine_tool_calibration.procedure.motion import move
 from machine_tool_calibration.procedure.plan import Plan, Step, sensing_direction
+from machine_tool_calibration.procedure.progress import Counters, Group, Pending, Phase, State, Timing, Visit
 from machine_tool_calibration.session.description import Direct, Probing, StationSetup, TrackingInterferometer
 
-__all__ = ["Counters", "Sequencer", "State", "Timing"]
+__all__ = ["Sequencer"]
 
 _NANO = 1_000_000_000
 _STALE_BEFORE_HOLD = 20
 _UNSTABLE_BEFORE_ERROR = 3
 _RECOVERIES_BEFORE_ERROR = 3
-
-
-class State(StrEnum):
-    """What the procedure is doing as a whole."""
-
-    IDLE = "idle"
-    RUNNING = "running"
-    PAUSED = "paused"
-    FINISHED = "finished"
-    ABORTED = "aborted"
-    ERROR = "error"
-
-
-class Phase(StrEnum):
-    """What the current step waits for."""
-
-    NONE = "none"
-    MOVE = "move"
-    DATUM = "datum"
-    CAPTURE = "capture"
-
-
-@dataclass(frozen=True)
-class Timing:
-    """How long to wait, in seconds of the wall clock, and how exactly the beam must point.
-
-    Attributes:
-        resend: a command without an answer is sent again after this.
-        answer: a request to the instrument without an answer is sent again after this; longer than it takes to answer.
-        patience: then an error is stated after this.
-        paced: whether moves take as long as they say; not in simulated time.
-        pointing_tolerance: greatest deviation of the beam's angles from the commanded ones, rad.
-        revisits: after a lost beam, so many targets are measured again to find the new datum.
-        wait_between_setups: pause before each new setup, so that the instrument can be moved.
-    """
-
-    resend: float = 1.0
-    answer: float = 5.0
-    patience: float = 15.0
-    paced: bool = True
-    pointing_tolerance: float = 1e-4
-    revisits: int = 4
-    wait_between_setups: bool = False
-
-
-@dataclass
-class Counters:
-    """What did not go straight, for the status and the tests."""
-
-    resent: int = 0
-    stale: int = 0
-    unstable: int = 0
-    recoveries: int = 0
-    restarts: int = 0
-
-
-@dataclass
-class _Visit:
-    """One stop at a target.
-
-    Attributes:
-        step: the target.
-        datum: whether the path is zeroed here.
-        revisit: reading that was taken here before the datum was lost, m; NaN for a reading that is still to come.
-    """
-
-    step: Step
-    datum: bool
-    revisit: float = math.nan
-
-
-@dataclass
-class _Pending:
-    """Answers that the current phase waits for."""
-
-    phase: Phase = Phase.NONE
-    motion: Motion | None = None
-    aim: Aim | None = None
-    angles: tuple[float, float] = (0.0, 0.0)
-    arrived: Arrived | None = None
-    aimed: int | None = None
-    token: int = -1
-    reason: str = ""
-    stale: int = 0
-    since: float = 0.0
-    sent: float = 0.0
-    expected: float = 0.0
-
-
-@dataclass
-class _Group:
-    """Readings that share one datum.
-
-    Attributes:
-        datum: identity of the datum in force; empty if there is none.
-        offset: added to the instrument's reading, so that it continues the group's first datum, m.
-        taken: steps and readings so far.
-        differences: old minus new reading of the targets that were measured again.
-    """
-
-    datum: str = ""
-    offset: float = 0.0
-    taken: list[tuple[Step, float]] = field(default_factory=list)
-    differences: list[float] = field(default_factory=list)
 
 
 class Sequencer:
@@ -165,9 +61,9 @@ class Sequencer:
         self.counters = Counters()
         self.done = 0
         self.origin = 0
-        self._visits: deque[_Visit] = deque()
-        self._pending = _Pending()
-        self._group = _Group()
+        self._visits: deque[Visit] = deque()
+        self._pending = Pending()
+        self._group = Group()
         self._datums = 0
         self._recoveries = 0
         self._unstable = 0
@@ -201,7 +97,7 @@ class Sequencer:
     def start(self, now: int, wall: float, here: Mapping[str, float] | None = None) -> list[Action]:
         """Begin with the first step; `here` is where the axes stand, if that is known."""
         self.done, self.origin, self._floor = 0, now, now
-        self._group, self._datums, self._here = _Group(), 0, here
+        self._group, self._datums, self._here = Group(), 0, here
         self.counters = Counters()
         self.state, self.message = State.RUNNING, "measuring"
         return self._next(now, wall)
@@ -288,13 +184,13 @@ class Sequencer:
             self._forget()
             return []
         if step.datum:
-            self._group = _Group()
+            self._group = Group()
             new_setup = self.done > 0 and self.plan.steps[self.done - 1].setup != step.setup
             if new_setup and self.timing.wait_between_setups and not resumed:
                 self.state, self.message = State.PAUSED, f"bring the instrument to setup {step.setup}, then resume"
                 self._forget()
                 return []
-        self._visits = deque([_Visit(step, step.datum)])
+        self._visits = deque([Visit(step, step.datum)])
         return self._begin(now, wall, again=resumed)
 
     def _begin(self, now: int, wall: float, *, again: bool) -> list[Action]:
@@ -311,13 +207,13 @@ class Sequencer:
             here = self._here if self._here is not None and self._here.keys() >= place.keys() else place
             part = move({name: here[name] for name in place}, place, self.plan.limits)
             clock += max(part.duration, 1e-3)  # a controller wants times that increase
-            points.append((place, clock))
+            points.append(Waypoint(place, clock))
             self._here = place
         dwell = self.plan.procedure.motion.dwell
-        points.append((step.position, clock + dwell))
+        points.append(Waypoint(step.position, clock + dwell))
         stamp = max(now, self._floor + 1)
         self._floor = stamp
-        pending = _Pending(Phase.MOVE, Motion(stamp, tuple(points)), since=wall, sent=wall)
+        pending = Pending(Phase.MOVE, Motion(stamp, tuple(points)), since=wall, sent=wall)
         pending.expected = clock + dwell if self.timing.paced else 0.0
         actions: list[Action] = [pending.motion] if pending.motion else []
         if step.aim is not None:
@@ -438,7 +334,7 @@ class Sequencer:
         self.message = "measuring"
         return [*self._next(now, wall), emit]  # the axes set off first
 
-    def _revisited(self, visit: _Visit, reading: float, now: int, wall: float) -> list[Action]:
+    def _revisited(self, visit: Visit, reading: float, now: int, wall: float) -> list[Action]:
         self._group.differences.append(visit.revisit - reading)
         if math.isnan(self._visits[0].revisit):
             differences = np.array(self._group.differences)
@@ -482,8 +378,8 @@ class Sequencer:
         step = self.step
         assert step is not None
         known = self._group.taken[-self.timing.revisits :] if self.timing.revisits else []
-        visits = [_Visit(old, False, reading) for old, reading in known]
-        visits.append(_Visit(step, False))
+        visits = [Visit(old, False, reading) for old, reading in known]
+        visits.append(Visit(step, False))
         visits[0].datum = True
         self._visits = deque(visits)
         self._group.datum, self._group.differences = "", []
@@ -497,7 +393,7 @@ class Sequencer:
 
     def _forget(self) -> None:
         """Answers that are still under way no longer belong to anything."""
-        self._pending = _Pending()
+        self._pending = Pending()
         self.waiting_for = ""
 
     # --- the reading

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from machine_tool_calibration.diagnosis.consequence import Consequence, before_and_after, rms
+from machine_tool_calibration.arrays import rms
+from machine_tool_calibration.diagnosis.consequence import Consequence, before_and_after
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.findings import Finding
 from machine_tool_calibration.diagnosis.search.look import Absorbed
 from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.model.model import POINTS
 from machine_tool_calibration.model.result import Estimate
 from machine_tool_calibration.planning.advice import Advice, alias_groups_of
 from machine_tool_calibration.planning.dominant import Dominant
@@ -25,7 +27,7 @@ from machine_tool_calibration.reports.quantities import (
     range_of,
     sizes_in_words,
 )
-from machine_tool_calibration.reports.unknowns import POINTS, in_map, unknowns_in_words
+from machine_tool_calibration.reports.unknowns import unknowns_in_words
 from machine_tool_calibration.reports.verdict import verdict_words
 from machine_tool_calibration.residuals.pool import Pool
 
@@ -98,7 +100,7 @@ def hidden_table(diagnosis: Diagnosis) -> TextTable:
     """Effects that would not show, because an unknown of the set-up, or the map, takes their place."""
     title = "Effects that would not show here: an unknown changes the readings in the same way"
     rows = _rows(diagnosis, False)
-    wrong = any(in_map(a.by.split(", ")[0]) for a in _absorbed(diagnosis, False))
+    wrong = any(unknown.in_map for a in _absorbed(diagnosis, False) for unknown in a.by[:1])
     note = "taken for an error motion, a squareness or the points, they make the map wrong" if wrong else ""
     return TextTable(title, ("effects", "taken for"), rows, note)
 
@@ -117,23 +119,22 @@ def _absorbed(diagnosis: Diagnosis, of_map: bool) -> list[Absorbed]:
 
 def _of_the_map(absorbed: Absorbed, effect: Effect | None, surface: bool) -> bool:
     """Whether what takes an effect up is the map, which is meant to say it."""
-    names = absorbed.by.split(", ")
-    if absorbed.effect in names:
+    if absorbed.effect in absorbed.families:
         return True
     if effect is None or effect.kind != "position" or effect.id in _NOT_THE_MACHINES:
         return False
     # The points of a probing are those of the workpiece, whose form is not the machine's.
-    return in_map(names[0]) and not (names[0] == POINTS and surface)
+    first = absorbed.by[0] if absorbed.by else None
+    return first is not None and first.in_map and not (first is POINTS and surface)
 
 
 def _words(absorbed: Absorbed, of_map: bool, diagnosis: Diagnosis) -> str:
-    names = absorbed.by.split(", ")
-    if absorbed.effect in names:
+    if absorbed.effect in absorbed.families:
         return "unknowns of this model themselves"
-    chosen = [name for name in names if in_map(name) or not of_map]
+    chosen = [unknown for unknown in absorbed.by if unknown.in_map or not of_map]
     if chosen == [POINTS] and diagnosis.session.spec.probes_surface:
         return "form of the workpiece: each probed point has an error of its own"
-    return unknowns_in_words(chosen, list(_effects(diagnosis)))
+    return unknowns_in_words(chosen) or "the model"
 
 
 def _effects(diagnosis: Diagnosis) -> dict[str, Effect]:

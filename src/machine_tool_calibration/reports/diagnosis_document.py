@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.diagnosis.consequence import (
     Consequence,
     before_and_after,
     consequences,
     effect_estimates,
-    rms,
 )
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.findings import Finding
@@ -81,7 +81,7 @@ def diagnosis_document(
         "candidates": [_candidate(diagnosis, f, changes) for f in diagnosis.ranked if f.rank],
         "alias_groups": [list(group) for group in alias_groups_of(diagnosis)],
         "separate_by": [_separation(s) for s in advice.separations],
-        "absorbed": [{"effect": a.effect, "by": a.by} for a in look.absorbed],
+        "absorbed": [{"effect": a.effect, "by": ", ".join(a.families) or "the model"} for a in look.absorbed],
         "structure": [_structure(s) for s in look.structure],
         "structure_left": [_structure(s) for s in look.left],
         "outliers": [
@@ -130,10 +130,7 @@ def _parameters(ranked: Finding, change: Consequence | None) -> list[dict[str, A
     """The coefficients of a full fit where there is one, otherwise those of the screening."""
     name = ranked.name
     if change is not None:
-        return [
-            {"name": p.name, "value": p.value, "standard_uncertainty": p.standard_uncertainty, "unit": p.unit}
-            for p in change.parameters
-        ]
+        return [estimate.document() for estimate in change.parameters]
     out: list[dict[str, Any]] = [
         {
             "name": f"{name}.{size.coefficient.name}",

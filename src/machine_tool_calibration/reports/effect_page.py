@@ -100,7 +100,7 @@ def shown_table(shown: Sequence[Shown]) -> TextTable:
         (
             s.plan,
             f"{s.left:.0%}",
-            "" if s.left > _NEARLY_ALL or not s.taken_up_by else unknowns_in_words(s.taken_up_by.split(", ")),
+            "" if s.left > _NEARLY_ALL else unknowns_in_words(s.taken_up_by),
         )
         for s in shown
         if s.left is not None

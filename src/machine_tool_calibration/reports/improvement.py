@@ -31,10 +31,7 @@ def improvement_document(done: Improvement) -> dict[str, Any]:
                 "map_change_rms": step.map_change,
                 "map_uncertainty_rms": step.map_uncertainty,
                 "left_at_tool_rms": step.left_at_tool,
-                "parameters": [
-                    {"name": p.name, "value": p.value, "standard_uncertainty": p.standard_uncertainty, "unit": p.unit}
-                    for p in step.parameters
-                ],
+                "parameters": [estimate.document() for estimate in step.parameters],
             }
             for step in done.steps
         ],

@@ -2,73 +2,83 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 
-__all__ = ["POINTS", "in_map", "unknown_in_words", "unknowns_in_words"]
+from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS
+from machine_tool_calibration.model.fit import JointFit
+from machine_tool_calibration.model.model import Kind, Parameter
 
-POINTS = "the points' own unknowns"
-"""How the free points of a map are named where an effect is absorbed by them."""
+__all__ = ["named_in_words", "unknown_in_words", "unknowns_in_words"]
 
-_MOTION = re.compile(r"(angle\.)?(E[XYZABC][XYZABC]|[ABC]0[XYZ])(\(.*\))?")
-# Endings of names, and what such an unknown is; {} stands for the setup, station or target.
-_ENDINGS = (
-    (re.compile(r"offset_\d+"), "zero of each run of {}"),
-    (re.compile(r"offset"), "offset of {}"),
-    (re.compile(r"tilt_[12]"), "tilt of the mirror in {}"),
-    (re.compile(r"(shift|turn)_[xyzabc]"), "how {} lies on the machine"),
-    (re.compile(r"(\d+\.)?dead_path"), "distance at which {} reads zero"),
-    (re.compile(r"[xyz]"), "place of {}"),
-)
+# What an unknown of each kind is; {} stands for its owner.
+_WORDS = {
+    Kind.MOTION: "error motion {}",
+    Kind.SQUARENESS: "squareness {}",
+    Kind.EFFECT: "effect {}",
+    Kind.POINTS: "the points of the map, each with an error of its own",
+    Kind.PLACE: "place of {}",
+    Kind.DEAD_PATH: "distance at which {} reads zero",
+    Kind.OFFSET: "offset of {}",
+    Kind.RUN_OFFSET: "zero of each run of {}",
+    Kind.TILT: "tilt of the mirror in {}",
+    Kind.MOUNTING: "how {} lies on the machine",
+    Kind.OTHER: "{}",
+}
 
 
-def unknown_in_words(name: str, effects: Collection[str] = ()) -> str:
-    """What one unknown is; its name where nothing is known of it.
+def unknown_in_words(unknown: Parameter) -> str:
+    """What one unknown is; its name where nothing is known of it."""
+    if unknown.kind is Kind.RUN_OFFSET:
+        return f"zero of {_owner(unknown)}, repeat {unknown.at}"
+    return _WORDS[unknown.kind].format(_owner(unknown))
+
+
+def unknowns_in_words(unknowns: Iterable[Parameter]) -> str:
+    """What several unknowns are; those of the same kind are told together."""
+    kinds: dict[Kind, list[str]] = {}
+    for unknown in unknowns:
+        owners = kinds.setdefault(unknown.kind, [])
+        if (owner := _owner(unknown)) not in owners:
+            owners.append(owner)
+    return _list([_WORDS[kind].format(_list(sorted(owners))) for kind, owners in kinds.items()])
+
+
+def named_in_words(fit: JointFit, effects: Iterable[str]) -> dict[str, str]:
+    """What stands behind each name in a result: an unknown, a whole table or effect, or what was left out.
 
     Args:
-        name: under which it is published, such as `Z.offset_1`, `npp.tilt_2`, `A.x`, `EXX(0.08)`.
-        effects: ids of effects in the model.
+        fit: behind the result.
+        effects: ids of the effects in the model.
+
+    Returns:
+        In words, by the name; nothing for names that say all that is known.
     """
-    kind, what = _kind(name, effects)
-    repeat = re.fullmatch(r".+\.offset_(\d+)", name)
-    return kind.format(what) if repeat is None else f"zero of {what}, repeat {repeat[1]}"
+    whole = [Parameter(name, "m", kind=Kind.MOTION, owner=name) for name in ERROR_MOTIONS]
+    whole += [Parameter(name, "rad", kind=Kind.SQUARENESS, owner=name) for name in SQUARENESS]
+    whole += [Parameter(name, "1", kind=Kind.EFFECT, owner=name) for name in effects]
+    out = {unknown.name: unknown_in_words(unknown) for unknown in whole}
+    for model in fit.assembly.models:
+        out |= {entry.name: f"effect {entry.effect}" for entry in model.left_out if entry.effect}
+    for unknown in fit.assembly.parameters:
+        what = unknown.meaning or unknown_in_words(unknown)
+        if what != unknown.name:
+            out[unknown.name] = what
+            if unknown.kind is Kind.MOTION:
+                out[unknown.family] = what
+    return out
 
 
-def unknowns_in_words(names: Iterable[str], effects: Collection[str] = ()) -> str:
-    """What several unknowns are; those of the same kind are told together."""
-    kinds: dict[str, list[str]] = {}
-    for name in names:
-        kind, what = _kind(name, effects)
-        if what not in kinds.setdefault(kind, []):
-            kinds[kind].append(what)
-    parts = [kind.format(_list(sorted(what)) if "{}" in kind else "") for kind, what in kinds.items()]
-    return _list(parts)
-
-
-def in_map(name: str) -> bool:
-    """Whether an unknown is part of what the map of errors says: a motion, a squareness, the points themselves."""
-    return name == POINTS or _MOTION.fullmatch(name) is not None
-
-
-def _kind(name: str, effects: Collection[str]) -> tuple[str, str]:
-    """A text with a place for what it is of, and that."""
-    if name == POINTS:
-        return "the points of the map, each with an error of its own", ""
-    if _MOTION.fullmatch(name):
-        bare = name.removeprefix("angle.").split("(")[0]
-        return ("squareness {}", bare) if bare[1] == "0" else ("error motion {}", bare)
-    owner = name.partition(".")[0]
-    if owner in effects:
-        return "effect {}", owner
-    session, _, own = owner.rpartition("/")
-    if session and own in effects:
-        return "effect {}", f"{own} in session {session}"
-    for pattern, text in _ENDINGS:
-        # A setup or a target may have a dot in its id: the ending is what follows it.
-        match = re.fullmatch(rf"(?P<owner>.+?)\.(?:{pattern.pattern})", name)
-        if match is not None:
-            return text, match["owner"]
-    return "{}", name
+def _owner(unknown: Parameter) -> str:
+    """Of what it is, and of which session."""
+    if unknown.kind is Kind.OTHER:
+        return unknown.name
+    if not unknown.session:
+        return unknown.owner
+    return (
+        f"{unknown.owner} in session {unknown.session}"
+        if unknown.kind is Kind.EFFECT
+        else f"{unknown.session}/{unknown.owner}"
+    )
 
 
 def _list(parts: list[str]) -> str:

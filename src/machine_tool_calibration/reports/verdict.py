@@ -6,7 +6,8 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from machine_tool_calibration.diagnosis.consequence import Consequence, rms
+from machine_tool_calibration.arrays import rms
+from machine_tool_calibration.diagnosis.consequence import Consequence
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.look import Structure
 from machine_tool_calibration.model.result import spread_document

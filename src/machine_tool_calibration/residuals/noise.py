@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, IntArray, groups, rms
 from machine_tool_calibration.model.fit import Fit, screen
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.reproducibility import reproducibility
@@ -42,15 +42,12 @@ class Noise:
 def same_place(observations: Observations) -> IntArray:
     """(n,) index shared by readings that repeat each other: same setup, place, target and direction of approach."""
     readings = observations.readings
-    keys = [readings.setup.astype(float)]
-    keys += [np.round(readings.columns[a] * 1e9) for a in "xyzc" if a in readings.columns]
+    keys = [np.round(readings.columns[a] * 1e9) for a in "xyzc" if a in readings.columns]
     keys += [readings.columns[f"dir_{a}"] for a in "xyzc" if f"dir_{a}" in readings.columns]
     if observations.session.spec.reads_machine:
         # Deviations of one hole along x and along y do not repeat each other.
         keys += list(np.round(observations.direction.T * 1e6))
-    for values in readings.labels.values():
-        keys.append(np.unique(values, return_inverse=True)[1].astype(float))
-    return np.asarray(np.unique(np.stack(keys), axis=1, return_inverse=True)[1].reshape(-1))
+    return groups(readings.setup, *keys, *readings.labels.values())
 
 
 def noise_of(fit: Fit) -> Noise:
@@ -64,7 +61,7 @@ def noise_of(fit: Fit) -> Noise:
     place = same_place(fit.model.observations)
     count = np.bincount(place)
     free = int((count - 1).sum())
-    declared = float(np.sqrt(np.mean(fit.model.sigma**2)))
+    declared = rms(fit.model.sigma)
     if free < FEWEST_REPEATS or len(count) > _PLACES:
         return Noise(declared, None, free, fit.joint.p_value, None)
     spread = [family.columns() * declared for family in reproducibility(fit.model.observations)]

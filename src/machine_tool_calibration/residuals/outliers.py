@@ -435,8 +435,7 @@ def _runs(model: MethodModel) -> tuple[IntArray, IntArray]:
     others = [readings.labels["target"]] if "target" in readings.labels else []
     # Deviations of a place along x and along y stand beside each other, and are two runs.
     others += [np.round(readings.columns[name], 6) for name in ("gx", "gy", "gz") if name in readings.columns]
-    numbered = [np.unique(values, return_inverse=True)[1].reshape(-1) for values in others]
-    run = groups(readings.repeat, readings.setup, *numbered)
+    run = groups(readings.repeat, readings.setup, *others)
     order = np.argsort(run, kind="stable")
     return order, run[order]
 
@@ -454,11 +453,9 @@ def _near(part: Part, readings: Readings) -> IntArray:
 
 def _places(readings: Readings) -> IntArray:
     """(n,) index shared by readings that repeat each other, whatever the direction of approach."""
-    keys = [readings.setup.astype(float)]
-    keys += [np.round(readings.columns[a] * 1e9) for a in ("x", "y", "z", "c") if a in readings.columns]
-    keys += [np.round(readings.columns[a] * 1e6) for a in ("gx", "gy", "gz") if a in readings.columns]
-    keys += [np.unique(values, return_inverse=True)[1].astype(float) for values in readings.labels.values()]
-    return np.asarray(np.unique(np.stack(keys), axis=1, return_inverse=True)[1].reshape(-1))
+    places = [np.round(readings.columns[a] * 1e9) for a in ("x", "y", "z", "c") if a in readings.columns]
+    senses = [np.round(readings.columns[a] * 1e6) for a in ("gx", "gy", "gz") if a in readings.columns]
+    return groups(readings.setup, *places, *senses, *readings.labels.values())
 
 
 def _size(deviation: float) -> str:

@@ -25,7 +25,7 @@ def test_random_functions_are_zero_at_first_and_of_size_one(share):
 def _by_hand(model):
     """Weights, means and covariances of the map for every size and shape, the readings' covariance written out."""
     n = len(model.observations)
-    offsets = np.zeros((len(model.run_names), n))
+    offsets = np.zeros((len(model.own), n))
     offsets[model.observations.run, np.arange(n)] = 1.0
     random = {term.name for term in model.spread.terms}
     others = np.concatenate([offsets, *(t.columns for t in model.terms if t.name not in random)])

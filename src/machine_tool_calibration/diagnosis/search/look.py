@@ -16,14 +16,15 @@ from machine_tool_calibration.diagnosis.search.posterior import Posterior, searc
 from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, EFFECT, STRUCTURE, THE_SAME
 from machine_tool_calibration.estimation.reduction import Projected
 from machine_tool_calibration.model.fit import JointFit
+from machine_tool_calibration.model.model import POINTS, Parameter
 from machine_tool_calibration.residuals.noise import Noise, noise_of
 from machine_tool_calibration.residuals.pool import Pool
 
 __all__ = ["Absorbed", "Look", "Structure", "absorbed_by", "look_at"]
 
 
-def absorbed_by(fit: JointFit, projected: Projected, columns: slice) -> str:
-    """Names of the unknowns that change most when the effect's columns are added to the readings.
+def absorbed_by(fit: JointFit, projected: Projected, columns: slice) -> tuple[Parameter, ...]:
+    """The unknowns (of a table its first) that change most when the effect's columns are added to the readings.
 
     Args:
         fit: of the model.
@@ -33,15 +34,15 @@ def absorbed_by(fit: JointFit, projected: Projected, columns: slice) -> str:
     raw = np.maximum(projected.squares[columns], 1e-300)
     left = projected.after_points[columns]
     if (left < 0.5 * raw).all() and any(part.dimension for part in fit.assembly.problem.parts):
-        return "the points' own unknowns"
+        return (POINTS,)
     change = np.abs(projected.response[:, columns]) / np.sqrt(raw)
     weight = (change / np.sqrt(np.maximum(np.diag(fit.solution.covariance), 1e-300))[:, None]).max(axis=1)
-    names: dict[str, float] = {}
-    for name, value in zip((p.name for p in fit.assembly.parameters), weight, strict=True):
-        family = name.split("(")[0]
-        names[family] = max(names.get(family, 0.0), float(value))
-    best = sorted(names, key=lambda name: -names[name])[:3]
-    return ", ".join(best) if best else "the model"
+    first: dict[str, Parameter] = {}
+    most: dict[str, float] = {}
+    for parameter, value in zip(fit.assembly.parameters, weight, strict=True):
+        first.setdefault(parameter.family, parameter)
+        most[parameter.family] = max(most.get(parameter.family, 0.0), float(value))
+    return tuple(first[family] for family in sorted(most, key=lambda family: -most[family])[:3])
 
 
 # Chance below which a structure is told of, and below which places that differ more than their repeats are.
@@ -63,7 +64,12 @@ class Absorbed:
     """An effect that would not show: the model's own unknowns take it up."""
 
     effect: str
-    by: str
+    by: tuple[Parameter, ...]
+
+    @property
+    def families(self) -> tuple[str, ...]:
+        """Names of what takes it up."""
+        return tuple(parameter.family for parameter in self.by)
 
 
 @dataclass(frozen=True)

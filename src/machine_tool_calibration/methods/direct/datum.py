@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.model.model import NotDetermined, Parameter
+from machine_tool_calibration.model.model import Kind, NotDetermined, Parameter
 
 __all__ = ["SetupDatum", "needed_rows", "setup_datum", "silent_directions"]
 
@@ -106,7 +106,7 @@ def setup_datum(
     if kind == "none":
         return SetupDatum(kind, np.zeros((0, n)), (), (), np.zeros(n), "deviations are absolute")
     if kind == "offset":
-        names = tuple(Parameter(f"{name}.offset", "m") for name in ids)
+        names = tuple(Parameter(f"{name}.offset", "m", kind=Kind.OFFSET, owner=name) for name in ids)
         return SetupDatum(kind, np.ones((1, n)), names, (), np.zeros(n), "each setup has an unknown offset")
     count = np.maximum(np.bincount(setup, minlength=len(ids)), 1)
     total = np.stack([np.bincount(setup, position[:, j], minlength=len(ids)) for j in range(3)], axis=1)
@@ -117,7 +117,9 @@ def setup_datum(
     columns[np.abs(columns) < 1e-12] = 0.0
     labels = [label for label, good in zip(_SHIFTS + _TURNS, used, strict=True) if good]
     parameters = tuple(
-        Parameter(f"{name}.{label}", "m" if label in _SHIFTS else "rad") for name in ids for label in labels
+        Parameter(f"{name}.{label}", "m" if label in _SHIFTS else "rad", kind=Kind.MOUNTING, owner=name)
+        for name in ids
+        for label in labels
     )
     idle = [label for label, good in zip(_SHIFTS + _TURNS, used, strict=True) if not good]
     left = tuple(NotDetermined(label, "no reading of any setup depends on it") for label in idle)

@@ -16,7 +16,7 @@ from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import Term
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.result import ErrorMap
-from machine_tool_calibration.model.rigid_body import MachineTable, map_field
+from machine_tool_calibration.model.rigid_body import MachineTable, map_field, tables_content
 
 __all__ = ["direct_map", "positioning_runs", "sensed_axes"]
 
@@ -213,12 +213,4 @@ def _tables(tables: Sequence[MachineTable], fit: Fit, first: int) -> dict[str, A
     """Nodes, values and uncertainties of each error motion; value and uncertainty of a squareness."""
     sigma = np.sqrt(np.diag(fit.covariance).clip(0.0))
     theta, sigma = np.where(fit.determined, fit.theta, np.nan), np.where(fit.determined, sigma, np.nan)
-    out: dict[str, Any] = {}
-    for table in tables:
-        mine = slice(first, first + len(table.labels))
-        first = mine.stop
-        if table.is_squareness:
-            out[table.name] = {"value": theta[mine][0], "value_u": sigma[mine][0]}
-        else:
-            out[table.name] = {"nodes": table.nodes, "value": theta[mine], "value_u": sigma[mine]}
-    return out
+    return tables_content(tables, theta[first:], sigma[first:])

@@ -62,7 +62,7 @@ def _without_absorbed(
         if any(_is_told(fit, [[] if o is None else [effect_term(effect, o, shape)] for o in acting]) for shape in grid):
             kept.append(effect)
             continue
-        entry = NotDetermined(effect.id, "the model's own unknowns take it up entirely")
+        entry = NotDetermined(effect.id, "the model's own unknowns take it up entirely", effect.id)
         out = [replace(model, left_out=(*model.left_out, entry)) for model in out]
     return out, kept
 
@@ -115,6 +115,7 @@ def _held(models: Sequence[MethodModel], effect: Effect, shape: tuple[float, ...
         NotDetermined(
             f"{effect.id}.{c.name}",
             f"the readings do not bound it: the effect is too small in them; held at {shape[k]:.3g} {c.unit}",
+            effect.id,
         )
         for k, c in enumerate(effect.shapes)
         if not c.discrete

@@ -14,9 +14,9 @@ from machine_tool_calibration.methods.direct.map import sensed_axes
 from machine_tool_calibration.methods.joint.model import CommonModels, tables_of
 from machine_tool_calibration.methods.joint.small_angles import StatedAngles
 from machine_tool_calibration.model.fit import JointFit
-from machine_tool_calibration.model.model import NotDetermined
+from machine_tool_calibration.model.model import Kind, NotDetermined
 from machine_tool_calibration.model.result import ErrorMap
-from machine_tool_calibration.model.rigid_body import MachineTable, map_field
+from machine_tool_calibration.model.rigid_body import MachineTable, map_field, tables_content
 
 __all__ = ["between_nodes", "joint_map", "squared_bend"]
 
@@ -207,16 +207,7 @@ def _tables(tables: Sequence[MachineTable], joint: JointFit, index: IntArray) ->
     good = joint.published.is_determined()[index]
     value = np.where(good, joint.published.theta[index], np.nan)
     sigma = np.where(good, np.sqrt(np.diag(joint.published.covariance)[index].clip(0.0)), np.nan)
-    out: dict[str, Any] = {}
-    first = 0
-    for table in tables:
-        mine = slice(first, first + len(table.labels))
-        first = mine.stop
-        if table.is_squareness:
-            out[table.name] = {"value": value[mine][0], "value_u": sigma[mine][0]}
-        else:
-            out[table.name] = {"nodes": table.nodes, "value": value[mine], "value_u": sigma[mine]}
-    return out
+    return tables_content(tables, value, sigma)
 
 
 def _rotary(joint: JointFit) -> dict[str, Any]:
@@ -225,10 +216,9 @@ def _rotary(joint: JointFit) -> dict[str, Any]:
     good = joint.published.is_determined()
     sigma = np.sqrt(np.diag(joint.published.covariance).clip(0.0))
     for index, parameter in enumerate(joint.assembly.parameters):
-        name, _, rest = parameter.name.partition("(")
-        if parameter.shared and rest and len(name) == 3 and name[2] in "ABC":
-            entry = out.setdefault(name, {"nodes": [], "value": [], "value_u": []})
-            entry["nodes"].append(float(rest[:-1]))
+        if parameter.shared and parameter.kind is Kind.MOTION and parse_motion(parameter.owner).axis in "ABC":
+            entry = out.setdefault(parameter.owner, {"nodes": [], "value": [], "value_u": []})
+            entry["nodes"].append(parameter.at)
             entry["value"].append(joint.published.theta[index] if good[index] else np.nan)
             entry["value_u"].append(sigma[index] if good[index] else np.nan)
     return {"rotary": out} if out else {}

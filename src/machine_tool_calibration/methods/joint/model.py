@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -238,19 +239,26 @@ def _translated(weights: Mapping[str, float], translate: Mapping[str, Mapping[st
     return {name: weight for name, weight in out.items() if abs(weight) > 1e-12}
 
 
+class _Condition(NamedTuple):
+    """A condition on the machine, and the number of the session that states it."""
+
+    session: int
+    constraint: Constraint
+
+
 def _with_datum(models: Sequence[MethodModel], labels: Sequence[str], tables: Sequence[MachineTable]) -> CommonModels:
     """The models with those conditions on the machine that all readings together need."""
     own: list[list[Constraint]] = []
-    candidates: list[tuple[int, Constraint]] = []
+    candidates: list[_Condition] = []
     for index, model in enumerate(models):
         shared = {p.name for p in model.parameters if p.shared}
         own.append([c for c in model.constraints if not shared & set(c.weights)])
         sensed = {table.name for table in tables_of(model)}
         datum = table_datum([table for table in tables if table.name in sensed])
-        candidates += [(index, c) for c in datum]
-        candidates += [(index, c) for c in model.constraints if shared & set(c.weights)]
-    order = sorted(range(len(candidates)), key=lambda k: _preference(candidates[k][1], tables))
-    candidates = [candidates[k] for k in order]
+        candidates += [_Condition(index, c) for c in datum]
+        candidates += [_Condition(index, c) for c in model.constraints if shared & set(c.weights)]
+    motions = {label: table for table in tables for label in table.labels}
+    candidates.sort(key=lambda candidate: _preference(candidate.constraint, motions))
     bare = [replace(model, constraints=tuple(own[k])) for k, model in enumerate(models)]
     assembly = assemble(bare, labels)
     m = assembly.problem.size
@@ -273,27 +281,29 @@ def _with_datum(models: Sequence[MethodModel], labels: Sequence[str], tables: Se
         for name, weight in constraint.weights.items():
             row[places[index][name]] += weight
         rows.append(row * scale)
+    families = {p.name: p.family for model in bare for p in model.parameters}
     chosen, fixed = needed_rows(basis, rows)
     out = []
     for index, model in enumerate(bare):
-        mine = [candidates[k][1] for k in chosen if candidates[k][0] == index]
+        mine = [candidates[k].constraint for k in chosen if candidates[k].session == index]
         out.append(replace(model, constraints=model.constraints + tuple(mine)))
-    words = "; ".join(["conditions that all readings together need", *(_words(candidates[k][1]) for k in chosen)])
+    words = "; ".join(
+        ["conditions that all readings together need", *(_words(candidates[k].constraint, families) for k in chosen)]
+    )
     by_name = {p.name: row for p, row in zip(assembly.parameters, fixed * scale[:, None], strict=True) if p.shared}
     return CommonModels(tuple(out), tuple(tables), by_name, words)
 
 
-def _words(constraint: Constraint) -> str:
+def _words(constraint: Constraint, families: Mapping[str, str]) -> str:
     name = next(iter(constraint.weights))
     if len(constraint.weights) == 1:
         return f"{name} = {constraint.value:.6g}"
-    return f"{name.split('(')[0]} without slope" if constraint.value == 0.0 else f"{name.split('(')[0]} as measured"
+    return f"{families[name]} without slope" if constraint.value == 0.0 else f"{families[name]} as measured"
 
 
-def _preference(constraint: Constraint, tables: Sequence[MachineTable]) -> int:
+def _preference(constraint: Constraint, motions: Mapping[str, MachineTable]) -> int:
     """Straightness first, positioning last: a shift of everything is then held by the positioning errors."""
-    motions = {table.name: table for table in tables}
-    kinds = [motions.get(name.split("(")[0]) for name in constraint.weights]
+    kinds = [motions.get(name) for name in constraint.weights]
     if any(kind is None for kind in kinds):
         return 3
     first = kinds[0]

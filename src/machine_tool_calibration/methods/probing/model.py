@@ -33,7 +33,14 @@ from machine_tool_calibration.methods.probing.datum import (
 from machine_tool_calibration.methods.probing.geometry import Touches, plane_tables, table_nodes, touches
 from machine_tool_calibration.methods.probing.map import probing_map
 from machine_tool_calibration.model.fit import Fit, fit_models
-from machine_tool_calibration.model.model import Constraint, MethodModel, NotDetermined, Parameter, Prior, Term
+from machine_tool_calibration.model.model import (
+    Constraint,
+    MethodModel,
+    NotDetermined,
+    Prior,
+    Term,
+    motion_value,
+)
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.model.rigid_body import MachineTable
@@ -114,11 +121,10 @@ class ProbingModel(MethodModel):
 
     def why_not_determined(self, name: str) -> str | None:
         """An angle of C at which every touch was lost."""
-        motion, _, rest = name.partition("(")
-        ids = self.observations.session.setup_ids
-        if motion not in ("EXC", "EYC", "ECC") or rest[:-1] not in ids:
+        at = next((p.at for p in self.parameters if p.name == name), None)
+        if not isinstance(at, str):
             return None
-        there = np.any(self.observations.readings.setup == ids.index(rest[:-1]))
+        there = np.any(self.observations.readings.setup == self.observations.session.setup_ids.index(at))
         return None if there else "no touch was read at this angle of C"
 
     def error_map(self, fit: Fit) -> ErrorMap:
@@ -169,7 +175,10 @@ def _axis_c(session: Session, where: Touches, setup: IntArray) -> list[Term]:
     return [
         Term(
             name,
-            tuple(Parameter(f"{name}({setup_id})", "rad" if name == "ECC" else "m") for setup_id in session.setup_ids),
+            tuple(
+                motion_value(name, setup_id, "rad" if name == "ECC" else "m", shared=False)
+                for setup_id in session.setup_ids
+            ),
             index * sense,
         )
         for name, sense in senses.items()

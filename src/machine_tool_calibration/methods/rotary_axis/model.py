@@ -11,6 +11,7 @@ the error motions, so a nominal place that is wrong by more than stated does no 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -37,7 +38,15 @@ from machine_tool_calibration.methods.rotary_axis.geometry import TableReadings,
 from machine_tool_calibration.methods.rotary_axis.map import rotary_map
 from machine_tool_calibration.methods.rotary_axis.start import Start, find_start
 from machine_tool_calibration.model.fit import Fit
-from machine_tool_calibration.model.model import MethodModel, Parameter, Term, assemble
+from machine_tool_calibration.model.model import (
+    MethodModel,
+    Parameter,
+    Term,
+    assemble,
+    dead_path_of,
+    motion_value,
+    place_of,
+)
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.session.description import RotaryAxis
@@ -85,15 +94,14 @@ class RotaryAxisModel(MethodModel):
     def own(self) -> tuple[Parameter, ...]:
         """Rotation centre of every station, and path at the datum of every run."""
         out = [
-            Parameter(f"{setup.id}.{axis}", "m", reference=float(position[j]))
+            place_of(setup.id, axis, float(position[j]))
             for setup, position in zip(self.description.setups, self.stations, strict=True)
             for j, axis in enumerate("xyz")
         ]
         repeated = len(np.unique(self.table.run_key[:, 1])) > 1
         for (setup, repeat, target), path in zip(self.table.run_key, self.datum_path, strict=True):
-            name = f"{self.description.setups[setup].id}.{self.description.targets[target].id}"
-            name = f"{name}.{repeat}.dead_path" if repeated else f"{name}.dead_path"
-            out.append(Parameter(name, "m", reference=float(path)))
+            pair = f"{self.description.setups[setup].id}.{self.description.targets[target].id}"
+            out.append(dead_path_of(pair, float(path), int(repeat) if repeated else None))
         return tuple(out)
 
     @cached_property
@@ -244,7 +252,7 @@ def _check_places(model: RotaryAxisModel) -> None:
         ModelError: stations and targets are not where they are said to be, nor near.
     """
     problem = assemble([model]).problem
-    residuals = robust_start(problem, problem.size - len(problem.constraints))[2][0]
+    residuals = robust_start(problem, problem.size - len(problem.constraints)).residuals[0]
     missed = float(np.median(np.abs(residuals))) * model.observations.session.sigma
     if not missed <= _LOST * model.observations.session.sigma:
         by = f" by {missed * 1e6:.3g} µm in the middle" if np.isfinite(missed) else ""
@@ -272,7 +280,7 @@ def _held(model: RotaryAxisModel) -> RotaryAxisModel:
 def _moved(start: Start, model: RotaryAxisModel) -> Start:
     """Stations and targets where a fit puts them."""
     problem = assemble([model]).problem
-    theta = robust_start(problem, problem.size - len(problem.constraints))[0]
+    theta = robust_start(problem, problem.size - len(problem.constraints)).theta
     s, first = start.stations.size, len(model.own) + 6 * len(model.table.nodes)
     targets = theta[first : first + start.targets.size].reshape(-1, 3)
     return replace(start, stations=start.stations + theta[:s].reshape(-1, 3), targets=start.targets + targets)
@@ -287,23 +295,26 @@ def _model(session: Session, table: TableReadings, start: Start) -> RotaryAxisMo
     path = np.linalg.norm(away, axis=1)
     g = away / path[:, None]
     observations = Observations(session, table.readings, arm, g, g, path, table.run)
-    labels = [[f"{name}({node:.6g})" for node in table.nodes] for name in table.motions]
-    names = [[f"{target.id}.{axis}" for axis in "xyz"] for target in description.targets]
+    units = ("m", "m", "m", "rad", "rad", "rad")
+    motions = [
+        tuple(motion_value(name, node, unit) for node in table.nodes)
+        for name, unit in zip(table.motions, units, strict=True)
+    ]
+    labels = [[parameter.name for parameter in row] for row in motions]
+    places = [
+        [place_of(target.id, axis, float(value)) for axis, value in zip("xyz", position, strict=True)]
+        for target, position in zip(description.targets, start.targets, strict=True)
+    ]
+    names = [[parameter.name for parameter in row] for row in places]
     nominal = np.array([target.position for target in description.targets])
     k = len(table.nodes)
     columns = np.zeros((6 * k + 3 * len(names), len(g)))
     _fill(columns, table, g, arm, np.zeros_like(g))
-    units = ("m", "m", "m", "rad", "rad", "rad")
     terms = [
-        Term(name, tuple(Parameter(label, unit, shared=True) for label in row), columns[j * k : (j + 1) * k])
-        for j, (name, unit, row) in enumerate(zip(table.motions, units, labels, strict=True))
+        Term(name, row, columns[j * k : (j + 1) * k])
+        for j, (name, row) in enumerate(zip(table.motions, motions, strict=True))
     ]
-    places = tuple(
-        Parameter(name, "m", reference=float(value))
-        for row, position in zip(names, start.targets, strict=True)
-        for name, value in zip(row, position, strict=True)
-    )
-    terms.append(Term("targets", places, columns[6 * k :]))
+    terms.append(Term("targets", tuple(itertools.chain(*places)), columns[6 * k :]))
     size = float(np.sqrt(np.mean(np.sum(nominal**2, axis=1)))) or 1.0
     loose = loose_motions(table, g, arm, size)
     seen = np.isin(np.arange(len(names)), table.target)

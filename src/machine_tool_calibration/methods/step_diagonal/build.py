@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, IntArray, groups
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.robust import robust_start
 from machine_tool_calibration.methods.step_diagonal.geometry import (
@@ -21,7 +21,7 @@ from machine_tool_calibration.methods.step_diagonal.model import DATUM, Spread, 
 from machine_tool_calibration.methods.step_diagonal.orders import free_angles
 from machine_tool_calibration.methods.step_diagonal.small_angles import LARGEST, NONE, SMALLEST, coarse_nodes
 from machine_tool_calibration.methods.step_diagonal.terms import angle_term, sensed_tables, tilt_terms
-from machine_tool_calibration.model.model import NotDetermined, Term, assemble
+from machine_tool_calibration.model.model import Kind, NotDetermined, Parameter, Term, assemble
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.rigid_body import MachineTable, linear_axis_errors, map_field, table_datum
 from machine_tool_calibration.session.session import Readings, Session
@@ -123,7 +123,7 @@ def build(session: Session, model: str = "small_angles") -> StepDiagonalModel:
         angles=(),
         spread=None,
         nominal=observations.path,
-        run_names=_run_names(session, readings),
+        offsets=_offsets(session, readings),
     )
     base = replace(base, nominal=base.nominal + _second_order(base, displacement))
     if model in ("translations", "aligned_mirror"):
@@ -138,8 +138,7 @@ def _observations(session: Session, readings: Readings, runs: Sequence[Run]) -> 
 
     The path begins at the start of the run: how far the laser stood from there is dead path.
     """
-    pairs = np.stack([readings.setup, readings.repeat])
-    run = np.unique(pairs, axis=1, return_inverse=True)[1].reshape(-1).astype(np.int64)
+    run = groups(readings.setup, readings.repeat)
     position = readings.position()
     beam = np.array([r.beam for r in runs])[readings.setup]
     displacement = position - np.array([r.start for r in runs])[readings.setup]
@@ -149,16 +148,21 @@ def _observations(session: Session, readings: Readings, runs: Sequence[Run]) -> 
     return observations, displacement
 
 
-def _run_names(session: Session, readings: Readings) -> tuple[str, ...]:
+def _offsets(session: Session, readings: Readings) -> tuple[Parameter, ...]:
+    """For each run, in the order of their numbers."""
     pairs = np.unique(np.stack([readings.setup, readings.repeat]), axis=1).T
-    return tuple(f"{session.setup_ids[setup]}.offset_{repeat}" for setup, repeat in pairs)
+    named = ((session.setup_ids[setup], int(repeat)) for setup, repeat in pairs)
+    return tuple(
+        Parameter(f"{setup}.offset_{repeat}", "m", kind=Kind.RUN_OFFSET, owner=setup, at=repeat)
+        for setup, repeat in named
+    )
 
 
 def _second_order(model: StepDiagonalModel, displacement: Array) -> Array:
     """(n,) what the first-order readings leave out, at the solution of the first-order model."""
     assembly = assemble([model])
     # Gross errors have no say: their squares would bend the nominal path.
-    theta = robust_start(assembly.problem, assembly.problem.size - len(assembly.problem.constraints))[0]
+    theta = robust_start(assembly.problem, assembly.problem.size - len(assembly.problem.constraints)).theta
     theta = theta[assembly.places[0]]
     first, count = len(model.own), sum(len(table.labels) for table in model.tables)
     table_theta = theta[first : first + count]

@@ -21,7 +21,7 @@ from machine_tool_calibration.methods.step_diagonal.small_angles import (
 )
 from machine_tool_calibration.methods.step_diagonal.terms import Angle
 from machine_tool_calibration.model.fit import Fit
-from machine_tool_calibration.model.model import MethodModel, NotDetermined, Parameter, Term
+from machine_tool_calibration.model.model import MethodModel, NotDetermined, Parameter, Term, motion_value
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.model.rigid_body import MachineTable, map_field
 
@@ -53,14 +53,21 @@ class Spread:
     @property
     def names(self) -> list[list[str]]:
         """Names of their unknowns."""
-        return [[f"angle.{label}" for label in angle.table.labels] for angle in self.angles]
+        return [[parameter.name for parameter in term.parameters] for term in self.terms]
 
     @property
     def terms(self) -> tuple[Term, ...]:
         """Their terms."""
         return tuple(
-            Term(f"angle.{angle.table.name}", tuple(Parameter(label, "rad") for label in labels), angle.columns)
-            for angle, labels in zip(self.angles, self.names, strict=True)
+            Term(
+                f"angle.{angle.table.name}",
+                tuple(
+                    motion_value(angle.table.name, node, "rad", shared=False, prefix="angle.")
+                    for node in angle.table.nodes
+                ),
+                angle.columns,
+            )
+            for angle in self.angles
         )
 
 
@@ -75,7 +82,7 @@ class StepDiagonalModel(MethodModel):
         angles: angular errors that are free unknowns.
         spread: angular errors as small random functions; None where the model takes them to be zero or free.
         nominal: (n,) reading with all unknowns zero, m.
-        run_names: for each run (setup and repeat) the name of its offset.
+        offsets: the zero of every run (setup and repeat): its first reading, from which it counts, has an error too.
     """
 
     runs: tuple[Run, ...]
@@ -84,12 +91,12 @@ class StepDiagonalModel(MethodModel):
     angles: tuple[Angle, ...]
     spread: Spread | None
     nominal: Array
-    run_names: tuple[str, ...]
+    offsets: tuple[Parameter, ...]
 
     @property
     def own(self) -> tuple[Parameter, ...]:
-        """The offset of every run: its first reading, from which it counts, has an error too."""
-        return tuple(Parameter(name, "m") for name in self.run_names)
+        """The offset of every run."""
+        return self.offsets
 
     def part(self, own_index: IntArray, dense_index: IntArray) -> Part:
         """All columns are known beforehand."""
@@ -112,7 +119,7 @@ class StepDiagonalModel(MethodModel):
         random = {term.name for term in self.spread.terms}
         others = [term for term in self.terms if term.name not in random]
         n = len(self.observations)
-        offsets = np.zeros((len(self.run_names), n))
+        offsets = np.zeros((len(self.offsets), n))
         offsets[self.observations.run, np.arange(n)] = 1.0
         names = [p.name for p in self.own] + [p.name for term in others for p in term.parameters]
         place = {name: k for k, name in enumerate(names)}

@@ -20,7 +20,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.machine.error_motions import interpolation, parse_motion
 from machine_tool_calibration.methods.step_diagonal.geometry import Run, across
-from machine_tool_calibration.model.model import NotDetermined, Parameter, Term
+from machine_tool_calibration.model.model import Kind, NotDetermined, Parameter, Term
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.rigid_body import MachineTable
 
@@ -125,7 +125,7 @@ def tilt_terms(
             column = np.where(mine, displacement @ direction, 0.0)
             if np.abs(column).max() > 1e-9:
                 columns.append(column)
-                parameters.append(Parameter(f"{name}.tilt_{number}", "rad", -0.02, 0.02))
+                parameters.append(Parameter(f"{name}.tilt_{number}", "rad", -0.02, 0.02, kind=Kind.TILT, owner=name))
         if columns:
             out.append(Term(f"{name}.tilt", tuple(parameters), np.array(columns)))
     return tuple(out)

@@ -19,7 +19,7 @@ from machine_tool_calibration.methods.tracking.datum import MAP_DATUM, NetworkMo
 from machine_tool_calibration.methods.tracking.map import free_map, table_map
 from machine_tool_calibration.methods.tracking.multilateration import MultilaterationPart
 from machine_tool_calibration.model.fit import Fit
-from machine_tool_calibration.model.model import Constraint, MethodModel, Parameter, Prior
+from machine_tool_calibration.model.model import Constraint, MethodModel, Parameter, Prior, dead_path_of, place_of
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.model.rigid_body import (
@@ -94,8 +94,8 @@ class TrackingModel(MethodModel):
         out = []
         for setup, position, path in zip(self.description.setups, self.stations, self.path, strict=True):
             axes = zip("xyz"[: self.dimension], position, strict=False)
-            out += [Parameter(f"{setup.id}.{axis}", "m", reference=float(value)) for axis, value in axes]
-            out.append(Parameter(f"{setup.id}.dead_path", "m", reference=float(path)))
+            out += [place_of(setup.id, axis, float(value)) for axis, value in axes]
+            out.append(dead_path_of(setup.id, float(path)))
         return tuple(out)
 
     @cached_property

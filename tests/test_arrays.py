@@ -1,0 +1,30 @@
+"""Groups of equal entries, and the root mean square."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from machine_tool_calibration.arrays import groups, rms
+
+
+def test_groups_are_those_of_unique_columns() -> None:
+    draw = np.random.default_rng(3)
+    keys = [draw.integers(-2, 3, 200), draw.integers(0, 3, 200), draw.choice([-0.1, 0.0, 0.3], 200)]
+    expected = np.unique(np.stack(keys), axis=1, return_inverse=True)[1].reshape(-1)
+    assert np.array_equal(groups(*keys), expected)
+
+
+def test_texts_group_as_their_sorted_places_do() -> None:
+    names = np.array(["b", "a", "b", "c"], dtype=object)
+    assert groups(names).tolist() == [1, 0, 1, 2]
+    assert groups(np.array([1, 0, 0, 0]), names).tolist() == [3, 0, 1, 2]
+
+
+def test_many_keys_do_not_overflow() -> None:
+    keys = [np.arange(5000.0)[:: (-1) ** k] for k in range(8)]
+    assert np.array_equal(groups(*keys), np.arange(5000))
+
+
+def test_root_mean_square() -> None:
+    assert rms(np.array([3.0, -4.0])) == np.sqrt(12.5)
+    assert rms(np.empty(0)) == 0.0
