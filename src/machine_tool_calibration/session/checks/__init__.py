@@ -77,7 +77,7 @@ def _check_doubled(session: Session, place: Place) -> None:
     time = readings.columns.get("time")
     if time is None:
         return
-    import pandas as pd  # here, because the records of the methods load this room and nodes need no more of it
+    import pandas as pd  # here, because most nodes never need it
 
     # Only readings at the same time can be the same; what is missing in both is equal in both.
     times = pd.Series(np.where(np.isnan(time), 0.0, time))
