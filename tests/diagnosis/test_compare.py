@@ -204,7 +204,7 @@ def test_bins_keep_distinct_values_apart_and_equal_ones_together() -> None:
 
 @pytest.mark.parametrize("plan", PLANS)
 def test_the_document_and_the_columns_hold_every_reading(plan: str) -> None:
-    from machine_tool_calibration.cli.output import to_json
+    from machine_tool_calibration.reports.documents import to_json
 
     found = compare(simulated(plan))
     document = comparison_document(found)

@@ -11,8 +11,9 @@ import pytest
 from machine_tool_calibration.diagnosis.consequence import consequences
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.planning.what_to_measure import what_to_measure
-from machine_tool_calibration.reports.diagnosis import Report, TextTable, diagnosis_report
+from machine_tool_calibration.reports.diagnosis import Report, diagnosis_report
 from machine_tool_calibration.reports.quantities import quantity
+from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.reports.verdict import mounted_more_than_once
 from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, simulate
 

@@ -12,12 +12,13 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.cli import diagnosing
 from machine_tool_calibration.cli.measuring import bar, graph_options, show_files, show_result
-from machine_tool_calibration.cli.output import console, json_option, plain, write_json
+from machine_tool_calibration.cli.output import console, json_option, write_json
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.nodes.measurement import Measured, Setting, free_folder, measure
 from machine_tool_calibration.nodes.shared import procedure_file
 from machine_tool_calibration.nodes.site import Moment, Site, SiteSpec, read_site
 from machine_tool_calibration.plots.pictures import draw
+from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.simulation import FlawSpec
 from machine_tool_calibration.simulation.flaws import find_flaw
@@ -296,7 +297,7 @@ def _story(seed: int, hidden: FlawSpec | None, measured: Measured, progress: Any
 
 
 def _tell(story: _Story) -> None:
-    from machine_tool_calibration.cli.improve import show_improvement
+    from machine_tool_calibration.reports.improvement import show_improvement
 
     screen = console()
     measured = story.measured

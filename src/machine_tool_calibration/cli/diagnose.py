@@ -3,20 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import bar, model_options, own_effects, saved, search_options, show_table
+from machine_tool_calibration.cli.diagnosing import bar, model_options, own_effects, saved, search_options
 from machine_tool_calibration.cli.output import console, json_option, session_labels, write_json
 
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from machine_tool_calibration.diagnosis.diagnose import Diagnosis
-    from machine_tool_calibration.planning.what_to_measure import Conclusions
-
-__all__ = ["command", "show_diagnosis"]
+__all__ = ["command"]
 
 
 @click.command("diagnose")
@@ -59,6 +52,7 @@ def command(
     from machine_tool_calibration.diagnosis.diagnose import diagnose
     from machine_tool_calibration.planning.what_to_measure import SEARCH, conclude
     from machine_tool_calibration.recording.open import open_measurement
+    from machine_tool_calibration.reports.diagnosis import show_diagnosis
     from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
 
     sessions = [open_measurement(path) for path in measurements]
@@ -84,21 +78,3 @@ def command(
         write_json(diagnosis_document(found, then.advice, then.changes))
         return
     show_diagnosis(console(), found, then, 0 if everything else 8)
-
-
-def show_diagnosis(screen: Console, found: Diagnosis, then: Conclusions, shown: int = 8) -> None:
-    """In words first, then the tables.
-
-    Args:
-        screen: where.
-        found: the diagnosis.
-        then: what follows from it.
-        shown: how many candidates beside the accepted ones; 0 for all.
-    """
-    from machine_tool_calibration.reports.diagnosis import diagnosis_report
-
-    report = diagnosis_report(found, then.advice, then.changes, shown)
-    for paragraph in report.words:
-        screen.print(paragraph, markup=False)
-    for table in report.tables:
-        show_table(screen, table)

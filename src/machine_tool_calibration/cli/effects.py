@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import bar, own_effects, saved, show_table
+from machine_tool_calibration.cli.diagnosing import bar, own_effects, saved
 from machine_tool_calibration.cli.output import console, json_option, write_json
+from machine_tool_calibration.reports.tables import show_table
 
 if TYPE_CHECKING:
     from machine_tool_calibration.effects.effect import Effect

@@ -40,11 +40,13 @@ def bad_fit(fit: JointFit, content: Mapping[str, Any]) -> str | None:
         fit: of all sessions.
         content: of the error map.
     """
-    from machine_tool_calibration.cli.identified import verdict
+    from machine_tool_calibration.reports.identification import goodness_of_fit
 
     if not fit.p_value < _CHANCE:
         return None
-    words = verdict({"reduced_chi_square": fit.reduced_chi_square, "p_value": fit.p_value, "error_map": content})
+    words = goodness_of_fit(
+        {"reduced_chi_square": fit.reduced_chi_square, "p_value": fit.p_value, "error_map": content}
+    )
     return f"warning: {words}"
 
 

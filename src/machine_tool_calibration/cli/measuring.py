@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from machine_tool_calibration.cli.identified import figures
 from machine_tool_calibration.cli.output import error_console
+from machine_tool_calibration.reports.identification import summary_rows
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -87,7 +87,7 @@ def show_result(console: Console, measured: Measured) -> None:
         if number and name in ("unstable", "recoveries", "restarts"):
             table.add_row(name, str(number))
     if measured.result is not None:
-        for name, text in figures(measured.result):
+        for name, text in summary_rows(measured.result):
             table.add_row(name, text)
     console.print(table)
 

@@ -172,14 +172,14 @@ class Fit(Shown):
 
     def report(self) -> str:
         """What `mtcal identify` prints: how well it fits, the errors with their uncertainty, what is not determined."""
-        from machine_tool_calibration.cli.identified import show_result
+        from machine_tool_calibration.reports.identification import show_result
 
         sessions = self.measurement.sessions
         return printed(lambda screen: show_result(screen, self._document, sessions, self._meanings))
 
     def document(self) -> dict[str, Any]:
         """The same for programs, as `mtcal identify --json` writes it (`mtcal-result/1`); None is not determined."""
-        from machine_tool_calibration.cli.output import plain
+        from machine_tool_calibration.reports.documents import plain
 
         copied: dict[str, Any] = plain(self._document)
         return copied
@@ -244,9 +244,9 @@ class Fit(Shown):
 
     @cached_property
     def _meanings(self) -> dict[str, str]:
-        from machine_tool_calibration.cli.identified import meanings
+        from machine_tool_calibration.reports.identification import coefficient_meanings
 
-        return meanings(self.result.joint, self.effects, self.own)
+        return coefficient_meanings(self.result.joint, self.effects, self.own)
 
     def _figures(self) -> dict[str, Figure]:
         from machine_tool_calibration.plots.pictures import common_figures, figures

@@ -5,47 +5,29 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from machine_tool_calibration.diagnosis.comparison import Approach, Comparison, JointComparison, Share, Trend
-from machine_tool_calibration.reports.diagnosis import TextTable
-from machine_tool_calibration.reports.quantities import micrometres, quantity
+from machine_tool_calibration.reports.comparison import in_words, joint_in_words
+from machine_tool_calibration.reports.quantities import NOT_DETERMINED, micrometres, plus_minus, probability, quantity
+from machine_tool_calibration.reports.tables import TextTable, show_table
 
-__all__ = ["NOT_TOLD", "chance", "comparison_tables", "expanded", "joint_tables", "together", "trends_table", "untold"]
+if TYPE_CHECKING:
+    from rich.console import Console
+
+__all__ = [
+    "comparison_tables",
+    "joint_tables",
+    "show_comparison",
+    "together",
+    "trends_table",
+    "untold",
+]
 
 
-# What stands where the model's own unknowns leave no number.
-NOT_TOLD = "–"
-_MOST_PLACES = 6
 _TAKEN_UP = "the model's own unknowns take up whatever there is"
-
-
-def expanded(value: float | None, uncertainty: float | None, factor: float) -> str:
-    """A value with its expanded uncertainty (k = 2), of which two figures are shown; never with an exponent.
-
-    Args:
-        value: None where the data does not determine it.
-        uncertainty: standard uncertainty.
-        factor: from SI to the unit shown.
-    """
-    if value is None or uncertainty is None:
-        return NOT_TOLD
-    shown, number = 2 * factor * uncertainty, factor * value
-    digits = 1 - math.floor(math.log10(shown)) if shown > 0 else 3
-    if digits < 0:
-        number, shown = round(number, digits), round(shown, digits)
-    places = min(max(digits, 0), _MOST_PLACES)
-    # A zero has no sign: -0.00 says nothing that 0.00 does not.
-    text = f"{number:+.{places}f}"
-    return f"{text[1:] if float(text) == 0.0 else text} ± {shown:.{places}f}"
-
-
-def chance(p: float | None) -> str:
-    """A p-value."""
-    if p is None:
-        return NOT_TOLD
-    return f"{p:.2g}" if p >= 1e-4 else "< 0.0001"
 
 
 def untold(
@@ -61,11 +43,11 @@ def untold(
     Returns:
         The rows, and a note.
     """
-    nowhere = [k for k in columns if all(row[k] == NOT_TOLD for row in rows)]
+    nowhere = [k for k in columns if all(row[k] == NOT_DETERMINED for row in rows)]
     shown = tuple(tuple("" if k in nowhere else cell for k, cell in enumerate(row)) for row in rows)
     notes = []
-    if any(row[k] == NOT_TOLD for row in shown for k in columns):
-        notes.append(f"{NOT_TOLD}: {_TAKEN_UP}")
+    if any(row[k] == NOT_DETERMINED for row in shown for k in columns):
+        notes.append(f"{NOT_DETERMINED}: {_TAKEN_UP}")
     if nowhere:
         names = " and ".join(heads[k].split(" / ")[0] for k in nowhere)
         notes.append(f"nothing is told of the {names}: {_TAKEN_UP}")
@@ -90,9 +72,9 @@ def trends_table(comparison: Comparison) -> TextTable:
         (
             first.covariate,
             ", ".join(sorted((t.covariate for t in others), key=lambda name: name != "time")),
-            expanded(first.slope, first.slope_u, _MICRO * first.span),
-            expanded(first.added, first.added_u, _MICRO * first.span),
-            chance(first.p_value),
+            plus_minus(first.slope, first.slope_u, _MICRO * first.span),
+            plus_minus(first.added, first.added_u, _MICRO * first.span),
+            probability(first.p_value),
         )
         for first, *others in shown
     )
@@ -179,7 +161,7 @@ def joint_tables(comparison: JointComparison) -> Iterator[TextTable]:
             "reduced chi-square (1 if the model and the declared uncertainty are right)",
             f"{joint.reduced_chi_square:.3g}, {joint.solution.degrees_of_freedom} degrees of freedom",
         ),
-        ("chance of so large a scatter, if the model is right", chance(joint.p_value)),
+        ("chance of so large a scatter, if the model is right", probability(joint.p_value)),
     )
     yield TextTable(f"All {comparison.readings} readings of {len(comparison.labels)} sessions", ("", ""), rows)
     parts = [share for _, share in comparison.parts]
@@ -206,10 +188,12 @@ def _overall(comparison: Comparison) -> TextTable:
             "reduced chi-square (1 if the model and the declared uncertainty are right)",
             f"{overall.reduced_chi_square:.3g}, {overall.degrees_of_freedom} degrees of freedom",
         ),
-        ("chance of so large a scatter, if the model is right", chance(overall.p_value)),
+        ("chance of so large a scatter, if the model is right", probability(overall.p_value)),
     ]
     if overall.noise.lack_of_fit_p is not None:
-        rows.append(("chance that places differ so much more than repeats do", chance(overall.noise.lack_of_fit_p)))
+        rows.append(
+            ("chance that places differ so much more than repeats do", probability(overall.noise.lack_of_fit_p))
+        )
     note = "every ± below is an expanded uncertainty (k = 2)"
     return TextTable(f"All {overall.readings} readings", ("", ""), tuple(rows), note)
 
@@ -222,8 +206,8 @@ def _parts(title: str, head: str, shares: Sequence[Share], most: int) -> TextTab
             micrometres(share.rms),
             _times(share),
             f"{share.share:.0%}",
-            expanded(share.mean, share.mean_u, _MICRO),
-            expanded(share.slope, share.slope_u, _MICRO * _HOUR),
+            plus_minus(share.mean, share.mean_u, _MICRO),
+            plus_minus(share.slope, share.slope_u, _MICRO * _HOUR),
             "" if share.worst_row is None else str(share.worst_row),
         )
         for share in shares[:most]
@@ -262,7 +246,7 @@ def _regions(comparison: Comparison) -> TextTable:
                     str(share.readings),
                     micrometres(share.rms),
                     _times(share),
-                    expanded(share.mean, share.mean_u, _MICRO),
+                    plus_minus(share.mean, share.mean_u, _MICRO),
                 )
             )
     columns = ("axis", "position", "readings", "RMS / µm", "× declared", "mean / µm")
@@ -275,9 +259,9 @@ def _approaches(comparison: Comparison) -> TextTable:
         (
             a.axis,
             f"{a.forward} / {a.backward}",
-            expanded(a.difference, a.difference_u, _MICRO),
+            plus_minus(a.difference, a.difference_u, _MICRO),
             _apart(a),
-            chance(a.p_value),
+            probability(a.p_value),
         )
         for a in comparison.approaches
     )
@@ -291,7 +275,7 @@ def _approaches(comparison: Comparison) -> TextTable:
 
 
 def _apart(approach: Approach) -> str:
-    text = expanded(approach.displacement, approach.displacement_u, _MICRO)
+    text = plus_minus(approach.displacement, approach.displacement_u, _MICRO)
     return text if approach.displacement is None else f"{text} {'µrad' if approach.axis == 'c' else 'µm'}"
 
 
@@ -320,3 +304,18 @@ def _worst(comparison: Comparison) -> TextTable:
 
 def _times(share: Share) -> str:
     return "–" if share.reduced_chi_square is None else f"{share.reduced_chi_square**0.5:.2f}"
+
+
+def show_comparison(screen: Console, comparison: Comparison | JointComparison) -> None:
+    """In words first, then the tables."""
+    from rich.text import Text
+
+    if isinstance(comparison, Comparison):
+        words, tables = in_words(comparison), comparison_tables(comparison)
+    else:
+        words, tables = joint_in_words(comparison), joint_tables(comparison)
+    screen.print(Text(words[0].upper() + words[1:]))
+    if comparison.effects:
+        screen.print(Text(f"In the model: {', '.join(comparison.effects)}."))
+    for table in tables:
+        show_table(screen, table)

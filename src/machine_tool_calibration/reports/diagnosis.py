@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,7 +18,6 @@ from machine_tool_calibration.planning.advice import Advice, alias_groups_of
 from machine_tool_calibration.planning.dominant import Dominant
 from machine_tool_calibration.reports.diagnosis_document import smallest_sizes
 from machine_tool_calibration.reports.quantities import (
-    TextTable,
     duration,
     micrometres,
     probability,
@@ -25,18 +25,24 @@ from machine_tool_calibration.reports.quantities import (
     range_of,
     sizes_in_words,
 )
+from machine_tool_calibration.reports.tables import TextTable, show_table
 from machine_tool_calibration.reports.unknowns import POINTS, in_map, unknowns_in_words
 from machine_tool_calibration.reports.verdict import verdict_words
 from machine_tool_calibration.residuals.pool import Pool
 
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from machine_tool_calibration.planning.what_to_measure import Conclusions
+
 __all__ = [
     "Report",
-    "TextTable",
     "coefficients_table",
     "diagnosis_report",
     "dominant_words",
     "hidden_table",
     "in_map_table",
+    "show_diagnosis",
 ]
 
 
@@ -347,3 +353,19 @@ def _longest_last(by: Mapping[str, list[str]]) -> Iterator[tuple[str, list[str]]
     items = list(by.items())
     for k in lengths:
         yield items[int(k)]
+
+
+def show_diagnosis(screen: Console, found: Diagnosis, then: Conclusions, shown: int = 8) -> None:
+    """In words first, then the tables.
+
+    Args:
+        screen: where.
+        found: the diagnosis.
+        then: what follows from it.
+        shown: how many candidates beside the accepted ones; 0 for all.
+    """
+    report = diagnosis_report(found, then.advice, then.changes, shown)
+    for paragraph in report.words:
+        screen.print(paragraph, markup=False)
+    for table in report.tables:
+        show_table(screen, table)

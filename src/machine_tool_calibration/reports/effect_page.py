@@ -8,8 +8,8 @@ from typing import Any
 
 from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape
 from machine_tool_calibration.planning.injected import AMPLITUDE, Injected, Shown
-from machine_tool_calibration.reports.diagnosis import TextTable
 from machine_tool_calibration.reports.quantities import range_of
+from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.reports.unknowns import unknowns_in_words
 
 __all__ = ["coefficients_in_words", "effect_document", "effects_table", "gallery_page", "shown_table"]
