@@ -87,7 +87,7 @@ def test_a_map_in_two_directions_and_too_few_runs_are_said(say, tmp_path):
     _, out, _ = say(tmp_path / "s", "--effect", "backlash_x")
     assert "22, at 11 places: a place counts once for each direction of approach" in words(out)
     assert "ISO 230-2 asks for 5 runs in each direction" in words(out)
-    assert "repeatability and accuracy cannot be told" in words(out)
+    assert "repeatability and accuracy are not determined" in words(out)
     _, out, _ = say(tmp_path / "s")
     assert "points of the map 11 " in words(out)
 

@@ -10,7 +10,7 @@ import pytest
 
 from machine_tool_calibration.diagnosis.compare import compare
 from machine_tool_calibration.diagnosis.comparison import Comparison
-from machine_tool_calibration.reports.comparison_tables import comparison_tables, untold
+from machine_tool_calibration.reports.comparison_tables import comparison_tables, mark_not_determined
 from machine_tool_calibration.reports.quantities import NOT_DETERMINED, plus_minus, probability
 from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
@@ -52,9 +52,9 @@ def test_p_values() -> None:
 
 def test_columns_without_any_number_are_left_out_and_named() -> None:
     rows = (("A", NOT_DETERMINED, "+1 ± 1"), ("B", NOT_DETERMINED, NOT_DETERMINED))
-    shown, note = untold(("setup", "mean / µm", "drift / (µm/h)"), rows, (1, 2))
+    shown, note = mark_not_determined(("setup", "mean / µm", "drift / (µm/h)"), rows, (1, 2))
     assert shown == (("A", "", "+1 ± 1"), ("B", "", NOT_DETERMINED))
-    assert "nothing is told of the mean" in note
+    assert "mean: not determined" in note
     assert note.startswith(NOT_DETERMINED)
 
 
@@ -67,10 +67,10 @@ def test_no_exponents_no_minus_zero_and_no_rows_of_dashes(plan: str) -> None:
             assert not any("e+" in cell or cell.startswith("-0.00 ") for cell in row)
 
 
-def test_what_a_setup_cannot_tell_is_said_once() -> None:
+def test_what_a_setup_does_not_determine_is_said_once() -> None:
     setups = table(comparison("tracking_2d"), "Setups")
     assert {row[setups.columns.index("mean / µm")] for row in setups.rows} == {""}
-    assert "the model's own unknowns take up" in setups.note
+    assert "fully correlated with the model's own unknowns" in setups.note
 
 
 def test_columns_that_only_ran_with_time_are_one_line() -> None:
@@ -86,7 +86,7 @@ def test_columns_that_only_ran_with_time_are_one_line() -> None:
     with_time = [row for row in shown.rows if "time" in (row[0], *row[1].split(", "))]
     assert len(with_time) == 1
     assert "temperature_oil" in (with_time[0][0], *with_time[0][1].split(", "))
-    assert "cannot be told apart" in shown.note
+    assert "cannot be distinguished" in shown.note
 
 
 @pytest.mark.parametrize("plan", PLANS)

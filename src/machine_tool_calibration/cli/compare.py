@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import model_options, own_effects, saved
+from machine_tool_calibration.cli.diagnosing import model_options, note_written, own_effects
 from machine_tool_calibration.cli.output import console, json_option, session_labels, write_json
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def command(
     else:
         show_comparison(console(), comparison)
     if output is not None or against:
-        saved(_write(comparison, output or Path(), against))
+        note_written(_write(comparison, output or Path(), against))
 
 
 def _several(comparison: JointComparison, output: Path | None, against: tuple[str, ...], *, as_json: bool) -> None:
@@ -91,7 +91,7 @@ def _several(comparison: JointComparison, output: Path | None, against: tuple[st
         pictures = draw_joint(comparison, folder, against)
         table = folder / "comparison.csv"
         pd.DataFrame(dict(joint_columns(comparison))).to_csv(table, index=False)
-        saved([*pictures, table])
+        note_written([*pictures, table])
 
 
 def _write(comparison: Comparison, folder: Path, against: tuple[str, ...]) -> list[Path]:

@@ -6,7 +6,13 @@ from pathlib import Path
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import bar, model_options, own_effects, saved, search_options
+from machine_tool_calibration.cli.diagnosing import (
+    model_options,
+    note_written,
+    own_effects,
+    progress_bar,
+    search_options,
+)
 from machine_tool_calibration.cli.output import console, json_option, session_labels, write_json
 
 __all__ = ["command"]
@@ -38,10 +44,10 @@ def command(
     """Say which physical effect the model lacks, how large it is, and what to measure to be sure.
 
     SESSION is a session folder or a recording. Every effect of the catalogue (`mtcal effects`) is tried,
-    alone and together with others, beside what does not reproduce between runs and mountings; the answer is the
+    alone and together with others, beside what does not reproduce between runs and setups; the answer is the
     probability that it is missing. It names
-    look-alikes that this measurement cannot tell apart, effects that would not show in it, the smallest size that it
-    would have found, structure that no effect explains, and readings that do not belong to the rest.
+    confounded effects that this measurement cannot distinguish, effects that would not show in it, the smallest size
+    that it would have found, structure that no effect explains, and readings that do not belong to the rest.
 
     \b
     mtcal diagnose measurements/cube
@@ -58,7 +64,7 @@ def command(
     sessions = [open_measurement(path) for path in measurements]
     labels = session_labels(measurements) if len(sessions) > 1 else None
     own = own_effects(files)
-    with bar() as progress:
+    with progress_bar() as progress:
         found = diagnose(
             sessions,
             labels,
@@ -73,7 +79,7 @@ def command(
     if output is not None:
         from machine_tool_calibration.plots.diagnosis import save_diagnosis
 
-        saved(save_diagnosis(found, then.changes, output))
+        note_written(save_diagnosis(found, then.changes, output))
     if as_json:
         write_json(diagnosis_document(found, then.advice, then.changes))
         return

@@ -21,13 +21,13 @@ if TYPE_CHECKING:
     from machine_tool_calibration.session.session import Session
 
 __all__ = [
-    "bar",
     "current_model",
     "current_models",
     "model_options",
     "no_model",
+    "note_written",
     "own_effects",
-    "saved",
+    "progress_bar",
     "search_options",
 ]
 
@@ -117,7 +117,7 @@ def search_options(function: Command) -> Command:
             type=click.IntRange(min=199),
             default=199,
             show_default=True,
-            help="Simulated data sets in which nothing is missing: they check how often chance does as well.",
+            help="Simulated data sets in which nothing is missing: they give the p-values.",
         ),
         click.option(
             "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of the simulated data sets."
@@ -137,7 +137,7 @@ def own_effects(files: Sequence[Path]) -> list[Effect]:
 
 
 @contextmanager
-def bar() -> Iterator[Callable[[str, float], None]]:
+def progress_bar() -> Iterator[Callable[[str, float], None]]:
     """A progress bar on standard error; nothing where that is not a terminal."""
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
@@ -151,7 +151,7 @@ def bar() -> Iterator[Callable[[str, float], None]]:
         yield lambda what, share: shown.update(task, description=what, completed=share)
 
 
-def saved(paths: Sequence[Path]) -> None:
+def note_written(paths: Sequence[Path]) -> None:
     """Say on standard error what was written."""
     if paths:
         note(f"wrote {', '.join(str(path) for path in paths)}")

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from machine_tool_calibration.effects.effect import Effect
     from machine_tool_calibration.export.error_states import ErrorStates
-    from machine_tool_calibration.export.preview import Left
+    from machine_tool_calibration.export.preview import ResidualError
     from machine_tool_calibration.methods.axis_tables import AxisTables
     from machine_tool_calibration.model.fit import JointFit
     from machine_tool_calibration.session.session import Session
@@ -262,7 +262,9 @@ def _save(folder: Path, files: dict[str, str]) -> None:
         (folder / name).write_text(text, encoding="utf-8")
 
 
-def _show(out: Console, folder: Path, files: dict[str, str], left: Sequence[Left], absent: Sequence[str]) -> None:
+def _show(
+    out: Console, folder: Path, files: dict[str, str], left: Sequence[ResidualError], absent: Sequence[str]
+) -> None:
     from rich.table import Table
 
     for name in files:

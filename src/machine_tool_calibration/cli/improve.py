@@ -10,7 +10,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import bar, model_options, own_effects, saved, search_options
+from machine_tool_calibration.cli.diagnosing import (
+    model_options,
+    note_written,
+    own_effects,
+    progress_bar,
+    search_options,
+)
 from machine_tool_calibration.cli.output import console, json_option, note, session_labels, write_json
 from machine_tool_calibration.errors import CalibrationError, SessionError
 
@@ -19,11 +25,11 @@ if TYPE_CHECKING:
     from machine_tool_calibration.diagnosis.improve import Improvement
     from machine_tool_calibration.session.session import Session
 
-__all__ = ["Kept", "command", "draw", "keep"]
+__all__ = ["HistoryUpdate", "command", "draw", "keep_models"]
 
 
 @dataclass(frozen=True)
-class Kept:
+class HistoryUpdate:
     """What became of the history.
 
     Attributes:
@@ -37,8 +43,8 @@ class Kept:
     failure: str = ""
 
 
-def keep(done: Improvement, sessions: Sequence[Session], path: Path) -> Kept:
-    """Put the models into the history; a failure is told, and loses nothing else.
+def keep_models(done: Improvement, sessions: Sequence[Session], path: Path) -> HistoryUpdate:
+    """Put the models into the history; a failure is returned, and loses nothing else.
 
     Args:
         done: what was done.
@@ -59,13 +65,15 @@ def keep(done: Improvement, sessions: Sequence[Session], path: Path) -> Kept:
     try:
         new = update_history(path, grown)
     except SessionError as error:
-        return Kept(failure=f"{error}; the models are not kept (--no-history does without)")
+        return HistoryUpdate(failure=f"{error}; the models are not kept (--no-history does without)")
     old = before[-1]
     if new == old:
-        return Kept(words=f"{path} holds these models already: unchanged, model {new.current} is the current one")
+        return HistoryUpdate(
+            words=f"{path} holds these models already: unchanged, model {new.current} is the current one"
+        )
     if len(new.models) == len(old.models):
-        return Kept((path,), f"no new model in the history; model {new.current} is the current one now")
-    return Kept((path,))
+        return HistoryUpdate((path,), f"no new model in the history; model {new.current} is the current one now")
+    return HistoryUpdate((path,))
 
 
 def draw(done: Improvement, folder: Path) -> tuple[list[Path], str]:
@@ -108,7 +116,7 @@ def command(
     """Add the effects that the diagnosis finds, one after the other, and watch the error fall.
 
     SESSION is a session folder or a recording. Every model is identified; the table shows before and after side by
-    side: the residual, the map of errors and what is left at the tool point. A picture shows the error falling. The
+    side: the residual, the map of errors and the residual volumetric error. A picture shows the error falling. The
     models are kept in history.yaml in the session's folder, or beside the recording (`mtcal history` lists, compares
     and undoes them). Several sessions of one machine are improved together; their history is beside the first.
 
@@ -126,9 +134,9 @@ def command(
     labels = session_labels(measurements) if len(sessions) > 1 else None
     kept = history_path(*measurements)
     if history:
-        # A damaged history is told before a long calculation, not after it.
+        # A damaged history is reported before a long calculation, not after it.
         read_history(kept)
-    with bar() as progress:
+    with progress_bar() as progress:
         done = improve(
             sessions,
             labels,
@@ -140,7 +148,7 @@ def command(
             progress=progress,
         )
     # What is to be kept is written before anything is printed: the reader of the output may go away.
-    told = keep(done, sessions, kept) if history else Kept()
+    update = keep_models(done, sessions, kept) if history else HistoryUpdate()
     if output is None:
         names = "+".join(path.absolute().name for path in measurements)
         output = Path("mtcal_output") / f"improve_{names}"
@@ -151,9 +159,9 @@ def command(
         else:
             show_improvement(console(), done)
     finally:
-        saved([*drawn, *told.written])
-        if told.words:
-            note(told.words)
-    failed = [text for text in (why, told.failure) if text]
+        note_written([*drawn, *update.written])
+        if update.words:
+            note(update.words)
+    failed = [text for text in (why, update.failure) if text]
     if failed:
         raise CalibrationError("; ".join(failed))

@@ -1,4 +1,4 @@
-"""`mtcal plan`: what a procedure will tell, before it is run."""
+"""`mtcal plan`: what a procedure will determine, before it is run."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ __all__ = ["command"]
     type=click.FloatRange(0.0, 1e-3),
     default=5e-6,
     show_default=True,
-    help="Angular errors of the machine assumed where the instrument hardly tells them, rad (root mean square).",
+    help="Angular errors of the machine assumed where the instrument hardly senses them, rad (root mean square).",
 )
 @json_option
 def command(
     procedure: str, model: str | None, effects_file: Path | None, warming: float, angular: float, as_json: bool
 ) -> None:
-    """Tell what a procedure will find, before it is run: uncertainties, gaps, time, and the smallest effects it shows.
+    """Forecast what a procedure determines: uncertainties, gaps, time, and the smallest detectable effects.
 
-    PROCEDURE is a YAML file, or the name of one that the package brings, such as tracking_2d. Nothing is moved. What is
-    told holds if the readings scatter as declared and mounting an instrument anew adds nothing.
+    PROCEDURE is a YAML file, or the name of one that the package brings, such as tracking_2d. Nothing is moved. The
+    forecast holds if the readings scatter as declared and mounting an instrument anew adds nothing.
 
     \b
     mtcal plan tracking_2d

@@ -275,7 +275,7 @@ class Diagnosis(Shown):
         return f"missing: {', '.join(sure)}"
 
     def report(self) -> str:
-        """What `mtcal diagnose` prints: what is missing, look-alikes, what to measure next, what would not show."""
+        """What `mtcal diagnose` prints: what is missing, confounded effects, what to measure next, what is hidden."""
         from machine_tool_calibration.reports.diagnosis import show_diagnosis
 
         return printed(lambda screen: show_diagnosis(screen, self.found, self.conclusions))

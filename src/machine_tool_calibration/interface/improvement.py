@@ -58,7 +58,7 @@ class Improvement(Shown):
 
     @property
     def best(self) -> Fit:
-        """The last model. Where look-alikes move its map differently, the map is their mean."""
+        """The last model. Where confounded effects move its map differently, the map is their mean."""
         return self.fits[-1]
 
     @property

@@ -19,18 +19,18 @@ if TYPE_CHECKING:
 
 __all__ = [
     "comparison_tables",
+    "correlated_groups",
     "joint_tables",
+    "mark_not_determined",
     "show_comparison",
-    "together",
     "trends_table",
-    "untold",
 ]
 
 
-_TAKEN_UP = "the model's own unknowns take up whatever there is"
+_TAKEN_UP = "fully correlated with the model's own unknowns"
 
 
-def untold(
+def mark_not_determined(
     heads: Sequence[str], rows: Sequence[tuple[str, ...]], columns: Sequence[int]
 ) -> tuple[tuple[tuple[str, ...], ...], str]:
     """Empty those columns of uncertain values that hold no number at all, and say what dashes mean.
@@ -50,7 +50,7 @@ def untold(
         notes.append(f"{NOT_DETERMINED}: {_TAKEN_UP}")
     if nowhere:
         names = " and ".join(heads[k].split(" / ")[0] for k in nowhere)
-        notes.append(f"nothing is told of the {names}: {_TAKEN_UP}")
+        notes.append(f"{names}: not determined, {_TAKEN_UP}")
     return shown, "; ".join(notes)
 
 
@@ -58,14 +58,14 @@ _MICRO = 1e6
 _MOST = 8
 # Correlation from which two covariates changed together, so that a line over one is a line over the other.
 _TOGETHER = 0.9
-# Chance above which a line says nothing, and how many are shown all the same.
+# p-value above which a line says nothing, and how many are shown all the same.
 _NOTHING, _LEAST = 0.05, 1
 
 
 def trends_table(comparison: Comparison) -> TextTable:
     """Straight lines over time, temperature and every other covariate, the clearest first."""
     told = [t for t in comparison.trends if t.slope is not None and t.added is not None]
-    groups = together(comparison, told)
+    groups = correlated_groups(comparison, told)
     clear = [group for group in groups if (group[0].p_value or 0.0) < _NOTHING]
     shown = (clear or groups[:_LEAST])[:_MOST]
     rows = tuple(
@@ -78,13 +78,13 @@ def trends_table(comparison: Comparison) -> TextTable:
         )
         for first, *others in shown
     )
-    columns = ("over", "with it went", "residuals change by / µm", "the model would need / µm", "chance")
+    columns = ("over", "correlated with", "residuals change by / µm", "the model would need / µm", "p-value")
     return TextTable(
         "Straight lines over time, temperature and what else was recorded", columns, rows, _note(comparison, shown)
     )
 
 
-def together(comparison: Comparison, trends: list[Trend]) -> list[list[Trend]]:
+def correlated_groups(comparison: Comparison, trends: list[Trend]) -> list[list[Trend]]:
     """Trends whose covariates changed together, in the order of the clearest of each; that one leads its group."""
     groups: list[list[Trend]] = []
     for trend in trends:
@@ -102,19 +102,19 @@ def _note(comparison: Comparison, shown: list[list[Trend]]) -> str:
     tried = len(comparison.trends)
     notes = [
         "from one end of what was recorded to the other; the model would need more than the residuals show, "
-        "because its other unknowns take a part up"
+        "because its other unknowns are correlated with it"
     ]
     if any(len(group) > 1 for group in shown):
-        notes.append("what went together cannot be told apart here")
+        notes.append("correlated covariates cannot be distinguished here")
     listed = {t.covariate for group in shown for t in group}
     rest = [t.covariate for t in comparison.trends if t.covariate not in listed and t.slope is not None]
     if rest:
         notes.append(f"nothing clear over {', '.join(rest)}")
     hidden = [t.covariate for t in comparison.trends if t.slope is None or t.added is None]
     if hidden:
-        notes.append(f"the model's own unknowns take up what there is over {', '.join(hidden)}")
+        notes.append(f"fully correlated with the model's own unknowns: {', '.join(hidden)}")
     notes.append(
-        f"{tried} tried: the smallest chance of so many is about {1 / (tried + 1):.1g} where nothing is the matter; "
+        f"{tried} tried: the smallest of so many p-values is about {1 / (tried + 1):.1g} where the model is right; "
         "`mtcal diagnose` allows for that"
     )
     return "; ".join(notes)
@@ -161,7 +161,7 @@ def joint_tables(comparison: JointComparison) -> Iterator[TextTable]:
             "reduced chi-square (1 if the model and the declared uncertainty are right)",
             f"{joint.reduced_chi_square:.3g}, {joint.solution.degrees_of_freedom} degrees of freedom",
         ),
-        ("chance of so large a scatter, if the model is right", probability(joint.p_value)),
+        ("p-value of the fit", probability(joint.p_value)),
     )
     yield TextTable(f"All {comparison.readings} readings of {len(comparison.labels)} sessions", ("", ""), rows)
     parts = [share for _, share in comparison.parts]
@@ -182,18 +182,16 @@ def _overall(comparison: Comparison) -> TextTable:
         ("declared standard uncertainty of a reading", quantity(overall.noise.declared, "m")),
         (
             "scatter of readings repeated at one place",
-            "not repeated often enough to tell" if repeats is None else quantity(repeats, "m"),
+            "not determined: too few repeats" if repeats is None else quantity(repeats, "m"),
         ),
         (
             "reduced chi-square (1 if the model and the declared uncertainty are right)",
             f"{overall.reduced_chi_square:.3g}, {overall.degrees_of_freedom} degrees of freedom",
         ),
-        ("chance of so large a scatter, if the model is right", probability(overall.p_value)),
+        ("p-value of the fit", probability(overall.p_value)),
     ]
     if overall.noise.lack_of_fit_p is not None:
-        rows.append(
-            ("chance that places differ so much more than repeats do", probability(overall.noise.lack_of_fit_p))
-        )
+        rows.append(("p-value of the lack of fit", probability(overall.noise.lack_of_fit_p)))
     note = "every ± below is an expanded uncertainty (k = 2)"
     return TextTable(f"All {overall.readings} readings", ("", ""), tuple(rows), note)
 
@@ -213,7 +211,7 @@ def _parts(title: str, head: str, shares: Sequence[Share], most: int) -> TextTab
         for share in shares[:most]
     )
     columns = (head, "readings", "RMS / µm", "× declared", "of all misfit", "mean / µm", "drift / (µm/h)", "worst row")
-    shown, note = untold(columns, rows, (5, 6))
+    shown, note = mark_not_determined(columns, rows, (5, 6))
     if len(shares) > most:
         note = f"{len(shares) - most} more; {note}".removesuffix("; ")
     return TextTable(title, columns, shown, note)
@@ -250,7 +248,7 @@ def _regions(comparison: Comparison) -> TextTable:
                 )
             )
     columns = ("axis", "position", "readings", "RMS / µm", "× declared", "mean / µm")
-    shown, note = untold(columns, tuple(rows), (5,))
+    shown, note = mark_not_determined(columns, tuple(rows), (5,))
     return TextTable("Regions of each axis, the three worst", columns, shown, note)
 
 
@@ -265,11 +263,11 @@ def _approaches(comparison: Comparison) -> TextTable:
         )
         for a in comparison.approaches
     )
-    columns = ("axis", "readings after + / −", "residual after + minus after − / µm", "axis stands apart by", "chance")
-    shown, note = untold(columns, rows, (2, 3))
+    columns = ("axis", "readings after + / −", "residual after + minus after − / µm", "axis stands apart by", "p-value")
+    shown, note = mark_not_determined(columns, rows, (2, 3))
     note = (
         "axis stands apart by: what the two directions would have to differ by on the axis (a backlash of half width b "
-        f"gives −2 b); chance: that noise alone makes so much; {note}"
+        f"gives −2 b); {note}"
     ).removesuffix("; ")
     return TextTable("Direction of approach", columns, shown, note)
 

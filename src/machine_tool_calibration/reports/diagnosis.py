@@ -101,8 +101,8 @@ def in_map_table(diagnosis: Diagnosis) -> TextTable:
 
 
 def hidden_table(diagnosis: Diagnosis) -> TextTable:
-    """Effects that would not show, because an unknown of the set-up, or the map, takes their place."""
-    title = "Effects that would not show here: an unknown changes the readings in the same way"
+    """Effects that would not show, because they are fully correlated with unknowns of the setups or the map."""
+    title = "Effects that would not show here: fully correlated with unknowns of the model"
     rows = _rows(diagnosis, False)
     wrong = any(in_map(a.by.split(", ")[0]) for a in _absorbed(diagnosis, False))
     note = "taken for an error motion, a squareness or the points, they make the map wrong" if wrong else ""
@@ -180,7 +180,7 @@ def diagnosis_report(
         coefficients_table(diagnosis, changes),
         _outliers(diagnosis),
         _structure(diagnosis),
-        _alike(diagnosis, advice),
+        _confounded(diagnosis, advice),
         _next(advice),
         hidden_table(diagnosis),
         in_map_table(diagnosis),
@@ -224,8 +224,8 @@ def _candidates(diagnosis: Diagnosis, changes: Mapping[str, Consequence], shown:
     left = len(ranked) - len(rows)
     before = micrometres(rms(Pool(diagnosis.fits[0]).residuals))
     note = (
-        "alike: the same letter, look-alikes; p: chance of doing as well, paid for the whole search; size ± U (k = 2); "
-        "left out: share by which the error of predicting readings left out falls, the worst of setups, blocks of "
+        "group: the same letter, confounded effects; p-value: corrected for the whole search; size ± U (k = 2); "
+        "cross-validation: fall of the mean square error of predicting readings left out, worst of setups, blocks of "
         f"places and cycles; residual and map: RMS with it in the model; without any the residual is {before} µm"
     )
     if accepted:
@@ -234,7 +234,10 @@ def _candidates(diagnosis: Diagnosis, changes: Mapping[str, Consequence], shown:
         note += "; plausible: no, if such a size does not occur"
     if left:
         note += f"; {left} less probable {'one is' if left == 1 else 'ones are'} left out"
-    heads = ("effect", "alike", "probability", "p", "size", "plausible", "left out", "residual / µm", "map moves / µm")
+    heads = (
+        *("effect", "group", "probability", "p-value", "size", "plausible", "cross-validation"),
+        *("residual / µm", "map moves / µm"),
+    )
     return TextTable(title, heads, tuple(rows), note)
 
 
@@ -273,10 +276,10 @@ def _structure(diagnosis: Diagnosis) -> TextTable:
     rows = tuple((s.covariate, s.shape, probability(s.p_value), f"{100 * s.share:.0f} %") for s in left[:_SHOWN])
     title = "What the residuals still depend on"
     note = f"{len(left) - _SHOWN} more" if len(left) > _SHOWN else ""
-    return TextTable(title, ("covariate", "shape", "p", "share of the sum of squares"), rows, note)
+    return TextTable(title, ("covariate", "shape", "p-value", "share of the sum of squares"), rows, note)
 
 
-def _alike(diagnosis: Diagnosis, advice: Advice) -> TextTable:
+def _confounded(diagnosis: Diagnosis, advice: Advice) -> TextTable:
     rows = []
     for s in advice.separations:
         told = s.effects[0] in diagnosis.accepted
@@ -290,11 +293,11 @@ def _alike(diagnosis: Diagnosis, advice: Advice) -> TextTable:
                 f"{s.apart_before:.1f} → {s.apart_after:.1f}" if told else "",
             )
         )
-    heads = ("look-alikes", "to tell them apart", "time", "besides", "cosine", "apart / u")
-    note = "cosine: how alike their patterns are in the readings, now → then; 1: not to be told apart"
+    heads = ("confounded effects", "to distinguish them", "time", "besides", "cosine", "apart / u")
+    note = "cosine: of the angle between their patterns in the readings, now → then; 1: fully correlated"
     if any(row[-1] for row in rows):
         note += "; apart: how far the patterns differ at the size found, in standard uncertainties u"
-    return TextTable("Look-alikes, and what to measure next", heads, tuple(rows), note)
+    return TextTable("Confounded effects, and what to measure next", heads, tuple(rows), note)
 
 
 def _next(advice: Advice) -> TextTable:
@@ -309,7 +312,7 @@ def _next(advice: Advice) -> TextTable:
         )
         for v in advice.visibilities
     )
-    heads = ("effect", "to see it", "time", "besides", "seen from: now", "then")
+    heads = ("effect", "to detect it", "time", "besides", "smallest size: now", "then")
     return TextTable("Effects that hardly show here, and what would show them", heads, rows)
 
 

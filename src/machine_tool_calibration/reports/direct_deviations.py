@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 __all__ = ["direct_tables", "scatter_words"]
 
-# Chance below which a step or a parameter counts as significant.
+# p-value below which a step or a parameter counts as significant.
 _SIGNIFICANT = 0.01
 _MOST_ROWS = 12
 # Runs in each direction that ISO 230-2:2014 asks for.
@@ -115,7 +115,7 @@ def _run_table(run: Mapping[str, Any]) -> TextTable:
     if min(counts) < _RUNS:
         notes.append(
             f"ISO 230-2 asks for {_RUNS} runs in each direction; with fewer the figures are for information, and "
-            + ("repeatability and accuracy cannot be told" if max(counts) < 2 else "repeatability is uncertain")
+            + ("repeatability and accuracy are not determined" if max(counts) < 2 else "repeatability is uncertain")
         )
     return TextTable(title, ("figure", "up", "down", "both", "U (k = 2)"), tuple(rows), "; ".join(notes))
 

@@ -40,7 +40,7 @@ def show_forecast(screen: Console, found: Forecast) -> None:
     screen.print(table)
     for why, names in group_by_reason((entry["name"], entry["why"]) for entry in document["not_determined"]):
         screen.print(f"will not be determined: {names}: {why}")
-    screen.print("smallest effects that would be found, with a chance of 80 % and one false alarm in twenty:")
+    screen.print("smallest detectable sizes of effects (power 80 %, significance level 5 %):")
     effects = Table(box=None, pad_edge=False)
     for heading in ("effect", "size", "largest change of a reading, µm"):
         effects.add_column(heading, justify="left" if heading == "effect" else "right")

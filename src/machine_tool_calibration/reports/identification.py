@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from machine_tool_calibration.reports.direct_deviations import direct_tables, scatter_words
-from machine_tool_calibration.reports.quantities import decimals, fixed, spread_words, value_and_uncertainties
+from machine_tool_calibration.reports.quantities import decimals, fixed, reproducibility_words, value_and_uncertainties
 from machine_tool_calibration.reports.tables import TextTable, show_table
 from machine_tool_calibration.reports.unknowns import unknown_in_words
 
@@ -31,7 +31,7 @@ __all__ = [
 ]
 
 
-# Chance of the residuals below which the model is in doubt.
+# p-value of the residuals below which the model is in doubt.
 _DOUBTFUL = 0.01
 _PUBLISHED = ("x", "y", "z", "workpiece_error", "workpiece_form")
 _MOTION = re.compile(r"E[XYZABC][XYZABC]")
@@ -79,7 +79,7 @@ def _points(points: Any, count: int) -> str:
     places = len({tuple(point) for point in points}) if points else count
     if places == count:
         return str(count)
-    return f"{count}, at {places} places: a place counts once for each direction of approach that an effect tells apart"
+    return f"{count}, at {places} places: a place counts once for each direction of approach if an effect depends on it"
 
 
 def _motions(content: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -163,9 +163,9 @@ def show_result(
         screen.print(f"model: {_variants(document)} with {', '.join(document['effects'])}")
     if document["averaged_over"]:
         over = (f"{' + '.join(one['effects'])} ({one['probability']:.2f})" for one in document["averaged_over"])
-        screen.print(f"The map is the mean over effects that these readings do not tell apart: {', '.join(over)}.")
+        screen.print(f"The map is the mean over effects that these readings do not distinguish: {', '.join(over)}.")
     screen.print(goodness_of_fit(document))
-    for words in spread_words(document["spread"]):
+    for words in reproducibility_words(document["spread"]):
         screen.print(words)
     table = Table(show_header=False, box=None, pad_edge=False)
     for name, text in summary_rows({**document, "not_determined": []}):

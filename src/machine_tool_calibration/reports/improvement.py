@@ -41,7 +41,7 @@ def improvement_document(done: Improvement) -> dict[str, Any]:
                 "map_rms": step.map_rms,
                 "map_change_rms": step.map_change,
                 "map_uncertainty_rms": step.map_uncertainty,
-                "left_at_tool_rms": step.left_at_tool,
+                "left_at_tool_rms": step.residual_volumetric_error,
                 "parameters": [
                     {"name": p.name, "value": p.value, "standard_uncertainty": p.standard_uncertainty, "unit": p.unit}
                     for p in step.parameters
@@ -77,15 +77,15 @@ def _words(done: Improvement) -> str:
 
 
 def _what_falls(done: Improvement) -> str:
-    """The residual; where unknown angles had taken up what is now in the model, the error left at the tool point."""
+    """The residual; where unknown angles had taken up what is now in the model, the residual volumetric error."""
     first, last = done.steps[0], done.steps[-1]
     declared = f"declared uncertainty {quantity(done.diagnosis.noise.declared, 'm')}"
     residual = residual_change(first.result.rms_residual, last.result.rms_residual)
-    before, after = (done.left_at_tool(step) for step in (first, last))
+    before, after = (done.residual_volumetric_error(step) for step in (first, last))
     if last.result.rms_residual < first.result.rms_residual or before is None or after is None or after >= before:
         return f"{residual} ({declared})."
     return (
-        f"the error left at the tool point falls from {quantity(before, 'm')} to {quantity(after, 'm')} "
+        f"the residual volumetric error falls from {quantity(before, 'm')} to {quantity(after, 'm')} "
         f"RMS (k = 2); {residual} ({declared})."
     )
 
@@ -105,7 +105,7 @@ def _steps(done: Improvement) -> TextTable:
                 micrometres(step.map_change),
                 micrometres(step.map_rms),
                 micrometres(None if step.map_uncertainty is None else 2 * step.map_uncertainty),
-                micrometres(done.left_at_tool(step)),
+                micrometres(done.residual_volumetric_error(step)),
             )
         )
     heads = (
@@ -117,12 +117,12 @@ def _steps(done: Improvement) -> TextTable:
         "map moves",
         "map",
         "U of map",
-        "left at the tool point",
+        "residual volumetric error",
     )
     note = (
         "probability: that it is missing; µm RMS; chi²/ν: reduced chi-square; map: length of the "
-        "errors; U (k = 2) as `mtcal identify` publishes it; left at the tool point: U with the real scatter of the "
-        "readings, what they see there and the model does not explain, and how far the map is off the last one"
+        "errors; U (k = 2) as `mtcal identify` publishes it; residual volumetric error: of U with "
+        "the scatter of the readings, of what the model does not explain, and of the distance to the last map"
     )
     return TextTable("Step by step", heads, tuple(rows), note)
 
@@ -137,11 +137,11 @@ def _side_by_side(done: Improvement) -> TextTable:
         pair("readings used", [str(s.result.joint.assembly.problem.n_readings) for s in both]),
         pair("residual, µm RMS", [micrometres(s.result.rms_residual) for s in both]),
         pair("reduced chi-square", [_chi(s) for s in both]),
-        pair("its p", [probability(s.result.joint.p_value) for s in both]),
+        pair("p-value", [probability(s.result.joint.p_value) for s in both]),
         pair("map of errors, µm RMS", [micrometres(s.map_rms) for s in both]),
         pair(
-            "left at the tool point, µm RMS (k = 2)",
-            [micrometres(done.left_at_tool(s)) for s in both],
+            "residual volumetric error, µm RMS (k = 2)",
+            [micrometres(done.residual_volumetric_error(s)) for s in both],
         ),
     ]
     return TextTable("Before and after", ("", "before", "after"), tuple(rows))

@@ -18,9 +18,9 @@ __all__ = [
     "probability",
     "quantity",
     "range_of",
+    "reproducibility_words",
     "residual_change",
     "sizes_in_words",
-    "spread_words",
     "value_and_uncertainties",
 ]
 
@@ -29,7 +29,7 @@ __all__ = [
 NOT_DETERMINED = "–"
 _MOST_PLACES = 6
 _TABLE_UNITS = {"m": (1e6, "µm"), "rad": (1e6, "µrad"), "m/s": (3.6e9, "µm/h"), "rad/s": (3.6e9, "µrad/h")}
-# Probability from which what does not reproduce is told with a size.
+# Probability from which what does not reproduce is shown with a size.
 _SURE = 0.9
 _FAMILIES = {"run": "runs", "mounting": "mountings", "pass": "passes over the axis"}
 # Coefficients of an effect beyond which only one is shown.
@@ -139,7 +139,7 @@ def sizes_in_words(parameters: Sequence[Estimate]) -> str:
     return text if len(shown) == len(parameters) else f"{len(parameters)} coefficients, {text}"
 
 
-def spread_words(sizes: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+def reproducibility_words(sizes: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     """What does not reproduce, where that is sure: from the entries `spread` of a result."""
     for entry in sizes:
         if entry["probability"] > _SURE and entry["size"] > 0:
