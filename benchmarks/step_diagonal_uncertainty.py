@@ -106,7 +106,7 @@ def figures(case: Case, angular: float, sessions: int) -> tuple[float, float, fl
 _TEXT = """# Step diagonal: are the uncertainties right?
 
 The default model, `small_angles`, takes the machine's angular errors for small random functions whose size the
-readings tell (`methods/step_diagonal/spread.py` has the assumptions). This is how it does on {sessions} simulated
+readings tell (`methods/step_diagonal/small_angles.py` has the assumptions). This is how it does on {sessions} simulated
 machines each, whose nine angular errors are at most so large over the measured travel
 (`python benchmarks/step_diagonal_uncertainty.py`). Unless said otherwise the noise is 0.1 um, one order of moves, two
 repeats.

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from machine_tool_calibration.cli.demo import _HIDDEN, COMPARED, judged, map_error
+from machine_tool_calibration.cli.demo import _HIDDEN, COMPARED, error_against_truth, map_error
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.nodes.site import Moment, Site, SiteSpec
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
@@ -42,8 +42,8 @@ def test_every_method_of_the_demonstration_is_compared() -> None:
 
 
 def test_direct_deviations_are_judged_in_both_directions(axis: Any) -> None:
-    without = judged(axis, identify(axis.session))
-    found = judged(axis, identify(axis.session, effects=["backlash_x"]))
+    without = error_against_truth(axis, identify(axis.session))
+    found = error_against_truth(axis, identify(axis.session, effects=["backlash_x"]))
     # The first model has the mean of both directions: it is off by the half width in each.
     assert without.rms == pytest.approx(SIZE, rel=1e-3)
     assert found.rms < 1e-3 * SIZE

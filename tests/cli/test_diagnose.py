@@ -46,7 +46,7 @@ def test_people_read_the_verdict_first(hidden: str, capsys: pytest.CaptureFixtur
     assert out.splitlines()[0] == "The model lacks backlash of Y (backlash_y)."
     for title in (
         "Effects looked for",
-        "Look-alikes",
+        "Confounded effects",
         "Smallest size",
         "not looked for",
         "the map holds already",

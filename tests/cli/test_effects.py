@@ -103,9 +103,7 @@ def test_an_effect_on_which_no_reading_depends_is_not_shown() -> None:
 
 def test_a_formula_shows_as_the_built_in_effect_that_it_spells_out() -> None:
     b = {"unit": "m", "low": 0, "high": 1e-4}
-    spelled = formula_effect(
-        {"id": "m", "enters": "y", "formula": "-b * dir_y", "coefficients": {"b": b}}
-    )
+    spelled = formula_effect({"id": "m", "enters": "y", "formula": "-b * dir_y", "coefficients": {"b": b}})
     mine, built_in = inject(spelled, ["tracking_2d"]), inject(catalogue()["backlash_y"], ["tracking_2d"])
     assert mine is not None and built_in is not None and not mine.from_geometry
     assert mine.left == pytest.approx(built_in.left, rel=1e-3)

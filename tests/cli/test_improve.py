@@ -30,7 +30,7 @@ def test_the_error_falls_and_the_models_are_kept(cube: Path, tmp_path: Path, cap
     shown = capsys.readouterr()
     assert shown.out.startswith("Added backlash_y: the residual falls from")
     assert "+ backlash_y" in shown.out
-    assert "left at the tool point" in shown.out
+    assert "residual volumetric error" in shown.out
     output = tmp_path / "mtcal_output" / "improve_cube"
     assert (output / "improve.png").read_bytes().startswith(b"\x89PNG")
     steps = (output / "improve.csv").read_text().splitlines()

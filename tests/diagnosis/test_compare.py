@@ -204,7 +204,7 @@ def test_bins_keep_distinct_values_apart_and_equal_ones_together() -> None:
 
 @pytest.mark.parametrize("plan", PLANS)
 def test_the_document_and_the_columns_hold_every_reading(plan: str) -> None:
-    from machine_tool_calibration.cli.output import to_json
+    from machine_tool_calibration.reports.documents import to_json
 
     found = compare(simulated(plan))
     document = comparison_document(found)
@@ -217,9 +217,9 @@ def test_the_document_and_the_columns_hold_every_reading(plan: str) -> None:
 
 def test_readings_of_two_directions_at_one_place_are_no_repeats() -> None:
     """A deviation in x and one in y of the same hole are two arrows of the map, not their mean."""
-    from machine_tool_calibration.plots.residuals import alike
+    from machine_tool_calibration.plots.residuals import repeat_groups
 
     observations = build_model(simulated("grid_plate"))[0].observations
-    same = alike(observations)
+    same = repeat_groups(observations)
     for k in np.unique(same):
         np.testing.assert_allclose(np.ptp(observations.direction[same == k], axis=0), 0.0, atol=1e-9)

@@ -65,7 +65,7 @@ def test_what_free_angles_took_up_leaves_the_tool_point() -> None:
     session = simulate(SimulationSpec(plan=PRESETS["step_diagonal"], seed=77, effects=(hidden,))).session
     done = improve(session, seed=77)
     assert done.diagnosis.accepted == ("backlash_y",)
-    before, after = (done.left_at_tool(step) for step in (done.steps[0], done.steps[-1]))
+    before, after = (done.residual_volumetric_error(step) for step in (done.steps[0], done.steps[-1]))
     assert before is not None
     assert after is not None
     assert after < 0.5 * before

@@ -147,8 +147,8 @@ def test_what_cannot_be_told_apart_is_named_and_not_given_as_a_number():
     result = result_of(line(2e-6 * X, terms=("scale", "lead")))
     assert [e.name for e in result.parameters] == ["offset"]
     assert {n.name: n.why for n in result.not_determined} == {
-        "scale": "the readings do not change if it changes together with lead",
-        "lead": "the readings do not change if it changes together with scale",
+        "scale": "fully correlated with lead",
+        "lead": "fully correlated with scale",
     }
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
-from machine_tool_calibration.cli.demo import judged
+from machine_tool_calibration.cli.demo import error_against_truth
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.nodes.shared import procedure_file
 from machine_tool_calibration.simulation.simulate import simulate
@@ -113,7 +113,7 @@ def test_readings_are_those_of_the_simulator(bench, finish, case):
 def the_demonstration_holds_the_map_against_the_truth(bench, session):
     """Readings without noise, all of one direction: what the table errs by is found to nanometres."""
     (bench.folder / "site.yaml").write_text((bench.folder / "site1.yaml").read_text())
-    found = judged(SimpleNamespace(output=bench.folder, session=session), identify(session))
+    found = error_against_truth(SimpleNamespace(output=bench.folder, session=session), identify(session))
     assert found.before > 1e-6 > 1000 * found.rms
 
 

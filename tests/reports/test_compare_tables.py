@@ -10,8 +10,9 @@ import pytest
 
 from machine_tool_calibration.diagnosis.compare import compare
 from machine_tool_calibration.diagnosis.comparison import Comparison
-from machine_tool_calibration.reports.comparison_tables import NOT_TOLD, chance, comparison_tables, expanded, untold
-from machine_tool_calibration.reports.diagnosis import TextTable
+from machine_tool_calibration.reports.comparison_tables import comparison_tables, mark_not_determined
+from machine_tool_calibration.reports.quantities import NOT_DETERMINED, plus_minus, probability
+from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
 PLANS = ("tracking_2d", "step_diagonal", "rotary_axis", "probing_cross", "iso230_2")
@@ -36,25 +37,25 @@ def table(found: Comparison, title: str) -> TextTable:
         (-1e-12, 0.1e-6, "0.00 ± 0.20"),
         (7.4e-6, 62e-6, "+10 ± 120"),
         (1.2e-6, 0.0, "+1.200 ± 0.000"),
-        (None, None, NOT_TOLD),
+        (None, None, NOT_DETERMINED),
     ],
 )
 def test_values_have_no_exponent_and_two_figures_of_uncertainty(
     value: float | None, uncertainty: float | None, shown: str
 ) -> None:
-    assert expanded(value, uncertainty, 1e6) == shown
+    assert plus_minus(value, uncertainty, 1e6) == shown
 
 
-def test_chances() -> None:
-    assert [chance(p) for p in (None, 0.123, 1e-9)] == [NOT_TOLD, "0.12", "< 0.0001"]
+def test_p_values() -> None:
+    assert [probability(p) for p in (None, 0.123, 1e-9)] == [NOT_DETERMINED, "0.12", "< 1e-6"]
 
 
 def test_columns_without_any_number_are_left_out_and_named() -> None:
-    rows = (("A", NOT_TOLD, "+1 ± 1"), ("B", NOT_TOLD, NOT_TOLD))
-    shown, note = untold(("setup", "mean / µm", "drift / (µm/h)"), rows, (1, 2))
-    assert shown == (("A", "", "+1 ± 1"), ("B", "", NOT_TOLD))
-    assert "nothing is told of the mean" in note
-    assert note.startswith(NOT_TOLD)
+    rows = (("A", NOT_DETERMINED, "+1 ± 1"), ("B", NOT_DETERMINED, NOT_DETERMINED))
+    shown, note = mark_not_determined(("setup", "mean / µm", "drift / (µm/h)"), rows, (1, 2))
+    assert shown == (("A", "", "+1 ± 1"), ("B", "", NOT_DETERMINED))
+    assert "mean: not determined" in note
+    assert note.startswith(NOT_DETERMINED)
 
 
 @pytest.mark.parametrize("plan", PLANS)
@@ -62,14 +63,14 @@ def test_no_exponents_no_minus_zero_and_no_rows_of_dashes(plan: str) -> None:
     for each in comparison_tables(comparison(plan)):
         for row in each.rows:
             assert len(row) == len(each.columns)
-            assert sum(cell == NOT_TOLD for cell in row) <= 2
+            assert sum(cell == NOT_DETERMINED for cell in row) <= 2
             assert not any("e+" in cell or cell.startswith("-0.00 ") for cell in row)
 
 
-def test_what_a_setup_cannot_tell_is_said_once() -> None:
+def test_what_a_setup_does_not_determine_is_said_once() -> None:
     setups = table(comparison("tracking_2d"), "Setups")
     assert {row[setups.columns.index("mean / µm")] for row in setups.rows} == {""}
-    assert "the model's own unknowns take up" in setups.note
+    assert "fully correlated with the model's own unknowns" in setups.note
 
 
 def test_columns_that_only_ran_with_time_are_one_line() -> None:
@@ -85,7 +86,7 @@ def test_columns_that_only_ran_with_time_are_one_line() -> None:
     with_time = [row for row in shown.rows if "time" in (row[0], *row[1].split(", "))]
     assert len(with_time) == 1
     assert "temperature_oil" in (with_time[0][0], *with_time[0][1].split(", "))
-    assert "cannot be told apart" in shown.note
+    assert "cannot be distinguished" in shown.note
 
 
 @pytest.mark.parametrize("plan", PLANS)

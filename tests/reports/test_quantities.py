@@ -8,6 +8,7 @@ from machine_tool_calibration.reports.quantities import (
     quantity,
     range_of,
     sizes_in_words,
+    value_and_uncertainties,
 )
 
 
@@ -49,3 +50,21 @@ def test_of_many_coefficients_the_most_significant_is_shown() -> None:
     many = [Estimate(f"form.s{k}", k * 1e-7, 1e-7, "m") for k in range(2, 7)]
     assert sizes_in_words(many) == "5 coefficients, s6 = 0.60 ± 0.20 µm"
     assert sizes_in_words([]) == "–"
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        ((1.23456e-6, 3.4e-8, "m"), ("1.235", "0.034", "0.068", "µm")),
+        ((-0.3500141, 1.7e-6, "m"), ("-350.0141", "0.0017", "0.0034", "mm")),
+        ((-3.278e-5, 4.1e-7, "rad"), ("-32.78", "0.41", "0.82", "µrad")),
+        ((0.25, 0.01, "1"), ("0.250", "0.010", "0.020", "")),
+        ((12.3456, 0.5, "1/K"), ("12.35", "0.50", "1.00", "1/K")),
+        ((0.0, 0.0, "m"), ("0", "0", "0", "µm")),
+        ((-4e-9, 1.2e-6, "m"), ("0.0", "1.2", "2.4", "µm")),
+        ((1e-9, 5e-10, "m/s"), ("3.6", "1.8", "3.6", "µm/h")),
+        ((4e-6, 6.4e-7, "m", True), ("0.00400", "0.00064", "0.00128", "mm")),
+    ],
+)
+def test_digits_that_the_uncertainty_bears(value, expected):
+    assert value_and_uncertainties(*value) == expected

@@ -11,8 +11,9 @@ import pytest
 from machine_tool_calibration.diagnosis.consequence import consequences
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.planning.what_to_measure import what_to_measure
-from machine_tool_calibration.reports.diagnosis import Report, TextTable, diagnosis_report
+from machine_tool_calibration.reports.diagnosis import Report, diagnosis_report
 from machine_tool_calibration.reports.quantities import quantity
+from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.reports.verdict import mounted_more_than_once
 from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, simulate
 
@@ -88,13 +89,13 @@ def test_every_coefficient_found_is_explained() -> None:
     assert table(shown, "What was found").rows[0][:3] == ("backlash_y", "b", "half width")
 
 
-def test_a_look_alike_that_is_told_apart_is_said_to_be() -> None:
+def test_a_similar_effect_that_the_readings_distinguish_is_said_to_be() -> None:
     found, _ = report("missing_effect")
     advice = what_to_measure(found)
     near = replace(advice.separations[0], effects=("backlash_y", "station_drift"), apart_before=21.0)
     words = diagnosis_report(found, replace(advice, separations=(near,)), consequences(found)).words[1]
-    assert "look-alike, station_drift" in words
-    assert "the readings tell them apart: the patterns differ by 21 standard uncertainties" in words
+    assert "similar effect, station_drift" in words
+    assert "the readings distinguish them: the patterns differ by 21 standard uncertainties" in words
 
 
 def test_what_is_part_of_the_map_is_kept_apart_from_what_hides_behind_the_instrument() -> None:
@@ -139,7 +140,7 @@ def test_without_repeats_model_and_reproducibility_cannot_be_told() -> None:
     look = replace(found.look, noise=(replace(found.noise, from_repeats=None),))
     bare = replace(found, look=look)
     words = diagnosis_report(bare, what_to_measure(bare), {}).words
-    assert "model or the reproducibility of the setups cannot be told" in words[1]
+    assert "model or the reproducibility of the setups is not determined" in words[1]
 
 
 def test_a_setup_that_is_measured_left_and_measured_again_counts_as_mounted_again() -> None:

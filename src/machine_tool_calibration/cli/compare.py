@@ -7,15 +7,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import model_options, own_effects, saved, show_table
+from machine_tool_calibration.cli.diagnosing import model_options, note_written, own_effects
 from machine_tool_calibration.cli.output import console, json_option, session_labels, write_json
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from machine_tool_calibration.diagnosis.comparison import Comparison, JointComparison
 
-__all__ = ["command", "show_comparison"]
+__all__ = ["command"]
 
 
 @click.command("compare")
@@ -56,6 +54,7 @@ def command(
     """
     from machine_tool_calibration.diagnosis.compare import compare, compare_sessions
     from machine_tool_calibration.recording.open import open_measurement
+    from machine_tool_calibration.reports.comparison_tables import show_comparison
 
     sessions, own = [open_measurement(path) for path in measurements], own_effects(files)
     if len(sessions) > 1:
@@ -73,7 +72,7 @@ def command(
     else:
         show_comparison(console(), comparison)
     if output is not None or against:
-        saved(_write(comparison, output or Path(), against))
+        note_written(_write(comparison, output or Path(), against))
 
 
 def _several(comparison: JointComparison, output: Path | None, against: tuple[str, ...], *, as_json: bool) -> None:
@@ -81,6 +80,7 @@ def _several(comparison: JointComparison, output: Path | None, against: tuple[st
 
     from machine_tool_calibration.plots.compare import draw_joint
     from machine_tool_calibration.reports.comparison import joint_columns, joint_document
+    from machine_tool_calibration.reports.comparison_tables import show_comparison
 
     if as_json:
         write_json(joint_document(comparison))
@@ -91,26 +91,7 @@ def _several(comparison: JointComparison, output: Path | None, against: tuple[st
         pictures = draw_joint(comparison, folder, against)
         table = folder / "comparison.csv"
         pd.DataFrame(dict(joint_columns(comparison))).to_csv(table, index=False)
-        saved([*pictures, table])
-
-
-def show_comparison(screen: Console, comparison: Comparison | JointComparison) -> None:
-    """In words first, then the tables."""
-    from rich.text import Text
-
-    from machine_tool_calibration.diagnosis.comparison import Comparison
-    from machine_tool_calibration.reports.comparison import in_words, joint_in_words
-    from machine_tool_calibration.reports.comparison_tables import comparison_tables, joint_tables
-
-    if isinstance(comparison, Comparison):
-        words, tables = in_words(comparison), comparison_tables(comparison)
-    else:
-        words, tables = joint_in_words(comparison), joint_tables(comparison)
-    screen.print(Text(words[0].upper() + words[1:]))
-    if comparison.effects:
-        screen.print(Text(f"In the model: {', '.join(comparison.effects)}."))
-    for table in tables:
-        show_table(screen, table)
+        note_written([*pictures, table])
 
 
 def _write(comparison: Comparison, folder: Path, against: tuple[str, ...]) -> list[Path]:

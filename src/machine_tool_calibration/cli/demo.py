@@ -11,13 +11,14 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.cli import diagnosing
-from machine_tool_calibration.cli.measuring import bar, graph_options, show_files, show_result
-from machine_tool_calibration.cli.output import console, json_option, plain, write_json
+from machine_tool_calibration.cli.measuring import graph_options, progress_bar, show_files, show_result
+from machine_tool_calibration.cli.output import console, json_option, write_json
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.nodes.measurement import Measured, Setting, free_folder, measure
 from machine_tool_calibration.nodes.shared import procedure_file
 from machine_tool_calibration.nodes.site import Moment, Site, SiteSpec, read_site
 from machine_tool_calibration.plots.pictures import draw
+from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.simulation import FlawSpec
 from machine_tool_calibration.simulation.flaws import find_flaw
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from machine_tool_calibration.diagnosis.improve import Improvement
     from machine_tool_calibration.session.session import Session
 
-__all__ = ["COMPARED", "MapError", "command", "judged", "map_error"]
+__all__ = ["COMPARED", "MapError", "command", "error_against_truth", "map_error"]
 
 
 @dataclass(frozen=True)
@@ -96,7 +97,7 @@ COMPARED = {
 """What of each method is compared with the truth."""
 
 
-def judged(measured: Measured, result: Result) -> MapError:
+def error_against_truth(measured: Measured, result: Result) -> MapError:
     """How far what was identified is from the truth, shift and turn taken out.
 
     The truth is the machine's own errors, without the hidden effect; for direct deviations, whose map says what the
@@ -187,7 +188,7 @@ _PROCEDURES = {
 
 
 @dataclass(frozen=True)
-class _Story:
+class _Demonstration:
     """What came of the demonstration.
 
     Attributes:
@@ -254,14 +255,14 @@ def command(
         domain=domain_id,
         namespace=namespace,
     )
-    with bar() as progress:
+    with progress_bar() as progress:
         measured = measure(procedure_file(procedure), setting, progress)
-    with diagnosing.bar() as share:
+    with diagnosing.progress_bar() as share:
         story = _story(number, hidden, measured, share)
     if as_json:
         write_json(_document(story))
         return
-    _tell(story)
+    _show(story)
 
 
 def _hidden(method: str, seed: int, wanted: str | None) -> FlawSpec | None:
@@ -278,7 +279,7 @@ def _hidden(method: str, seed: int, wanted: str | None) -> FlawSpec | None:
     return FlawSpec(id=wanted or name, size=low + share * (high - low))
 
 
-def _story(seed: int, hidden: FlawSpec | None, measured: Measured, progress: Any) -> _Story:
+def _story(seed: int, hidden: FlawSpec | None, measured: Measured, progress: Any) -> _Demonstration:
     from machine_tool_calibration.diagnosis.improve import improve
     from machine_tool_calibration.model.result import Result
     from machine_tool_calibration.plots.improve import save_improvement
@@ -291,12 +292,12 @@ def _story(seed: int, hidden: FlawSpec | None, measured: Measured, progress: Any
     pictures = [*draw(measured.session, last, folder), *save_improvement(improvement, folder)]
     first, final = (improvement.steps[k].result for k in (0, -1))
     assert isinstance(first, Result) and isinstance(final, Result)  # of a single session
-    before, after = judged(measured, first), judged(measured, final)
-    return _Story(seed, hidden, measured, improvement, before, after, pictures)
+    before, after = error_against_truth(measured, first), error_against_truth(measured, final)
+    return _Demonstration(seed, hidden, measured, improvement, before, after, pictures)
 
 
-def _tell(story: _Story) -> None:
-    from machine_tool_calibration.cli.improve import show_improvement
+def _show(story: _Demonstration) -> None:
+    from machine_tool_calibration.reports.improvement import show_improvement
 
     screen = console()
     measured = story.measured
@@ -308,12 +309,12 @@ def _tell(story: _Story) -> None:
     screen.print("\n[bold]2. Diagnosed and improved[/]")
     show_improvement(screen, story.improvement)
     screen.print("\n[bold]3. The truth[/], which nothing before has seen")
-    screen.print(_reveal(story), markup=False)
-    _tell_map(measured.session, story.before, story.after, story.improvement.steps[-1].map_uncertainty)
+    screen.print(_truth_in_words(story), markup=False)
+    _show_error_of_map(measured.session, story.before, story.after, story.improvement.steps[-1].map_uncertainty)
     show_files(screen, measured, [("picture" if p.suffix == ".png" else "table", p) for p in story.pictures])
 
 
-def _tell_map(session: Session, before: MapError, after: MapError, stated: float | None) -> None:
+def _show_error_of_map(session: Session, before: MapError, after: MapError, stated: float | None) -> None:
     direct = session.spec.reads_machine
     out = "mean" if direct else "shift and turn"
     own = "the axis's deviations" if direct else "the machine's own errors"
@@ -326,7 +327,7 @@ def _tell_map(session: Session, before: MapError, after: MapError, stated: float
     )
 
 
-def _reveal(story: _Story) -> str:
+def _truth_in_words(story: _Demonstration) -> str:
     found = story.improvement.diagnosis.accepted
     if story.hidden is None:
         return "Nothing was hidden." + ("" if not found else " What was added is a false alarm.")
@@ -337,7 +338,7 @@ def _reveal(story: _Story) -> str:
     if story.hidden.id in found:
         return f"{said} It was found."
     if alike & set(found):
-        return f"{said} Found was {', '.join(found)}, which this measurement cannot tell from it."
+        return f"{said} Found was {', '.join(found)}, which this measurement cannot distinguish from it."
     return f"{said} It was not found."
 
 
@@ -346,7 +347,7 @@ def _hidden_size(hidden: FlawSpec) -> str:
     return "as it usually is" if hidden.size is None else quantity(hidden.size, find_flaw(hidden.id).unit)
 
 
-def _document(story: _Story) -> dict[str, Any]:
+def _document(story: _Demonstration) -> dict[str, Any]:
     measured = story.measured
     return {
         "format": "mtcal-demo/1",

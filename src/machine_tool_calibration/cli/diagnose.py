@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import bar, model_options, own_effects, saved, search_options, show_table
+from machine_tool_calibration.cli.diagnosing import (
+    model_options,
+    note_written,
+    own_effects,
+    progress_bar,
+    search_options,
+)
 from machine_tool_calibration.cli.output import console, json_option, session_labels, write_json
 
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from machine_tool_calibration.diagnosis.diagnose import Diagnosis
-    from machine_tool_calibration.planning.what_to_measure import Conclusions
-
-__all__ = ["command", "show_diagnosis"]
+__all__ = ["command"]
 
 
 @click.command("diagnose")
@@ -45,10 +44,10 @@ def command(
     """Say which physical effect the model lacks, how large it is, and what to measure to be sure.
 
     SESSION is a session folder or a recording. Every effect of the catalogue (`mtcal effects`) is tried,
-    alone and together with others, beside what does not reproduce between runs and mountings; the answer is the
+    alone and together with others, beside what does not reproduce between runs and setups; the answer is the
     probability that it is missing. It names
-    look-alikes that this measurement cannot tell apart, effects that would not show in it, the smallest size that it
-    would have found, structure that no effect explains, and readings that do not belong to the rest.
+    confounded effects that this measurement cannot distinguish, effects that would not show in it, the smallest size
+    that it would have found, structure that no effect explains, and readings that do not belong to the rest.
 
     \b
     mtcal diagnose measurements/cube
@@ -59,12 +58,13 @@ def command(
     from machine_tool_calibration.diagnosis.diagnose import diagnose
     from machine_tool_calibration.planning.what_to_measure import SEARCH, conclude
     from machine_tool_calibration.recording.open import open_measurement
+    from machine_tool_calibration.reports.diagnosis import show_diagnosis
     from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
 
     sessions = [open_measurement(path) for path in measurements]
     labels = session_labels(measurements) if len(sessions) > 1 else None
     own = own_effects(files)
-    with bar() as progress:
+    with progress_bar() as progress:
         found = diagnose(
             sessions,
             labels,
@@ -79,26 +79,8 @@ def command(
     if output is not None:
         from machine_tool_calibration.plots.diagnosis import save_diagnosis
 
-        saved(save_diagnosis(found, then.changes, output))
+        note_written(save_diagnosis(found, then.changes, output))
     if as_json:
         write_json(diagnosis_document(found, then.advice, then.changes))
         return
     show_diagnosis(console(), found, then, 0 if everything else 8)
-
-
-def show_diagnosis(screen: Console, found: Diagnosis, then: Conclusions, shown: int = 8) -> None:
-    """In words first, then the tables.
-
-    Args:
-        screen: where.
-        found: the diagnosis.
-        then: what follows from it.
-        shown: how many candidates beside the accepted ones; 0 for all.
-    """
-    from machine_tool_calibration.reports.diagnosis import diagnosis_report
-
-    report = diagnosis_report(found, then.advice, then.changes, shown)
-    for paragraph in report.words:
-        screen.print(paragraph, markup=False)
-    for table in report.tables:
-        show_table(screen, table)

@@ -1,12 +1,10 @@
-"""What the verbs that diagnose share: options, the progress bar, tables."""
+"""What the verbs that diagnose share: options, the progress bar, the model in use."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from textwrap import fill
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
@@ -17,23 +15,20 @@ from machine_tool_calibration.errors import CalibrationError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-    from rich.console import Console
 
     from machine_tool_calibration.diagnosis.history import Entry
     from machine_tool_calibration.effects.effect import Effect
-    from machine_tool_calibration.reports.diagnosis import TextTable
     from machine_tool_calibration.session.session import Session
 
 __all__ = [
-    "bar",
     "current_model",
     "current_models",
     "model_options",
     "no_model",
+    "note_written",
     "own_effects",
-    "saved",
+    "progress_bar",
     "search_options",
-    "show_table",
 ]
 
 
@@ -93,15 +88,6 @@ def no_model(paths: Sequence[Path]) -> CalibrationError:
 
 
 Command = TypeVar("Command", bound=Callable[..., Any])
-# Longest text that a column keeps on one line.
-_UNBROKEN = 24
-# Between two columns; what a column of longer text needs to be read with ease; and the least that it can do with.
-_GAP = 2
-_EASE, _FOLDED = 24, 8
-# How narrow a heading becomes before any is broken at every word.
-_HEAD = 10
-# A column of nothing else stands to the right, so that places stand below each other.
-_NUMBER = re.compile(r"[-+−]?[\d.:]+(e[-+]\d+)?( ?%)?|< ?[\d.e-]+|–")
 
 
 def model_options(function: Command) -> Command:
@@ -131,7 +117,7 @@ def search_options(function: Command) -> Command:
             type=click.IntRange(min=199),
             default=199,
             show_default=True,
-            help="Simulated data sets in which nothing is missing: they check how often chance does as well.",
+            help="Simulated data sets in which nothing is missing: they give the p-values.",
         ),
         click.option(
             "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of the simulated data sets."
@@ -151,7 +137,7 @@ def own_effects(files: Sequence[Path]) -> list[Effect]:
 
 
 @contextmanager
-def bar() -> Iterator[Callable[[str, float], None]]:
+def progress_bar() -> Iterator[Callable[[str, float], None]]:
     """A progress bar on standard error; nothing where that is not a terminal."""
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
@@ -165,43 +151,7 @@ def bar() -> Iterator[Callable[[str, float], None]]:
         yield lambda what, share: shown.update(task, description=what, completed=share)
 
 
-def show_table(screen: Console, table: TextTable) -> None:
-    """Print a table of text; columns without any text are left out, numbers stand to the right."""
-    from rich.table import Table
-    from rich.text import Text
-
-    shown = Table(box=None, header_style="bold", pad_edge=False)
-    used = [k for k in range(len(table.columns)) if any(row[k] for row in table.rows)]
-    longest = {k: max((len(row[k]) for row in table.rows), default=0) for k in used}
-    heads = {k: table.columns[k] for k in used}
-    unbroken = {k for k in used if longest[k] <= _UNBROKEN}
-
-    def missing(folded: int) -> int:
-        # What rich may still break counts as if it could become so narrow.
-        texts = {k: longest[k] if k in unbroken else min(longest[k], folded) for k in used}
-        widths = (max(texts[k], *(len(line) for line in heads[k].split("\n"))) for k in used)
-        return sum(widths) + _GAP * (len(used) - 1) - screen.width
-
-    # rich cuts columns that must not break where the table is too wide: break headings first, then the longest texts.
-    for narrow in (_HEAD, 1):
-        if missing(_EASE) > 0:
-            heads = {k: fill(table.columns[k], max(longest[k], narrow), break_long_words=False) for k in used}
-    for k in sorted(unbroken, key=lambda k: longest[k], reverse=True):
-        if missing(_FOLDED) > 0:
-            unbroken.discard(k)
-    for k in used:
-        numbers = all(_NUMBER.fullmatch(row[k]) for row in table.rows if row[k])
-        shown.add_column(Text(heads[k]), overflow="fold", no_wrap=k in unbroken, justify="right" if numbers else "left")
-    for row in table.rows:
-        shown.add_row(*(Text(row[k]) for k in used))
-    screen.print()
-    screen.print(Text(table.title, style="bold"))
-    screen.print(shown)
-    if table.note:
-        screen.print(Text(f"({table.note})", style="dim"))
-
-
-def saved(paths: Sequence[Path]) -> None:
+def note_written(paths: Sequence[Path]) -> None:
     """Say on standard error what was written."""
     if paths:
         note(f"wrote {', '.join(str(path) for path in paths)}")

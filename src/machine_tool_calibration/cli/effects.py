@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import bar, own_effects, saved, show_table
+from machine_tool_calibration.cli.diagnosing import note_written, own_effects, progress_bar
 from machine_tool_calibration.cli.output import console, json_option, write_json
+from machine_tool_calibration.reports.tables import show_table
 
 if TYPE_CHECKING:
     from machine_tool_calibration.effects.effect import Effect
@@ -51,9 +52,9 @@ def command(ids: tuple[str, ...], files: tuple[Path, ...], gallery: Path | None,
     if gallery is not None:
         from machine_tool_calibration.plots.gallery import draw_gallery
 
-        with bar() as progress:
+        with progress_bar() as progress:
             written = draw_gallery(chosen, gallery, progress)
-        saved([written[-1]] if len(written) > 5 else written)
+        note_written([written[-1]] if len(written) > 5 else written)
     if as_json:
         write_json({"format": "mtcal-effects/1", "effects": [effect_document(effect) for effect in chosen]})
     elif ids:

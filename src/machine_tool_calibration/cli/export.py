@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from machine_tool_calibration.effects.effect import Effect
     from machine_tool_calibration.export.error_states import ErrorStates
-    from machine_tool_calibration.export.preview import Left
+    from machine_tool_calibration.export.preview import ResidualError
     from machine_tool_calibration.methods.axis_tables import AxisTables
     from machine_tool_calibration.model.fit import JointFit
     from machine_tool_calibration.session.session import Session
@@ -40,11 +40,13 @@ def bad_fit(fit: JointFit, content: Mapping[str, Any]) -> str | None:
         fit: of all sessions.
         content: of the error map.
     """
-    from machine_tool_calibration.cli.identified import verdict
+    from machine_tool_calibration.reports.identification import goodness_of_fit
 
     if not fit.p_value < _CHANCE:
         return None
-    words = verdict({"reduced_chi_square": fit.reduced_chi_square, "p_value": fit.p_value, "error_map": content})
+    words = goodness_of_fit(
+        {"reduced_chi_square": fit.reduced_chi_square, "p_value": fit.p_value, "error_map": content}
+    )
     return f"warning: {words}"
 
 
@@ -259,7 +261,9 @@ def _save(folder: Path, files: dict[str, str]) -> None:
         (folder / name).write_text(text, encoding="utf-8")
 
 
-def _show(out: Console, folder: Path, files: dict[str, str], left: Sequence[Left], absent: Sequence[str]) -> None:
+def _show(
+    out: Console, folder: Path, files: dict[str, str], left: Sequence[ResidualError], absent: Sequence[str]
+) -> None:
     from rich.table import Table
 
     for name in files:

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from machine_tool_calibration.cli.diagnosing import current_models
-from machine_tool_calibration.cli.identified import show_result
-from machine_tool_calibration.cli.output import console, json_option, plain, session_labels, to_json, write_json
+from machine_tool_calibration.cli.output import console, json_option, session_labels, write_json
+from machine_tool_calibration.reports.documents import plain, to_json
+from machine_tool_calibration.reports.identification import show_profiles, show_result
 
 if TYPE_CHECKING:
     from machine_tool_calibration.effects.effect import Effect
@@ -84,7 +85,7 @@ def command(
         write_json(document)
         return
     if "formulation" in document:
-        _show_profiles(document)
+        show_profiles(console(), document)
     elif fit is not None:
         show_result(console(), document, opened, fit)
     for path in written:
@@ -184,18 +185,3 @@ def _write(
     except OSError as error:
         raise CalibrationError(f"{folder}: cannot be written: {error.strerror}") from None
     return written
-
-
-def _show_profiles(document: dict[str, Any]) -> None:
-    from rich.table import Table
-
-    for axis in "xyz":
-        rows = document["error_map"][axis]
-        if not rows:
-            continue
-        table = Table(title=f"{axis.upper()}: errors by the formulation {document['formulation']}, µm", box=None)
-        for heading in ("block", "ex", "ey", "ez"):
-            table.add_column(heading, justify="right")
-        for k, row in enumerate(rows):
-            table.add_row(str(k), *("-" if v is None else f"{v * 1e6:.3f}" for v in row))
-        console().print(table)

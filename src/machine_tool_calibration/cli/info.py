@@ -2,31 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import show_table
-from machine_tool_calibration.cli.output import console, json_option, plain, write_json
+from machine_tool_calibration.cli.output import console, json_option, write_json
 from machine_tool_calibration.errors import CalibrationError
 
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from machine_tool_calibration.recording.reader import BagReader
-    from machine_tool_calibration.session.session import Session
-    from machine_tool_calibration.session.summary import ColumnSummary, SessionSummary
-
-__all__ = ["command", "show_session", "topic_names", "topic_option"]
-
-_MICRO = 1e6
-# Displacements that are all smaller, m, are deviations: shown in micrometres.
-_SMALL = 1e-3
-_UNITS = {"x": ("mm", 1e3), "y": ("mm", 1e3), "z": ("mm", 1e3), "displacement": ("mm", 1e3), "time": ("s", 1.0)}
-_ANGLES = ("a", "b", "c", "azimuth", "elevation")
+__all__ = ["command", "topic_names", "topic_option"]
 
 topic_option = click.option(
     "--topic",
@@ -56,6 +39,7 @@ def command(measurement: Path, topics: tuple[str, ...], as_json: bool) -> None:
     from machine_tool_calibration.recording.graph import find_topics
     from machine_tool_calibration.recording.open import is_session_folder, open_measurement
     from machine_tool_calibration.recording.reader import BagReader, is_bag
+    from machine_tool_calibration.reports.information import measurement_document, show_recording, show_session
     from machine_tool_calibration.session.summary import summarize
 
     names = topic_names(topics)
@@ -72,11 +56,11 @@ def command(measurement: Path, topics: tuple[str, ...], as_json: bool) -> None:
         session = open_measurement(measurement, names, check=False)
     summary = summarize(session) if session is not None else None
     if as_json:
-        write_json(_document(measurement, bag, session, summary, absent))
+        write_json(measurement_document(measurement, bag, session, summary, absent))
     else:
         out = console()
         if bag is not None:
-            _show_bag(out, bag, absent)
+            show_recording(out, bag, absent)
         if session is not None and summary is not None:
             show_session(out, session, summary)
     if summary is not None and summary.problem:
@@ -96,121 +80,3 @@ def topic_names(options: tuple[str, ...]) -> dict[str, str]:
             raise click.UsageError(f"--topic {option}: write ROLE=NAME, such as reading=/cell/reading")
         names[role] = name
     return names
-
-
-def _document(
-    path: Path, bag: BagReader | None, session: Session | None, summary: SessionSummary | None, absent: str
-) -> Mapping[str, Any]:
-    document: dict[str, Any] = {"format": "mtcal-info/1", "path": path, "kind": "bag" if bag else "session"}
-    if session is not None and summary is not None:
-        document["measurement"] = {
-            **plain(summary),
-            "description": session.description.model_dump(mode="json", exclude_none=True),
-        }
-    else:
-        document["measurement"] = None
-        document["why_no_measurement"] = absent
-    if bag is not None:
-        document["bag"] = {
-            "files": bag.files,
-            "size": sum(file.stat().st_size for file in bag.files),
-            "messages": bag.messages_in_all,
-            "start": bag.first,
-            "duration": bag.duration,
-            "topics": [
-                {
-                    "name": topic.name,
-                    "type": topic.type,
-                    "messages": topic.messages,
-                    "type_hash": topic.type_hash,
-                    "latched": any(profile.latched for profile in topic.qos),
-                }
-                for topic in sorted(bag.topics.values(), key=lambda topic: topic.name)
-            ],
-        }
-    return document
-
-
-def _show_bag(out: Console, bag: BagReader, absent: str) -> None:
-    from machine_tool_calibration.reports.quantities import TextTable
-
-    size = sum(file.stat().st_size for file in bag.files)
-    try:
-        start = datetime.fromtimestamp(bag.first / 1e9, UTC).isoformat(sep=" ", timespec="seconds")
-    except (ValueError, OverflowError, OSError):
-        start = f"{bag.first} ns"
-    files = f"{len(bag.files)} file" + ("s" if len(bag.files) != 1 else "")
-    out.print(f"[bold]{bag.path}[/]: recording, {files}, {size / 1e6:.2f} MB")
-    out.print(f"{bag.messages_in_all} messages in {bag.duration:.1f} s, from {start}")
-    rows = []
-    for topic in sorted(bag.topics.values(), key=lambda topic: topic.name):
-        rate = f"{topic.messages / bag.duration:.1f}" if bag.duration > 0 else ""
-        latched = "yes" if any(profile.latched for profile in topic.qos) else ""
-        rows.append((topic.name, topic.type, str(topic.messages), rate, latched))
-    show_table(out, TextTable("Topics", ("topic", "type", "messages", "per second", "latched"), tuple(rows)))
-    if absent:
-        out.print(f"No measurement in it: {absent.split(': ', 1)[-1]}")
-
-
-def show_session(out: Console, session: Session, summary: SessionSummary) -> None:
-    """Setups and columns of a session."""
-    from machine_tool_calibration.reports.quantities import TextTable
-
-    duration = "" if summary.duration is None else f" in {_time(summary.duration)}"
-    method = summary.method.replace("_", " ")
-    out.print(f"[bold]{session.source}[/]: {method}, machine {session.description.machine.chain}")
-    out.print(
-        f"{summary.readings} readings{duration}, {summary.missing} missing, {summary.targets} targets; "
-        f"declared standard uncertainty {summary.standard_uncertainty * _MICRO:g} µm"
-    )
-    rows = tuple(
-        (
-            setup.id,
-            _where(entry),
-            str(setup.readings),
-            str(setup.missing or ""),
-            str(setup.repeats),
-            "" if setup.first_time is None else _time(setup.first_time),
-            "" if setup.last_time is None else _time(setup.last_time),
-        )
-        for setup, entry in zip(summary.setups, session.description.setups, strict=True)
-    )
-    show_table(out, TextTable("Setups", ("setup", "where", "readings", "missing", "repeats", "from", "to"), rows))
-    columns = tuple(_column(column) for column in summary.columns)
-    note = "as recorded, shown in the units that people use; an empty field counts as missing"
-    show_table(out, TextTable("Columns", ("column", "from", "to", "unit", "missing"), columns, note))
-    if summary.labels:
-        out.print(f"Text columns: {', '.join(summary.labels)}")
-
-
-def _where(setup: Any) -> str:
-    if hasattr(setup, "position"):
-        return "(" + ", ".join(f"{1e3 * value:.1f}" for value in setup.position) + ") mm"
-    if hasattr(setup, "direction"):
-        signs = "".join("+" if value > 0 else "-" if value < 0 else "0" for value in setup.direction)
-        return f"{setup.kind} {signs}"
-    if hasattr(setup, "c"):
-        return f"c = {setup.c * 57.29577951308232:.2f}°"
-    return ""
-
-
-def _column(column: ColumnSummary) -> tuple[str, str, str, str, str]:
-    unit, factor = _UNITS.get(column.name, ("", 1.0))
-    if column.name in _ANGLES:
-        unit, factor = "°", 57.29577951308232
-    elif column.name.startswith("temperature_"):
-        unit = "°C"
-    elif column.name == "air_pressure":
-        unit, factor = "hPa", 0.01
-    elif column.name == "displacement" and max(abs(column.low or 0.0), abs(column.high or 0.0)) < _SMALL:
-        unit, factor = "µm", 1e6
-    low, high = (("" if value is None else f"{value * factor:.6g}") for value in (column.low, column.high))
-    return column.name, low, high, unit, str(column.missing or "")
-
-
-def _time(seconds: float) -> str:
-    if abs(seconds) < 100:
-        return f"{seconds:.3g} s"
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from machine_tool_calibration.cli.identified import figures
 from machine_tool_calibration.cli.output import error_console
+from machine_tool_calibration.reports.identification import summary_rows
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from machine_tool_calibration.nodes.measurement import Measured, Progress
 
-__all__ = ["bar", "graph_options", "show_files", "show_result"]
+__all__ = ["graph_options", "progress_bar", "show_files", "show_result"]
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -43,7 +43,7 @@ def graph_options(function: Command) -> Command:
 
 
 @contextmanager
-def bar() -> Iterator[Progress]:
+def progress_bar() -> Iterator[Progress]:
     """A progress bar of the readings on standard error; plain lines where that is not a terminal."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
@@ -87,7 +87,7 @@ def show_result(console: Console, measured: Measured) -> None:
         if number and name in ("unstable", "recoveries", "restarts"):
             table.add_row(name, str(number))
     if measured.result is not None:
-        for name, text in figures(measured.result):
+        for name, text in summary_rows(measured.result):
             table.add_row(name, text)
     console.print(table)
 

@@ -1,18 +1,12 @@
-"""`mtcal plan`: what a procedure will tell, before it is run."""
+"""`mtcal plan`: what a procedure will determine, before it is run."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import click
-import numpy as np
 
-from machine_tool_calibration.cli.identified import grouped
-from machine_tool_calibration.cli.output import console, json_option, plain, write_json
-
-if TYPE_CHECKING:
-    from machine_tool_calibration.planning.forecast import Forecast
+from machine_tool_calibration.cli.output import console, json_option, write_json
 
 __all__ = ["command"]
 
@@ -29,16 +23,16 @@ __all__ = ["command"]
     type=click.FloatRange(0.0, 1e-3),
     default=5e-6,
     show_default=True,
-    help="Angular errors of the machine assumed where the instrument hardly tells them, rad (root mean square).",
+    help="Angular errors of the machine assumed where the instrument hardly senses them, rad (root mean square).",
 )
 @json_option
 def command(
     procedure: str, model: str | None, effects_file: Path | None, warming: float, angular: float, as_json: bool
 ) -> None:
-    """Tell what a procedure will find, before it is run: uncertainties, gaps, time, and the smallest effects it shows.
+    """Forecast what a procedure determines: uncertainties, gaps, time, and the smallest detectable effects.
 
-    PROCEDURE is a YAML file, or the name of one that the package brings, such as tracking_2d. Nothing is moved. What is
-    told holds if the readings scatter as declared and mounting an instrument anew adds nothing.
+    PROCEDURE is a YAML file, or the name of one that the package brings, such as tracking_2d. Nothing is moved. The
+    forecast holds if the readings scatter as declared and mounting an instrument anew adds nothing.
 
     \b
     mtcal plan tracking_2d
@@ -48,74 +42,11 @@ def command(
     from machine_tool_calibration.nodes.shared import procedure_file
     from machine_tool_calibration.planning.forecast import forecast
     from machine_tool_calibration.procedure import read_procedure
+    from machine_tool_calibration.reports.forecast import show_forecast
 
     own = read_effects(effects_file) if effects_file else []
     found = forecast(read_procedure(procedure_file(procedure)), model=model, own=own, warming=warming, angular=angular)
     if as_json:
         write_json(found.document())
         return
-    _show(found)
-
-
-def _show(found: Forecast) -> None:
-    from rich.table import Table
-
-    from machine_tool_calibration.reports.diagnosis import dominant_words
-    from machine_tool_calibration.reports.quantities import duration, micrometres, quantity
-
-    screen, document = console(), plain(found.document())
-    sigma = found.result.fit.model.observations.session.sigma
-    screen.print(
-        f"{document['method'].replace('_', ' ')}, model {document['model']}: {document['readings']} readings of "
-        f"u = {sigma * 1e6:.3g} µm (k = 1) in {duration(found.seconds)} of motion and waiting; setting up comes on top"
-    )
-    table = Table(
-        title="uncertainty to come, U (k = 2), of each coordinate", title_justify="left", box=None, pad_edge=False
-    )
-    for heading in ("", "typical", "at most", "not determined"):
-        table.add_column(heading, justify="left" if not heading else "right")
-    for name, values in document["uncertainties"].items():
-        row = _row(name.removesuffix("_u"), values)  # each coordinate by itself
-        if row is not None:
-            table.add_row(*row)
-    screen.print(table)
-    for why, names in grouped((entry["name"], entry["why"]) for entry in document["not_determined"]):
-        screen.print(f"will not be determined: {names}: {why}")
-    screen.print("smallest effects that would be found, with a chance of 80 % and one false alarm in twenty:")
-    effects = Table(box=None, pad_edge=False)
-    for heading in ("effect", "size", "largest change of a reading, µm"):
-        effects.add_column(heading, justify="left" if heading == "effect" else "right")
-    for entry in found.visible:
-        assert entry.size is not None
-        size = f"{entry.coefficient} = {quantity(entry.size, entry.unit)}"
-        effects.add_row(entry.effect, size, micrometres(entry.reading))
-    if found.visible:
-        screen.print(effects)
-    if found.absorbed:
-        screen.print(f"would not be found, as the model has them already or takes them up: {', '.join(found.absorbed)}")
-    if found.dominant is not None:
-        for line in dominant_words(found.dominant):
-            screen.print(line)
-    screen.print(f"datum: {document['datum']}")
-
-
-def _row(name: str, values: Any) -> tuple[str, str, str, str] | None:
-    """RMS and largest expanded uncertainty of an entry of the map."""
-    if not isinstance(values, list):
-        return None
-    found = np.array(_flat(values), dtype=float)
-    good = np.isfinite(found)
-    if not len(found):
-        return None
-    lost = f"{int((~good).sum())} of {len(found)}" if not good.all() else ""
-    if not good.any():
-        return name, "–", "–", lost
-    unit = "µrad" if len(name) == 3 and name[0] == "E" and name[1] in "ABC" else "µm"
-    typical, most = 2e6 * np.sqrt(np.mean(found[good] ** 2)), 2e6 * found[good].max()
-    return name.replace("_", " "), f"{typical:.3g} {unit}", f"{most:.3g} {unit}", lost
-
-
-def _flat(values: Any) -> list[float]:
-    if isinstance(values, list):
-        return [number for entry in values for number in _flat(entry)]
-    return [float("nan") if values is None else float(values)]
+    show_forecast(console(), found)

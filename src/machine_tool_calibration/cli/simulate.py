@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import show_table
-from machine_tool_calibration.cli.output import console, json_option, to_json, write_json
+from machine_tool_calibration.cli.output import console, json_option, write_json
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.reports.documents import to_json
+from machine_tool_calibration.reports.tables import show_table
 
 if TYPE_CHECKING:
     from machine_tool_calibration.simulation import Simulated, SimulationSpec
@@ -195,7 +196,7 @@ def _short(value: Any) -> str:
 
 
 def _list(as_json: bool) -> None:
-    from machine_tool_calibration.reports.quantities import TextTable
+    from machine_tool_calibration.reports.tables import TextTable
     from machine_tool_calibration.simulation import FLAWS, PRESETS
 
     if as_json:

@@ -16,7 +16,7 @@ from machine_tool_calibration.model.result import EffectSet, Estimate, Result
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["Improvement", "Step", "entries", "improve", "left_at_tool", "step_after"]
+__all__ = ["Improvement", "Step", "entries", "improve", "residual_volumetric_error", "step_after"]
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Step:
         return float(np.sqrt(beyond * np.sum(seen > 1e-3)))
 
     @property
-    def left_at_tool(self) -> float | None:
+    def residual_volumetric_error(self) -> float | None:
         """Standard uncertainty (RMS length) left at the tool point, m.
 
         That of the map, times the factor by which the readings scatter more than declared, as what the model does not
@@ -101,21 +101,21 @@ class Improvement:
     diagnosis: Diagnosis
     steps: tuple[Step, ...]
 
-    def left_at_tool(self, step: Step) -> float | None:
+    def residual_volumetric_error(self, step: Step) -> float | None:
         """RMS length left at the tool point with the model of a step, so that steps can be compared, m.
 
         The expanded uncertainty (k = 2) that the step itself knows of, and how far its map is from that of the last
         step: what a model lacks moves its map by more than its own residuals tell.
         """
-        return left_at_tool(step, self.steps[-1])
+        return residual_volumetric_error(step, self.steps[-1])
 
 
-def left_at_tool(step: Step, last: Step) -> float | None:
+def residual_volumetric_error(step: Step, last: Step) -> float | None:
     """That of one step on the way to a last one, m; None where the method maps no position errors."""
-    if step.left_at_tool is None:
+    if step.residual_volumetric_error is None:
         return None
     off = map_change(step.result.error_map, last.result.error_map)
-    return float(np.hypot(2.0 * step.left_at_tool, off or 0.0))
+    return float(np.hypot(2.0 * step.residual_volumetric_error, off or 0.0))
 
 
 def improve(

@@ -229,7 +229,9 @@ def _with_columns(term: Term, keep: BoolArray) -> Term:
     return Term(term.name, parameters, term.columns[keep], None if term.field is None else term.field[keep])
 
 
-def _told_apart(model: MethodModel, terms: Sequence[Term]) -> tuple[list[Term], tuple[NotDetermined, ...]]:
+def _without_repeated_columns(
+    model: MethodModel, terms: Sequence[Term]
+) -> tuple[list[Term], tuple[NotDetermined, ...]]:
     """The terms without columns that only repeat others: the straight part of EXX beside a scale of X.
 
     Simple effects come first: of a polynomial, what a scale or a squareness says already is left out.
@@ -290,7 +292,7 @@ def add_effects(model: MethodModel, effects: Sequence[Effect]) -> MethodModel:
     linear = [effect for effect in effects if not effect.shapes]
     curved = [effect for effect in effects if effect.shapes]
     terms, taken_up = _determined_columns(model, [effect_term(effect, observations) for effect in linear])
-    terms, repeated = _told_apart(model, terms)
+    terms, repeated = _without_repeated_columns(model, terms)
     base = replace(model, left_out=model.left_out + taken_up + repeated).with_terms(terms)
     shapes: dict[str, tuple[tuple[float, ...], Array]] = {}
     # One after the other, and once more each with the others at their best.

@@ -10,13 +10,13 @@ from machine_tool_calibration.arrays import Array, rms
 from machine_tool_calibration.methods.axis_tables import AxisTables
 from machine_tool_calibration.model.result import ErrorMap
 
-__all__ = ["Left", "preview"]
+__all__ = ["ResidualError", "preview"]
 
 _PARTS = ("x", "y", "z")
 
 
 @dataclass(frozen=True)
-class Left:
+class ResidualError:
     """The position error in one direction, or its length, over the points of the error map, m.
 
     Attributes:
@@ -41,7 +41,9 @@ class Left:
         return self.rms_after > self.rms_before
 
 
-def preview(error_map: ErrorMap, compensation: AxisTables, directions: Array | None = None) -> tuple[Left, ...]:
+def preview(
+    error_map: ErrorMap, compensation: AxisTables, directions: Array | None = None
+) -> tuple[ResidualError, ...]:
     """Errors before and after, without what a shift and a turn of the whole would explain.
 
     The workpiece's origin and direction are set on the machine, and the data of most methods leave them open.
@@ -61,16 +63,16 @@ def preview(error_map: ErrorMap, compensation: AxisTables, directions: Array | N
     for j, name in enumerate(_PARTS):
         if known[:, j].any():
             at = known[:, j]
-            out.append(_left(name, before[at, j], after[at, j], spread[at, j]))
+            out.append(_residual_error(name, before[at, j], after[at, j], spread[at, j]))
     lengths = [np.linalg.norm(part, axis=1) for part in (before, after, spread)]
-    return (*out, _left("length", *lengths))
+    return (*out, _residual_error("length", *lengths))
 
 
-def _left(name: str, before: Array, after: Array, spread: Array) -> Left:
+def _residual_error(name: str, before: Array, after: Array, spread: Array) -> ResidualError:
     def largest(values: Array) -> float:
         return float(np.abs(values).max())
 
-    return Left(name, rms(before), rms(after), largest(before), largest(after), rms(spread))
+    return ResidualError(name, rms(before), rms(after), largest(before), largest(after), rms(spread))
 
 
 def _without_motion(points: Array, error: Array, known: Array) -> Array:

@@ -118,13 +118,13 @@ class Comparison(Shown):
 
     def report(self) -> str:
         """What `mtcal compare` prints: by setup and repeat, by region, by direction of approach, over covariates."""
-        from machine_tool_calibration.cli.compare import show_comparison
+        from machine_tool_calibration.reports.comparison_tables import show_comparison
 
         return printed(lambda screen: show_comparison(screen, self.found))
 
     def document(self) -> dict[str, Any]:
         """The same for programs, as `mtcal compare --json` writes it (`mtcal-comparison/1`)."""
-        from machine_tool_calibration.cli.output import plain
+        from machine_tool_calibration.reports.documents import plain
 
         copied: dict[str, Any] = plain(self._document)
         return copied
@@ -275,15 +275,15 @@ class Diagnosis(Shown):
         return f"missing: {', '.join(sure)}"
 
     def report(self) -> str:
-        """What `mtcal diagnose` prints: what is missing, look-alikes, what to measure next, what would not show."""
-        from machine_tool_calibration.cli.diagnose import show_diagnosis
+        """What `mtcal diagnose` prints: what is missing, confounded effects, what to measure next, what is hidden."""
+        from machine_tool_calibration.reports.diagnosis import show_diagnosis
 
         return printed(lambda screen: show_diagnosis(screen, self.found, self.conclusions))
 
     def document(self) -> dict[str, Any]:
         """The same for programs, as `mtcal diagnose --json` writes it (`mtcal-diagnosis/1`)."""
-        from machine_tool_calibration.cli.output import plain
         from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
+        from machine_tool_calibration.reports.documents import plain
 
         then = self.conclusions
         made: dict[str, Any] = plain(diagnosis_document(self.found, then.advice, then.changes))

@@ -172,14 +172,14 @@ class Fit(Shown):
 
     def report(self) -> str:
         """What `mtcal identify` prints: how well it fits, the errors with their uncertainty, what is not determined."""
-        from machine_tool_calibration.cli.identified import show_result
+        from machine_tool_calibration.reports.identification import show_result
 
         sessions = self.measurement.sessions
         return printed(lambda screen: show_result(screen, self._document, sessions, self.result.joint))
 
     def document(self) -> dict[str, Any]:
         """The same for programs, as `mtcal identify --json` writes it (`mtcal-result/1`); None is not determined."""
-        from machine_tool_calibration.cli.output import plain
+        from machine_tool_calibration.reports.documents import plain
 
         copied: dict[str, Any] = plain(self._document)
         return copied

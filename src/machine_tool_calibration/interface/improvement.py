@@ -58,7 +58,7 @@ class Improvement(Shown):
 
     @property
     def best(self) -> Fit:
-        """The last model. Where look-alikes move its map differently, the map is their mean."""
+        """The last model. Where confounded effects move its map differently, the map is their mean."""
         return self.fits[-1]
 
     @property
@@ -94,13 +94,13 @@ class Improvement(Shown):
 
     def report(self) -> str:
         """What `mtcal improve` prints: a row for every step, before and after side by side."""
-        from machine_tool_calibration.cli.improve import show_improvement
+        from machine_tool_calibration.reports.improvement import show_improvement
 
         return printed(lambda screen: show_improvement(screen, self.done))
 
     def document(self) -> dict[str, Any]:
         """The same for programs, as `mtcal improve --json` writes it (`mtcal-improvement/1`)."""
-        from machine_tool_calibration.cli.output import plain
+        from machine_tool_calibration.reports.documents import plain
         from machine_tool_calibration.reports.improvement import improvement_document
 
         made: dict[str, Any] = plain(improvement_document(self.done))

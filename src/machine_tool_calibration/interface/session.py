@@ -13,7 +13,7 @@ import pandas as pd
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.interface.show import Shown, printed
-from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.session.session import Session, distinct_labels
 
 __all__ = ["Measurement", "Source", "load", "one_below_the_other", "simulate"]
 
@@ -52,15 +52,17 @@ class Measurement(Shown):
     @property
     def headline(self) -> str:
         """What was measured, in one line."""
-        from machine_tool_calibration.cli.identified import measured
+        from machine_tool_calibration.reports.identification import session_headline
 
         if len(self.sessions) == 1:
-            return measured(self.sessions[0])
-        return "; ".join(f"{label}: {measured(own)}" for label, own in zip(self.labels, self.sessions, strict=True))
+            return session_headline(self.sessions[0])
+        return "; ".join(
+            f"{label}: {session_headline(own)}" for label, own in zip(self.labels, self.sessions, strict=True)
+        )
 
     def report(self) -> str:
         """Setups and columns, as `mtcal info` prints them; of several sessions one after the other."""
-        from machine_tool_calibration.cli.info import show_session
+        from machine_tool_calibration.reports.information import show_session
         from machine_tool_calibration.session.summary import summarize
 
         def show(screen: Any) -> None:
@@ -109,12 +111,10 @@ def load(*sources: Source | Sequence[Source]) -> Measurement:
         CalibrationError: nothing to load, or something that is none of these.
         SessionError: a file is missing or says what cannot be; one line that says what and where.
     """
-    from machine_tool_calibration.cli.output import distinct
-
     found = [entry for source in sources for entry in _opened(source)]
     if not found:
         raise CalibrationError("nothing to load: give a session folder, a recording, or several of them")
-    names = distinct([name for name, _, _ in found])
+    names = distinct_labels([name for name, _, _ in found])
     truth = found[0][2] if len(found) == 1 else None
     return Measurement(tuple(session for _, session, _ in found), tuple(names), truth)
 

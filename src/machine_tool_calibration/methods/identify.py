@@ -155,7 +155,7 @@ class JointResult:
             others = [names[j] for j in np.argsort(-np.abs(direction)) if j != k and abs(direction[j]) > 1e-6]
             why = "no reading depends on it"
             if others:
-                why = f"the readings do not change if it changes together with {', '.join(others[:4])}"
+                why = f"fully correlated with {', '.join(others[:4])}"
             out[names[k]] = why
         if self.angles is not None:
             out |= {entry.name: entry.why for entry in self.angles.untold}

@@ -141,7 +141,7 @@ class Result:
             why = "no reading depends on it"
             if others:
                 shown = ", ".join(others[:4]) + (" and others" if len(others) > 4 else "")
-                why = f"the readings do not change if it changes together with {shown}"
+                why = f"fully correlated with {shown}"
             why = fit.model.why_not_determined(names[k]) or why
             name = whole.get(names[k], names[k])
             if name == names[k] or all(entry.name != name for entry in out):

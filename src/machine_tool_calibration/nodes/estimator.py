@@ -98,7 +98,7 @@ class Estimator(Node):
             self,
             "sets",
             199,
-            "simulated data sets in which nothing is missing; they decide what chance can do",
+            "simulated data sets in which nothing is missing; they give the p-values",
             low=199,
             high=99_999,
             read_only=False,

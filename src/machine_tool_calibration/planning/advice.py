@@ -10,12 +10,12 @@ from machine_tool_calibration.planning.dominant import Dominant
 __all__ = ["ALIKE", "Advice", "Separation", "Visibility", "alias_groups_of"]
 
 ALIKE = 0.9
-"""Cosine from which two effects count as look-alikes."""
+"""Cosine from which two effects count as confounded."""
 
 
 @dataclass(frozen=True)
 class Separation:
-    """How to tell look-alikes apart.
+    """How to distinguish confounded effects.
 
     Attributes:
         effects: the group, the most probable first.
@@ -78,7 +78,7 @@ class Advice:
     """What to measure next.
 
     Attributes:
-        separations: to tell look-alikes apart.
+        separations: to distinguish confounded effects.
         visibilities: to see effects that hardly show.
         dominant: what dominates the map's uncertainty, and what makes it smaller; None where there is no map.
     """

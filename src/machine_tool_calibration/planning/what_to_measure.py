@@ -1,4 +1,4 @@
-"""What to measure next: to tell look-alikes apart, and to see what this measurement could not show."""
+"""What to measure next: to distinguish confounded effects, and to detect what this measurement could not show."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ def visibilities(
 _TOLD_APART = 0.8
 # Cosines closer than this are equally good: the quicker measurement is proposed.
 _EQUAL = 0.05
-_NOTHING = "none of the further measurements that were considered tells them apart"
+_NOTHING = "none of the further measurements that were considered distinguishes them"
 
 
 @single_blas()

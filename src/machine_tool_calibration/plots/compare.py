@@ -10,7 +10,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.diagnosis.comparison import Comparison, JointComparison
-from machine_tool_calibration.plots.residuals import alike, color, draw_arrows, draw_residuals, grids, planes
+from machine_tool_calibration.plots.residuals import color, draw_arrows, draw_residuals, grids, planes, repeat_groups
 from machine_tool_calibration.plots.style import COLORS, save
 
 if TYPE_CHECKING:
@@ -166,7 +166,7 @@ def draw_map(comparison: Comparison) -> Figure:
 
     observations = comparison.fit.model.observations
     position, arrow = observations.position, comparison.residual[:, None] * observations.direction
-    same = alike(observations)
+    same = repeat_groups(observations)
     views = planes(position, observations.direction)
     figure = Figure(figsize=(6.4 * len(views), 6.0), layout="constrained")
     for panel, (a, b) in zip(figure.subplots(1, len(views), squeeze=False).ravel(), views, strict=True):

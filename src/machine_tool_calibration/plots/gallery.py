@@ -13,7 +13,14 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, BoolArray
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.planning.injected import Injected, inject
-from machine_tool_calibration.plots.residuals import alike, axis_label, draw_arrows, draw_residuals, grids, planes
+from machine_tool_calibration.plots.residuals import (
+    axis_label,
+    draw_arrows,
+    draw_residuals,
+    grids,
+    planes,
+    repeat_groups,
+)
 from machine_tool_calibration.plots.style import new_figure
 from machine_tool_calibration.reports.effect_page import gallery_page
 from machine_tool_calibration.residuals.covariates import sensed, telling
@@ -32,6 +39,8 @@ _PANELS = 2
 _BINS, _SENSED = 24, 0.5
 # Size of a picture: dots per inch, and colours.
 _DPI, _HUES = 85, 96
+# Instead of a panel of residuals.
+_ABSORBED = "fully correlated with\nthe model's unknowns"
 
 
 def draw_gallery(
@@ -78,12 +87,12 @@ def draw_injected(injected: Injected) -> Figure:
         panel.set_ylabel(f"{view.what}, µm")
     if injected.taken_up:
         where = {"ha": "center", "va": "center", "fontsize": 11, "color": "0.3"}
-        panels[-1].text(0.5, 0.5, "taken up by the model:\nnothing to see", transform=panels[-1].transAxes, **where)
+        panels[-1].text(0.5, 0.5, _ABSORBED, transform=panels[-1].transAxes, **where)
         panels[-1].set_axis_off()
     else:
         a, b = planes(observations.position, observations.direction)[0]
         arrow = comparison.residual[:, None] * observations.direction
-        same = alike(observations)
+        same = repeat_groups(observations)
         draw_arrows(panels[-1], observations.position[:, [a, b]], arrow[:, [a, b]], comparison.residual, same)
         panels[-1].set(xlabel=f"{'xyz'[a]}, mm", ylabel=f"{'xyz'[b]}, mm")
     grids(figure)

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.diagnosis.improve import Improvement, Step, left_at_tool
+from machine_tool_calibration.diagnosis.improve import Improvement, Step, residual_volumetric_error
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.plots.residuals import axis_label, color, grids, planes
 from machine_tool_calibration.residuals.pool import Pool
@@ -65,10 +65,10 @@ def draw_steps(steps: Sequence[Step], sessions: Sequence[Session], declared: flo
 def _fall(panel: Axes, steps: Sequence[Step], declared: float) -> None:
     at = np.arange(len(steps))
     panel.plot(at, [1e6 * s.result.rms_residual for s in steps], "o-", color="tab:red", label="residual, RMS")
-    left = [left_at_tool(step, steps[-1]) for step in steps]
+    left = [residual_volumetric_error(step, steps[-1]) for step in steps]
     tool = [np.nan if value is None else 1e6 * value for value in left]
     if np.isfinite(tool).any():
-        panel.plot(at, tool, "s-", color="tab:blue", label="left at the tool point (k = 2), RMS")
+        panel.plot(at, tool, "s-", color="tab:blue", label="residual volumetric error (k = 2), RMS")
     panel.axhline(1e6 * declared, color="0.3", ls=":", label="declared uncertainty of a reading")
     panel.set_xticks(at, [s.label for s in steps], rotation=20, ha="right", fontsize=8)
     panel.set_ylim(0.0)
@@ -152,7 +152,7 @@ def step_table(improvement: Improvement) -> pd.DataFrame:
                 "map_rms": step.map_rms,
                 "map_change_rms": step.map_change,
                 "map_uncertainty_rms": step.map_uncertainty,
-                "left_at_tool_rms": step.left_at_tool,
+                "left_at_tool_rms": step.residual_volumetric_error,
             }
             for step in improvement.steps
         ]

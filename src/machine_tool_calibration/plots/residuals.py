@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["alike", "axis_label", "color", "draw_arrows", "draw_residuals", "grids", "planes"]
+__all__ = ["axis_label", "color", "draw_arrows", "draw_residuals", "grids", "planes", "repeat_groups"]
 
 _BINS = 12
 # Arrows of one panel beyond which they hide each other, and the share of the panel that the longest takes.
@@ -139,7 +139,7 @@ def planes(position: Array, direction: Array) -> list[tuple[int, int]]:
     return [max(pairs, key=lambda pair: float(seen[list(pair)].sum()))]
 
 
-def alike(observations: Observations) -> IntArray:
+def repeat_groups(observations: Observations) -> IntArray:
     """(n,) index shared by readings that repeat each other and sense the same direction."""
     sensed = np.round(observations.direction * 1e6)
     key = np.column_stack([same_place(observations), sensed])

@@ -14,9 +14,9 @@ from machine_tool_calibration.diagnosis.comparison import Comparison, JointCompa
 __all__ = ["comparison_columns", "comparison_document", "in_words", "joint_columns", "joint_document", "joint_in_words"]
 
 
-# Chances at which the fit is called worse, or better, than declared, and repeats speak against the model.
+# p-values at which the fit is called worse, or better, than declared, and repeats speak against the model.
 _LEVEL, _TOO_GOOD, _LACK = 0.01, 0.999, 0.003
-# Chance below which it fits only nearly.
+# p-value below which it fits only nearly.
 _NEARLY = 0.05
 # Share of the misfit that repeats must show to be called as large.
 _NOISE = 0.7
@@ -52,7 +52,7 @@ def joint_in_words(comparison: JointComparison) -> str:
         nearly = "nearly " if p < _NEARLY else ""
         return f"the model fits all sessions {nearly}within the declared uncertainty (p = {p:.2g})."
     label, worst = comparison.parts[0]
-    where = "all sessions alike"
+    where = "the same in all sessions"
     if worst.reduced_chi_square is not None and worst.reduced_chi_square >= _WORSE**2 * joint.reduced_chi_square:
         times = _ratio(worst.reduced_chi_square**0.5)
         where = f"worst is session {label} ({times} times, {worst.share:.0%} of all misfit)"
@@ -69,7 +69,7 @@ def _where(comparison: Comparison) -> str:
     worst = ranked[0]
     assert worst.reduced_chi_square is not None
     if worst.reduced_chi_square < _WORSE**2 * comparison.overall.reduced_chi_square:
-        return "all setups alike"
+        return "the same in all setups"
     times = worst.reduced_chi_square**0.5
     return f"worst is setup {worst.name} ({_ratio(times)} times, {worst.share:.0%} of all misfit)"
 
@@ -77,7 +77,7 @@ def _where(comparison: Comparison) -> str:
 def _repeats(overall: Overall, apart: bool) -> str:
     noise = overall.noise
     if noise.from_repeats is None:
-        return "Nothing was repeated often enough to tell noise from a lack of fit."
+        return "Too few repeats to distinguish noise from a lack of fit."
     scatter = f"Readings repeated at one place scatter {_um(noise.from_repeats)} (declared {_um(noise.declared)})"
     lack = noise.lack_of_fit_p
     if lack is not None and lack < _LACK:
@@ -85,7 +85,9 @@ def _repeats(overall: Overall, apart: bool) -> str:
     if overall.p_value >= _LEVEL or apart:
         return f"{scatter}."
     if noise.from_repeats < _NOISE * overall.ratio * noise.declared:
-        return f"{scatter}: what is left is more than their noise; the model lacks something, or runs do not reproduce."
+        return (
+            f"{scatter}: repeats scatter less than the residuals; the model lacks something, or runs do not reproduce."
+        )
     return (
         f"{scatter}: repeats differ as much, so either the declared uncertainty is too small, or something changes "
         "from one repeat to the next (time, temperature)."

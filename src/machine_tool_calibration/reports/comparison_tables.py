@@ -5,50 +5,32 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from machine_tool_calibration.diagnosis.comparison import Approach, Comparison, JointComparison, Share, Trend
-from machine_tool_calibration.reports.diagnosis import TextTable
-from machine_tool_calibration.reports.quantities import micrometres, quantity
+from machine_tool_calibration.reports.comparison import in_words, joint_in_words
+from machine_tool_calibration.reports.quantities import NOT_DETERMINED, micrometres, plus_minus, probability, quantity
+from machine_tool_calibration.reports.tables import TextTable, show_table
 
-__all__ = ["NOT_TOLD", "chance", "comparison_tables", "expanded", "joint_tables", "together", "trends_table", "untold"]
+if TYPE_CHECKING:
+    from rich.console import Console
 
-
-# What stands where the model's own unknowns leave no number.
-NOT_TOLD = "–"
-_MOST_PLACES = 6
-_TAKEN_UP = "the model's own unknowns take up whatever there is"
-
-
-def expanded(value: float | None, uncertainty: float | None, factor: float) -> str:
-    """A value with its expanded uncertainty (k = 2), of which two figures are shown; never with an exponent.
-
-    Args:
-        value: None where the data does not determine it.
-        uncertainty: standard uncertainty.
-        factor: from SI to the unit shown.
-    """
-    if value is None or uncertainty is None:
-        return NOT_TOLD
-    shown, number = 2 * factor * uncertainty, factor * value
-    digits = 1 - math.floor(math.log10(shown)) if shown > 0 else 3
-    if digits < 0:
-        number, shown = round(number, digits), round(shown, digits)
-    places = min(max(digits, 0), _MOST_PLACES)
-    # A zero has no sign: -0.00 says nothing that 0.00 does not.
-    text = f"{number:+.{places}f}"
-    return f"{text[1:] if float(text) == 0.0 else text} ± {shown:.{places}f}"
+__all__ = [
+    "comparison_tables",
+    "correlated_groups",
+    "joint_tables",
+    "mark_not_determined",
+    "show_comparison",
+    "trends_table",
+]
 
 
-def chance(p: float | None) -> str:
-    """A p-value."""
-    if p is None:
-        return NOT_TOLD
-    return f"{p:.2g}" if p >= 1e-4 else "< 0.0001"
+_TAKEN_UP = "fully correlated with the model's own unknowns"
 
 
-def untold(
+def mark_not_determined(
     heads: Sequence[str], rows: Sequence[tuple[str, ...]], columns: Sequence[int]
 ) -> tuple[tuple[tuple[str, ...], ...], str]:
     """Empty those columns of uncertain values that hold no number at all, and say what dashes mean.
@@ -61,14 +43,14 @@ def untold(
     Returns:
         The rows, and a note.
     """
-    nowhere = [k for k in columns if all(row[k] == NOT_TOLD for row in rows)]
+    nowhere = [k for k in columns if all(row[k] == NOT_DETERMINED for row in rows)]
     shown = tuple(tuple("" if k in nowhere else cell for k, cell in enumerate(row)) for row in rows)
     notes = []
-    if any(row[k] == NOT_TOLD for row in shown for k in columns):
-        notes.append(f"{NOT_TOLD}: {_TAKEN_UP}")
+    if any(row[k] == NOT_DETERMINED for row in shown for k in columns):
+        notes.append(f"{NOT_DETERMINED}: {_TAKEN_UP}")
     if nowhere:
         names = " and ".join(heads[k].split(" / ")[0] for k in nowhere)
-        notes.append(f"nothing is told of the {names}: {_TAKEN_UP}")
+        notes.append(f"{names}: not determined, {_TAKEN_UP}")
     return shown, "; ".join(notes)
 
 
@@ -76,33 +58,33 @@ _MICRO = 1e6
 _MOST = 8
 # Correlation from which two covariates changed together, so that a line over one is a line over the other.
 _TOGETHER = 0.9
-# Chance above which a line says nothing, and how many are shown all the same.
+# p-value above which a line says nothing, and how many are shown all the same.
 _NOTHING, _LEAST = 0.05, 1
 
 
 def trends_table(comparison: Comparison) -> TextTable:
     """Straight lines over time, temperature and every other covariate, the clearest first."""
     told = [t for t in comparison.trends if t.slope is not None and t.added is not None]
-    groups = together(comparison, told)
+    groups = correlated_groups(comparison, told)
     clear = [group for group in groups if (group[0].p_value or 0.0) < _NOTHING]
     shown = (clear or groups[:_LEAST])[:_MOST]
     rows = tuple(
         (
             first.covariate,
             ", ".join(sorted((t.covariate for t in others), key=lambda name: name != "time")),
-            expanded(first.slope, first.slope_u, _MICRO * first.span),
-            expanded(first.added, first.added_u, _MICRO * first.span),
-            chance(first.p_value),
+            plus_minus(first.slope, first.slope_u, _MICRO * first.span),
+            plus_minus(first.added, first.added_u, _MICRO * first.span),
+            probability(first.p_value),
         )
         for first, *others in shown
     )
-    columns = ("over", "with it went", "residuals change by / µm", "the model would need / µm", "chance")
+    columns = ("over", "correlated with", "residuals change by / µm", "the model would need / µm", "p-value")
     return TextTable(
         "Straight lines over time, temperature and what else was recorded", columns, rows, _note(comparison, shown)
     )
 
 
-def together(comparison: Comparison, trends: list[Trend]) -> list[list[Trend]]:
+def correlated_groups(comparison: Comparison, trends: list[Trend]) -> list[list[Trend]]:
     """Trends whose covariates changed together, in the order of the clearest of each; that one leads its group."""
     groups: list[list[Trend]] = []
     for trend in trends:
@@ -120,19 +102,19 @@ def _note(comparison: Comparison, shown: list[list[Trend]]) -> str:
     tried = len(comparison.trends)
     notes = [
         "from one end of what was recorded to the other; the model would need more than the residuals show, "
-        "because its other unknowns take a part up"
+        "because its other unknowns are correlated with it"
     ]
     if any(len(group) > 1 for group in shown):
-        notes.append("what went together cannot be told apart here")
+        notes.append("correlated covariates cannot be distinguished here")
     listed = {t.covariate for group in shown for t in group}
     rest = [t.covariate for t in comparison.trends if t.covariate not in listed and t.slope is not None]
     if rest:
         notes.append(f"nothing clear over {', '.join(rest)}")
     hidden = [t.covariate for t in comparison.trends if t.slope is None or t.added is None]
     if hidden:
-        notes.append(f"the model's own unknowns take up what there is over {', '.join(hidden)}")
+        notes.append(f"fully correlated with the model's own unknowns: {', '.join(hidden)}")
     notes.append(
-        f"{tried} tried: the smallest chance of so many is about {1 / (tried + 1):.1g} where nothing is the matter; "
+        f"{tried} tried: the smallest of so many p-values is about {1 / (tried + 1):.1g} where the model is right; "
         "`mtcal diagnose` allows for that"
     )
     return "; ".join(notes)
@@ -179,7 +161,7 @@ def joint_tables(comparison: JointComparison) -> Iterator[TextTable]:
             "reduced chi-square (1 if the model and the declared uncertainty are right)",
             f"{joint.reduced_chi_square:.3g}, {joint.solution.degrees_of_freedom} degrees of freedom",
         ),
-        ("chance of so large a scatter, if the model is right", chance(joint.p_value)),
+        ("p-value of the fit", probability(joint.p_value)),
     )
     yield TextTable(f"All {comparison.readings} readings of {len(comparison.labels)} sessions", ("", ""), rows)
     parts = [share for _, share in comparison.parts]
@@ -200,16 +182,16 @@ def _overall(comparison: Comparison) -> TextTable:
         ("declared standard uncertainty of a reading", quantity(overall.noise.declared, "m")),
         (
             "scatter of readings repeated at one place",
-            "not repeated often enough to tell" if repeats is None else quantity(repeats, "m"),
+            "not determined: too few repeats" if repeats is None else quantity(repeats, "m"),
         ),
         (
             "reduced chi-square (1 if the model and the declared uncertainty are right)",
             f"{overall.reduced_chi_square:.3g}, {overall.degrees_of_freedom} degrees of freedom",
         ),
-        ("chance of so large a scatter, if the model is right", chance(overall.p_value)),
+        ("p-value of the fit", probability(overall.p_value)),
     ]
     if overall.noise.lack_of_fit_p is not None:
-        rows.append(("chance that places differ so much more than repeats do", chance(overall.noise.lack_of_fit_p)))
+        rows.append(("p-value of the lack of fit", probability(overall.noise.lack_of_fit_p)))
     note = "every ± below is an expanded uncertainty (k = 2)"
     return TextTable(f"All {overall.readings} readings", ("", ""), tuple(rows), note)
 
@@ -222,14 +204,14 @@ def _parts(title: str, head: str, shares: Sequence[Share], most: int) -> TextTab
             micrometres(share.rms),
             _times(share),
             f"{share.share:.0%}",
-            expanded(share.mean, share.mean_u, _MICRO),
-            expanded(share.slope, share.slope_u, _MICRO * _HOUR),
+            plus_minus(share.mean, share.mean_u, _MICRO),
+            plus_minus(share.slope, share.slope_u, _MICRO * _HOUR),
             "" if share.worst_row is None else str(share.worst_row),
         )
         for share in shares[:most]
     )
     columns = (head, "readings", "RMS / µm", "× declared", "of all misfit", "mean / µm", "drift / (µm/h)", "worst row")
-    shown, note = untold(columns, rows, (5, 6))
+    shown, note = mark_not_determined(columns, rows, (5, 6))
     if len(shares) > most:
         note = f"{len(shares) - most} more; {note}".removesuffix("; ")
     return TextTable(title, columns, shown, note)
@@ -262,11 +244,11 @@ def _regions(comparison: Comparison) -> TextTable:
                     str(share.readings),
                     micrometres(share.rms),
                     _times(share),
-                    expanded(share.mean, share.mean_u, _MICRO),
+                    plus_minus(share.mean, share.mean_u, _MICRO),
                 )
             )
     columns = ("axis", "position", "readings", "RMS / µm", "× declared", "mean / µm")
-    shown, note = untold(columns, tuple(rows), (5,))
+    shown, note = mark_not_determined(columns, tuple(rows), (5,))
     return TextTable("Regions of each axis, the three worst", columns, shown, note)
 
 
@@ -275,23 +257,23 @@ def _approaches(comparison: Comparison) -> TextTable:
         (
             a.axis,
             f"{a.forward} / {a.backward}",
-            expanded(a.difference, a.difference_u, _MICRO),
+            plus_minus(a.difference, a.difference_u, _MICRO),
             _apart(a),
-            chance(a.p_value),
+            probability(a.p_value),
         )
         for a in comparison.approaches
     )
-    columns = ("axis", "readings after + / −", "residual after + minus after − / µm", "axis stands apart by", "chance")
-    shown, note = untold(columns, rows, (2, 3))
+    columns = ("axis", "readings after + / −", "residual after + minus after − / µm", "axis stands apart by", "p-value")
+    shown, note = mark_not_determined(columns, rows, (2, 3))
     note = (
         "axis stands apart by: what the two directions would have to differ by on the axis (a backlash of half width b "
-        f"gives −2 b); chance: that noise alone makes so much; {note}"
+        f"gives −2 b); {note}"
     ).removesuffix("; ")
     return TextTable("Direction of approach", columns, shown, note)
 
 
 def _apart(approach: Approach) -> str:
-    text = expanded(approach.displacement, approach.displacement_u, _MICRO)
+    text = plus_minus(approach.displacement, approach.displacement_u, _MICRO)
     return text if approach.displacement is None else f"{text} {'µrad' if approach.axis == 'c' else 'µm'}"
 
 
@@ -320,3 +302,18 @@ def _worst(comparison: Comparison) -> TextTable:
 
 def _times(share: Share) -> str:
     return "–" if share.reduced_chi_square is None else f"{share.reduced_chi_square**0.5:.2f}"
+
+
+def show_comparison(screen: Console, comparison: Comparison | JointComparison) -> None:
+    """In words first, then the tables."""
+    from rich.text import Text
+
+    if isinstance(comparison, Comparison):
+        words, tables = in_words(comparison), comparison_tables(comparison)
+    else:
+        words, tables = joint_in_words(comparison), joint_tables(comparison)
+    screen.print(Text(words[0].upper() + words[1:]))
+    if comparison.effects:
+        screen.print(Text(f"In the model: {', '.join(comparison.effects)}."))
+    for table in tables:
+        show_table(screen, table)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,7 +20,6 @@ from machine_tool_calibration.planning.advice import Advice, alias_groups_of
 from machine_tool_calibration.planning.dominant import Dominant
 from machine_tool_calibration.reports.diagnosis_document import smallest_sizes
 from machine_tool_calibration.reports.quantities import (
-    TextTable,
     duration,
     micrometres,
     probability,
@@ -27,18 +27,24 @@ from machine_tool_calibration.reports.quantities import (
     range_of,
     sizes_in_words,
 )
+from machine_tool_calibration.reports.tables import TextTable, show_table
 from machine_tool_calibration.reports.unknowns import unknowns_in_words
 from machine_tool_calibration.reports.verdict import verdict_words
 from machine_tool_calibration.residuals.pool import Pool
 
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from machine_tool_calibration.planning.what_to_measure import Conclusions
+
 __all__ = [
     "Report",
-    "TextTable",
     "coefficients_table",
     "diagnosis_report",
     "dominant_words",
     "hidden_table",
     "in_map_table",
+    "show_diagnosis",
 ]
 
 
@@ -97,8 +103,8 @@ def in_map_table(diagnosis: Diagnosis) -> TextTable:
 
 
 def hidden_table(diagnosis: Diagnosis) -> TextTable:
-    """Effects that would not show, because an unknown of the set-up, or the map, takes their place."""
-    title = "Effects that would not show here: an unknown changes the readings in the same way"
+    """Effects that would not show, because they are fully correlated with unknowns of the setups or the map."""
+    title = "Effects that would not show here: fully correlated with unknowns of the model"
     rows = _rows(diagnosis, False)
     wrong = any(unknown.in_map for a in _absorbed(diagnosis, False) for unknown in a.by[:1])
     note = "taken for an error motion, a squareness or the points, they make the map wrong" if wrong else ""
@@ -175,7 +181,7 @@ def diagnosis_report(
         coefficients_table(diagnosis, changes),
         _outliers(diagnosis),
         _structure(diagnosis),
-        _alike(diagnosis, advice),
+        _confounded(diagnosis, advice),
         _next(advice),
         hidden_table(diagnosis),
         in_map_table(diagnosis),
@@ -219,8 +225,8 @@ def _candidates(diagnosis: Diagnosis, changes: Mapping[str, Consequence], shown:
     left = len(ranked) - len(rows)
     before = micrometres(rms(Pool(diagnosis.fits[0]).residuals))
     note = (
-        "alike: the same letter, look-alikes; p: chance of doing as well, paid for the whole search; size ± U (k = 2); "
-        "left out: share by which the error of predicting readings left out falls, the worst of setups, blocks of "
+        "group: the same letter, confounded effects; p-value: corrected for the whole search; size ± U (k = 2); "
+        "cross-validation: fall of the mean square error of predicting readings left out, worst of setups, blocks of "
         f"places and cycles; residual and map: RMS with it in the model; without any the residual is {before} µm"
     )
     if accepted:
@@ -229,7 +235,10 @@ def _candidates(diagnosis: Diagnosis, changes: Mapping[str, Consequence], shown:
         note += "; plausible: no, if such a size does not occur"
     if left:
         note += f"; {left} less probable {'one is' if left == 1 else 'ones are'} left out"
-    heads = ("effect", "alike", "probability", "p", "size", "plausible", "left out", "residual / µm", "map moves / µm")
+    heads = (
+        *("effect", "group", "probability", "p-value", "size", "plausible", "cross-validation"),
+        *("residual / µm", "map moves / µm"),
+    )
     return TextTable(title, heads, tuple(rows), note)
 
 
@@ -268,10 +277,10 @@ def _structure(diagnosis: Diagnosis) -> TextTable:
     rows = tuple((s.covariate, s.shape, probability(s.p_value), f"{100 * s.share:.0f} %") for s in left[:_SHOWN])
     title = "What the residuals still depend on"
     note = f"{len(left) - _SHOWN} more" if len(left) > _SHOWN else ""
-    return TextTable(title, ("covariate", "shape", "p", "share of the sum of squares"), rows, note)
+    return TextTable(title, ("covariate", "shape", "p-value", "share of the sum of squares"), rows, note)
 
 
-def _alike(diagnosis: Diagnosis, advice: Advice) -> TextTable:
+def _confounded(diagnosis: Diagnosis, advice: Advice) -> TextTable:
     rows = []
     for s in advice.separations:
         told = s.effects[0] in diagnosis.accepted
@@ -285,11 +294,11 @@ def _alike(diagnosis: Diagnosis, advice: Advice) -> TextTable:
                 f"{s.apart_before:.1f} → {s.apart_after:.1f}" if told else "",
             )
         )
-    heads = ("look-alikes", "to tell them apart", "time", "besides", "cosine", "apart / u")
-    note = "cosine: how alike their patterns are in the readings, now → then; 1: not to be told apart"
+    heads = ("confounded effects", "to distinguish them", "time", "besides", "cosine", "apart / u")
+    note = "cosine: of the angle between their patterns in the readings, now → then; 1: fully correlated"
     if any(row[-1] for row in rows):
         note += "; apart: how far the patterns differ at the size found, in standard uncertainties u"
-    return TextTable("Look-alikes, and what to measure next", heads, tuple(rows), note)
+    return TextTable("Confounded effects, and what to measure next", heads, tuple(rows), note)
 
 
 def _next(advice: Advice) -> TextTable:
@@ -304,7 +313,7 @@ def _next(advice: Advice) -> TextTable:
         )
         for v in advice.visibilities
     )
-    heads = ("effect", "to see it", "time", "besides", "seen from: now", "then")
+    heads = ("effect", "to detect it", "time", "besides", "smallest size: now", "then")
     return TextTable("Effects that hardly show here, and what would show them", heads, rows)
 
 
@@ -348,3 +357,19 @@ def _longest_last(by: Mapping[str, list[str]]) -> Iterator[tuple[str, list[str]]
     items = list(by.items())
     for k in lengths:
         yield items[int(k)]
+
+
+def show_diagnosis(screen: Console, found: Diagnosis, then: Conclusions, shown: int = 8) -> None:
+    """In words first, then the tables.
+
+    Args:
+        screen: where.
+        found: the diagnosis.
+        then: what follows from it.
+        shown: how many candidates beside the accepted ones; 0 for all.
+    """
+    report = diagnosis_report(found, then.advice, then.changes, shown)
+    for paragraph in report.words:
+        screen.print(paragraph, markup=False)
+    for table in report.tables:
+        show_table(screen, table)

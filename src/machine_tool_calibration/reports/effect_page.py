@@ -8,8 +8,8 @@ from typing import Any
 
 from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape
 from machine_tool_calibration.planning.injected import AMPLITUDE, Injected, Shown
-from machine_tool_calibration.reports.diagnosis import TextTable
 from machine_tool_calibration.reports.quantities import range_of
+from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.reports.unknowns import unknowns_in_words
 
 __all__ = ["coefficients_in_words", "effect_document", "effects_table", "gallery_page", "shown_table"]
@@ -22,7 +22,7 @@ _INTRODUCTION = f"""# What effects look like
 Each effect is put into perfect readings of a machine without errors by the simulator, which knows nothing of the
 effect's formula; the largest change of a reading is {AMPLITUDE * 1e6:.0f} µm. The method's default model, which lacks
 the effect, is fitted. Coloured: what it leaves, by setup, with the running mean in black. Gray: what the effect did to
-the readings, without the mean of each run. Arrows: what is left, along the direction that the instrument senses.
+the readings, without the mean of each run. Arrows: the residuals, along the direction that the instrument senses.
 
 This page and its pictures are made by `mtcal effects ID … --gallery FOLDER`.
 """
@@ -138,5 +138,6 @@ def _fate(injected: Injected) -> str:
     plan = f"`{injected.plan}`"
     made = "" if injected.from_geometry else " The readings were made with the effect's own formula."
     if injected.taken_up:
-        return f"In every simulated plan the model's own unknowns take it up (shown: {plan}): nothing to see.{made}"
+        shown = f"(shown: {plan}): no residuals.{made}"
+        return f"In every simulated plan it is fully correlated with the model's own unknowns {shown}"
     return f"In {plan} the default model leaves {injected.left:.0%} of it (root mean square).{made}"

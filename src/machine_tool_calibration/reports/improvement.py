@@ -1,12 +1,23 @@
-"""A model made better as a document for programs."""
+"""A model made better: as a document for programs, and for people."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from machine_tool_calibration.diagnosis.improve import Improvement
+from machine_tool_calibration.diagnosis.improve import Improvement, Step
+from machine_tool_calibration.reports.quantities import (
+    micrometres,
+    probability,
+    quantity,
+    residual_change,
+    sizes_in_words,
+)
+from machine_tool_calibration.reports.tables import TextTable, show_table
 
-__all__ = ["improvement_document"]
+if TYPE_CHECKING:
+    from rich.console import Console
+
+__all__ = ["improvement_document", "show_improvement"]
 
 
 def improvement_document(done: Improvement) -> dict[str, Any]:
@@ -30,10 +41,108 @@ def improvement_document(done: Improvement) -> dict[str, Any]:
                 "map_rms": step.map_rms,
                 "map_change_rms": step.map_change,
                 "map_uncertainty_rms": step.map_uncertainty,
-                "left_at_tool_rms": step.left_at_tool,
+                "left_at_tool_rms": step.residual_volumetric_error,
                 "parameters": [estimate.document() for estimate in step.parameters],
             }
             for step in done.steps
         ],
         "result": done.steps[-1].result.document(),
     }
+
+
+def show_improvement(screen: Console, done: Improvement) -> None:
+    """In words first, then a row for every step and before and after side by side."""
+    screen.print(_words(done), markup=False)
+    show_table(screen, _steps(done))
+    if len(done.steps) > 1:
+        show_table(screen, _side_by_side(done))
+
+
+def _words(done: Improvement) -> str:
+    found = done.diagnosis
+    fell = _what_falls(done)
+    if found.accepted:
+        return f"Added {', '.join(found.accepted)}: {fell}"
+    if found.verdict == "outliers":
+        return f"Set aside {len(found.outliers)} readings that do not belong to the rest: {fell} No effect is missing."
+    if found.verdict == "unexplained":
+        return (
+            "Nothing was added: the residuals have structure that no effect of the catalogue explains; "
+            "`mtcal diagnose` says on what they depend."
+        )
+    return "Nothing was added: this measurement shows no missing effect."
+
+
+def _what_falls(done: Improvement) -> str:
+    """The residual; where unknown angles had taken up what is now in the model, the residual volumetric error."""
+    first, last = done.steps[0], done.steps[-1]
+    declared = f"declared uncertainty {quantity(done.diagnosis.noise.declared, 'm')}"
+    residual = residual_change(first.result.rms_residual, last.result.rms_residual)
+    before, after = (done.residual_volumetric_error(step) for step in (first, last))
+    if last.result.rms_residual < first.result.rms_residual or before is None or after is None or after >= before:
+        return f"{residual} ({declared})."
+    return (
+        f"the residual volumetric error falls from {quantity(before, 'm')} to {quantity(after, 'm')} "
+        f"RMS (k = 2); {residual} ({declared})."
+    )
+
+
+def _steps(done: Improvement) -> TextTable:
+    rows = []
+    chance = {f.name: f.probability for f in done.diagnosis.ranked}
+    for step in done.steps:
+        own = [p for p in step.parameters if p.name.split(".")[0] == step.change]
+        rows.append(
+            (
+                step.label,
+                sizes_in_words(own) if own else "",
+                probability(chance[step.change]) if step.change in chance else "",
+                micrometres(step.result.rms_residual),
+                _chi(step),
+                micrometres(step.map_change),
+                micrometres(step.map_rms),
+                micrometres(None if step.map_uncertainty is None else 2 * step.map_uncertainty),
+                micrometres(done.residual_volumetric_error(step)),
+            )
+        )
+    heads = (
+        "model",
+        "size ± U",
+        "probability",
+        "residual",
+        "chi²/ν",
+        "map moves",
+        "map",
+        "U of map",
+        "residual volumetric error",
+    )
+    note = (
+        "probability: that it is missing; µm RMS; chi²/ν: reduced chi-square; map: length of the "
+        "errors; U (k = 2) as `mtcal identify` publishes it; residual volumetric error: of U with "
+        "the scatter of the readings, of what the model does not explain, and of the distance to the last map"
+    )
+    return TextTable("Step by step", heads, tuple(rows), note)
+
+
+def _side_by_side(done: Improvement) -> TextTable:
+    def pair(name: str, values: list[str]) -> tuple[str, str, str]:
+        return (name, values[0], values[1])
+
+    both = (done.steps[0], done.steps[-1])
+    rows = [
+        pair("effects added", [", ".join(s.result.effects) or "none" for s in both]),
+        pair("readings used", [str(s.result.joint.assembly.problem.n_readings) for s in both]),
+        pair("residual, µm RMS", [micrometres(s.result.rms_residual) for s in both]),
+        pair("reduced chi-square", [_chi(s) for s in both]),
+        pair("p-value", [probability(s.result.joint.p_value) for s in both]),
+        pair("map of errors, µm RMS", [micrometres(s.map_rms) for s in both]),
+        pair(
+            "residual volumetric error, µm RMS (k = 2)",
+            [micrometres(done.residual_volumetric_error(s)) for s in both],
+        ),
+    ]
+    return TextTable("Before and after", ("", "before", "after"), tuple(rows))
+
+
+def _chi(step: Step) -> str:
+    return "–" if step.reduced_chi_square is None else f"{step.reduced_chi_square:.2f}"

@@ -1,28 +1,35 @@
-"""A table of text, for a terminal or a page."""
+"""Values for people: a quantity with its expanded uncertainty, a probability, a duration."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from machine_tool_calibration.model.result import Estimate
 
 __all__ = [
-    "TextTable",
+    "NOT_DETERMINED",
+    "decimals",
     "duration",
+    "fixed",
     "micrometres",
+    "plus_minus",
     "probability",
     "quantity",
     "range_of",
+    "reproducibility_words",
     "residual_change",
     "sizes_in_words",
-    "spread_words",
+    "value_and_uncertainties",
 ]
 
 
-# Probability from which what does not reproduce is told with a size.
+# What stands where the data leaves no number.
+NOT_DETERMINED = "–"
+_MOST_PLACES = 6
+_TABLE_UNITS = {"m": (1e6, "µm"), "rad": (1e6, "µrad"), "m/s": (3.6e9, "µm/h"), "rad/s": (3.6e9, "µrad/h")}
+# Probability from which what does not reproduce is shown with a size.
 _SURE = 0.9
 _FAMILIES = {"run": "runs", "mounting": "mountings", "pass": "passes over the axis"}
 # Coefficients of an effect beyond which only one is shown.
@@ -56,7 +63,7 @@ def quantity(value: float, unit: str, uncertainty: float | None = None) -> str:
     if expanded is None or expanded == 0.0:
         return f"{_figures(number)}{after}"
     expanded *= factor
-    places = max(1 - math.floor(math.log10(expanded)), 0) if expanded < 1e15 else 0
+    places = decimals(expanded) if expanded < 1e15 else 0
     if places > 9:
         return f"{_figures(number)} ± {_figures(expanded)}{after}"
     return f"{number:.{places}f} ± {expanded:.{places}f}{after}"
@@ -73,13 +80,15 @@ def _figures(value: float) -> str:
 def micrometres(metres: float | None) -> str:
     """Length in micrometres without the unit, for a table; a dash if it is not known."""
     if metres is None or not math.isfinite(metres):
-        return "–"
+        return NOT_DETERMINED
     value = metres * 1e6
     return f"{value:.3f}" if abs(value) < 9.9995 else f"{value:.1f}"
 
 
-def probability(value: float) -> str:
-    """A probability or p-value without a long tail of zeros."""
+def probability(value: float | None) -> str:
+    """A probability or p-value without a long tail of zeros; a dash if it is not determined."""
+    if value is None:
+        return NOT_DETERMINED
     if value < 1e-6:
         return "< 1e-6"
     return f"{value:.1e}" if value < 1e-3 else f"{value:.3f}" if value < 0.1 else f"{value:.2f}"
@@ -88,7 +97,7 @@ def probability(value: float) -> str:
 def duration(seconds: float | None) -> str:
     """A time as people say it."""
     if seconds is None:
-        return "–"
+        return NOT_DETERMINED
     if seconds < 90.0:
         return f"{seconds:.0f} s"
     if seconds < 5400.0:
@@ -122,7 +131,7 @@ def residual_change(before: float, after: float) -> str:
 def sizes_in_words(parameters: Sequence[Estimate]) -> str:
     """Coefficients of one effect with their expanded uncertainty; of many, the most significant one."""
     if not parameters:
-        return "–"
+        return NOT_DETERMINED
     shown = list(parameters)
     if len(shown) > _MANY:
         shown = [max(shown, key=lambda p: abs(p.value) / max(p.standard_uncertainty, 1e-300))]
@@ -130,7 +139,7 @@ def sizes_in_words(parameters: Sequence[Estimate]) -> str:
     return text if len(shown) == len(parameters) else f"{len(parameters)} coefficients, {text}"
 
 
-def spread_words(sizes: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+def reproducibility_words(sizes: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     """What does not reproduce, where that is sure: from the entries `spread` of a result."""
     for entry in sizes:
         if entry["probability"] > _SURE and entry["size"] > 0:
@@ -142,18 +151,48 @@ def spread_words(sizes: Sequence[Mapping[str, Any]]) -> Iterator[str]:
             )
 
 
-@dataclass(frozen=True)
-class TextTable:
-    """A table of text.
+def plus_minus(value: float | None, uncertainty: float | None, factor: float) -> str:
+    """A value with its expanded uncertainty (k = 2), of which two figures are shown; never with an exponent.
 
-    Attributes:
-        title: what it shows.
-        columns: heads.
-        rows: as many texts as there are heads.
-        note: to be read below it.
+    Args:
+        value: None where the data does not determine it.
+        uncertainty: standard uncertainty.
+        factor: from SI to the unit shown.
     """
+    if value is None or uncertainty is None:
+        return NOT_DETERMINED
+    shown, number = 2 * factor * uncertainty, factor * value
+    digits = 1 - math.floor(math.log10(shown)) if shown > 0 else 3
+    if digits < 0:
+        number, shown = round(number, digits), round(shown, digits)
+    places = min(max(digits, 0), _MOST_PLACES)
+    # A zero has no sign: -0.00 says nothing that 0.00 does not.
+    text = f"{number:+.{places}f}"
+    return f"{text[1:] if float(text) == 0.0 else text} ± {shown:.{places}f}"
 
-    title: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    note: str = ""
+
+def value_and_uncertainties(
+    value: float, uncertainty: float, unit: str, place: bool = False
+) -> tuple[str, str, str, str]:
+    """Value, u and U with as many digits as the uncertainty bears, and the unit that people use; a place is in mm."""
+    factor, name = _TABLE_UNITS.get(unit, (1.0, unit))
+    if unit == "1" and max(abs(value), uncertainty) < 1e-3:
+        factor, name = 1e6, "µm/m"
+    if unit == "m" and (place or abs(value) > 1e-2):
+        factor, name = 1e3, "mm"
+    u = uncertainty * factor
+    if 1e-9 < u < 1e7 and abs(value * factor) < 1e9:
+        texts = tuple(fixed(number, decimals(u)) for number in (value * factor, u, 2 * u))
+    else:
+        texts = (f"{value * factor:.5g}", f"{u:.2g}", f"{2 * u:.2g}")
+    return texts[0], texts[1], texts[2], "" if name == "1" else name
+
+
+def decimals(uncertainty: float) -> int:
+    """Decimals that leave an uncertainty two figures."""
+    return max(0, 1 - math.floor(math.log10(uncertainty)))
+
+
+def fixed(number: float, places: int) -> str:
+    """So many decimals, and no minus sign before a zero."""
+    return f"{round(number, places) + 0.0:.{places}f}"

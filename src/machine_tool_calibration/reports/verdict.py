@@ -15,9 +15,9 @@ from machine_tool_calibration.planning.advice import Advice, Separation
 from machine_tool_calibration.reports.quantities import (
     probability,
     quantity,
+    reproducibility_words,
     residual_change,
     sizes_in_words,
-    spread_words,
 )
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.session import Session
@@ -27,7 +27,7 @@ __all__ = ["mounted_more_than_once", "verdict_words"]
 # Chance below which residuals count as larger than declared.
 _TOO_LARGE = 0.01
 _MANY = 3
-# Standard uncertainties between look-alikes from which the readings tell them apart all the same.
+# Standard uncertainties between confounded effects from which the readings distinguish them all the same.
 _APART = 6.0
 # Chance below which a backlash of the impossible sign is no accident.
 _REVERSED = 1e-6
@@ -48,7 +48,7 @@ def verdict_words(diagnosis: Diagnosis, changes: Mapping[str, Consequence], advi
     if diagnosis.outliers and diagnosis.verdict != "outliers":
         n = len(diagnosis.outliers)
         yield f"{'One reading was' if n == 1 else f'{n} readings were'} set aside before, as outliers: see below."
-    yield from spread_words([spread_document(size) for size in diagnosis.fits[-1].stated.sizes])
+    yield from reproducibility_words([spread_document(size) for size in diagnosis.fits[-1].stated.sizes])
     yield from _reversed(diagnosis)
     yield from _noise(diagnosis)
 
@@ -74,8 +74,8 @@ def _verdict(diagnosis: Diagnosis) -> str:
         return f"The model lacks {what}."
     if diagnosis.verdict == "unexplained" and look.unknown < 1.0 - look.nothing - look.unknown:
         return (
-            f"Something is missing (probability {probability(1.0 - look.nothing)}), and these readings do not tell "
-            "which effect it is: none is named as the cause."
+            f"Something is missing (probability {probability(1.0 - look.nothing)}), and these readings do not "
+            "determine which effect it is: none is named as the cause."
         )
     if diagnosis.verdict == "unexplained":
         return "The model lacks something that no effect of the catalogue explains. No effect is named as the cause."
@@ -128,7 +128,7 @@ def _found(diagnosis: Diagnosis, name: str, change: Consequence | None, advice: 
     predicted = diagnosis.predicted.get(name, ())
     if predicted:
         shares = ", ".join(f"{p.what} {100 * p.gain:+.0f} %" for p in predicted)
-        words.append(f"Readings that were left out are predicted better with it (mean square error less by: {shares}).")
+        words.append(f"Cross-validation: readings left out are predicted better (mean square error less by: {shares}).")
     if not found.plausible:
         words.append("Such a size does not usually occur: look for another cause as well.")
     separation = next((s for s in advice.separations if s.effects[0] == name), None)
@@ -139,15 +139,15 @@ def _found(diagnosis: Diagnosis, name: str, change: Consequence | None, advice: 
 
 
 def _lookalike(separation: Separation, as_good: bool) -> str:
-    """What to say of look-alikes, which may do as well with nonlinear coefficients of their own."""
+    """What to say of confounded effects, which may do as well with nonlinear coefficients of their own."""
     others = " or ".join(separation.effects[1:])
     if separation.apart_before >= _APART and not as_good:
         return (
-            f"A look-alike, {others}, would leave a similar pattern in the residuals, but at the size found the "
-            f"readings tell them apart: the patterns differ by {separation.apart_before:.0f} standard uncertainties."
+            f"A similar effect, {others}, would leave nearly the same residuals, but at the size found the readings "
+            f"distinguish them: the patterns differ by {separation.apart_before:.0f} standard uncertainties."
         )
-    text = f"It may as well be {others}: this measurement cannot tell them apart."
-    return f"{text} To tell: {separation.measure}." if separation.kind is not None else text
+    text = f"It may as well be {others}: this measurement cannot distinguish them."
+    return f"{text} To distinguish them: {separation.measure}." if separation.kind is not None else text
 
 
 def _unexplained(diagnosis: Diagnosis) -> Iterator[str]:
@@ -163,7 +163,7 @@ def _unexplained(diagnosis: Diagnosis) -> Iterator[str]:
         text = f"The readings scatter {np.sqrt(fit.reduced_chi_square):.1f} times as much as declared"
         yield f"{text}, repeats by {quantity(repeats, 'm')}." if repeats is not None else f"{text}."
     if diagnosis.likely:
-        yield f"{_likeliest(diagnosis)} None of these accounts for what is left."
+        yield f"{_likeliest(diagnosis)} None of these accounts for the residuals."
 
 
 def _covariate(structure: Structure) -> str:
@@ -181,7 +181,7 @@ def _noise(diagnosis: Diagnosis) -> Iterator[str]:
         yield from _scatter(diagnosis)
         return
     if diagnosis.verdict in ("adequate", "outliers", "missing_effect") and joint.p_value < _TOO_LARGE:
-        text = f"The readings scatter {ratio:.2f} times as much as declared, which chance does not explain."
+        text = f"The readings scatter {ratio:.2f} times as much as declared, which noise does not explain."
         if noise.from_repeats is not None and diagnosis.noisy:
             repeats = quantity(noise.from_repeats, "m")
             text += f" Repeats scatter as much ({repeats}): the declared uncertainty is too small."
@@ -189,7 +189,7 @@ def _noise(diagnosis: Diagnosis) -> Iterator[str]:
             text += " The rest is what does not reproduce, or the model in a way that no effect and no covariate shows."
         else:
             text += (
-                " Whether that is the model or the reproducibility of the setups cannot be told: none was measured "
+                " Whether that is the model or the reproducibility of the setups is not determined: none was measured "
                 "again after being mounted again."
             )
         yield text
@@ -216,7 +216,7 @@ def _scatter(diagnosis: Diagnosis) -> Iterator[str]:
     if diagnosis.verdict == "missing_effect" and diagnosis.look.left:
         best = diagnosis.look.left[0]
         yield (
-            f"What is left still depends on {_covariate(best)}: {100 * best.share:.0f} % of its sum of squares (p "
+            f"The residuals still depend on {_covariate(best)}: {100 * best.share:.0f} % of their sum of squares (p "
             f"{probability(best.p_value)}), which no single effect of the catalogue explains. The effects that were "
             "found stay as they are beside it."
         )

@@ -15,7 +15,7 @@ from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.description import Description, Place
 from machine_tool_calibration.session.method import MethodSpec
 
-__all__ = ["Readings", "Session", "assemble", "distinct_places"]
+__all__ = ["Readings", "Session", "assemble", "distinct_labels", "distinct_places"]
 
 
 @dataclass(frozen=True)
@@ -123,6 +123,11 @@ class Session:
 
 # Large odd numbers: products and sums wrap around in 64 bits.
 _MIX = np.array([0x1E3779B97F4A7C15, 0x3F58476D1CE4E5B9, 0x14D049BB133111EB])
+
+
+def distinct_labels(names: Sequence[str]) -> list[str]:
+    """The names, numbered where they repeat."""
+    return [f"{name}#{k + 1}" if names.count(name) > 1 else name for k, name in enumerate(names)]
 
 
 def distinct_places(position: Array) -> tuple[IntArray, IntArray]:

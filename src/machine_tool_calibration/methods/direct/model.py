@@ -188,7 +188,7 @@ def build_direct(
     )
     asked = description.terms if terms is None else tuple(terms)
     tables = asked_tables(description.machine.kinematics, asked, position, nodes)
-    kept, machine, left = _told_apart(observations, tables, setups)
+    kept, machine, left = _sensed_terms(observations, tables, setups)
     constraints, words, fixed = _datum(kept, machine, setups, readings.setup, len(session.setup_ids))
     return DirectModel(
         observations=observations,
@@ -212,7 +212,7 @@ def _usable(readings: Readings) -> Readings:
     return usable
 
 
-def _told_apart(
+def _sensed_terms(
     observations: Observations, tables: tuple[MachineTable, ...], setups: SetupDatum
 ) -> tuple[tuple[MachineTable, ...], tuple[Term, ...], tuple[NotDetermined, ...]]:
     """The tables on which some reading depends; which of them cannot be told apart is found by the solver."""

@@ -160,7 +160,7 @@ def agreement(joint: JointFit, common: CommonModels, labels: Sequence[str], spre
         return Agreement(count, smallest, float(np.sqrt(factor)), (), text)
     text = "; ".join(_sentence(entry) for entry in found)
     if any(len(entry.others) == 1 for entry in found):
-        text += " (two sessions alone cannot tell which of them is wrong)"
+        text += " (two sessions alone do not determine which of them is wrong)"
     return Agreement(count, smallest, float(np.sqrt(factor)), tuple(found), text)
 
 

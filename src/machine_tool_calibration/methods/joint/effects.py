@@ -59,15 +59,16 @@ def _without_absorbed(
     for effect in effects:
         acting = [m.observations if effect.why_not(m.observations) is None else None for m in models]
         grid = effect.shape_grid(together([o for o in acting if o is not None]))
-        if any(_is_told(fit, [[] if o is None else [effect_term(effect, o, shape)] for o in acting]) for shape in grid):
+        candidates = ([[] if o is None else [effect_term(effect, o, shape)] for o in acting] for shape in grid)
+        if any(_is_determined(fit, terms) for terms in candidates):
             kept.append(effect)
             continue
-        entry = NotDetermined(effect.id, "the model's own unknowns take it up entirely", effect.id)
+        entry = NotDetermined(effect.id, "fully correlated with the model's own unknowns", effect.id)
         out = [replace(model, left_out=(*model.left_out, entry)) for model in out]
     return out, kept
 
 
-def _is_told(fit: JointFit, terms: Sequence[Sequence[Term]]) -> bool:
+def _is_determined(fit: JointFit, terms: Sequence[Sequence[Term]]) -> bool:
     screened = screen_joint(fit, terms)
     return bool((np.diag(screened.gram)[:-1] > ABSORBED * screened.squares[:-1]).any())
 
@@ -92,10 +93,10 @@ def _with_curved(models: list[MethodModel], labels: Sequence[str], effect: Effec
     if all(coefficient.discrete for coefficient in effect.shapes):
         return fixed
     moving = _extended(models, effect, shape, sizes)
-    return moving if _told(fit_models(moving, labels), effect) else _held(fixed, effect, shape)
+    return moving if _shape_is_determined(fit_models(moving, labels), effect) else _held(fixed, effect, shape)
 
 
-def _told(fit: JointFit, effect: Effect) -> bool:
+def _shape_is_determined(fit: JointFit, effect: Effect) -> bool:
     """Whether the fit says something of all nonlinear coefficients: possible, and not lost in their uncertainties."""
     solution, parameters = fit.solution, fit.assembly.parameters
     sigma = np.sqrt(np.diag(solution.covariance).clip(0.0) * max(fit.reduced_chi_square, 1.0))

@@ -126,7 +126,7 @@ def tables_of(model: MethodModel) -> tuple[MachineTable, ...]:
 def _shared_tables(models: Sequence[MethodModel], chain: Chain) -> tuple[MachineTable, ...]:
     """Every motion that a session has, on the nodes of all that sense it."""
     every = [table for model in models for table in (*tables_of(model), *angles_of(model))]
-    names = list(dict.fromkeys([*(table.name for table in every), *_told_together(models, chain)]))
+    names = list(dict.fromkeys([*(table.name for table in every), *_determined_together(models, chain)]))
     random = {table.name for model in models for table in angles_of(model)}
     out = []
     for name in names:
@@ -142,7 +142,7 @@ def _shared_tables(models: Sequence[MethodModel], chain: Chain) -> tuple[Machine
     return tuple(out)
 
 
-def _told_together(models: Sequence[MethodModel], chain: Chain) -> list[str]:
+def _determined_together(models: Sequence[MethodModel], chain: Chain) -> list[str]:
     """Error motions that tracking interferometers tell by all their readings, though none of them may by its own.
 
     A single station senses one direction at each place: it cannot tell an angle from a straightness, which two can.

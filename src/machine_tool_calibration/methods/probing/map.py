@@ -180,7 +180,7 @@ def _workpiece(model: ProbingModel, fit: Fit) -> tuple[dict[str, Any], tuple[Not
     for k in np.flatnonzero(~np.isfinite(errors.value)):
         why = "it was not touched"
         if found.touched[k]:
-            why = "the touches cannot tell it from the error motions of the axes"
+            why = "the touches cannot distinguish it from the error motions of the axes"
         if np.isfinite(form.value[k]):
             why = "the touches do not fix the position and size of the workpiece as a whole; its form is given"
         lost.append(NotDetermined(f"workpiece point {points[k].id}", why))

@@ -25,7 +25,7 @@ from machine_tool_calibration.methods.step_diagonal.terms import Angle, angle_te
 from machine_tool_calibration.model.model import Constraint, NotDetermined, Term, assemble
 from machine_tool_calibration.model.rigid_body import MachineTable, table_datum
 
-__all__ = ["AngularUncertainty", "free_angles", "paper_angular_uncertainty", "told_by_orders"]
+__all__ = ["AngularUncertainty", "angles_shown_by_orders", "free_angles", "paper_angular_uncertainty"]
 
 # Share of a column's norm beside such functions below which it says nothing of its own.
 _OWN_SHARE = 1e-3
@@ -33,7 +33,7 @@ _OWN_SHARE = 1e-3
 _SHARE = 1e-4
 
 
-def told_by_orders(model: StepDiagonalModel, angles: Sequence[Angle]) -> list[Angle]:
+def angles_shown_by_orders(model: StepDiagonalModel, angles: Sequence[Angle]) -> list[Angle]:
     """Angular errors that show beside any functions of single axes, one for each diagonal and axis.
 
     Such functions hold all position errors, the place at which the beam meets the mirror, and the other angular
@@ -83,7 +83,7 @@ def free_angles(model: StepDiagonalModel, rotations: Sequence[MachineTable]) -> 
     for table in rotations:
         nodes = model.blocks["XYZ".index(table.name[2])]
         candidates.append(angle_term(replace(table, nodes=nodes), model.observations, model.observations.position))
-    kept = told_by_orders(model, candidates)
+    kept = angles_shown_by_orders(model, candidates)
     if not kept:
         orders = sorted({run.order for run in model.runs if run.diagonal})
         raise ModelError(

@@ -3,43 +3,41 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from machine_tool_calibration.cli.diagnosing import show_table
 from machine_tool_calibration.model.model import Kind
-from machine_tool_calibration.reports.quantities import TextTable, spread_words
+from machine_tool_calibration.reports.direct_deviations import direct_tables, scatter_words
+from machine_tool_calibration.reports.quantities import decimals, fixed, reproducibility_words, value_and_uncertainties
+from machine_tool_calibration.reports.tables import TextTable, show_table
 from machine_tool_calibration.reports.unknowns import unknown_in_words
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.table import Table
 
     from machine_tool_calibration.model.fit import JointFit
     from machine_tool_calibration.model.model import Parameter
     from machine_tool_calibration.session.session import Session
 
 __all__ = [
-    "direct_tables",
-    "figures",
-    "grouped",
-    "measured",
-    "scatter_words",
+    "goodness_of_fit",
+    "group_by_reason",
+    "session_headline",
+    "show_profiles",
     "show_result",
-    "shown",
-    "verdict",
+    "summary_rows",
 ]
 
 
-# Chance of the residuals below which the model is in doubt.
+# p-value of the residuals below which the model is in doubt.
 _DOUBTFUL = 0.01
 _PUBLISHED = ("x", "y", "z", "workpiece_error", "workpiece_form")
 _MOTION = re.compile(r"E[XYZABC][XYZABC]")
 
 
-def figures(document: dict[str, Any]) -> list[tuple[str, str]]:
+def summary_rows(document: dict[str, Any]) -> list[tuple[str, str]]:
     """What the result of a session says, in words and micrometres."""
     rows = [
         ("readings used", f"{document['used']} of {document['observations']}"),
@@ -81,7 +79,7 @@ def _points(points: Any, count: int) -> str:
     places = len({tuple(point) for point in points}) if points else count
     if places == count:
         return str(count)
-    return f"{count}, at {places} places: a place counts once for each direction of approach that an effect tells apart"
+    return f"{count}, at {places} places: a place counts once for each direction of approach if an effect depends on it"
 
 
 def _motions(content: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -126,155 +124,8 @@ def _largest(vectors: np.ndarray) -> float:
     return float(np.sqrt(np.max(np.nansum(vectors**2, axis=1)))) * 1e6
 
 
-# Chance below which a step or a parameter counts as significant.
-_SIGNIFICANT = 0.01
-_MOST_ROWS = 12
-# Runs in each direction that ISO 230-2:2014 asks for.
-_RUNS = 5
-# Figures of ISO 230-2:2014 in the order of a test report; up and down, then both.
-_FIGURES = (
-    ("B", "reversal error B", ("", "", "B")),
-    ("B_mean", "mean reversal error", ("", "", "B_mean")),
-    ("R", "repeatability R", ("R_up", "R_down", "R")),
-    ("E", "systematic deviation E", ("E_up", "E_down", "E")),
-    ("M", "mean deviation, range M", ("", "", "M")),
-    ("A", "accuracy A", ("A_up", "A_down", "A")),
-)
-
-
-def scatter_words(content: Mapping[str, Any], p_value: float) -> str | None:
-    """How the readings scatter, what was declared, and which of them the uncertainties use; None for other methods."""
-    scatter = content.get("scatter")
-    if scatter is None or scatter["found"] is None:
-        return None
-    found, declared = 1e6 * scatter["found"], 1e6 * scatter["declared"]
-    both = f"scatter {_three(found)} µm, declared {_three(declared)} µm"
-    if scatter["uncertainties_from"] == "scatter":
-        return (
-            f"The readings scatter {scatter['factor']:.1f} times their declared uncertainty about the model ({both}): "
-            "standard uncertainties use the scatter. Whether something is missing in the model, `mtcal diagnose` says."
-        )
-    if p_value is not None and p_value > 1 - 1e-3:
-        return (
-            f"The readings scatter less than declared about the model ({both}): standard uncertainties use what was "
-            f"declared; from the scatter alone they would be {_three(found / declared)} times as large."
-        )
-    return f"The model fits the readings within their declared uncertainty ({both}): standard uncertainties use it."
-
-
-def direct_tables(content: Mapping[str, Any]) -> Iterator[Table | TextTable | str]:
-    """Tables and sentences, in the order in which they are read."""
-    plate = content.get("plate")
-    if plate:
-        yield _plate_table(plate)
-        yield from _plate_words(plate)
-    for run in content.get("iso230_2") or ():
-        yield _run_table(run)
-
-
-def _plate_table(plate: Mapping[str, Any]) -> Table:
-    table = _plate_heads(
-        f"step by step, over {plate['places']} deviations (sizes ± U, k = 2, from the scatter that is left)",
-        ("model", "unknowns", "RMS / µm", "scatter / µm", "p of the step", "sizes"),
-    )
-    for step in plate["steps"]:
-        table.add_row(
-            step["model"],
-            str(step["unknowns"]),
-            f"{1e6 * step['rms']:.3f}",
-            f"{1e6 * step['scatter']:.3f}",
-            _chance(step["p_value"]) if "p_value" in step else "",
-            "\n".join(_size(p) for p in step["parameters"]),
-        )
-    return table
-
-
-def _plate_words(plate: Mapping[str, Any]) -> Iterator[str]:
-    steps = plate["steps"]
-    told = [p for step in steps[1:3] for p in step["parameters"] if p["value"] is not None]
-    good = [p["name"].split(".")[0] if "-" not in p["name"] else _plain(p["name"]) for p in told if _is(p)]
-    not_good = [p["name"].split(".")[0] if "-" not in p["name"] else _plain(p["name"]) for p in told if not _is(p)]
-    words = []
-    if good:
-        words.append(f"Significant (p < {_SIGNIFICANT}): {', '.join(good)}.")
-    if not_good:
-        words.append(f"Not significant: {', '.join(not_good)}.")
-    if len(steps) > 3:
-        more = "significant" if steps[3]["p_value"] < _SIGNIFICANT else "not significant"
-        fell = 1e6 * (steps[2]["scatter"] - steps[3]["scatter"])
-        words.append(f"Curves beyond that are {more}" + (f" (they take {fell:.2f} µm)." if fell > 0 else "."))
-    yield " ".join(words)
-    if plate["set_aside"]:
-        rows = plate["set_aside"]
-        shown = ", ".join(str(row) for row in rows[:_MOST_ROWS]) + (" …" if len(rows) > _MOST_ROWS else "")
-        yield (
-            f"Left out of these steps, but not of the fit: {'rows' if len(rows) > 1 else 'row'} {shown} (the first row "
-            "is 0), far out of all others. `mtcal improve` sets them aside."
-        )
-
-
-def _run_table(run: Mapping[str, Any]) -> TextTable:
-    counts = [min(run["count_up"] or [0]), min(run["count_down"] or [0])]
-    rows = []
-    for key, title, names in _FIGURES:
-        texts = [_micro(run.get(name)) if name else "" for name in names]
-        if any(text not in ("", "–") for text in texts):
-            rows.append((title, *texts, _micro(run.get(f"{key}_U"))))
-    title = (
-        f"{run['axis']} by ISO 230-2: setup {run['setup']}, {len(run['position'])} positions, runs: {counts[0]} up, "
-        f"{counts[1]} down (µm)"
-    )
-    notes = [run["note"].removesuffix(".")] if run.get("note") else []
-    if min(counts) < _RUNS:
-        notes.append(
-            f"ISO 230-2 asks for {_RUNS} runs in each direction; with fewer the figures are for information, and "
-            + ("repeatability and accuracy cannot be told" if max(counts) < 2 else "repeatability is uncertain")
-        )
-    return TextTable(title, ("figure", "up", "down", "both", "U (k = 2)"), tuple(rows), "; ".join(notes))
-
-
-def _plate_heads(title: str, heads: Sequence[str]) -> Table:
-    from rich.table import Table
-
-    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
-    for k, head in enumerate(heads):
-        table.add_column(head, justify="left" if k == 0 or head == "sizes" else "right")
-    return table
-
-
-def _is(parameter: Mapping[str, Any]) -> bool:
-    return parameter["p_value"] is not None and parameter["p_value"] < _SIGNIFICANT
-
-
-def _plain(name: str) -> str:
-    return name.replace(".s", "").replace("-", "−")
-
-
-def _size(parameter: Mapping[str, Any]) -> str:
-    from machine_tool_calibration.reports.quantities import quantity
-
-    name = _plain(parameter["name"].removesuffix(".angle"))
-    if parameter["value"] is None:
-        return f"{name} not determined"
-    size = quantity(parameter["value"], parameter["unit"], parameter["standard_uncertainty"])
-    return f"{name} = {size}" + ("" if _is(parameter) else " (not significant)")
-
-
-def _chance(value: float) -> str:
-    return "< 1e-12" if value < 1e-12 else f"{value:.1e}" if value < 1e-3 else f"{value:.3f}"
-
-
-def _micro(value: float | None) -> str:
-    return "–" if value is None else f"{1e6 * value:.2f}"
-
-
-def _three(value: float) -> str:
-    return f"{value:.3g}"
-
-
-_MOST_ROWS_IDENTIFIED = 40
+_MOST_ROWS = 40
 _MOST_NAMES = 8
-_UNITS = {"m": (1e6, "µm"), "rad": (1e6, "µrad"), "m/s": (3.6e9, "µm/h"), "rad/s": (3.6e9, "µrad/h")}
 
 
 def show_result(screen: Console, document: Mapping[str, Any], opened: Iterable[Session], fit: JointFit) -> None:
@@ -289,17 +140,17 @@ def show_result(screen: Console, document: Mapping[str, Any], opened: Iterable[S
     from rich.table import Table
 
     for session in opened:
-        screen.print(measured(session))
+        screen.print(session_headline(session))
     if document["effects"]:
         screen.print(f"model: {_variants(document)} with {', '.join(document['effects'])}")
     if document["averaged_over"]:
         over = (f"{' + '.join(one['effects'])} ({one['probability']:.2f})" for one in document["averaged_over"])
-        screen.print(f"The map is the mean over effects that these readings do not tell apart: {', '.join(over)}.")
-    screen.print(verdict(document))
-    for words in spread_words(document["spread"]):
+        screen.print(f"The map is the mean over effects that these readings do not distinguish: {', '.join(over)}.")
+    screen.print(goodness_of_fit(document))
+    for words in reproducibility_words(document["spread"]):
         screen.print(words)
     table = Table(show_header=False, box=None, pad_edge=False)
-    for name, text in figures({**document, "not_determined": []}):
+    for name, text in summary_rows({**document, "not_determined": []}):
         table.add_row(name, text)
     screen.print(table)
     for shown_of_direct in direct_tables(document["error_map"]):
@@ -309,12 +160,28 @@ def show_result(screen: Console, document: Mapping[str, Any], opened: Iterable[S
             screen.print(shown_of_direct)
     if "agreement" in document:
         screen.print(document["agreement"]["statement"])
-    for reason, rows in grouped((str(entry["row"]), entry["reason"]) for entry in document["rejected"]):
+    for reason, rows in group_by_reason((str(entry["row"]), entry["reason"]) for entry in document["rejected"]):
         screen.print(f"not used: {'rows' if ',' in rows else 'row'} {rows} (the first row is 0): {reason}")
     _show_parameters(screen, document, fit)
-    for why, names in grouped((entry["name"], entry["why"]) for entry in document["not_determined"]):
+    for why, names in group_by_reason((entry["name"], entry["why"]) for entry in document["not_determined"]):
         screen.print(f"not determined: {names}: {why}")
     screen.print(f"datum: {document['datum']}")
+
+
+def show_profiles(screen: Console, document: Mapping[str, Any]) -> None:
+    """Profiles of the three axes by one of the formulations of a step diagonal."""
+    from rich.table import Table
+
+    for axis in "xyz":
+        rows = document["error_map"][axis]
+        if not rows:
+            continue
+        table = Table(title=f"{axis.upper()}: errors by the formulation {document['formulation']}, µm", box=None)
+        for heading in ("block", "ex", "ey", "ez"):
+            table.add_column(heading, justify="right")
+        for k, row in enumerate(rows):
+            table.add_row(str(k), *("-" if v is None else f"{v * 1e6:.3f}" for v in row))
+        screen.print(table)
 
 
 def _variants(document: Mapping[str, Any]) -> str:
@@ -324,7 +191,7 @@ def _variants(document: Mapping[str, Any]) -> str:
     return ", ".join(f"{entry['model']} ({entry['label']})" for entry in document["sessions"])
 
 
-def measured(session: Session) -> str:
+def session_headline(session: Session) -> str:
     """What was measured, in one line."""
     ids = session.setup_ids
     names = ", ".join(ids[:_MOST_NAMES]) + (" …" if len(ids) > _MOST_NAMES else "")
@@ -337,8 +204,8 @@ def measured(session: Session) -> str:
     )
 
 
-def verdict(document: Mapping[str, Any]) -> str:
-    """How well the model fits, in plain words."""
+def goodness_of_fit(document: Mapping[str, Any]) -> str:
+    """How well the model fits: the scatter of the readings against their declared uncertainty, in a sentence."""
     chi, p = document["reduced_chi_square"], document["p_value"]
     direct = scatter_words(document.get("error_map") or {}, p)
     if direct is not None:
@@ -360,7 +227,7 @@ def verdict(document: Mapping[str, Any]) -> str:
     return f"The model fits the readings within their declared uncertainty (p = {p:.2g})."
 
 
-def grouped(entries: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
+def group_by_reason(entries: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
     """From (name, reason) to each reason with the names that share it, the first ones by name."""
     names: dict[str, list[str]] = {}
     for name, reason in entries:
@@ -381,12 +248,12 @@ def _show_parameters(screen: Console, document: Mapping[str, Any], fit: JointFit
     order = {Kind.EFFECT: 0, Kind.SQUARENESS: 1}
     single.sort(key=lambda entry: order.get(unknowns[entry["name"]].kind, 2))
     rows = []
-    for entry in single[:_MOST_ROWS_IDENTIFIED]:
+    for entry in single[:_MOST_ROWS]:
         name = entry["name"]
         unknown = unknowns[name]
         place = unknown.kind in (Kind.PLACE, Kind.DEAD_PATH)
         what = unknown.meaning or unknown_in_words(unknown)
-        texts = shown(entry["value"], entry["standard_uncertainty"], entry["unit"], place)
+        texts = value_and_uncertainties(entry["value"], entry["standard_uncertainty"], entry["unit"], place)
         rows.append((name, *texts, "" if what == name else what))
     if rows:
         left = len(single) - len(rows)
@@ -409,34 +276,9 @@ def _show_tables(screen: Console, document: Mapping[str, Any], unknowns: Mapping
         value, u = (1e6 * np.array([entry[key] for entry in own]) for key in ("value", "standard_uncertainty"))
         unit = "µrad" if own[0]["unit"] == "rad" else "µm"
         most = 2.0 * float(u.max())
-        places = _places(most) if 1e-6 < most < 1e9 else 2
-        texts = (_fixed(float(number), places) for number in (value.min(), value.max(), most))
+        places = decimals(most) if 1e-6 < most < 1e9 else 2
+        texts = (fixed(float(number), places) for number in (value.min(), value.max(), most))
         rows.append((name, str(len(own)), *texts, unit))
     if rows:
         heads = ("name", "values", "smallest", "largest", "U (k = 2) at most", "unit")
         show_table(screen, TextTable("Error motions", heads, tuple(rows), "--json gives every value"))
-
-
-def shown(value: float, uncertainty: float, unit: str, place: bool = False) -> tuple[str, str, str, str]:
-    """Value, u and U with as many digits as the uncertainty bears, and the unit that people use; a place is in mm."""
-    factor, name = _UNITS.get(unit, (1.0, unit))
-    if unit == "1" and max(abs(value), uncertainty) < 1e-3:
-        factor, name = 1e6, "µm/m"
-    if unit == "m" and (place or abs(value) > 1e-2):
-        factor, name = 1e3, "mm"
-    u = uncertainty * factor
-    if 1e-9 < u < 1e7 and abs(value * factor) < 1e9:
-        texts = tuple(_fixed(number, _places(u)) for number in (value * factor, u, 2 * u))
-    else:
-        texts = (f"{value * factor:.5g}", f"{u:.2g}", f"{2 * u:.2g}")
-    return texts[0], texts[1], texts[2], "" if name == "1" else name
-
-
-def _places(uncertainty: float) -> int:
-    """Decimals that leave an uncertainty two figures."""
-    return max(0, 1 - int(np.floor(np.log10(uncertainty))))
-
-
-def _fixed(number: float, places: int) -> str:
-    """So many decimals, and no minus sign before a zero."""
-    return f"{round(number, places) + 0.0:.{places}f}"

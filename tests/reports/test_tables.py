@@ -7,8 +7,7 @@ from io import StringIO
 import pytest
 from rich.console import Console
 
-from machine_tool_calibration.cli.diagnosing import show_table
-from machine_tool_calibration.reports.diagnosis import TextTable
+from machine_tool_calibration.reports.tables import TextTable, show_table
 
 HEADS = ("model", "from", "made (UTC)", "variant", "effects", "change", "readings", "residual", "chi²/ν", "map moves")
 ROW = ("→ 2", "1", "2026-11-21 14:48", "small_angles", *["thermal_expansion_x"] * 2, "744", "0.089", "1.00", "0.745")

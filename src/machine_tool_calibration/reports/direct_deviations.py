@@ -1,0 +1,153 @@
+"""Deviations that were read directly: the steps of the model, and the figures of ISO 230-2."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from machine_tool_calibration.reports.quantities import NOT_DETERMINED, probability, quantity
+from machine_tool_calibration.reports.tables import TextTable
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+__all__ = ["direct_tables", "scatter_words"]
+
+# p-value below which a step or a parameter counts as significant.
+_SIGNIFICANT = 0.01
+_MOST_ROWS = 12
+# Runs in each direction that ISO 230-2:2014 asks for.
+_RUNS = 5
+# Figures of ISO 230-2:2014 in the order of a test report; up and down, then both.
+_FIGURES = (
+    ("B", "reversal error B", ("", "", "B")),
+    ("B_mean", "mean reversal error", ("", "", "B_mean")),
+    ("R", "repeatability R", ("R_up", "R_down", "R")),
+    ("E", "systematic deviation E", ("E_up", "E_down", "E")),
+    ("M", "mean deviation, range M", ("", "", "M")),
+    ("A", "accuracy A", ("A_up", "A_down", "A")),
+)
+
+
+def scatter_words(content: Mapping[str, Any], p_value: float) -> str | None:
+    """How the readings scatter, what was declared, and which of them the uncertainties use; None for other methods."""
+    scatter = content.get("scatter")
+    if scatter is None or scatter["found"] is None:
+        return None
+    found, declared = 1e6 * scatter["found"], 1e6 * scatter["declared"]
+    both = f"scatter {_three(found)} µm, declared {_three(declared)} µm"
+    if scatter["uncertainties_from"] == "scatter":
+        return (
+            f"The readings scatter {scatter['factor']:.1f} times their declared uncertainty about the model ({both}): "
+            "standard uncertainties use the scatter. Whether something is missing in the model, `mtcal diagnose` says."
+        )
+    if p_value is not None and p_value > 1 - 1e-3:
+        return (
+            f"The readings scatter less than declared about the model ({both}): standard uncertainties use what was "
+            f"declared; from the scatter alone they would be {_three(found / declared)} times as large."
+        )
+    return f"The model fits the readings within their declared uncertainty ({both}): standard uncertainties use it."
+
+
+def direct_tables(content: Mapping[str, Any]) -> Iterator[Table | TextTable | str]:
+    """Tables and sentences, in the order in which they are read."""
+    plate = content.get("plate")
+    if plate:
+        yield _plate_table(plate)
+        yield from _plate_words(plate)
+    for run in content.get("iso230_2") or ():
+        yield _run_table(run)
+
+
+def _plate_table(plate: Mapping[str, Any]) -> Table:
+    table = _plate_heads(
+        f"step by step, over {plate['places']} deviations (sizes ± U, k = 2, from the scatter that is left)",
+        ("model", "unknowns", "RMS / µm", "scatter / µm", "p of the step", "sizes"),
+    )
+    for step in plate["steps"]:
+        table.add_row(
+            step["model"],
+            str(step["unknowns"]),
+            f"{1e6 * step['rms']:.3f}",
+            f"{1e6 * step['scatter']:.3f}",
+            probability(step["p_value"]) if "p_value" in step else "",
+            "\n".join(_size(p) for p in step["parameters"]),
+        )
+    return table
+
+
+def _plate_words(plate: Mapping[str, Any]) -> Iterator[str]:
+    steps = plate["steps"]
+    told = [p for step in steps[1:3] for p in step["parameters"] if p["value"] is not None]
+    good = [p["name"].split(".")[0] if "-" not in p["name"] else _plain(p["name"]) for p in told if _is(p)]
+    not_good = [p["name"].split(".")[0] if "-" not in p["name"] else _plain(p["name"]) for p in told if not _is(p)]
+    words = []
+    if good:
+        words.append(f"Significant (p < {_SIGNIFICANT}): {', '.join(good)}.")
+    if not_good:
+        words.append(f"Not significant: {', '.join(not_good)}.")
+    if len(steps) > 3:
+        more = "significant" if steps[3]["p_value"] < _SIGNIFICANT else "not significant"
+        fell = 1e6 * (steps[2]["scatter"] - steps[3]["scatter"])
+        words.append(f"Curves beyond that are {more}" + (f" (they take {fell:.2f} µm)." if fell > 0 else "."))
+    yield " ".join(words)
+    if plate["set_aside"]:
+        rows = plate["set_aside"]
+        shown = ", ".join(str(row) for row in rows[:_MOST_ROWS]) + (" …" if len(rows) > _MOST_ROWS else "")
+        yield (
+            f"Left out of these steps, but not of the fit: {'rows' if len(rows) > 1 else 'row'} {shown} (the first row "
+            "is 0), far out of all others. `mtcal improve` sets them aside."
+        )
+
+
+def _run_table(run: Mapping[str, Any]) -> TextTable:
+    counts = [min(run["count_up"] or [0]), min(run["count_down"] or [0])]
+    rows = []
+    for key, title, names in _FIGURES:
+        texts = [_micro(run.get(name)) if name else "" for name in names]
+        if any(text not in ("", "–") for text in texts):
+            rows.append((title, *texts, _micro(run.get(f"{key}_U"))))
+    title = (
+        f"{run['axis']} by ISO 230-2: setup {run['setup']}, {len(run['position'])} positions, runs: {counts[0]} up, "
+        f"{counts[1]} down (µm)"
+    )
+    notes = [run["note"].removesuffix(".")] if run.get("note") else []
+    if min(counts) < _RUNS:
+        notes.append(
+            f"ISO 230-2 asks for {_RUNS} runs in each direction; with fewer the figures are for information, and "
+            + ("repeatability and accuracy are not determined" if max(counts) < 2 else "repeatability is uncertain")
+        )
+    return TextTable(title, ("figure", "up", "down", "both", "U (k = 2)"), tuple(rows), "; ".join(notes))
+
+
+def _plate_heads(title: str, heads: Sequence[str]) -> Table:
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+    for k, head in enumerate(heads):
+        table.add_column(head, justify="left" if k == 0 or head == "sizes" else "right")
+    return table
+
+
+def _is(parameter: Mapping[str, Any]) -> bool:
+    return parameter["p_value"] is not None and parameter["p_value"] < _SIGNIFICANT
+
+
+def _plain(name: str) -> str:
+    return name.replace(".s", "").replace("-", "−")
+
+
+def _size(parameter: Mapping[str, Any]) -> str:
+    name = _plain(parameter["name"].removesuffix(".angle"))
+    if parameter["value"] is None:
+        return f"{name} not determined"
+    size = quantity(parameter["value"], parameter["unit"], parameter["standard_uncertainty"])
+    return f"{name} = {size}" + ("" if _is(parameter) else " (not significant)")
+
+
+def _micro(value: float | None) -> str:
+    return NOT_DETERMINED if value is None else f"{1e6 * value:.2f}"
+
+
+def _three(value: float) -> str:
+    return f"{value:.3g}"

@@ -1,0 +1,71 @@
+"""Documents for programs: any record in the types of JSON, and the text of it that every parser accepts."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Mapping, Set
+from datetime import date, datetime
+from enum import Enum
+from pathlib import PurePath
+from typing import Any
+
+__all__ = ["plain", "to_json"]
+
+
+def plain(value: Any) -> Any:
+    """The value in the types of JSON: records as objects, arrays as lists, NaN and infinities as None.
+
+    Raises:
+        TypeError: a type that has no place in JSON.
+    """
+    if value is None or isinstance(value, bool | str):
+        return value
+    if isinstance(value, Enum):
+        return plain(value.value)
+    if isinstance(value, int):
+        return int(value)
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(entry) for entry in value]
+    if isinstance(value, Set):
+        return [plain(entry) for entry in sorted(value)]
+    if isinstance(value, PurePath):
+        return str(value)
+    if isinstance(value, datetime | date):
+        return value.isoformat()
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+    for method in ("model_dump", "tolist"):  # a pydantic record; an array or a scalar of NumPy
+        if hasattr(value, method):
+            return plain(getattr(value, method)())
+    raise TypeError(f"a {type(value).__name__} cannot be written as JSON")
+
+
+def to_json(document: Any) -> str:
+    """The document as JSON text that any parser accepts."""
+    return _text(document, "")
+
+
+def _text(value: Any, margin: str) -> str:
+    """Objects and lists of objects over several lines; numbers, of which a map has many, one after the other."""
+    inner = margin + " "
+    if isinstance(value, Mapping) and value:
+        entries = [f"{inner}{_compact(str(key))}: {_text(entry, inner)}" for key, entry in value.items()]
+        return "{\n" + ",\n".join(entries) + f"\n{margin}}}"
+    if isinstance(value, list | tuple) and value and isinstance(value[0], Mapping):
+        return "[\n" + ",\n".join(inner + _text(entry, inner) for entry in value) + f"\n{margin}]"
+    if value is None or isinstance(value, bool | int | float | str | list | tuple | Mapping):
+        return _compact(value)
+    return _text(plain(value), margin)
+
+
+def _compact(value: Any) -> str:
+    try:
+        return json.dumps(value, allow_nan=False, ensure_ascii=False)
+    except (TypeError, ValueError):
+        return json.dumps(plain(value), allow_nan=False, ensure_ascii=False)

@@ -1,0 +1,80 @@
+"""What a procedure will determine, for people."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from machine_tool_calibration.planning.forecast import Forecast
+from machine_tool_calibration.reports.diagnosis import dominant_words
+from machine_tool_calibration.reports.documents import plain
+from machine_tool_calibration.reports.identification import group_by_reason
+from machine_tool_calibration.reports.quantities import duration, micrometres, quantity
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+__all__ = ["show_forecast"]
+
+
+def show_forecast(screen: Console, found: Forecast) -> None:
+    """Uncertainties to come first, then what will be missing, the smallest effects found, and what dominates."""
+    from rich.table import Table
+
+    document = plain(found.document())
+    sigma = found.result.fit.model.observations.session.sigma
+    screen.print(
+        f"{document['method'].replace('_', ' ')}, model {document['model']}: {document['readings']} readings of "
+        f"u = {sigma * 1e6:.3g} µm (k = 1) in {duration(found.seconds)} of motion and waiting; setting up comes on top"
+    )
+    table = Table(
+        title="uncertainty to come, U (k = 2), of each coordinate", title_justify="left", box=None, pad_edge=False
+    )
+    for heading in ("", "typical", "at most", "not determined"):
+        table.add_column(heading, justify="left" if not heading else "right")
+    for name, values in document["uncertainties"].items():
+        row = _row(name.removesuffix("_u"), values)  # each coordinate by itself
+        if row is not None:
+            table.add_row(*row)
+    screen.print(table)
+    for why, names in group_by_reason((entry["name"], entry["why"]) for entry in document["not_determined"]):
+        screen.print(f"will not be determined: {names}: {why}")
+    screen.print("smallest detectable sizes of effects (power 80 %, significance level 5 %):")
+    effects = Table(box=None, pad_edge=False)
+    for heading in ("effect", "size", "largest change of a reading, µm"):
+        effects.add_column(heading, justify="left" if heading == "effect" else "right")
+    for entry in found.visible:
+        assert entry.size is not None
+        size = f"{entry.coefficient} = {quantity(entry.size, entry.unit)}"
+        effects.add_row(entry.effect, size, micrometres(entry.reading))
+    if found.visible:
+        screen.print(effects)
+    if found.absorbed:
+        screen.print(f"would not be found, as the model has them already or takes them up: {', '.join(found.absorbed)}")
+    if found.dominant is not None:
+        for line in dominant_words(found.dominant):
+            screen.print(line)
+    screen.print(f"datum: {document['datum']}")
+
+
+def _row(name: str, values: Any) -> tuple[str, str, str, str] | None:
+    """RMS and largest expanded uncertainty of an entry of the map."""
+    if not isinstance(values, list):
+        return None
+    found = np.array(_flat(values), dtype=float)
+    good = np.isfinite(found)
+    if not len(found):
+        return None
+    lost = f"{int((~good).sum())} of {len(found)}" if not good.all() else ""
+    if not good.any():
+        return name, "–", "–", lost
+    unit = "µrad" if len(name) == 3 and name[0] == "E" and name[1] in "ABC" else "µm"
+    typical, most = 2e6 * np.sqrt(np.mean(found[good] ** 2)), 2e6 * found[good].max()
+    return name.replace("_", " "), f"{typical:.3g} {unit}", f"{most:.3g} {unit}", lost
+
+
+def _flat(values: Any) -> list[float]:
+    if isinstance(values, list):
+        return [number for entry in values for number in _flat(entry)]
+    return [float("nan") if values is None else float(values)]
