@@ -40,8 +40,8 @@ _LARGEST = 1.5e-5
 _ALIKE = 0.9
 # Two effects are told apart where their signals outside the model have at most this cosine.
 _APART = 0.5
-# Slopes and bows between setups, in standard uncertainties of a reading.
-_SPREAD = 0.4
+# Slopes and bows between setups, in standard uncertainties of a reading: drawn anew for every session.
+_SPREAD = (0.3, 2.0)
 _PLANS = ("tracking_2d", "tracking_3d", "step_diagonal", "rotary_axis", "probing_cross")
 _SIGNALS = {
     "one at 10 with spread": 10.0,
@@ -157,7 +157,8 @@ def run(trial: Trial) -> Outcome:
         if trial.kind == "warm-up and backlash":
             return _of_axis(trial, base)
         if "spread" in trial.kind:
-            base = base.model_copy(update={"spread": Spread(slope=_SPREAD * sigma, bow=_SPREAD * sigma)})
+            size = sigma * float(np.random.default_rng([trial.seed, 1]).uniform(*_SPREAD))
+            base = base.model_copy(update={"spread": Spread(slope=size, bow=size)})
         try:
             flaws = tuple(flaw(base, effect, _SIGNALS[trial.kind]) for effect in trial.effects)
         except CalibrationError as error:

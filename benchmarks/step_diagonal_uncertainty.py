@@ -20,8 +20,9 @@ import numpy as np
 import threadpoolctl
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.methods.step_diagonal import Profiles, StepDiagonalModel, build
-from machine_tool_calibration.methods.step_diagonal.profiles import eq17
+from machine_tool_calibration.methods.step_diagonal.build import build
+from machine_tool_calibration.methods.step_diagonal.model import StepDiagonalModel
+from machine_tool_calibration.methods.step_diagonal.profiles import Profiles, eq17
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.simulation import (
     Amplitudes,

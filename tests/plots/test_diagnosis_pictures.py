@@ -29,7 +29,7 @@ CASES = [
 @pytest.mark.parametrize(("plan", "flaw", "shows_over"), CASES)
 def test_every_method_has_its_pictures(plan: str, flaw: FlawSpec, shows_over: str) -> None:
     session = simulate(SimulationSpec(plan=PRESETS[plan], seed=7, effects=(flaw,))).session
-    done = improve(session, sets=199)
+    done = improve(session, sets=19)
     figure = draw_improvement(done)
     fall, before, after = figure.axes[:3]
     residual = fall.lines[0].get_ydata()
@@ -52,7 +52,7 @@ def test_every_method_has_its_pictures(plan: str, flaw: FlawSpec, shows_over: st
 def test_files(tmp_path: Path) -> None:
     spec = SimulationSpec(plan=PRESETS["tracking_2d"], seed=7, effects=(FlawSpec(id="backlash_y", size=1.5e-6),))
     session = simulate(spec).session
-    done = improve(session, sets=199)
+    done = improve(session, sets=19)
     picture, steps, residuals = save_improvement(done, tmp_path / "a" / "b")
     assert picture.read_bytes().startswith(b"\x89PNG")
     table = pd.read_csv(steps)

@@ -24,6 +24,7 @@ from machine_tool_calibration.simulation.flaws import find_flaw
 
 if TYPE_CHECKING:
     from machine_tool_calibration.diagnosis.improve import Improvement
+    from machine_tool_calibration.session.session import Session
 
 __all__ = ["COMPARED", "MapError", "command", "judged", "map_error"]
 
@@ -101,15 +102,14 @@ def judged(measured: Measured, result: Result) -> MapError:
     The truth is the machine's own errors, without the hidden effect; for direct deviations, whose map says what the
     axis does from either side, with it.
     """
-    spec = read_site(str(measured.output / "site.yaml"))
-    method = measured.session.method
-    if method == "direct":
-        return _deviations(Site(spec), result)
-    site = Site(spec.model_copy(update={"effects": ()}))
+    true, spec = read_site(str(measured.output / "site.yaml")), measured.session.spec
+    if spec.reads_machine:
+        return _deviations(Site(true), result)
+    site = Site(true.model_copy(update={"effects": ()}))
     points, found = result.error_map.points, result.error_map.error
-    if method == "rotary_axis":
+    if spec.turns_one_axis:
         return map_error(points, found, *_carried(site, result))
-    flat = method == "probing" or getattr(measured.session.description, "dimension", 3) == 2
+    flat = spec.probes_surface or getattr(measured.session.description, "dimension", 3) == 2
     axes = slice(0, 2 if flat else 3)
     return map_error(points[:, axes], found[:, axes], _positions(site, points)[:, axes])
 
@@ -309,17 +309,18 @@ def _tell(story: _Story) -> None:
     show_improvement(screen, story.improvement)
     screen.print("\n[bold]3. The truth[/], which nothing before has seen")
     screen.print(_reveal(story), markup=False)
-    _tell_map(measured.session.method, story.before, story.after, story.improvement.steps[-1].map_uncertainty)
+    _tell_map(measured.session, story.before, story.after, story.improvement.steps[-1].map_uncertainty)
     show_files(screen, measured, [("picture" if p.suffix == ".png" else "table", p) for p in story.pictures])
 
 
-def _tell_map(method: str, before: MapError, after: MapError, stated: float | None) -> None:
-    out = "mean" if method == "direct" else "shift and turn"
-    own = "the axis's deviations" if method == "direct" else "the machine's own errors"
-    known = stated is not None and method != "direct"
+def _tell_map(session: Session, before: MapError, after: MapError, stated: float | None) -> None:
+    direct = session.spec.reads_machine
+    out = "mean" if direct else "shift and turn"
+    own = "the axis's deviations" if direct else "the machine's own errors"
+    known = stated is not None and not direct
     expected = f" The last model's own uncertainty says {1e6 * (stated or 0.0):.2f} µm RMS (k = 1)." if known else ""
     console().print(
-        f"The {COMPARED[method]} is off the truth by {before.rms * 1e6:.2f} µm RMS with the first model and by "
+        f"The {COMPARED[session.method]} is off the truth by {before.rms * 1e6:.2f} µm RMS with the first model and by "
         f"{after.rms * 1e6:.2f} µm with the last ({out} taken out); {own} are {before.before * 1e6:.2f} µm RMS."
         f"{expected}\n"
     )

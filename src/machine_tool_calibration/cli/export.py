@@ -231,8 +231,7 @@ def _identified(paths: tuple[Path, ...], chosen: _Chosen, topics: dict[str, str]
         effects = tuple(entry.effects)
         model = model or (None if entry.model == "free" else entry.model)
         note(f"with {', '.join(effects) or 'no effects'}, as in model {entry.number} of the history")
-    if model is None and session.method == "tracking_interferometer":
-        model = "rigid_body"  # its default has no tables
+    model = model or session.spec.with_tables
     result = identify(session, model=model, effects=effects, own=chosen.own, keep_all=chosen.from_history)
     states = error_states(result.error_map, [result.fit], find_effects(effects, chosen.own))
     fit = result.fit.joint

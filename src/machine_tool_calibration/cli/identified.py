@@ -328,11 +328,8 @@ def measured(session: Session) -> str:
     """What was measured, in one line."""
     ids = session.setup_ids
     names = ", ".join(ids[:_MOST_NAMES]) + (" …" if len(ids) > _MOST_NAMES else "")
-    description = session.description
-    kind = session.method.replace("_", " ")
-    if session.method == "tracking_interferometer":
-        pointing = "following the target" if description.pointing == "tracking" else "pointed open loop"  # type: ignore[union-attr]
-        kind += f" in {description.dimension} dimensions, {pointing}"  # type: ignore[union-attr]
+    words = session.spec.words
+    kind = session.method.replace("_", " ") if words is None else words(session.description)
     repeats = len(np.unique(session.readings.repeat))
     return (
         f"{kind}: {len(session.readings)} readings in {len(ids)} setup{'s' if len(ids) > 1 else ''} ({names}), "

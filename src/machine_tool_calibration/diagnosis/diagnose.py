@@ -53,7 +53,7 @@ def mean_places(fit: Fit) -> tuple[Session, Noise] | None:
     """
     observations = fit.model.observations
     session, readings = observations.session, observations.readings
-    if session.method != "direct" or (np.ptp(observations.position, axis=0) > _STILL).sum() < 2:
+    if not session.spec.reads_machine or (np.ptp(observations.position, axis=0) > _STILL).sum() < 2:
         return None
     place = same_place(observations)
     count = np.bincount(place)
@@ -267,7 +267,7 @@ def _search(
     candidates, excluded = effect_candidates(pool, [e for e in known if e.id not in held])
     excluded |= {e.id: "the model has it already, as a random function" for e in known if e.id in held}
     progress(f"{len(candidates)} effects, alone and together", 0.2)
-    side_by_side = all(session.method == "direct" for session in sessions)
+    side_by_side = all(session.spec.reads_machine for session in sessions)
     rng = np.random.default_rng(seed)
     look = look_at(first.joint, candidates, structure_candidates(pool), rng, sets, side_by_side=side_by_side)
     if averaged is not None:
@@ -337,7 +337,7 @@ def _contradicted(look: Look, fits: Sequence[JointFit]) -> bool:
     to run is no contradiction.
     """
     first, last = fits[0], fits[-1]
-    if any(model.observations.session.method == "direct" for model in last.assembly.models) or _noisy(look, last):
+    if any(model.observations.session.spec.reads_machine for model in last.assembly.models) or _noisy(look, last):
         return False
     if not last.stated.contradicts(GROSS, CONTRADICTED):
         return False

@@ -60,8 +60,8 @@ class Step:
         are contradictions between readings of the same point.
         """
         pool = Pool(self.result.joint)
-        methods = {o.session.method for o in pool.observations}
-        if methods != {"direct"} and (methods, self.result.model_name) != ({"tracking_interferometer"}, "rigid_body"):
+        specs = {o.session.method: o.session.spec for o in pool.observations}
+        if len(specs) > 1 or self.result.model_name not in next(iter(specs.values())).by_axes:
             return 0.0
         beyond = max((self.reduced_chi_square or 1.0) - 1.0, 0.0) * float(np.mean(pool.sigma**2))
         # A reading sees one direction of as many as were looked along.

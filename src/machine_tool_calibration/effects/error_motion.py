@@ -111,7 +111,7 @@ class ErrorMotionEffect(Effect):
 
     def _nodes(self, observations: Observations) -> Array | None:
         """Positions of a single axis, if each was read at least twice; None where a polynomial is meant."""
-        if self.is_squareness or self.id[1] in "ABC" or observations.session.method != "direct":
+        if self.is_squareness or self.id[1] in "ABC" or not observations.session.spec.reads_machine:
             return None
         if observations.covered is not None:
             return None

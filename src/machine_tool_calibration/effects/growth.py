@@ -58,5 +58,5 @@ class WorkpieceThermal(Effect):
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Growth in proportion to the distance from the axis, sensed through the workpiece."""
         excess = observations.readings.column("temperature_work") - REFERENCE_TEMPERATURE
-        sensed = observations.table_direction if observations.session.method == "probing" else -observations.direction
+        sensed = observations.table_direction if observations.session.spec.probes_surface else -observations.direction
         return np.asarray(excess * np.einsum("nj,nj->n", observations.position, sensed))[None]

@@ -16,7 +16,7 @@ _MOST = 80
 # cannot all be.
 _LEADS = (4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0, 25.0, 30.0, 32.0, 40.0)
 # Waves in the range, at least: fewer are a curve, whose cause need not be a screw.
-_WAVES = {"any": 1.0, "direct": 1.5}
+_WAVES, _WAVES_OF_MACHINE = 1.0, 1.5
 
 
 class PitchPeriodic(Effect):
@@ -50,9 +50,10 @@ class PitchPeriodic(Effect):
         steps = np.diff(position)
         even = float(np.ptp(steps)) < 1e-3 * float(steps.mean())
         shortest = 2.0 * float(steps.mean()) if even else max(_SHORTEST, float(steps.mean()))
-        fewest = _WAVES.get(observations.session.method, _WAVES["any"])
+        direct = observations.session.spec.reads_machine
+        fewest = _WAVES_OF_MACHINE if direct else _WAVES
         frequency = np.arange(fewest / span, 1.0 / shortest * (1.0 + 1e-9), 0.4 / span)
-        if len(frequency) > _MOST and observations.session.method == "direct":
+        if len(frequency) > _MOST and direct:
             # Long waves without a gap, and the usual leads beyond.
             known = np.unique([1e3 / (lead * share) for lead in _LEADS for share in (1.0, 0.5)])
             frequency = frequency[: _MOST - len(known)]

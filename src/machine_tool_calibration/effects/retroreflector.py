@@ -34,7 +34,7 @@ class RetroreflectorForm(HarmonicEffect):
     def angle(self, observations: Observations) -> Array:
         """The angle of incidence."""
         session = observations.session
-        if session.method == "rotary_axis":
+        if session.spec.on_turning_table:
             axis = table_axis(observations)
             i, j = (("ABC".index(axis) + k) % 3 for k in (1, 2))
             about = np.arctan2(observations.direction[:, j], observations.direction[:, i])

@@ -33,7 +33,7 @@ class RotaryAxisDrift(Effect):
 
     def coefficients_for(self, observations: Observations, shape: tuple[float, ...] = ()) -> tuple[Coefficient, ...]:
         """Three shifts and the two tilts across the axis; two shifts where a part is probed in a plane."""
-        if observations.session.method == "probing":
+        if observations.session.spec.probes_surface:
             return self.coefficients[:2]
         along = 3 + "ABC".index(table_axis(observations))
         return tuple(c for k, c in enumerate(self.coefficients) if k != along)

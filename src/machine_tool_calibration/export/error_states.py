@@ -60,7 +60,7 @@ def error_states(error_map: ErrorMap, fits: Sequence[Fit], effects: Sequence[Eff
     if not acting or not len(error_map.points):
         return ErrorStates(error_map, np.zeros_like(error_map.points), names)
     added = np.concatenate([sum((displacement(e, fit) for e in acting), np.zeros((1, 3))) for fit in fits])
-    if [o.session.method for o in observed] == ["direct"]:
+    if len(observed) == 1 and observed[0].session.spec.map_holds_effects:
         # This map holds the effects, once for every state.
         readings = _mapped(fits[0], names)
         if len(readings) == len(error_map.points):

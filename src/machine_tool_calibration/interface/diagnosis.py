@@ -34,7 +34,7 @@ _VERDICTS = {
 }
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Comparison(Shown):
     """A model held against its readings: how well it fits, and where it fails.
 
@@ -178,7 +178,7 @@ def _table(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
     return pd.DataFrame([{key: np.nan if value is None else value for key, value in row.items()} for row in rows])
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Diagnosis(Shown):
     """Which physical effects a model lacks, how sure that is, and what to measure to be surer.
 

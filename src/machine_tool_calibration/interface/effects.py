@@ -12,7 +12,7 @@ import pandas as pd
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.effects.formula import FormulaEffect, checked_definition, read_effects
 
-__all__ = ["Effect", "Range", "catalogue", "split_effects"]
+__all__ = ["Effect", "Range", "catalogue"]
 
 Range = tuple[str, float, float] | Mapping[str, Any]
 """Of an unknown: unit, smallest and largest plausible value; or a mapping with `unit`, `low`, `high`, `meaning`."""
@@ -130,17 +130,3 @@ def catalogue(own: Sequence[PhysicalEffect] = ()) -> pd.DataFrame:
         for effect in every_effect(own).values()
     ]
     return pd.DataFrame(rows).set_index("id")
-
-
-def split_effects(
-    effects: str | PhysicalEffect | Sequence[str | PhysicalEffect], own: Sequence[PhysicalEffect]
-) -> tuple[tuple[str, ...], tuple[PhysicalEffect, ...]]:
-    """Ids of effects, and the user's own: those known already and those that are among the effects.
-
-    Args:
-        effects: ids, or effects of the user's own.
-        own: those known already.
-    """
-    given = (effects,) if isinstance(effects, str | PhysicalEffect) else tuple(effects)
-    known = {effect.id: effect for effect in (*own, *(e for e in given if isinstance(e, PhysicalEffect)))}
-    return tuple(e.id if isinstance(e, PhysicalEffect) else str(e) for e in given), tuple(known.values())

@@ -14,8 +14,6 @@ import pandas as pd
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.interface import tables
-from machine_tool_calibration.interface.diagnosis import Comparison, Diagnosis
-from machine_tool_calibration.interface.effects import split_effects
 from machine_tool_calibration.interface.session import Measurement, Source, load, one_below_the_other
 from machine_tool_calibration.interface.show import Shown, chosen, printed
 from machine_tool_calibration.methods.identify import JointResult, identify_sessions
@@ -25,10 +23,12 @@ from machine_tool_calibration.model.result import Result
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Fit", "identify"]
+    from machine_tool_calibration.interface.diagnosis import Comparison, Diagnosis
+
+__all__ = ["Fit", "identify", "split_effects"]
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Fit(Shown):
     """The machine's errors from one measurement, each with its uncertainty.
 
@@ -205,6 +205,8 @@ class Fit(Shown):
 
     def compare(self) -> Comparison:
         """Hold the model against the readings of the fit: how well it fits, and where it fails."""
+        from machine_tool_calibration.interface.diagnosis import Comparison
+
         return Comparison.of(self.result)
 
     def diagnose(self, *, seed: int = 1, sets: int = 199) -> Diagnosis:
@@ -217,6 +219,8 @@ class Fit(Shown):
         Raises:
             ModelError: the data does not allow the model.
         """
+        from machine_tool_calibration.interface.diagnosis import Diagnosis
+
         several = self.measurement.labels if len(self.measurement.sessions) > 1 else None
         return Diagnosis.of(
             self.measurement.sessions, several, self.variant, self.effects, self.own, seed=seed, sets=sets
@@ -288,3 +292,17 @@ def _fitted(
     else:
         result = identify_sessions(sessions, labels, model=variant, effects=effects, own=own, keep_all=keep_all)
     return Fit(measurement, result, variant, own, keep_all)
+
+
+def split_effects(
+    effects: str | PhysicalEffect | Sequence[str | PhysicalEffect], own: Sequence[PhysicalEffect]
+) -> tuple[tuple[str, ...], tuple[PhysicalEffect, ...]]:
+    """Ids of effects, and the user's own: those known already and those that are among the effects.
+
+    Args:
+        effects: ids, or effects of the user's own.
+        own: those known already.
+    """
+    given = (effects,) if isinstance(effects, str | PhysicalEffect) else tuple(effects)
+    known = {effect.id: effect for effect in (*own, *(e for e in given if isinstance(e, PhysicalEffect)))}
+    return tuple(e.id if isinstance(e, PhysicalEffect) else str(e) for e in given), tuple(known.values())

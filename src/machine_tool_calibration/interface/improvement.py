@@ -15,8 +15,7 @@ from machine_tool_calibration.diagnosis.improve import improve as improve_models
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.interface.diagnosis import Diagnosis
-from machine_tool_calibration.interface.effects import split_effects
-from machine_tool_calibration.interface.identification import Fit
+from machine_tool_calibration.interface.identification import Fit, split_effects
 from machine_tool_calibration.interface.session import Measurement, Source, load
 from machine_tool_calibration.interface.show import Shown, notebook, printed
 from machine_tool_calibration.residuals.noise import noise_of
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["Improvement", "improve", "plot_improvement"]
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Improvement(Shown):
     """The models on the way from the first one to the best.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from machine_tool_calibration.session.session import Session
 __all__ = ["Measurement", "Source", "load", "one_below_the_other", "simulate"]
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Measurement(Shown):
     """One session, or several of one machine.
 
@@ -30,7 +30,7 @@ class Measurement(Shown):
 
     sessions: tuple[Session, ...]
     labels: tuple[str, ...]
-    truth: Mapping[str, Any] | None = field(default=None, compare=False)
+    truth: Mapping[str, Any] | None = None
 
     @property
     def method(self) -> str:

@@ -154,17 +154,15 @@ def axis_tables(result: Result) -> AxisTables:
     tables: Sequence[MachineTable] = getattr(model, "tables", None) or ()
     left_out = [entry for entry in result.not_determined if entry.name[:3] in SQUARENESS or entry.name[:1] == "E"]
     squareness: dict[str, tuple[float, float]] = {}
-    if session.method == "step_diagonal":
+    if session.spec.profiles:
         found, words = _profiles(result, left_out), _IN_PROFILES
     else:
         found, squareness = _terms(result.parameters, tables, left_out)
         words = _OWN_SLOPE
     if not found and not squareness:
         hint = "the result has none of a linear axis"
-        if session.method == "tracking_interferometer" and not tables:
-            hint = "the model 'free' has none; identify with --model rigid_body"
-        elif session.method == "direct" and not tables:
-            hint = "the session names no terms (such as terms: [EXX, C0Y]) to be determined"
+        if session.spec.no_tables and not tables:
+            hint = session.spec.no_tables
         elif left_out:
             hint = f"{left_out[0].name}: {left_out[0].why}"
         raise ModelError(f"{session.source}: no tables of error motions: {hint}")

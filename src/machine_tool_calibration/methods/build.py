@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import Protocol, cast
 
 import numpy as np
@@ -10,19 +9,10 @@ import numpy as np
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import Rejected
+from machine_tool_calibration.session.method import load
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["build_model", "rejected_readings", "sharing_variant"]
-
-_MODULES = {
-    "tracking_interferometer": "tracking.model",
-    "step_diagonal": "step_diagonal",
-    "probing": "probing.model",
-    "rotary_axis": "rotary_axis.model",
-    "direct": "direct.model",
-}
-# The variant of each method in which the machine's errors are tables that others can share.
-_SHARING = {"tracking_interferometer": "rigid_body", "step_diagonal": "small_angles"}
 
 
 class _Method(Protocol):
@@ -35,7 +25,7 @@ class _Method(Protocol):
 
 
 def _method(session: Session) -> _Method:
-    return cast(_Method, import_module(f"machine_tool_calibration.methods.{_MODULES[session.method]}"))
+    return cast(_Method, load(session.spec.model))
 
 
 def sharing_variant(session: Session, model: str | None) -> str | None:
@@ -46,7 +36,7 @@ def sharing_variant(session: Session, model: str | None) -> str | None:
         model: what was asked for, of the methods that have it; otherwise tables of the machine's errors, which others
             can share.
     """
-    return model if model in _method(session).MODELS else _SHARING.get(session.method)
+    return model if model in _method(session).MODELS else session.spec.shared
 
 
 def build_model(session: Session, model: str | None = None) -> tuple[MethodModel, str]:

@@ -33,7 +33,7 @@ from machine_tool_calibration.model.result import (
     spread_document,
 )
 from machine_tool_calibration.residuals.outliers import set_aside
-from machine_tool_calibration.session.description import TrackingInterferometer
+from machine_tool_calibration.session.method import load
 from machine_tool_calibration.session.session import Session
 
 __all__ = [
@@ -51,9 +51,6 @@ __all__ = [
 # Position error that no machine tool has, m, and by how many of its uncertainties it must be known.
 _IMPOSSIBLE = 0.01
 _KNOWN = 5.0
-# A station may be off by so many of its stated uncertainties, and by this where none is stated, m.
-_STATED = 10.0
-_UNSTATED = 0.1
 
 
 def refuse_impossible(session: Session, error_map: ErrorMap, *, allow: bool = False) -> None:
@@ -79,20 +76,8 @@ def refuse_impossible(session: Session, error_map: ErrorMap, *, allow: bool = Fa
             f"{1e3 * size[k, j]:.3g} mm, which no machine has: check units, columns and signs, and where the "
             "instrument stood"
         )
-    description = session.description
-    if not isinstance(description, TrackingInterferometer) or "stations" not in error_map.content:
-        return
-    found, known = error_map.content["stations"], error_map.content["stations_u"]
-    for setup, position, uncertainty in zip(description.setups, found, known, strict=True):
-        off = np.abs(position - np.asarray(setup.position))[: description.dimension]
-        limit = _STATED * setup.position_uncertainty if setup.position_uncertainty else _UNSTATED
-        bad = (off > limit) & (off > _IMPOSSIBLE) & (off > _KNOWN * uncertainty[: description.dimension])
-        if bad.any():
-            j = int(np.argmax(np.where(bad, off, 0.0)))
-            raise ModelError(
-                f"{session.source}: station {setup.id!r} is found {1e3 * off[j]:.3g} mm off its stated position along "
-                f"{'xyz'[j]}: check its position and position_uncertainty, and the columns x, y and z"
-            )
+    if session.spec.implausible is not None:
+        load(session.spec.implausible)(session, error_map, _IMPOSSIBLE, _KNOWN)
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray, groups
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.session.columns import needed_columns
 
 __all__ = ["Family", "reproducibility"]
 
@@ -68,14 +69,14 @@ def reproducibility(observations: Observations) -> tuple[Family, ...]:
     are one family where they are the same. Of direct deviations the passes over a single axis; of a plate its runs, and
     the rows and columns of a grid of holes that were drilled one after the other.
     """
-    if observations.session.method == "direct":
+    if observations.session.spec.reads_machine:
         return tuple(family for family in _of_direct(observations) if family.shapes.any())
     time = _time(observations)
     readings = observations.readings
     # Readings are in the order of time, in whatever order they are given.
     order = np.argsort(time, kind="stable")
     keys = [readings.setup, readings.repeat]
-    if observations.session.method == "rotary_axis" and "target" in readings.labels:
+    if "target" in needed_columns(observations.session.description):
         keys.append(readings.labels["target"])
     run = _numbered(groups(*keys))
     mounting = np.empty(len(readings), dtype=np.int64)

@@ -20,13 +20,14 @@ from machine_tool_calibration.nodes.operator import Operator
 from machine_tool_calibration.nodes.ros.domain import claimed_domain
 from machine_tool_calibration.nodes.site import SiteSpec
 from machine_tool_calibration.procedure import Procedure, plan, read_procedure
+from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.collect import Collector
 from machine_tool_calibration.session.description import Place
 from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.session.parse import parse_description
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["NODES", "UNNEEDED", "Measured", "Progress", "Setting", "free_folder", "measure", "site_document"]
+__all__ = ["NODES", "Measured", "Progress", "Setting", "free_folder", "measure", "site_document"]
 
 NODES = ("axis_simulator", "rotary_pointer", "instrument", "probe", "estimator", "procedure", "recorder")
 _START = 120.0  # s until all nodes have found each other, on a slow machine
@@ -34,13 +35,6 @@ _IDENTIFY = 600.0
 # what takes no time, on a machine that has none: reached only in a failure
 _COLLECT = 60.0
 _CLOSE = 40.0  # longer than the recorder gives itself to close its file
-
-UNNEEDED = {
-    "probing": ("rotary_pointer", "instrument"),
-    "step_diagonal": ("rotary_pointer", "probe"),
-    "direct": ("rotary_pointer", "probe"),
-}
-"""Nodes that a method does not need: a probe is instrument and pointer in one, a fixed beam needs no pointer."""
 
 Progress = Callable[[str, int, int], None]
 """Called with what is going on, and how many of how many readings there are."""
@@ -213,7 +207,7 @@ def _programs(setting: Setting, procedure: Path, site: Path, method: str) -> lis
         "estimator": {**common, "model": setting.model, "effects": list(setting.effects) or [""]},
         "recorder": {**common, "folder": str((setting.output / "bag").resolve())},
     }
-    without = UNNEEDED.get(method, ("probe",))
+    without = method_spec(method).unneeded
     nodes = tuple(name for name in NODES if name not in without)
     for name in setting.external:
         if name not in nodes:

@@ -14,6 +14,7 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.site import Beam, Moment, Site
 from machine_tool_calibration.procedure.plan import diagonal_positions, sensing_direction
+from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.description import (
     Description,
     Direct,
@@ -21,9 +22,10 @@ from machine_tool_calibration.session.description import (
     StepDiagonal,
     TrackingInterferometer,
 )
+from machine_tool_calibration.session.method import load
 from machine_tool_calibration.simulation.sensors import mirror_path, tilted
 
-__all__ = ["Look", "OnTable", "OnTool", "Optics", "Pose", "make_optics"]
+__all__ = ["Look", "OnTable", "OnTool", "Optics", "Pose", "along", "make_optics", "on_tool"]
 
 _LASER = 0.3  # m from the laser to a flat mirror at the start of its run
 
@@ -226,12 +228,18 @@ def make_optics(site: Site, description: Description) -> Optics:
     Raises:
         CalibrationError: the method has no interferometer.
     """
-    if isinstance(description, TrackingInterferometer):
-        return OnTool(site, description.pointing == "tracking")
-    if isinstance(description, RotaryAxis):
-        return OnTable(site, description)
-    if isinstance(description, StepDiagonal):
-        return FlatMirror(site, description)
-    if isinstance(description, Direct):
-        return Along(sensing_direction(description))
-    raise CalibrationError(f"no interferometer measures a {description.method} session")
+    maker = method_spec(description.method).optics
+    if maker is None:
+        raise CalibrationError(f"no interferometer measures a {description.method} session")
+    optics: Optics = load(maker)(site, description)
+    return optics
+
+
+def on_tool(site: Site, description: TrackingInterferometer) -> OnTool:
+    """The optics of a tracking interferometer."""
+    return OnTool(site, description.pointing == "tracking")
+
+
+def along(site: Site, description: Direct) -> Along:
+    """The optics of deviations along one direction."""
+    return Along(sensing_direction(description))

@@ -23,7 +23,7 @@ from machine_tool_calibration.effects.drift import LinearDrift
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.estimation.solve import Solution
 from machine_tool_calibration.methods.identify import build_model
-from machine_tool_calibration.methods.step_diagonal import StepDiagonalModel
+from machine_tool_calibration.methods.step_diagonal.model import StepDiagonalModel
 from machine_tool_calibration.methods.step_diagonal.small_angles import angular_priors, mean_shape
 from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.model.result import ErrorMap

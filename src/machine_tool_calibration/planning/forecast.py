@@ -14,6 +14,7 @@ from machine_tool_calibration.diagnosis.search.findings import smallest_signal
 from machine_tool_calibration.diagnosis.search.priors import EFFECT
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.instruments.touch import Part
 from machine_tool_calibration.instruments.tracking import pointing
 from machine_tool_calibration.methods.identify import identify
@@ -24,17 +25,30 @@ from machine_tool_calibration.procedure.description import Procedure
 from machine_tool_calibration.procedure.motion import move
 from machine_tool_calibration.procedure.plan import Plan, Step, plan, sensing_direction
 from machine_tool_calibration.residuals.pool import Pool
+from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.description import (
+    Description,
     Direct,
     Probing,
     RotaryAxis,
-    StationSetup,
     StepDiagonal,
     TrackingInterferometer,
 )
+from machine_tool_calibration.session.method import load
 from machine_tool_calibration.session.session import Readings, Session
 
-__all__ = ["Forecast", "Planned", "Visible", "forecast", "planned_session"]
+__all__ = [
+    "Forecast",
+    "Planned",
+    "Visible",
+    "along_diagonals",
+    "directly",
+    "forecast",
+    "from_stations",
+    "planned_session",
+    "to_table",
+    "touching",
+]
 
 
 _SEED = 0
@@ -85,7 +99,7 @@ def planned_session(procedure: Procedure, warming: float = 1.0) -> Planned:
     columns |= more
     noise = description.standard_uncertainty.displacement * np.random.default_rng(_SEED).normal(size=len(steps))
     reading = path + noise
-    if not isinstance(description, Direct | Probing):
+    if not method_spec(description.method).reads_deviations:
         zero = _zeros(description, setup, repeat, labels)
         reading = reading - reading[zero]
     readings = Readings(setup, repeat, reading, columns, labels, np.arange(len(steps)))
@@ -104,44 +118,75 @@ def _times(made: Plan) -> Array:
     return np.array(out)
 
 
-def _nominal(
-    procedure: Procedure, steps: tuple[Step, ...], setup: IntArray
-) -> tuple[Array, dict[str, Array], dict[str, np.ndarray]]:
+_Nominal = tuple[Array, dict[str, Array], dict[str, np.ndarray]]
+
+
+def _nominal(procedure: Procedure, steps: tuple[Step, ...], setup: IntArray) -> _Nominal:
     """Path that a perfect machine shows, further columns and labels."""
+    planned = method_spec(procedure.session.method).planned
+    if planned is None:
+        raise SessionError(f"procedure {procedure.name}: nothing is foretold of a {procedure.session.method} session")
+    nominal: _Nominal = load(planned)(procedure, steps, setup)
+    return nominal
+
+
+def directly(procedure: Procedure, steps: tuple[Step, ...], setup: IntArray) -> _Nominal:
+    """No deviation, along the direction that is sensed."""
+    description, n = procedure.session, len(steps)
+    assert isinstance(description, Direct)
+    direction = sensing_direction(description)
+    return np.zeros(n), {f"g{axis}": np.full(n, direction[j]) for j, axis in enumerate("xyz")}, {}
+
+
+def touching(procedure: Procedure, steps: tuple[Step, ...], setup: IntArray) -> _Nominal:
+    """No deviation, where the stylus touches."""
     description = procedure.session
-    n = len(steps)
-    if isinstance(description, Direct):
-        direction = sensing_direction(description)
-        return np.zeros(n), {f"g{axis}": np.full(n, direction[j]) for j, axis in enumerate("xyz")}, {}
-    if isinstance(description, Probing):
-        part = Part(description)
-        points = [step.target or 0 for step in steps]
-        angles = [description.setups[s].c for s in setup]
-        centres = [
-            part.touch(point, c, procedure.motion.approach).at(0.0) for point, c in zip(points, angles, strict=True)
-        ]
-        names = np.array([description.workpiece[point].id for point in points], dtype=object)
-        return np.zeros(n), {axis: np.array([c[axis] for c in centres]) for axis in "xy"}, {"point": names}
-    aim = np.array([step.aim or (0.0, 0.0, 0.0) for step in steps])
-    if isinstance(description, StepDiagonal):
-        motion = np.array([run.direction for run in description.setups]) * np.asarray(description.step)
-        beam = motion / np.linalg.norm(motion, axis=1)[:, None]
-        return np.asarray(np.einsum("nj,nj->n", aim, beam[setup])), {}, {}
-    stations = np.array([s.position for s in description.setups if isinstance(s, StationSetup)])[setup]
-    if isinstance(description, RotaryAxis):
-        names = np.array([description.targets[step.target or 0].id for step in steps], dtype=object)
-        return np.linalg.norm(aim - stations, axis=1), {}, {"target": names}
+    assert isinstance(description, Probing)
+    part = Part(description)
+    points = [step.target or 0 for step in steps]
+    angles = [description.setups[s].c for s in setup]
+    centres = [part.touch(point, c, procedure.motion.approach).at(0.0) for point, c in zip(points, angles, strict=True)]
+    names = np.array([description.workpiece[point].id for point in points], dtype=object)
+    return np.zeros(len(steps)), {axis: np.array([c[axis] for c in centres]) for axis in "xy"}, {"point": names}
+
+
+def along_diagonals(procedure: Procedure, steps: tuple[Step, ...], setup: IntArray) -> _Nominal:
+    """Ways along the beams on the flat mirror."""
+    description = procedure.session
+    assert isinstance(description, StepDiagonal)
+    motion = np.array([run.direction for run in description.setups]) * np.asarray(description.step)
+    beam = motion / np.linalg.norm(motion, axis=1)[:, None]
+    return np.asarray(np.einsum("nj,nj->n", _aims(steps), beam[setup])), {}, {}
+
+
+def to_table(procedure: Procedure, steps: tuple[Step, ...], setup: IntArray) -> _Nominal:
+    """Distances from the stations to targets on the table."""
+    description = procedure.session
+    assert isinstance(description, RotaryAxis)
+    stations = np.array([entry.position for entry in description.setups])[setup]
+    names = np.array([description.targets[step.target or 0].id for step in steps], dtype=object)
+    return np.linalg.norm(_aims(steps) - stations, axis=1), {}, {"target": names}
+
+
+def from_stations(procedure: Procedure, steps: tuple[Step, ...], setup: IntArray) -> _Nominal:
+    """Distances from the stations to the tool, and the beams' angles."""
+    description, aim = procedure.session, _aims(steps)
     assert isinstance(description, TrackingInterferometer)
+    stations = np.array([entry.position for entry in description.setups])[setup]
     if description.dimension == 2:
         stations[:, 2] = aim[:, 2]
     azimuth, elevation = pointing(aim, stations)
     return np.linalg.norm(aim - stations, axis=1), {"azimuth": azimuth, "elevation": elevation}, {}
 
 
-def _zeros(description: object, setup: IntArray, repeat: IntArray, labels: dict[str, np.ndarray]) -> IntArray:
+def _aims(steps: tuple[Step, ...]) -> Array:
+    return np.array([step.aim or (0.0, 0.0, 0.0) for step in steps])
+
+
+def _zeros(description: Description, setup: IntArray, repeat: IntArray, labels: dict[str, np.ndarray]) -> IntArray:
     """(n,) the reading from which each counts: the first of its setup, or of its run."""
     keys = [setup]
-    if not isinstance(description, TrackingInterferometer):
+    if method_spec(description.method).counts_from_run:
         keys.append(repeat)
     if "target" in labels:
         keys.append(np.unique(labels["target"].astype(str), return_inverse=True)[1])

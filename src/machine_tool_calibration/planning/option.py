@@ -10,7 +10,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import IntArray
 from machine_tool_calibration.planning.sensing import Changed, appended
-from machine_tool_calibration.session.description import Description, Direct
+from machine_tool_calibration.session.description import Description
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["Mounting", "Option", "mounted_again"]
@@ -62,14 +62,6 @@ class Option:
         return cls(kind, words, extended[0], first, extended[1], aside, turned or {})
 
 
-_MOUNTED = {
-    "step_diagonal": "the mirror",
-    "tracking_interferometer": "the instrument",
-    "rotary_axis": "the instrument",
-    "direct": "the instrument or part",
-}
-
-
 @dataclass(frozen=True)
 class Mounting:
     """How setups are made again.
@@ -102,8 +94,8 @@ def mounted_again(session: Session, rows: IntArray) -> Mounting:
     any further reading: then the setup's unknowns are new ones. A part on the rotary table stays where it is.
     """
     description = session.description
-    absolute = isinstance(description, Direct) and description.datum == "none"
-    if session.method == "probing" or absolute:
+    mounted = session.spec.mounted(description)
+    if not mounted:
         return Mounting(session, description, {}, "", "")
     setups: list[Any] = list(description.setups)
     ids = {setup.id for setup in setups}
@@ -117,4 +109,4 @@ def mounted_again(session: Session, rows: IntArray) -> Mounting:
         place[int(s)] = len(setups)
         setups.append(setups[s].model_copy(update={"id": name}))
     new = description.model_copy(update={"setups": tuple(setups)})
-    return Mounting(session, new, place, "", f"mounting {_MOUNTED[session.method]} again")
+    return Mounting(session, new, place, "", f"mounting {mounted} again")

@@ -17,17 +17,6 @@ __all__ = ["further_options"]
 _WARMER = 5.0
 _SWING = 2.5
 _TURNS = (90.0, 45.0)
-# What is turned, and the effects that turn with it.
-_PARTS = {
-    "tracking_interferometer": ("the retroreflector", ("retroreflector_form",)),
-    "probing": ("the probe", ("probe_pretravel",)),
-}
-_SETUP = {
-    "step_diagonal": "run",
-    "tracking_interferometer": "station",
-    "rotary_axis": "station",
-    "probing": "angle of C",
-}
 
 
 def further_options(session: Session, setups: Sequence[int] | None = None) -> list[Option]:
@@ -42,7 +31,7 @@ def further_options(session: Session, setups: Sequence[int] | None = None) -> li
         return []
     what = "everything"
     if setups is not None and len(session.setup_ids) > 1:
-        what = f"{_SETUP.get(session.method, 'setup')} {', '.join(session.setup_ids[s] for s in setups)}"
+        what = f"{session.spec.setup_word} {', '.join(session.setup_ids[s] for s in setups)}"
     out = list(_repeated(session, rows, f"measure {what} once more"))
     if setups is None:
         out += other_places(session)
@@ -76,7 +65,7 @@ def _repeated(session: Session, rows: IntArray, measure: str) -> Iterator[Option
         yield option("swing", how, Changed(rows, kelvin=swing), "the temperature must change meanwhile")
         how = f", when everything is {_WARMER:g} K warmer or colder"
         yield option("warmer", how, Changed(rows, kelvin=np.full(len(rows), _WARMER)), "waiting for the temperature")
-    part, effects = _PARTS.get(session.method, ("", ()))
+    part, effects = session.spec.turned_part
     for angle in _TURNS if part else ():
         turned = dict.fromkeys(effects, float(np.radians(angle)))
         how = f", with {part} turned by {angle:g}° (orient the spindle)"
@@ -86,7 +75,7 @@ def _repeated(session: Session, rows: IntArray, measure: str) -> Iterator[Option
 def _backwards(session: Session, rows: IntArray) -> tuple[Changed, str] | None:
     """The readings in reverse within each run, and the directions of approach that follow."""
     columns = session.readings.columns
-    if session.method == "probing":
+    if session.spec.probes_surface:
         # A touch comes from outside whatever the order: only the table can be turned the other way.
         if "dir_c" not in columns:
             return None
@@ -96,14 +85,14 @@ def _backwards(session: Session, rows: IntArray) -> tuple[Changed, str] | None:
     order = np.concatenate([np.flatnonzero(group == g)[::-1] for g in dict.fromkeys(group.tolist())])
     rows, group = rows[order], group[order]
     approaches = _approaches(session, rows, group, -1.0)
-    if not approaches and session.method != "step_diagonal":
+    if not approaches and not session.spec.ordered_moves:
         return None
     return Changed(rows, approaches), ", running backwards (order and direction of all moves reversed)"
 
 
 def _both_ways(session: Session, rows: IntArray) -> Changed | None:
     """Every run of a rotary axis followed by the same angles in reverse; None where the runs turn back already."""
-    if session.method != "rotary_axis":
+    if not session.spec.turns_one_axis:
         return None
     group = _runs(session, rows)
     axis = next(a for a in "cab" if a in session.readings.columns)
@@ -142,7 +131,7 @@ def _runs(session: Session, rows: IntArray) -> IntArray:
 
 def _other_order(session: Session, rows: IntArray) -> tuple[Changed, str] | None:
     """The grid of targets with that axis moving most often that moved least often."""
-    if session.method != "tracking_interferometer":
+    if not session.spec.free_order:
         return None
     position = session.readings.position()[rows]
     moves = (np.abs(np.diff(position, axis=0)) > 1e-9).sum(axis=0)

@@ -10,25 +10,21 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.instruments.tracking import pointing
 from machine_tool_calibration.methods.probing.geometry import touches
-from machine_tool_calibration.planning.diagonals import further_runs
 from machine_tool_calibration.planning.option import Option
 from machine_tool_calibration.planning.sensing import Changed, appended, first_repetition
 from machine_tool_calibration.session.checks.nominal_geometry import on_table, places
-from machine_tool_calibration.session.description import Probing, RotaryAxis, StepDiagonal, TrackingInterferometer
+from machine_tool_calibration.session.description import Probing, RotaryAxis, TrackingInterferometer
+from machine_tool_calibration.session.method import load
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["other_places"]
+__all__ = ["further_angles", "further_stations", "other_places"]
 
 
 def other_places(session: Session) -> Iterator[Option]:
     """Further setups that the method allows, each with the readings of one that was made."""
-    description = session.description
-    if isinstance(description, TrackingInterferometer | RotaryAxis):
-        yield from _stations(session, description)
-    elif isinstance(description, Probing):
-        yield from _index(session, description)
-    elif isinstance(description, StepDiagonal):
-        yield from further_runs(session, description)
+    further = session.spec.further_places
+    if further is not None:
+        yield from load(further)(session, session.description)
 
 
 def _fresh(ids: list[str], name: str) -> str:
@@ -37,7 +33,7 @@ def _fresh(ids: list[str], name: str) -> str:
     return name
 
 
-def _stations(session: Session, description: TrackingInterferometer | RotaryAxis) -> Iterator[Option]:
+def further_stations(session: Session, description: TrackingInterferometer | RotaryAxis) -> Iterator[Option]:
     """A station in the widest gap between the others as seen from the targets, and one twice as far."""
     old = np.array([setup.position for setup in description.setups])
     used = np.unique(session.readings.setup)
@@ -82,7 +78,7 @@ def _points(session: Session, description: TrackingInterferometer | RotaryAxis, 
     return on_table(session, description, target, readings, 1.0)
 
 
-def _index(session: Session, description: Probing) -> Iterator[Option]:
+def further_angles(session: Session, description: Probing) -> Iterator[Option]:
     """The workpiece at an angle of C in the middle of the widest gap."""
     used = np.unique(session.readings.setup)
     angle = np.sort(np.array([description.setups[s].c for s in used]) % (2 * np.pi))

@@ -21,8 +21,6 @@ __all__ = ["Assumed", "Changed", "Sensed", "appended", "approached", "first_repe
 
 
 _MOTION = ("x", "y", "z", "a", "b", "c", "azimuth", "elevation", "gx", "gy", "gz")
-# Methods whose displacement starts at zero in every run, rather than in every setup.
-_FROM_RUN = ("rotary_axis", "step_diagonal")
 
 
 def first_repetition(session: Session, setups: Sequence[int] | None = None) -> IntArray:
@@ -125,7 +123,7 @@ def appended(
         columns=columns,
         row=np.arange(len(rows), dtype=np.int64) + int(old.row.max(initial=-1)) + 1,
     )
-    if session.method in _FROM_RUN:
+    if session.spec.counts_from_run:
         new = replace(new, displacement=new.displacement - new.displacement[_first_of_run(new)])
     return replace(session, description=description or session.description, readings=_joined(old, new)), seconds
 

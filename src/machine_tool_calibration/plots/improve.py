@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
 __all__ = ["draw_improvement", "draw_steps", "residual_table", "save_improvement", "step_table"]
 
-# Methods whose readings lie along runs, where arrows would lie on each other.
-_ALONG = {"step_diagonal": "path", "rotary_axis": "c"}
 _LENGTH = 0.12
 _LISTED = 8
 
@@ -52,11 +50,11 @@ def draw_steps(steps: Sequence[Step], sessions: Sequence[Session], declared: flo
     # Outliers would hide everything else: the first picture is of the readings that are kept.
     if len(steps) > 2 and last.set_aside:
         first = steps[1]
-    method = sessions[0].method if len(sessions) == 1 else ""
+    along = sessions[0].spec.along if len(sessions) == 1 else None
     size = _size(first)
     for panel, step, title in ((before, first, "before"), (after, last, "after")):
-        if method in _ALONG:
-            _curves(panel, step, _ALONG[method], size)
+        if along is not None:  # arrows would lie on each other
+            _curves(panel, step, along, size)
         else:
             _arrows(panel, step, size)
         panel.set_title(f"{title}: {1e6 * step.result.rms_residual:.3g} µm RMS", fontsize=10)
@@ -116,7 +114,7 @@ def _arrows(panel: Axes, step: Step, size: float) -> None:
 def _sensed(observations: Observations) -> Array:
     """(n, 3) along what a reading senses the tool, or the part where that is what moves."""
     table = observations.table_direction
-    turned = observations.session.method == "probing" and np.abs(table).max(initial=0.0) > 0
+    turned = observations.session.spec.probes_surface and np.abs(table).max(initial=0.0) > 0
     return table if turned else observations.direction
 
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from machine_tool_calibration.plots.error_map import draw_map, draw_tables
 from machine_tool_calibration.plots.style import save
+from machine_tool_calibration.session.method import load
 from machine_tool_calibration.session.session import Session
 
 if TYPE_CHECKING:
@@ -58,8 +58,5 @@ def common_figures(result: Mapping[str, Any]) -> dict[str, Figure]:
 
 def _of_method(session: Session, name: str) -> Any:
     """A function of the method's own module of pictures, if it has one."""
-    own = "tracking" if session.method == "tracking_interferometer" else session.method
-    try:
-        return getattr(import_module(f"machine_tool_calibration.plots.{own}"), name, None)
-    except ModuleNotFoundError:
-        return None
+    own = session.spec.pictures
+    return None if own is None else getattr(load(own), name, None)

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.description import Description
 from machine_tool_calibration.session.parse import describe
 from machine_tool_calibration.session.yaml_text import Document, load_yaml
@@ -154,9 +155,10 @@ def parse_procedure(text: str, source: str) -> Procedure:
     lines = {path[1:]: line for path, line in document.lines.items() if path[:1] == ("session",)}
     inner = Document({"format": "mtcal-session/1", **content.session}, lines)
     session = describe(inner.value, source, inner)
-    if content.path is None and session.method != "step_diagonal":
+    spec = method_spec(session.method)
+    if content.path is None and not spec.path_from_session:
         raise SessionError(f"{source}: the key 'path' is missing")
-    if content.path is not None and content.path.both_ways and session.method != "rotary_axis":
+    if content.path is not None and content.path.both_ways and not spec.turns_one_axis:
         raise SessionError(f"{source}: path.both_ways is for the method rotary_axis; this is {session.method}")
     return Procedure(
         name=content.name,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -15,7 +15,9 @@ from machine_tool_calibration.instruments.touch import Part
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.procedure.description import Motion, Path, Procedure, Spread
 from machine_tool_calibration.procedure.motion import AxisLimits, move
+from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.description import Direct, Probing, RotaryAxis, StepDiagonal
+from machine_tool_calibration.session.method import load
 
 __all__ = [
     "Plan",
@@ -24,6 +26,7 @@ __all__ = [
     "diagonal_positions",
     "diagonal_steps",
     "direct_steps",
+    "path_steps",
     "plan",
     "rotary_steps",
     "sensing_direction",
@@ -309,21 +312,17 @@ def plan(procedure: Procedure) -> Plan:
         SessionError: a target is outside the machine's travel or names an axis that the machine does not have, or the
             path is not one of the method.
     """
-    steps = tuple(_maker(procedure)(procedure))
+    maker = method_spec(procedure.session.method).steps
+    if maker is None:
+        raise SessionError(f"procedure {procedure.name}: no procedure makes a {procedure.session.method} session")
+    steps = tuple(load(maker)(procedure))
     limits = axis_limits(procedure)
     return Plan(procedure, steps, limits, _duration(steps, limits, procedure.motion.dwell))
 
 
-def _maker(procedure: Procedure) -> Callable[[Procedure], Iterator[Step]]:
-    """What makes the steps of the session's method."""
-    makers: dict[str, Callable[[Procedure], Iterator[Step]]] = {
-        "tracking_interferometer": lambda chosen: _directed(chosen, _runs(chosen, targets_of(chosen))),
-        "probing": touch_steps,
-        "step_diagonal": diagonal_steps,
-        "rotary_axis": rotary_steps,
-        "direct": direct_steps,
-    }
-    return makers[procedure.session.method]
+def path_steps(procedure: Procedure) -> Iterator[Step]:
+    """The targets of the path, from every setup and in every repeat."""
+    return _directed(procedure, _runs(procedure, targets_of(procedure)))
 
 
 def axis_limits(procedure: Procedure) -> dict[str, AxisLimits]:

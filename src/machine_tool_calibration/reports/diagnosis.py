@@ -113,11 +113,11 @@ def _rows(diagnosis: Diagnosis, of_map: bool) -> tuple[tuple[str, ...], ...]:
 
 
 def _absorbed(diagnosis: Diagnosis, of_map: bool) -> list[Absorbed]:
-    known, method = _effects(diagnosis), diagnosis.session.method
-    return [a for a in diagnosis.look.absorbed if _of_the_map(a, known.get(a.effect), method) == of_map]
+    known, surface = _effects(diagnosis), diagnosis.session.spec.probes_surface
+    return [a for a in diagnosis.look.absorbed if _of_the_map(a, known.get(a.effect), surface) == of_map]
 
 
-def _of_the_map(absorbed: Absorbed, effect: Effect | None, method: str) -> bool:
+def _of_the_map(absorbed: Absorbed, effect: Effect | None, surface: bool) -> bool:
     """Whether what takes an effect up is the map, which is meant to say it."""
     if absorbed.effect in absorbed.families:
         return True
@@ -125,14 +125,14 @@ def _of_the_map(absorbed: Absorbed, effect: Effect | None, method: str) -> bool:
         return False
     # The points of a probing are those of the workpiece, whose form is not the machine's.
     first = absorbed.by[0] if absorbed.by else None
-    return first is not None and first.in_map and not (first is POINTS and method == "probing")
+    return first is not None and first.in_map and not (first is POINTS and surface)
 
 
 def _words(absorbed: Absorbed, of_map: bool, diagnosis: Diagnosis) -> str:
     if absorbed.effect in absorbed.families:
         return "unknowns of this model themselves"
     chosen = [unknown for unknown in absorbed.by if unknown.in_map or not of_map]
-    if chosen == [POINTS] and diagnosis.session.method == "probing":
+    if chosen == [POINTS] and diagnosis.session.spec.probes_surface:
         return "form of the workpiece: each probed point has an error of its own"
     return unknowns_in_words(chosen) or "the model"
 

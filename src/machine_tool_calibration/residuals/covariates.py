@@ -29,10 +29,10 @@ def covariates(observations: Observations) -> dict[str, Array]:
     out |= {name: values for name, values in readings.columns.items() if name not in ("gx", "gy", "gz")}
     if np.ptp(observations.path) > 0:
         out["path"] = observations.path
-    if observations.session.method in ("tracking_interferometer", "rotary_axis"):
+    if observations.session.spec.beam_from_pointer:
         out.setdefault("azimuth", np.arctan2(observations.direction[:, 1], observations.direction[:, 0]))
         out.setdefault("elevation", np.arcsin(np.clip(observations.direction[:, 2], -1.0, 1.0)))
-    if observations.session.method == "probing":
+    if observations.session.spec.probes_surface:
         out["normal"] = np.arctan2(observations.table_direction[:, 1], observations.table_direction[:, 0])
     for axis in _AXES:
         approach = readings.columns.get(f"dir_{axis}")

@@ -44,7 +44,7 @@ def same_place(observations: Observations) -> IntArray:
     readings = observations.readings
     keys = [np.round(readings.columns[a] * 1e9) for a in "xyzc" if a in readings.columns]
     keys += [readings.columns[f"dir_{a}"] for a in "xyzc" if f"dir_{a}" in readings.columns]
-    if observations.session.method == "direct":
+    if observations.session.spec.reads_machine:
         # Deviations of one hole along x and along y do not repeat each other.
         keys += list(np.round(observations.direction.T * 1e6))
     return groups(readings.setup, *keys, *readings.labels.values())

@@ -179,7 +179,7 @@ class _Search:
         self.readings = model.observations.readings
         self.sigma = model.sigma
         self.n = self.part.n_readings
-        self.direct = model.observations.session.method == "direct"
+        self.reads_machine = model.observations.session.spec.reads_machine
         self.run = _runs(model)
         self.near = _near(self.part, self.readings)
         self.start = np.zeros(self.problem.size), np.zeros((self.part.dimension, self.part.n_points))
@@ -241,7 +241,7 @@ class _Search:
         scale = float(np.clip(mean, bulk, _TAILS * bulk))
         limit = max(-float(special.stdtrit(max(dof, 4.0), _LEVEL / self.n / 2)), _LEAST)
         limit = max(limit, _limit_of_tails(studentized / bulk))
-        if not self.direct and scale > _MISFIT and special.chdtrc(dof, dof * scale**2) < _LEVEL:
+        if not self.reads_machine and scale > _MISFIT and special.chdtrc(dof, dof * scale**2) < _LEVEL:
             # Something is missing, and what it leaves is not as even as noise. An axis or a part may scatter more than
             # the instrument that reads it.
             limit *= _UNEVEN

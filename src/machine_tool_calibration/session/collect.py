@@ -9,7 +9,8 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.checks import check_session
-from machine_tool_calibration.session.description import Description, Place, require_columns
+from machine_tool_calibration.session.columns import require_columns
+from machine_tool_calibration.session.description import Description, Place
 from machine_tool_calibration.session.session import Session, assemble
 
 __all__ = ["INDEX_COLUMNS", "Collector"]

@@ -5,15 +5,13 @@ One frozen record per measuring method; an unknown key is an error. SI units, an
 
 from __future__ import annotations
 
-import difflib
 import itertools
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.machine.chain import Chain
 
 __all__ = [
@@ -28,13 +26,12 @@ __all__ = [
     "Place",
     "Probing",
     "RotaryAxis",
+    "Setup",
     "StationSetup",
     "StepDiagonal",
     "Target",
     "TrackingInterferometer",
     "WorkpiecePoint",
-    "needed_columns",
-    "require_columns",
     "rotary_column",
 ]
 
@@ -59,42 +56,10 @@ class Place:
         return where if self.line is None else f"{where} (line {self.line(int(row))})"
 
 
-_AXES = ("x", "y", "z", "a", "b", "c")
-
-
 def rotary_column(description: RotaryAxis) -> str:
     """The column of the rotary axis under test: the one that the machine names, else the chain's, else `c`."""
     rotary = Chain.parse(description.machine.chain).rotary
     return (description.machine.axis or (rotary[0] if len(rotary) == 1 else "C")).lower()
-
-
-def needed_columns(description: Description) -> tuple[str, ...]:
-    """Columns of `observations.csv` without which the method cannot work."""
-    if isinstance(description, Direct):
-        # real deviations often come without times and repeats: one pass, in the order given
-        return ("setup", "gx", "gy", "gz", "displacement")
-    common = ("time", "setup", "repeat")
-    if isinstance(description, TrackingInterferometer):
-        angles: tuple[str, ...] = ()
-        if description.pointing == "open_loop":
-            angles = ("azimuth",) if description.dimension == 2 else ("azimuth", "elevation")
-        return (*common, *"xyz"[: description.dimension], *angles, "displacement")
-    if isinstance(description, RotaryAxis):
-        return (*common, "target", rotary_column(description), "displacement")
-    if description.method == "probing":
-        return (*common, "point", "x", "y", "c", "displacement")
-    return (*common, "x", "y", "z", "displacement")
-
-
-def require_columns(description: Description, columns: Collection[str], source: str) -> None:
-    """Raise a SessionError that names the first column that is missing."""
-    for name in needed_columns(description):
-        if name not in columns:
-            near = difflib.get_close_matches(name, columns, n=1, cutoff=0.75)
-            hint = f" (it has {near[0]!r})" if near and near[0] not in needed_columns(description) else ""
-            raise SessionError(f"{source}: the column {name!r} is missing, which {description.method} needs{hint}")
-    if isinstance(description, Direct) and not any(axis in columns for axis in _AXES):
-        raise SessionError(f"{source}: no column of an axis position (x, y, z or c), which direct needs")
 
 
 def _check_identifier(text: str) -> str:
@@ -234,7 +199,13 @@ class Probe(Record):
     stylus_diameter: Positive
 
 
-class DiagonalSetup(Record):
+class Setup(Record):
+    """A setup of the instrument; methods add what they need to know of it."""
+
+    id: Identifier
+
+
+class DiagonalSetup(Setup):
     """A step diagonal or a linear run with a flat mirror.
 
     Attributes:
@@ -243,35 +214,36 @@ class DiagonalSetup(Record):
         start: where the run begins, m.
     """
 
-    id: Identifier
     kind: Literal["diagonal", "linear"]
     direction: Vector3
     start: Vector3
     mirror: Literal["flat"] = "flat"
 
 
-class StationSetup(Record):
+class StationSetup(Setup):
     """A station of a tracking interferometer: estimate of its rotation centre, machine frame, m."""
 
-    id: Identifier
     position: Vector3
     position_uncertainty: Positive | None = None
 
 
-class IndexSetup(Record):
+class IndexSetup(Setup):
     """One angular position of C at which the workpiece is probed, rad."""
 
-    id: Identifier
     c: Finite
 
 
-class DirectSetup(Record):
+class DirectSetup(Setup):
     """A setup of an instrument that reads deviations directly."""
 
-    id: Identifier
 
+class Description(Record):
+    """What every method says; each adds its `method`, its `setups`, and what else it has to say."""
 
-class _Base(Record):
+    if TYPE_CHECKING:
+        method: str
+        setups: tuple[Setup, ...]
+
     format: Literal["mtcal-session/1"]
     machine: Machine
     repeats: Annotated[int, Field(ge=1)] = 1
@@ -291,7 +263,7 @@ class _Base(Record):
         return self
 
 
-class StepDiagonal(_Base):
+class StepDiagonal(Description):
     """Laser step diagonal measurement, Ibaraki and Hata 2010."""
 
     method: Literal["step_diagonal"]
@@ -300,7 +272,7 @@ class StepDiagonal(_Base):
     setups: Annotated[tuple[DiagonalSetup, ...], Field(min_length=1)]
 
 
-class TrackingInterferometer(_Base):
+class TrackingInterferometer(Description):
     """Tracking interferometer, open-loop or with a beam that follows the target, Ibaraki et al. 2014."""
 
     method: Literal["tracking_interferometer"]
@@ -309,7 +281,7 @@ class TrackingInterferometer(_Base):
     setups: Annotated[tuple[StationSetup, ...], Field(min_length=1)]
 
 
-class RotaryAxis(_Base):
+class RotaryAxis(Description):
     """Rotary axis by sequential multilateration, Zhang et al. 2015."""
 
     method: Literal["rotary_axis"]
@@ -318,7 +290,7 @@ class RotaryAxis(_Base):
     rotation_sign: Literal[-1, 1] | None = None
 
 
-class Probing(_Base):
+class Probing(Description):
     """Probing self-calibration of a free-form part on a rotary table."""
 
     method: Literal["probing"]
@@ -328,7 +300,7 @@ class Probing(_Base):
     known: dict[str, KnownLength] = {}
 
 
-class Direct(_Base):
+class Direct(Description):
     """An instrument that reads deviations directly: ISO 230-2 run, grid encoder, CMM and others.
 
     Attributes:
@@ -342,9 +314,3 @@ class Direct(_Base):
     datum: Literal["none", "offset", "rigid"] = "none"
     terms: tuple[str, ...] = ()
     setups: Annotated[tuple[DirectSetup, ...], Field(min_length=1)]
-
-
-Description = Annotated[
-    StepDiagonal | TrackingInterferometer | RotaryAxis | Probing | Direct,
-    Field(discriminator="method"),
-]

@@ -10,8 +10,9 @@ import pandas as pd
 
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.checks import check_session
+from machine_tool_calibration.session.columns import require_columns
 from machine_tool_calibration.session.csv_text import write_csv
-from machine_tool_calibration.session.description import Place, require_columns
+from machine_tool_calibration.session.description import Place
 from machine_tool_calibration.session.parse import description_yaml, parse_description
 from machine_tool_calibration.session.session import Session, assemble
 from machine_tool_calibration.session.table import NUMERIC_COLUMNS, read_table

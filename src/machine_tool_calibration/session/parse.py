@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Sequence
 from typing import Any, get_args
 
 import yaml
-from pydantic import TypeAdapter, ValidationError
+from pydantic import ValidationError
 
 from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.session.catalogue import method_names, method_spec
 from machine_tool_calibration.session.description import Description
 from machine_tool_calibration.session.yaml_text import Document, load_yaml
 
 __all__ = ["describe", "description_yaml", "parse_description"]
 
 FORMAT = "mtcal-session/1"
-_ADAPTER: TypeAdapter[Description] = TypeAdapter(Description)
-_RECORDS: dict[str, Any] = {
-    get_args(record.model_fields["method"].annotation)[0]: record for record in get_args(get_args(Description)[0])
-}
 
 
 def parse_description(text: str, source: str) -> Description:
@@ -37,27 +35,32 @@ def parse_description(text: str, source: str) -> Description:
         raise SessionError(f"{source}: the file is empty")
     if not isinstance(document.value, dict):
         raise SessionError(f"{source}: must be a mapping of keys, not {_kind(document.value)}")
-    for key, allowed in (("format", [FORMAT]), ("method", list(_RECORDS))):
-        if key not in document.value:
-            raise SessionError(f"{source}: the key {key!r} is missing")
-        value = document.value[key]
-        if value not in allowed:
-            where = _where(source, document, (key,))
-            raise SessionError(f"{where}: {key} is {_shown(value)}, not {_either(allowed)}")
+    _check_key("format", [FORMAT], source, document)
     return describe(document.value, source, document)
 
 
 def describe(value: Any, source: str, document: Document | None = None) -> Description:
     """The description from a mapping of keys; errors as for `parse_description`."""
     document = document or Document(value, {})
+    _check_key("method", method_names(), source, document)
+    record = method_spec(value["method"]).description
     try:
-        return _ADAPTER.validate_python(value)
+        return record.model_validate(value)
     except ValidationError as error:
         # an unknown key is often the misspelt one that is then missing: it is the better message
         order = ("extra_forbidden", "missing")
         defects = error.errors(include_url=False)
         defects.sort(key=lambda d: order.index(d["type"]) if d["type"] in order else len(order))
-        raise SessionError(_message(dict(defects[0]), source, document)) from None
+        raise SessionError(_message(dict(defects[0]), source, document, record)) from None
+
+
+def _check_key(key: str, allowed: Sequence[str], source: str, document: Document) -> None:
+    if key not in document.value:
+        raise SessionError(f"{source}: the key {key!r} is missing")
+    value = document.value[key]
+    if value not in allowed:
+        where = _where(source, document, (key,))
+        raise SessionError(f"{where}: {key} is {_shown(value)}, not {_either(allowed)}")
 
 
 def description_yaml(description: Description) -> str:
@@ -85,12 +88,12 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _message(defect: dict[str, Any], source: str, document: Document) -> str:
-    path = tuple(part for part in defect["loc"] if part not in _RECORDS)
+def _message(defect: dict[str, Any], source: str, document: Document, record: type[Description]) -> str:
+    path = tuple(defect["loc"])
     where, key = _where(source, document, path), _key(path)
     kind, context, value = defect["type"], defect.get("ctx", {}), defect["input"]
     if kind == "extra_forbidden":
-        return f"{where}: unknown key {key!r}{_meant(defect['loc'])}"
+        return f"{where}: unknown key {key!r}{_meant(defect['loc'], record)}"
     if kind == "missing" and path and isinstance(path[-1], int):
         return f"{where}: {_key(path[:-1])} is too short: its entry [{path[-1]}] is missing"
     if kind == "missing":
@@ -132,10 +135,10 @@ def _key(path: tuple[Any, ...]) -> str:
     return text
 
 
-def _meant(location: tuple[Any, ...]) -> str:
+def _meant(location: tuple[Any, ...], whole: type[Description]) -> str:
     """A suggestion for a misspelt key: the nearest that the record at that place has."""
-    record: Any = _RECORDS.get(str(location[0]))
-    for part in location[1:-1]:
+    record: Any = whole
+    for part in location[:-1]:
         if isinstance(part, int) or record is None:
             continue
         field = getattr(record, "model_fields", {}).get(part)
@@ -172,5 +175,5 @@ def _shown(value: Any) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def _either(values: list[str]) -> str:
+def _either(values: Sequence[str]) -> str:
     return values[0] if len(values) == 1 else ", ".join(values[:-1]) + f" or {values[-1]}"

@@ -8,21 +8,14 @@ from functools import cached_property
 from pathlib import PurePath
 
 import numpy as np
-import pandas as pd
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.description import Description, Place
+from machine_tool_calibration.session.method import MethodSpec
 
 __all__ = ["Readings", "Session", "assemble", "distinct_places"]
-
-
-_INSTRUMENTS = {
-    "step_diagonal": "laser_interferometer",
-    "tracking_interferometer": "tracking_interferometer",
-    "rotary_axis": "laser_tracker",
-    "probing": "touch_probe",
-}
 
 
 @dataclass(frozen=True)
@@ -95,6 +88,11 @@ class Session:
         """The measuring method's name."""
         return self.description.method
 
+    @property
+    def spec(self) -> MethodSpec:
+        """What the package knows of the method."""
+        return method_spec(self.description.method)
+
     @cached_property
     def setup_ids(self) -> tuple[str, ...]:
         """Ids of the setups, in the order of the description."""
@@ -109,16 +107,14 @@ class Session:
     def instrument(self) -> str | None:
         """What read; None for direct deviations whose session does not say it."""
         own = getattr(self.description, "instrument", None)
-        return _INSTRUMENTS.get(self.method) if own is None else str(own)
+        return self.spec.instrument if own is None else str(own)
 
     @property
     def rotation_sign(self) -> int:
         """+1 where C positive turns the workpiece counter-clockwise seen from +Z, -1 clockwise."""
         own = getattr(self.description, "rotation_sign", None)
         sign = own if own is not None else self.description.machine.rotation_sign
-        if sign is None:
-            return -1 if self.method == "probing" else 1
-        return int(sign)
+        return self.spec.rotation_sign if sign is None else int(sign)
 
     def with_readings(self, readings: Readings) -> Session:
         """The same measurement with other readings."""
@@ -138,6 +134,8 @@ def distinct_places(position: Array) -> tuple[IntArray, IntArray]:
     Returns:
         (k,) the first reading at each of the k places, in order, and (n,) the place of each reading.
     """
+    import pandas as pd  # here, because most nodes never need it and it doubles the time in which they start
+
     keys = np.round(position * 1e9).astype(np.int64)
     # A hash of one mixed code for each position; should two places ever mix to the same code, a sort by rows.
     code = keys @ _MIX[: keys.shape[1]]

@@ -9,6 +9,7 @@ import numpy as np
 
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.checks import check_session
+from machine_tool_calibration.session.columns import needed_columns
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["ColumnSummary", "SessionSummary", "SetupSummary", "summarize"]
@@ -116,6 +117,6 @@ def _range(values: Any) -> tuple[float | None, float | None]:
 def _targets(session: Session) -> int:
     readings = session.readings
     for label in ("point", "target"):
-        if label in readings.labels and session.method in ("probing", "rotary_axis"):
+        if label in readings.labels and label in needed_columns(session.description):
             return len(np.unique(readings.labels[label]))
     return len(np.unique(np.round(readings.position(), 9), axis=0))

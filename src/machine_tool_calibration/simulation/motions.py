@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from scipy.interpolate import CubicSpline, PPoly
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import ModelError
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PPoly
 
 __all__ = [
     "COMPONENTS",
@@ -138,6 +140,9 @@ class Table:
 
 def _polynomial(nodes: Array, values: Array, interpolation: Interpolation) -> PPoly:
     """Piecewise polynomial through values (k,) or (k, m) at nodes (k,)."""
+    # Here: nodes of a graph start in half the time without it, and most of them need no spline.
+    from scipy.interpolate import CubicSpline, PPoly
+
     if interpolation == "linear" or len(nodes) == 2:
         slope = np.diff(values, axis=0) / np.diff(nodes).reshape(-1, *(1,) * (values.ndim - 1))
         return PPoly(np.stack([slope, values[:-1]]), nodes)

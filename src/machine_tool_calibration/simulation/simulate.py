@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
 from typing import Any
 
 import numpy as np
-from pydantic import TypeAdapter
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.session.description import Description
+from machine_tool_calibration.session.parse import describe
 from machine_tool_calibration.session.session import Readings, Session
 from machine_tool_calibration.simulation.disturbance import Disturbance, combine
 from machine_tool_calibration.simulation.environment import random_environment
@@ -237,23 +235,17 @@ def _chips(spec: SimulationSpec, measurement: Measurement, rng: np.random.Genera
     return hit, np.where(hit, spec.chips.size * size * sign, 0.0)
 
 
-@cache
-def _adapter() -> TypeAdapter[Any]:
-    return TypeAdapter(Description)
-
-
 def _describe(spec: SimulationSpec, measurement: Measurement, machine: VirtualMachine, noise: float) -> Any:
     said = dict(measurement.describe(machine))
     if any(machine.tool_offset):
         said["machine"] = {**said["machine"], "tool_offset": list(machine.tool_offset)}
-    return _adapter().validate_python(
-        {
-            "format": "mtcal-session/1",
-            "repeats": spec.plan.repeats,
-            "standard_uncertainty": {"displacement": noise},
-            **said,
-        }
-    )
+    whole = {
+        "format": "mtcal-session/1",
+        "repeats": spec.plan.repeats,
+        "standard_uncertainty": {"displacement": noise},
+        **said,
+    }
+    return describe(whole, "simulation")
 
 
 def _readings(measurement: Measurement, displacement: Array) -> Readings:

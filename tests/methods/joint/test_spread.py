@@ -11,7 +11,7 @@ import pytest
 from machine_tool_calibration.methods.identify import JointResult, identify, identify_sessions
 from machine_tool_calibration.methods.joint.model import common_models
 from machine_tool_calibration.methods.joint.small_angles import random_of, settled, stated
-from machine_tool_calibration.methods.step_diagonal import build
+from machine_tool_calibration.methods.step_diagonal.build import build
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.rigid_body import map_field
 from machine_tool_calibration.simulation.simulate import Simulated, simulate

@@ -6,7 +6,7 @@ import pytest
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.methods.step_diagonal import build
+from machine_tool_calibration.methods.step_diagonal.build import build
 from machine_tool_calibration.methods.step_diagonal.orders import paper_angular_uncertainty
 from machine_tool_calibration.methods.step_diagonal.terms import angle_term
 from machine_tool_calibration.model.fit import fit_models

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from machine_tool_calibration.methods.step_diagonal import build
-from machine_tool_calibration.methods.step_diagonal.build import second_order
+from machine_tool_calibration.methods.step_diagonal.build import build, second_order
 from machine_tool_calibration.methods.step_diagonal.compare import identify_by_formulation
 from machine_tool_calibration.model.fit import fit_models
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from machine_tool_calibration.methods.step_diagonal import compare_formulations
 from machine_tool_calibration.methods.step_diagonal.build import MODELS, build
+from machine_tool_calibration.methods.step_diagonal.compare import compare_formulations
 from machine_tool_calibration.methods.step_diagonal.formulations import increments
 from machine_tool_calibration.model.fit import fit_models
 

@@ -8,7 +8,7 @@ import pytest
 
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.methods.step_diagonal import MODELS, build
+from machine_tool_calibration.methods.step_diagonal.build import MODELS, build
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.model import Parameter, Term
 from machine_tool_calibration.session.folder import read_session

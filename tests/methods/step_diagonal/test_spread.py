@@ -5,8 +5,8 @@ import pytest
 from scipy.linalg import block_diag, null_space
 
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.methods.step_diagonal import build
 from machine_tool_calibration.methods.step_diagonal import small_angles as module
+from machine_tool_calibration.methods.step_diagonal.build import build
 from machine_tool_calibration.methods.step_diagonal.small_angles import LARGEST, NONE, SMALLEST, shape_covariance
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.simulation import TableSpec

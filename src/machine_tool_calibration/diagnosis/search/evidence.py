@@ -192,14 +192,14 @@ def table(gram: Gram, blocks: Sequence[Block], tried: Sequence[Metric], candidat
         candidates: how many there are.
     """
     b = len(gram.squares)
-    by_size: dict[int, list[int]] = {}
+    alike: dict[tuple[int, bool], list[int]] = {}
     for k, block in enumerate(blocks):
-        by_size.setdefault(len(block.unit), []).append(k)
+        alike.setdefault((len(block.unit), _is_bounded(block)), []).append(k)
     data = np.array([metric.data(gram) for metric in tried])
     squares = np.array([metric.squares(gram) for metric in tried])
     points: list[list[tuple[float, float, Point]]] = [[] for _ in range(candidates)]
     evidence = [[np.full(b, -np.inf)] for _ in range(candidates)]
-    for size, every in by_size.items():
+    for (size, _), every in alike.items():
         scales = _scales(gram, [blocks[k] for k in every])
         showing = [(k, own) for k, own in zip(every, scales, strict=True) if len(own)]
         step = max(int(_AT_ONCE / (len(tried) * size * b)), 1)
@@ -230,6 +230,11 @@ def _log_sum(logs: Array) -> Array:
     finite = np.where(np.isfinite(top), top, 0.0)
     with np.errstate(divide="ignore"):
         return np.asarray(finite + np.log(np.exp(logs - finite).sum(axis=0)))
+
+
+def _is_bounded(block: Block) -> bool:
+    """Whether signs or sizes of its coefficients do not occur."""
+    return bool(np.isfinite(block.low).any() or np.isfinite(block.high).any())
 
 
 def _scales(gram: Gram, blocks: Sequence[Block]) -> list[Array]:
@@ -280,13 +285,15 @@ def _evidence(
     prior = np.array([metric.log_prior for metric in tried])[:, None, None]
     power = 0.5 * (gram.freedom + DECLARED_WORTH)
     value = (prior - 0.5 * np.log(grown).sum(axis=-1))[..., None] - power * np.log(DECLARED_WORTH + left)
+    uncut = _log_sum(value[..., 0])
+    if not any(map(_is_bounded, blocks)):
+        return _log_sum(value), uncut
     mean = vectors[:, :, None] @ (gain[..., None] * along[:, :, None])
     variance = (vectors[:, :, None] ** 2 @ gain[..., None])[..., 0]
     noise = (DECLARED_WORTH + left) / (DECLARED_WORTH + gram.freedom)
     deviation = np.sqrt(np.maximum(variance[..., None] * noise[..., None, :], 1e-300))
     low = (np.array([block.low for block in blocks]) / unit)[None, :, None, :, None]
     high = (np.array([block.high for block in blocks]) / unit)[None, :, None, :, None]
-    uncut = _log_sum(value[..., 0])
     # Signs and sizes that do not occur, coefficient by coefficient: the probability of the others after the readings
     # over that before.
     freedom = gram.freedom + DECLARED_WORTH

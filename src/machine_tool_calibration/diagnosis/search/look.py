@@ -176,16 +176,18 @@ def look_at(
     unknown = range(columns.effects, len(columns.candidates))
     still = fit.reduced_chi_square >= _ROUNDING
     accepted = _accepted(findings, groups, found, columns) if still else ()
+    noise = tuple(noise_of(own) for own in fit.fits)
+    structure = _structure(columns, found, chance, (), noise) if still else ()
     return Look(
         fit=fit,
-        noise=tuple(noise_of(own) for own in fit.fits),
+        noise=noise,
         findings=findings,
         groups=groups,
         absorbed=_absorbed(columns),
-        structure=_structure(columns, found, chance, ()) if still else (),
+        structure=structure,
         unknown=found.of_any(unknown) if still else 0.0,
         accepted=accepted,
-        left=_structure(columns, found, chance, accepted) if still else (),
+        left=_structure(columns, found, chance, accepted, noise) if accepted else structure,
         nothing=next((float(p) for s, p in zip(found.sets, found.probability, strict=True) if not s), 0.0),
         false_alarms=chance.false_alarms,
         sets=_named_sets(columns, found),
@@ -347,7 +349,9 @@ def _absorbed(columns: _Columns) -> tuple[Absorbed, ...]:
     return tuple(out)
 
 
-def _structure(columns: _Columns, found: Posterior, chance: Chance, accepted: Collection[str]) -> tuple[Structure, ...]:
+def _structure(
+    columns: _Columns, found: Posterior, chance: Chance, accepted: Collection[str], noise: Sequence[Noise]
+) -> tuple[Structure, ...]:
     """Significant structures beside the accepted effects, the most significant first."""
     place = {candidate.name: k for k, candidate in enumerate(columns.candidates)}
     beside, squares = found.beside([place[name] for name in accepted], columns.gram, columns.blocks)
@@ -363,7 +367,7 @@ def _structure(columns: _Columns, found: Posterior, chance: Chance, accepted: Co
             covariate, shape = _words(columns.candidates[c], j)
             out.append((p, -float(beside.log_factors[k, 0]), Structure(covariate, shape, p, squares[k])))
     told = [structure for _, _, structure in sorted(out, key=lambda entry: entry[:2])]
-    return tuple(told) if told or accepted else _of_places(columns.pool.fit)
+    return tuple(told) if told or accepted else _of_places(columns.pool.fit, noise)
 
 
 def _words(candidate: Candidate, shape: int) -> tuple[str, str]:
@@ -374,11 +378,10 @@ def _words(candidate: Candidate, shape: int) -> tuple[str, str]:
     return covariate, f"{words} {nonlinear[0]:.3g}{' s' if covariate.endswith('time') else ' readings'}"
 
 
-def _of_places(fit: JointFit) -> tuple[Structure, ...]:
+def _of_places(fit: JointFit, every: Sequence[Noise]) -> tuple[Structure, ...]:
     """Places that differ more than their repeats, without any pattern."""
     out = []
-    for own in fit.fits:
-        noise = noise_of(own)
+    for noise in every:
         p, repeats = noise.lack_of_fit_p, noise.from_repeats
         if p is not None and p < _LACK and repeats is not None:
             share = max(1.0 - (repeats / noise.declared) ** 2 / fit.reduced_chi_square, 0.0)

@@ -156,13 +156,13 @@ def _covariates(observations: Observations) -> dict[str, Array]:
     out = dict(observations.readings.columns)
     if np.ptp(observations.path) > 0:
         out["path"] = observations.path
-        if observations.session.method != "direct":
+        if not observations.session.spec.reads_deviations:
             # There the reading is the deviation itself, which explains itself.
             out["displacement"] = observations.readings.displacement
         out["path within the setup"] = _within(observations.path, observations.readings.setup)
-    if np.abs(observations.table_direction).max() > 0 and observations.session.method == "probing":
+    if np.abs(observations.table_direction).max() > 0 and observations.session.spec.probes_surface:
         out["normal"] = np.arctan2(observations.table_direction[:, 1], observations.table_direction[:, 0])
-    if observations.session.method in ("tracking_interferometer", "rotary_axis"):
+    if observations.session.spec.beam_from_pointer:
         out["azimuth"] = np.arctan2(observations.direction[:, 1], observations.direction[:, 0])
         out["elevation"] = np.arcsin(np.clip(observations.direction[:, 2], -1.0, 1.0))
     return {name: values for name, values in out.items() if name not in ("gx", "gy", "gz")}

@@ -147,7 +147,7 @@ def _told_together(models: Sequence[MethodModel], chain: Chain) -> list[str]:
 
     A single station senses one direction at each place: it cannot tell an angle from a straightness, which two can.
     """
-    trackers = [m for m in models if m.observations.session.method == "tracking_interferometer" and tables_of(m)]
+    trackers = [m for m in models if m.observations.session.spec.beam_from_pointer and tables_of(m)]
     if len(trackers) < 2:
         return []
     nodes: dict[str, list[Array]] = {}

@@ -99,7 +99,7 @@ def _column(readings: Readings, name: str, values: np.ndarray) -> Readings:
 
 
 def _turned(session: Session) -> Iterator[Suspicion]:
-    if session.method not in ("rotary_axis", "probing"):
+    if not session.spec.on_turning_table:
         return
     description = session.description
     machine = description.machine.model_copy(update={"rotation_sign": -session.rotation_sign})

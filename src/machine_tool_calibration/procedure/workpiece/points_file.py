@@ -11,6 +11,7 @@ import yaml
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.procedure.description import parse_procedure, read_procedure
 from machine_tool_calibration.procedure.workpiece.description import workpiece_entries
+from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.description import WorkpiecePoint
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
@@ -58,7 +59,7 @@ def procedure_with(file: Path, points: Sequence[WorkpiecePoint]) -> str:
     Raises:
         SessionError: the file is no procedure of probing, or does not allow these points.
     """
-    if read_procedure(file).session.method != "probing":
+    if not method_spec(read_procedure(file).session.method).probes_surface:
         raise SessionError(f"{file}: is no procedure of probing, which alone has a workpiece")
     content = dict(load_yaml(read_text(file, _LARGEST), str(file)).value)
     content["session"] = {

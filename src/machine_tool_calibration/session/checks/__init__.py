@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import pandas as pd
 
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.checks.consistency import check_consistency
 from machine_tool_calibration.session.checks.enough import check_enough
 from machine_tool_calibration.session.checks.units import check_units
-from machine_tool_calibration.session.description import Place, needed_columns
+from machine_tool_calibration.session.columns import needed_columns
+from machine_tool_calibration.session.description import Place
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["Place", "check_session"]
@@ -77,6 +77,8 @@ def _check_doubled(session: Session, place: Place) -> None:
     time = readings.columns.get("time")
     if time is None:
         return
+    import pandas as pd  # here, because the records of the methods load this room and nodes need no more of it
+
     # Only readings at the same time can be the same; what is missing in both is equal in both.
     times = pd.Series(np.where(np.isnan(time), 0.0, time))
     repeated = times.duplicated().to_numpy()

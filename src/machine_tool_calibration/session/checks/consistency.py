@@ -11,23 +11,7 @@ import numpy as np
 
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.checks.mistakes import Comparison
-from machine_tool_calibration.session.checks.nominal_geometry import (
-    check_index_angles,
-    compare_beam,
-    compare_diagonal,
-    compare_order,
-    compare_points,
-    compare_probing,
-    compare_rotary,
-    compare_tracking,
-)
-from machine_tool_calibration.session.description import (
-    Place,
-    Probing,
-    RotaryAxis,
-    StepDiagonal,
-    TrackingInterferometer,
-)
+from machine_tool_calibration.session.description import Place
 from machine_tool_calibration.session.session import Readings, Session
 
 __all__ = ["check_consistency"]
@@ -44,23 +28,11 @@ def check_consistency(session: Session, place: Place) -> None:
         SessionError: the mistake that is suspected.
     """
     readings = _sample(session.readings)
-    description = session.description
     if len(readings) < 4:
         return
     with np.errstate(all="ignore"):
-        if isinstance(description, TrackingInterferometer):
-            if description.pointing == "open_loop":
-                _decide(place.readings, compare_beam(description, readings))
-            _decide(place.readings, compare_tracking(description, readings))
-        elif isinstance(description, RotaryAxis):
-            _decide(place.readings, compare_rotary(session, description, readings))
-        elif isinstance(description, StepDiagonal):
-            _decide(place.readings, compare_diagonal(description, readings))
-            _decide(place.readings, compare_order(description, readings))
-        elif isinstance(description, Probing):
-            check_index_angles(description, readings, place)
-            _decide(place.readings, compare_probing(session, description, readings))
-            _decide(place.readings, compare_points(session, description, readings))
+        for comparison in session.spec.nominal(session, readings, place):
+            _decide(place.readings, comparison)
 
 
 def _decide(source: str, comparison: Comparison) -> None:

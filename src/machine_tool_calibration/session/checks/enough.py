@@ -7,18 +7,22 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, BoolArray
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.description import (
-    Direct,
     Place,
-    Probing,
     RotaryAxis,
     StationSetup,
-    StepDiagonal,
     TrackingInterferometer,
     rotary_column,
 )
 from machine_tool_calibration.session.session import Session, distinct_places
 
-__all__ = ["check_enough", "on_a_line"]
+__all__ = [
+    "check_enough",
+    "enough_in_a_setup",
+    "enough_probing",
+    "enough_rotary",
+    "enough_tracking",
+    "on_a_line",
+]
 
 _SAME_PLACE = 1e-6  # m: below any remounting, so a copied entry
 _LINE = 1e-3  # second extent over the first
@@ -34,23 +38,26 @@ def check_enough(session: Session, place: Place) -> None:
     Raises:
         SessionError: two stations at one place, too few stations, targets or readings, all targets on a line.
     """
+    session.spec.enough(session, np.isfinite(session.readings.displacement), place)
+
+
+def enough_tracking(session: Session, measured: BoolArray, place: Place) -> None:
+    """Stations and targets of a tracking interferometer; errors as for `check_enough`."""
     description = session.description
-    measured = np.isfinite(session.readings.displacement)
-    if isinstance(description, TrackingInterferometer):
-        _stations(session, description.setups, 2, measured, place)
-        if description.dimension == 3:
-            _off_a_line(description.setups, place)
-        _tracking(session, description.dimension, measured, place)
-    elif isinstance(description, RotaryAxis):
-        _stations(session, description.setups, 3, measured, place)
+    assert isinstance(description, TrackingInterferometer)
+    _stations(session, description.setups, 2, measured, place)
+    if description.dimension == 3:
         _off_a_line(description.setups, place)
-        _rotary(session, description, measured, place)
-    elif isinstance(description, StepDiagonal):
-        _some_setup(session, measured, 2, place)
-    elif isinstance(description, Probing):
-        _probing(session, measured, place)
-    elif isinstance(description, Direct):
-        _some_setup(session, measured, 1, place)
+    _tracking(session, description.dimension, measured, place)
+
+
+def enough_rotary(session: Session, measured: BoolArray, place: Place) -> None:
+    """Stations, targets and angles of a rotary axis; errors as for `check_enough`."""
+    description = session.description
+    assert isinstance(description, RotaryAxis)
+    _stations(session, description.setups, 3, measured, place)
+    _off_a_line(description.setups, place)
+    _rotary(session, description, measured, place)
 
 
 def on_a_line(points: Array) -> bool:
@@ -156,18 +163,23 @@ def _rotary(session: Session, description: RotaryAxis, measured: BoolArray, plac
         )
 
 
-def _probing(session: Session, measured: BoolArray, place: Place) -> None:
+def enough_probing(session: Session, measured: BoolArray, place: Place) -> None:
+    """Angles of C and touches of a probing; errors as for `check_enough`."""
     used = np.unique(session.readings.setup[measured])
     if len(used) < 2:
         raise SessionError(
             f"{place.readings}: touches at {_count(len(used), 'C angle')}; probing needs at least 2 "
             "to tell the workpiece from the machine"
         )
-    _some_setup(session, measured, 1, place)
+    enough_in_a_setup(session, measured, place)
 
 
-def _some_setup(session: Session, measured: BoolArray, needed: int, place: Place) -> None:
-    """Some setup must have readings enough; what was lost in others is named by the estimator."""
+def enough_in_a_setup(session: Session, measured: BoolArray, place: Place, needed: int = 1) -> None:
+    """Some setup must have readings enough; what was lost in others is named by the estimator.
+
+    Raises:
+        SessionError: fewer than two readings, or no setup has as many as needed.
+    """
     good = np.bincount(session.readings.setup[measured], minlength=len(session.setup_ids))
     if good.sum() < 2:
         raise SessionError(f"{place.readings}: too few readings: {good.sum()}, and at least 2 are needed")

@@ -41,6 +41,10 @@ __all__ = [
     "compare_rotary",
     "compare_tracking",
     "direction",
+    "nominal_diagonal",
+    "nominal_probing",
+    "nominal_rotary",
+    "nominal_tracking",
     "on_table",
     "places",
     "turned",
@@ -218,6 +222,43 @@ def compare_order(description: StepDiagonal, readings: Readings) -> Comparison:
     itself = same(len(ids))
     now, scale = judge(itself), min(description.step)
     return Comparison(now, scale, exchanged("setup", ids, now, scale, judge))
+
+
+def nominal_tracking(session: Session, readings: Readings, place: Place) -> Iterator[Comparison]:
+    """Comparisons of a tracking interferometer."""
+    description = session.description
+    assert isinstance(description, TrackingInterferometer)
+    if description.pointing == "open_loop":
+        yield compare_beam(description, readings)
+    yield compare_tracking(description, readings)
+
+
+def nominal_diagonal(session: Session, readings: Readings, place: Place) -> Iterator[Comparison]:
+    """Comparisons of a step diagonal."""
+    description = session.description
+    assert isinstance(description, StepDiagonal)
+    yield compare_diagonal(description, readings)
+    yield compare_order(description, readings)
+
+
+def nominal_rotary(session: Session, readings: Readings, place: Place) -> Iterator[Comparison]:
+    """Comparisons of a rotary axis."""
+    description = session.description
+    assert isinstance(description, RotaryAxis)
+    yield compare_rotary(session, description, readings)
+
+
+def nominal_probing(session: Session, readings: Readings, place: Place) -> Iterator[Comparison]:
+    """Comparisons of a probing.
+
+    Raises:
+        SessionError: the column c and the setups' c are different angles.
+    """
+    description = session.description
+    assert isinstance(description, Probing)
+    check_index_angles(description, readings, place)
+    yield compare_probing(session, description, readings)
+    yield compare_points(session, description, readings)
 
 
 def _halts(description: StepDiagonal, index: int) -> Array | None:

@@ -6,10 +6,10 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.session.description import Direct, Place, Probing, StationSetup, StepDiagonal
+from machine_tool_calibration.session.description import Place, Probing, StationSetup, StepDiagonal
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["check_units"]
+__all__ = ["check_units", "diagonal_units", "direction_units", "probing_units"]
 
 _LARGEST_MACHINE = 50.0  # m
 _LARGEST_TRAVEL = 100.0  # m
@@ -71,26 +71,7 @@ def _instrument(session: Session, place: Place) -> None:
             reach = max(map(abs, entry.position))
             if reach > _LARGEST_MACHINE:
                 raise SessionError(f"{place.description}: {key}[{index}].position is {reach:g} m; {_MILLIMETRES}")
-    if isinstance(description, Probing):
-        for index, point in enumerate(description.workpiece):
-            length = float(np.hypot(*point.normal))
-            if abs(length - 1.0) > 0.01:
-                where = f"{place.description}: workpiece[{index}].normal"
-                raise SessionError(f"{where}: the normal of point {point.id!r} has length {length:g}, not 1")
-        if description.probe is not None and description.probe.stylus_diameter > 0.1:
-            diameter = description.probe.stylus_diameter
-            raise SessionError(f"{place.description}: probe.stylus_diameter is {diameter:g} m; {_MILLIMETRES}")
-    if isinstance(description, StepDiagonal):
-        for index, run in enumerate(description.setups):
-            reach = max(map(abs, run.start))
-            if reach > _LARGEST_MACHINE:
-                raise SessionError(f"{place.description}: setups[{index}].start is {reach:g} m; {_MILLIMETRES}")
-    if isinstance(description, StepDiagonal) and max(description.step) * description.blocks > _LARGEST_TRAVEL:
-        raise SessionError(
-            f"{place.description}: step: {description.blocks} blocks of {max(description.step):g} m; {_MILLIMETRES}"
-        )
-    if isinstance(description, Direct):
-        _directions(session, place)
+    session.spec.magnitudes(session, place)
     sigma = description.standard_uncertainty.displacement
     if sigma > 1e-2:
         raise SessionError(
@@ -99,7 +80,36 @@ def _instrument(session: Session, place: Place) -> None:
         )
 
 
-def _directions(session: Session, place: Place) -> None:
+def probing_units(session: Session, place: Place) -> None:
+    """Refuse normals that are none and a stylus that cannot be; errors as for `check_units`."""
+    description = session.description
+    assert isinstance(description, Probing)
+    for index, point in enumerate(description.workpiece):
+        length = float(np.hypot(*point.normal))
+        if abs(length - 1.0) > 0.01:
+            where = f"{place.description}: workpiece[{index}].normal"
+            raise SessionError(f"{where}: the normal of point {point.id!r} has length {length:g}, not 1")
+    if description.probe is not None and description.probe.stylus_diameter > 0.1:
+        diameter = description.probe.stylus_diameter
+        raise SessionError(f"{place.description}: probe.stylus_diameter is {diameter:g} m; {_MILLIMETRES}")
+
+
+def diagonal_units(session: Session, place: Place) -> None:
+    """Refuse starts and steps of runs that no machine has; errors as for `check_units`."""
+    description = session.description
+    assert isinstance(description, StepDiagonal)
+    for index, run in enumerate(description.setups):
+        reach = max(map(abs, run.start))
+        if reach > _LARGEST_MACHINE:
+            raise SessionError(f"{place.description}: setups[{index}].start is {reach:g} m; {_MILLIMETRES}")
+    if max(description.step) * description.blocks > _LARGEST_TRAVEL:
+        raise SessionError(
+            f"{place.description}: step: {description.blocks} blocks of {max(description.step):g} m; {_MILLIMETRES}"
+        )
+
+
+def direction_units(session: Session, place: Place) -> None:
+    """Refuse directions gx, gy, gz that are not of length 1; errors as for `check_units`."""
     columns = session.readings.columns
     length = np.sqrt(columns["gx"] ** 2 + columns["gy"] ** 2 + columns["gz"] ** 2)
     bad = np.flatnonzero(np.isfinite(session.readings.displacement) & ~(np.abs(length - 1.0) <= 0.05))
@@ -127,7 +137,7 @@ def _angles(session: Session, place: Place) -> None:
 
 def _displacement(session: Session, place: Place) -> None:
     values = session.readings.displacement
-    if session.method in ("direct", "probing"):
+    if session.spec.reads_deviations:
         typical = float(np.median(np.abs(values[np.isfinite(values)])))
         if typical > 0.02:
             raise SessionError(

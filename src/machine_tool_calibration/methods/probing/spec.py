@@ -1,0 +1,32 @@
+"""The probing of a part on a rotary table as a record."""
+
+from machine_tool_calibration.session.checks.enough import enough_probing
+from machine_tool_calibration.session.checks.nominal_geometry import nominal_probing
+from machine_tool_calibration.session.checks.units import probing_units
+from machine_tool_calibration.session.description import Probing
+from machine_tool_calibration.session.method import MethodSpec
+
+__all__ = ["SPEC"]
+
+SPEC = MethodSpec(
+    name="probing",
+    description=Probing,
+    columns=lambda description: ("time", "setup", "repeat", "point", "x", "y", "c", "displacement"),
+    enough=enough_probing,
+    magnitudes=probing_units,
+    nominal=nominal_probing,
+    model="machine_tool_calibration.methods.probing.model",
+    instrument="touch_probe",
+    rotation_sign=-1,
+    setup_word="angle of C",
+    mounted=lambda description: "",
+    turned_part=("the probe", ("probe_pretravel",)),
+    reads_deviations=True,
+    probes_surface=True,
+    on_turning_table=True,
+    steps="machine_tool_calibration.procedure.plan:touch_steps",
+    further_places="machine_tool_calibration.planning.places:further_angles",
+    planned="machine_tool_calibration.planning.forecast:touching",
+    pictures="machine_tool_calibration.plots.probing",
+    unneeded=("rotary_pointer", "instrument"),
+)

@@ -1,0 +1,47 @@
+"""The tracking interferometer as a record."""
+
+from machine_tool_calibration.session.checks.enough import enough_tracking
+from machine_tool_calibration.session.checks.nominal_geometry import nominal_tracking
+from machine_tool_calibration.session.description import TrackingInterferometer
+from machine_tool_calibration.session.method import MethodSpec
+
+__all__ = ["SPEC"]
+
+
+def _columns(description: TrackingInterferometer) -> tuple[str, ...]:
+    angles: tuple[str, ...] = ()
+    if description.pointing == "open_loop":
+        angles = ("azimuth",) if description.dimension == 2 else ("azimuth", "elevation")
+    return ("time", "setup", "repeat", *"xyz"[: description.dimension], *angles, "displacement")
+
+
+def _words(description: TrackingInterferometer) -> str:
+    pointing = "following the target" if description.pointing == "tracking" else "pointed open loop"
+    return f"tracking interferometer in {description.dimension} dimensions, {pointing}"
+
+
+SPEC = MethodSpec(
+    name="tracking_interferometer",
+    description=TrackingInterferometer,
+    columns=_columns,
+    enough=enough_tracking,
+    nominal=nominal_tracking,
+    model="machine_tool_calibration.methods.tracking.model",
+    instrument="tracking_interferometer",
+    words=_words,
+    setup_word="station",
+    mounted=lambda description: "the instrument",
+    turned_part=("the retroreflector", ("retroreflector_form",)),
+    beam_from_pointer=True,
+    free_order=True,
+    shared="rigid_body",
+    by_axes=("rigid_body",),
+    with_tables="rigid_body",
+    no_tables="the model 'free' has none; identify with --model rigid_body",
+    implausible="machine_tool_calibration.methods.tracking.map:refuse_moved_stations",
+    steps="machine_tool_calibration.procedure.plan:path_steps",
+    further_places="machine_tool_calibration.planning.places:further_stations",
+    planned="machine_tool_calibration.planning.forecast:from_stations",
+    optics="machine_tool_calibration.nodes.optics:on_tool",
+    pictures="machine_tool_calibration.plots.tracking",
+)

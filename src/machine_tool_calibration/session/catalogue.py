@@ -1,0 +1,63 @@
+"""The catalogue of measuring methods: built-in ones and those of plugins."""
+
+from __future__ import annotations
+
+import warnings
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+
+from machine_tool_calibration.session.method import MethodSpec, load
+
+__all__ = ["ENTRY_POINT_GROUP", "METHODS", "method_names", "method_spec"]
+
+ENTRY_POINT_GROUP = "machine_tool_calibration.methods"
+
+METHODS = {
+    "step_diagonal": "machine_tool_calibration.methods.step_diagonal.spec:SPEC",
+    "tracking_interferometer": "machine_tool_calibration.methods.tracking.spec:SPEC",
+    "rotary_axis": "machine_tool_calibration.methods.rotary_axis.spec:SPEC",
+    "probing": "machine_tool_calibration.methods.probing.spec:SPEC",
+    "direct": "machine_tool_calibration.methods.direct.spec:SPEC",
+}
+"""Where each method's record stands."""
+
+
+@cache
+def _plugins() -> dict[str, MethodSpec]:
+    """Methods of installed packages by name; a broken one is skipped with a warning."""
+    found: dict[str, MethodSpec] = {}
+    for point in entry_points(group=ENTRY_POINT_GROUP):
+        try:
+            spec = _loaded(point)
+        except Exception as error:
+            warnings.warn(f"the method plugin {point.name!r} is skipped: {error}", stacklevel=2)
+            continue
+        found.setdefault(spec.name, spec)
+    return found
+
+
+def _loaded(point: EntryPoint) -> MethodSpec:
+    spec = point.load()
+    if not isinstance(spec, MethodSpec):
+        raise TypeError("it is no MethodSpec")
+    if spec.name in METHODS:
+        raise ValueError(f"there is a method {spec.name!r} already")
+    return spec
+
+
+def method_names() -> tuple[str, ...]:
+    """Names of all methods: the built-in ones, then those of plugins."""
+    return (*METHODS, *_plugins())
+
+
+@cache
+def method_spec(name: str) -> MethodSpec:
+    """The record of a method.
+
+    Raises:
+        KeyError: there is no such method.
+    """
+    if name in METHODS:
+        spec: MethodSpec = load(METHODS[name])
+        return spec
+    return _plugins()[name]

@@ -1,0 +1,1 @@
+"""A sixth measuring method as a package of its own adds it: circles with a double ball bar."""

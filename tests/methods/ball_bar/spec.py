@@ -1,0 +1,37 @@
+"""Circles with a double ball bar in the XY plane (ISO 230-4), as a record."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from machine_tool_calibration.session.checks.enough import enough_in_a_setup
+from machine_tool_calibration.session.description import Description, Positive, Setup, Vector3
+from machine_tool_calibration.session.method import MethodSpec
+
+
+class CircleSetup(Setup):
+    """The centre of a circle where it is meant to be, m, and the nominal length of the bar, m."""
+
+    centre: Vector3
+    radius: Positive
+
+
+class BallBar(Description):
+    """Deviations of the distance between tool and centre from the nominal radius."""
+
+    method: Literal["ball_bar"]
+    setups: Annotated[tuple[CircleSetup, ...], Field(min_length=1)]
+
+
+SPEC = MethodSpec(
+    name="ball_bar",
+    description=BallBar,
+    columns=lambda description: ("setup", "x", "y", "displacement"),
+    enough=lambda session, measured, place: enough_in_a_setup(session, measured, place, needed=6),
+    model="ball_bar.model",
+    instrument="ball_bar",
+    words=lambda description: "circles with a ball bar",
+    setup_word="circle",
+    mounted=lambda description: "the ball bar",
+    reads_deviations=True,
+)
