@@ -144,9 +144,10 @@ def _periods(time: Array, residual: Array) -> list[float]:
     if count < 3 or not residual.any():
         return []
     frequency = np.linspace(lowest, highest, count)
-    power = np.pad(_periodogram(time - time[0], residual - residual.mean(), frequency), 1)
+    power = _periodogram(time - time[0], residual - residual.mean(), frequency)
     # The ends may be peaks as well.
-    peaks = np.flatnonzero((power[1:-1] > power[:-2]) & (power[1:-1] >= power[2:]))
+    padded = np.pad(power, 1)
+    peaks = np.flatnonzero((power > padded[:-2]) & (power >= padded[2:]))
     best = peaks[np.argsort(-power[peaks])][:_PEAKS]
     step = float(frequency[1] - frequency[0])
     return [float(1.0 / (frequency[k] + shift)) for k in best for shift in (-0.5 * step, 0.0, 0.5 * step)]
