@@ -78,7 +78,6 @@ def test_posterior_is_that_of_the_dense_restricted_likelihood(sizes: tuple[float
     assert found.log_weights == pytest.approx(expected - logsumexp(expected), abs=1e-6)
     assert found.squares == pytest.approx(np.array(squares), rel=1e-9)
     assert found.weights.sum() == pytest.approx(1.0)
-    assert found.mean_squares == pytest.approx(found.weights @ np.array(squares))
 
 
 def test_a_large_spread_is_found_with_its_size() -> None:

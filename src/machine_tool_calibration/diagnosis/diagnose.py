@@ -215,7 +215,7 @@ def diagnose(
         for session in sessions:
             variant = model if len(sessions) == 1 else sharing_variant(session, model)
             build = partial(_alone, variant=variant, effects=[*present, *added], several=len(sessions) > 1)
-            outliers, without, _ = find_outliers(session, build)
+            outliers, without = find_outliers(session, build)
             found.append(tuple(outliers))
             kept.append(without)
         return tuple(found), tuple(kept)

@@ -132,11 +132,6 @@ class Components:
         """(t,) posterior probabilities."""
         return np.exp(self.log_weights)
 
-    @property
-    def mean_squares(self) -> float:
-        """Posterior mean of the sum of squares that is left."""
-        return float(self.weights @ self.squares)
-
     def quantile(self, family: int, probability: float) -> float:
         """Size of a family, in units of the noise, that is not exceeded with a probability."""
         column = np.array(self.ratios)[:, family]

@@ -91,7 +91,7 @@ def _steps(done: Improvement) -> TextTable:
     rows = []
     chance = {f.name: f.probability for f in done.diagnosis.ranked}
     for step in done.steps:
-        own = [p for p in step.parameters if p.name.split(".")[0] == step.change]
+        own = [p for p in step.parameters if p.owner == step.change]
         rows.append(
             (
                 step.label,

@@ -24,7 +24,6 @@ from machine_tool_calibration.estimation.problem import Part
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.estimation.robust import FAR, Reweighted, robust_start, scaled_residuals
 from machine_tool_calibration.estimation.solve import Solution, solve
-from machine_tool_calibration.model.fit import Fit, fit_models
 from machine_tool_calibration.model.model import MethodModel, assemble
 from machine_tool_calibration.residuals.leverage import Reach, reach, taken
 from machine_tool_calibration.session.session import Readings, Session
@@ -90,7 +89,7 @@ class Outlier:
     reason: str = "it does not belong to the rest"
 
 
-def find_outliers(session: Session, build: Callable[[Session], MethodModel]) -> tuple[list[Outlier], Session, Fit]:
+def find_outliers(session: Session, build: Callable[[Session], MethodModel]) -> tuple[list[Outlier], Session]:
     """Set aside the readings that stand out of all others.
 
     Args:
@@ -98,16 +97,14 @@ def find_outliers(session: Session, build: Callable[[Session], MethodModel]) -> 
         build: makes the model of a session.
 
     Returns:
-        Outliers, the largest first, the session without these readings, and its fit.
-
-    Raises:
-        ModelError: the data does not allow the model.
+        Outliers, the largest first, and the session without these readings. None where the data does not allow the
+        model, which its own fit will say.
     """
     found = _found(session, build)
     if found:
         readings = session.readings
         session = session.with_readings(readings.select(~np.isin(readings.row, [o.row for o in found])))
-    return found, session, fit_models([build(session)]).fits[0]
+    return found, session
 
 
 def set_aside(session: Session, build: Callable[[Session], MethodModel]) -> tuple[list[Outlier], Session]:

@@ -83,6 +83,7 @@ class Pool:
         labels = self.fit.assembly.labels
         return f"{labels[index]}: " if labels is not None and len(self.observations) > 1 else ""
 
+    @cached_property
     def spread(self) -> tuple[Array, IntArray, tuple[str, ...]]:
         """(u, n) columns of what does not reproduce, the family of each, and the families' names."""
         every = [reproducibility(o) for o in self.observations]

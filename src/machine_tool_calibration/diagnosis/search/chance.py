@@ -7,16 +7,15 @@ the space of the candidates' columns: all factorisations are shared.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import lapack
 from scipy.special import logsumexp
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.diagnosis.search.evidence import Block, Gram, Metric, table
+from machine_tool_calibration.diagnosis.search.evidence import Block, Gram, Metric, metric_at, table
 from machine_tool_calibration.diagnosis.search.priors import ACCEPTED
-from machine_tool_calibration.estimation.variance_components import factor_of_sum
 
 __all__ = ["Chance", "chance_of", "null_sets"]
 
@@ -124,20 +123,8 @@ def chance_of(
     """
     places = [np.zeros(0, dtype=np.int64), *(np.arange(block.place.start, block.place.stop) for block in blocks)]
     null = null_sets(gram, before, np.unique(np.concatenate(places)), tried[0], variance, sets, rng)
-    folded = [_folded(null, metric) for metric in tried]
+    folded = [replace(m, half_data=metric_at(null, m.ratio).half_data) for m in tried]
     factors = table(null, blocks, folded, len(log_odds)).log_factors
     weights = log_odds[:, None] + factors
     share = weights.max(axis=0, initial=-np.inf) - np.logaddexp(0.0, logsumexp(weights, axis=0))
     return Chance(factors, log_odds, float(np.mean(np.exp(share) > ACCEPTED)))
-
-
-def _folded(null: Gram, metric: Metric) -> Metric:
-    """The metric with the simulated data in place of the measured."""
-    tau = np.array(metric.ratio)[null.family] if len(metric.ratio) else np.zeros(0)
-    used = np.flatnonzero(tau > 0)
-    if not len(used):
-        return Metric(metric.ratio, metric.log_prior, metric.half, np.zeros((len(metric.half), null.data.shape[1])))
-    s = tau[used]
-    lower = factor_of_sum(null.spread[np.ix_(used, used)] * np.outer(s, s))
-    half_data = np.asarray(np.linalg.solve(lower, s[:, None] * null.spread_data[used]))
-    return Metric(metric.ratio, metric.log_prior, metric.half, half_data)

@@ -10,13 +10,15 @@ out, with what was declared as knowledge worth a number of readings.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import log_ndtr, ndtr
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.diagnosis.search.priors import SCALE_STEP, SMALLEST_SIGNAL
+from machine_tool_calibration.effects.effect import Coefficient
+from machine_tool_calibration.estimation.solve import Solution
 from machine_tool_calibration.estimation.variance_components import (
     DECLARED_WORTH,
     factor_of_sum,
@@ -25,7 +27,7 @@ from machine_tool_calibration.estimation.variance_components import (
     ratio_grid,
 )
 
-__all__ = ["Block", "Gram", "Metric", "Point", "Table", "metric_at", "metrics", "table"]
+__all__ = ["Block", "Gram", "Metric", "Point", "Table", "metric_at", "metrics", "rounding", "table"]
 
 # Most scales of one effect; a probability below which its logarithm is calculated apart.
 _MOST_SCALES = 7
@@ -34,6 +36,8 @@ _NEVER = 1e-280
 _AT_ONCE = 4e5
 # Eigenvalues of a block in units of its largest below which a direction is the model's.
 _ABSORBED = 1e-9
+# Share of the squared norm of columns below which what a model leaves of a combination of them is rounding.
+_ROUNDED = 1e-7
 
 
 @dataclass(frozen=True)
@@ -57,6 +61,34 @@ class Block:
     high: Array
     log_share: float
     floor: float = 0.0
+
+    @classmethod
+    def of(
+        cls,
+        candidate: int,
+        place: slice,
+        coefficients: Sequence[Coefficient],
+        log_share: float = 0.0,
+        squares: Array | None = None,
+    ) -> Block:
+        """That of an effect, within the limits of its coefficients.
+
+        Args:
+            candidate: index of the candidate.
+            place: where its columns are among all.
+            coefficients: as many as it has columns.
+            log_share: logarithm of the probability of its nonlinear coefficients.
+            squares: (k,) squared norms of the columns before the model was projected off; without them no combination
+                counts as rounding.
+        """
+        low, high = np.array([c.low for c in coefficients]), np.array([c.high for c in coefficients])
+        unit = np.maximum(np.abs(low), np.abs(high)) / 2.0
+        return cls(candidate, place, unit, low, high, log_share, 0.0 if squares is None else rounding(squares, unit))
+
+
+def rounding(squares: Array, unit: Array) -> float:
+    """Squared norm, per unit, below which what a model leaves of columns of such squared norms is rounding."""
+    return _ROUNDED * float((squares * unit**2).max())
 
 
 @dataclass(frozen=True)
@@ -83,9 +115,30 @@ class Gram:
     family: IntArray
     freedom: int
 
+    @classmethod
+    def of(cls, projected: Array, family: IntArray, fitted: Solution) -> Gram:
+        """Of the measured data.
+
+        Args:
+            projected: (K + u + 1, K + u + 1) inner products of candidates' columns, spread columns and the residual.
+            family: (u,) family of each spread column.
+            fitted: the model that was projected off.
+        """
+        k = len(projected) - 1 - len(family)
+        return cls(
+            inner=projected[:k, :k],
+            spread=projected[k:-1, k:-1],
+            cross=projected[k:-1, :k],
+            data=projected[:k, -1:].copy(),
+            spread_data=projected[k:-1, -1:].copy(),
+            squares=np.array([fitted.chi_square]),
+            family=family,
+            freedom=fitted.degrees_of_freedom,
+        )
+
     def with_data(self, data: Array, spread_data: Array, squares: Array) -> Gram:
         """The same columns with other data sets."""
-        return Gram(self.inner, self.spread, self.cross, data, spread_data, squares, self.family, self.freedom)
+        return replace(self, data=data, spread_data=spread_data, squares=squares)
 
 
 @dataclass(frozen=True)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped
 from machine_tool_calibration.diagnosis.search.chance import Chance, chance_of
-from machine_tool_calibration.diagnosis.search.evidence import Block, Gram
+from machine_tool_calibration.diagnosis.search.evidence import Block, Gram, rounding
 from machine_tool_calibration.diagnosis.search.findings import Finding, alias_groups, basis_of, finding_of
 from machine_tool_calibration.diagnosis.search.posterior import Posterior, search
 from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, EFFECT, STRUCTURE, THE_SAME
@@ -51,9 +51,8 @@ _TOLD, _LACK = 0.02, 0.001
 _ROUNDING = 1e-6
 # Numbers of first coefficients of an effect that are tried alone.
 _LEADING = (1, 2, 4)
-# Share of its squared norm outside the model below which an effect is absorbed: 1 % of the norm; and below which what
-# is left of a combination of columns is rounding.
-_ABSORBED, _ROUNDED = 1e-4, 1e-7
+# Share of its squared norm outside the model below which an effect is absorbed: 1 % of the norm.
+_ABSORBED = 1e-4
 # Share of a column's squares that its variation within the runs is at least taken for, and squares of a column of
 # zeros.
 _CONSTANT, _NONE = 1e-6, 1e-100
@@ -191,28 +190,18 @@ def look_at(
         nothing=next((float(p) for s, p in zip(found.sets, found.probability, strict=True) if not s), 0.0),
         false_alarms=chance.false_alarms,
         sets=_named_sets(columns, found),
-        spread=dict(zip(columns.pool.spread()[2], found.metric.ratio, strict=True)),
+        spread=dict(zip(columns.pool.spread[2], found.metric.ratio, strict=True)),
     )
 
 
 def _columns(pool: Pool, candidates: Sequence[Candidate], structures: Sequence[Candidate]) -> _Columns:
     every = [*candidates, *structures]
-    spread, family, _ = pool.spread()
+    spread, family, _ = pool.spread
     stacked = [s.columns for c in every for s in c.shapes]
     columns = np.concatenate([np.zeros((0, len(pool))), *stacked, spread])
     projected = pool.screen(columns)
     k = len(columns) - len(spread)
-    inner = projected.gram[:k, :k]
-    gram = Gram(
-        inner=inner,
-        spread=projected.gram[k:-1, k:-1],
-        cross=projected.gram[k:-1, :k],
-        data=projected.gram[:k, -1:].copy(),
-        spread_data=projected.gram[k:-1, -1:].copy(),
-        squares=np.array([pool.fit.solution.chi_square]),
-        family=family,
-        freedom=pool.fit.solution.degrees_of_freedom,
-    )
+    gram = Gram.of(projected.gram, family, pool.fit.solution)
     # What does not vary within the runs has rounding there.
     before = np.maximum(pool.within_runs(columns[:k]), np.maximum(_CONSTANT * projected.squares[:k], _NONE))
     blocks, shaped, seen, first = [], [], [], 0
@@ -222,7 +211,7 @@ def _columns(pool: Pool, candidates: Sequence[Candidate], structures: Sequence[C
             place = slice(first, first + len(s.columns))
             first = place.stop
             scale = np.sqrt(before[place])
-            share = np.linalg.eigvalsh(inner[place, place] / np.outer(scale, scale))
+            share = np.linalg.eigvalsh(gram.inner[place, place] / np.outer(scale, scale))
             if share[-1] > _ABSORBED:
                 own += [(_block(c, candidate, j, part, before[part]), (c, j)) for part in _leading(candidate, place)]
         seen.append(bool(own))
@@ -247,14 +236,11 @@ def _block(index: int, candidate: Candidate, shape: int, place: slice, squares: 
     whole = candidate.shapes[shape]
     parts = 1 if candidate.effect is None else len(_leading(candidate, slice(0, len(whole.columns))))
     share = -float(np.log(candidate.count * parts))
-    named = whole.coefficients[: place.stop - place.start]
     if candidate.effect is None:
-        unit = 50.0 / np.sqrt(squares / max(candidate.shapes[shape].columns.shape[1], 1))
+        unit = 50.0 / np.sqrt(squares / max(whole.columns.shape[1], 1))
         never = np.full(len(unit), np.inf)
-        return Block(index, place, unit, -never, never, share, _ROUNDED * float((squares * unit**2).max()))
-    low, high = np.array([c.low for c in named]), np.array([c.high for c in named])
-    unit = np.maximum(np.abs(low), np.abs(high)) / 2.0
-    return Block(index, place, unit, low, high, share, _ROUNDED * float((squares * unit**2).max()))
+        return Block(index, place, unit, -never, never, share, rounding(squares, unit))
+    return Block.of(index, place, whole.coefficients[: place.stop - place.start], share, squares)
 
 
 def _without_repeated(columns: _Columns) -> _Columns:
@@ -278,16 +264,11 @@ def _without_repeated(columns: _Columns) -> _Columns:
     gone = {o for j, o in enumerate(others) if repeated[j]}
     kept = [k for k in range(len(columns.blocks)) if k not in gone]
     alive = {columns.blocks[k].candidate for k in kept}
-    return _Columns(
-        columns.pool,
-        columns.candidates,
-        effects,
-        columns.gram,
-        [columns.blocks[k] for k in kept],
-        [columns.shaped[k] for k in kept],
-        columns.projected,
-        columns.before,
-        [k in alive for k in range(len(columns.candidates))],
+    return replace(
+        columns,
+        blocks=[columns.blocks[k] for k in kept],
+        shaped=[columns.shaped[k] for k in kept],
+        seen=[k in alive for k in range(len(columns.candidates))],
     )
 
 

@@ -72,7 +72,7 @@ class Posterior:
         members = {k: self.best.get(k) or _member(self.single, k) for k in accepted}
         columns, scale = _columns(blocks, members)
         tried = [m.beside(gram, columns, scale) if len(columns) else m for _, m in self.weights]
-        found = table(gram, blocks, tried, len(self.log_odds))
+        found = table(gram, blocks, tried, len(self.log_odds)) if members else self.single
         metric = tried[int(np.argmax([w for w, _ in self.weights]))]
         data, squares = metric.data(gram)[:, 0], float(metric.squares(gram)[0])
         shares = np.zeros(len(self.log_odds))

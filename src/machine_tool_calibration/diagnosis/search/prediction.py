@@ -111,45 +111,31 @@ def _log_factors(
     """
     pool = Pool(fit)
     shaped = [shaped_at(pool, effect, shape) for effect, shape in effects]
-    spread, family, names = pool.spread()
-    columns = np.concatenate([*(s.columns for s in shaped), spread])
-    projected = pool.screen(columns).gram
-    k = len(columns) - len(spread)
-    gram = Gram(
-        projected[:k, :k],
-        projected[k:-1, k:-1],
-        projected[k:-1, :k],
-        projected[:k, -1:].copy(),
-        projected[k:-1, -1:].copy(),
-        np.array([fit.solution.chi_square]),
-        family,
-        fit.solution.degrees_of_freedom,
-    )
+    spread, family, names = pool.spread
+    gram = Gram.of(pool.screen(np.concatenate([*(s.columns for s in shaped), spread])).gram, family, fit.solution)
     blocks = _blocks(shaped)
     # Where a part has one run in each mounting, they are one family.
     ratio = tuple(sizes.get(name, 0.0) for name in names)
     if "mounting" in sizes and "mounting" not in names and "run" in names:
         merged = float(np.hypot(sizes.get("run", 0.0), sizes["mounting"]))
         ratio = tuple(merged if name == "run" else size for name, size in zip(names, ratio, strict=True))
-    base, out = [metric_at(gram, ratio)], np.zeros(len(blocks))
+    base, out = metric_at(gram, ratio), np.zeros(len(blocks))
     for j, block in enumerate(blocks):
         others = [o for i, o in enumerate(blocks) if i != j]
         place = np.concatenate([np.zeros(0, dtype=np.int64), *(np.arange(o.place.start, o.place.stop) for o in others)])
         unit = np.concatenate([np.zeros(0), *(o.unit for o in others)])
-        beside = [metric.beside(gram, place, unit) if len(place) else metric for metric in base]
-        factor = float(table(gram, [block], beside, 1).log_factors[0, 0])
+        beside = base.beside(gram, place, unit) if len(place) else base
+        factor = float(table(gram, [block], [beside], 1).log_factors[0, 0])
         # Readings on which the effect does not show say nothing of it.
         out[j] = factor if np.isfinite(factor) else 0.0
     return out
 
 
 def _blocks(shaped: Sequence[Shaped]) -> list[Block]:
-    out, first = [], 0
+    out, first = list[Block](), 0
     for s in shaped:
-        low, high = np.array([c.low for c in s.coefficients]), np.array([c.high for c in s.coefficients])
-        place = slice(first, first + len(s.columns))
-        first = place.stop
-        out.append(Block(0, place, np.maximum(np.abs(low), np.abs(high)) / 2.0, low, high, 0.0))
+        out.append(Block.of(0, slice(first, first + len(s.columns)), s.coefficients))
+        first += len(s.columns)
     return out
 
 

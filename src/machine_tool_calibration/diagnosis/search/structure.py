@@ -25,6 +25,8 @@ _MOMENTS = 24
 # over the whole session: slower waves are smooth functions.
 _OVERSAMPLED, _PEAKS, _FEWEST = 4, 8, 2.5
 _MOST_FREQUENCIES = 20000
+# Numbers that are worked on at once; sum of squares of a wave below which it is zero at all readings.
+_AT_ONCE, _NOTHING = 4e5, 1e-12
 
 
 def structure_candidates(pool: Pool) -> list[Candidate]:
@@ -142,14 +144,30 @@ def _periods(time: Array, residual: Array) -> list[float]:
     if count < 3 or not residual.any():
         return []
     frequency = np.linspace(lowest, highest, count)
-    from scipy import signal  # takes long to load
-
-    power = signal.lombscargle(time - time[0], residual - residual.mean(), 2.0 * np.pi * frequency)
+    power = _periodogram(time - time[0], residual - residual.mean(), frequency)
     # The ends may be peaks as well.
-    peaks = signal.find_peaks(np.concatenate([[0.0], power, [0.0]]))[0] - 1
+    padded = np.pad(power, 1)
+    peaks = np.flatnonzero((power > padded[:-2]) & (power >= padded[2:]))
     best = peaks[np.argsort(-power[peaks])][:_PEAKS]
     step = float(frequency[1] - frequency[0])
     return [float(1.0 / (frequency[k] + shift)) for k in best for shift in (-0.5 * step, 0.0, 0.5 * step)]
+
+
+def _periodogram(time: Array, values: Array, frequency: Array) -> Array:
+    """(f,) sum of squares that a sine and a cosine of each frequency take up.
+
+    `scipy.signal.lombscargle` gives half of it; to load it takes longer than all else here.
+    """
+    out = np.empty(len(frequency))
+    step = max(int(_AT_ONCE / len(time)), 1)
+    for part in (slice(k, k + step) for k in range(0, len(frequency), step)):
+        phase = 2.0 * np.pi * frequency[part, None] * time
+        sine, cosine = np.sin(phase), np.cos(phase)
+        # Turned by the phase at which the two are orthogonal (Lomb 1976).
+        turn = 0.5 * np.arctan2(2.0 * np.sum(sine * cosine, axis=1), np.sum(cosine**2 - sine**2, axis=1))[:, None]
+        sine, cosine = sine * np.cos(turn) - cosine * np.sin(turn), cosine * np.cos(turn) + sine * np.sin(turn)
+        out[part] = sum((wave @ values) ** 2 / np.maximum(np.sum(wave**2, axis=1), _NOTHING) for wave in (sine, cosine))
+    return out
 
 
 def _covariates(observations: Observations) -> dict[str, Array]:

@@ -36,6 +36,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -155,6 +156,13 @@ def _root(covariance: Array) -> Array:
     return np.asarray(vectors[:, kept] * np.sqrt(values[kept]))
 
 
+@lru_cache(maxsize=64)
+def _shapes(nodes: tuple[float, ...], zero: int) -> tuple[tuple[Array, Array], ...]:
+    """Covariance of every shape and its root; a diagnosis asks for those of the same nodes again and again."""
+    every = [shape_covariance(np.array(nodes), *shape, zero) for shape in _SHAPES]
+    return tuple((covariance, _root(covariance)) for covariance in every)
+
+
 @dataclass(frozen=True)
 class _Shape:
     """Random functions of one shape, in the directions in which the readings tell their coefficients one by one.
@@ -235,10 +243,10 @@ def normal_posterior(
 
     sizes = np.geomspace(SMALLEST, LARGEST, _SIZES)
     variance = sizes**2
-    covariances = [[shape_covariance(at, *shape, zero) for at, zero in nodes] for shape in _SHAPES]
-    shapes = [
-        _shaped(block_diag(*[_root(c) for c in each]), (gram + gram.T) / 2, right, variance) for each in covariances
-    ]
+    found = [_shapes(tuple(at.tolist()), zero) for at, zero in nodes]
+    covariances = [[own[j][0] for own in found] for j in range(len(_SHAPES))]
+    roots = [block_diag(*(own[j][1] for own in found)) for j in range(len(_SHAPES))]
+    shapes = [_shaped(root, (gram + gram.T) / 2, right, variance) for root in roots]
     logs = np.array([shape.log_likelihood for shape in shapes]) + np.log((1.0 - NONE) / (len(shapes) * _SIZES))
     weights = np.exp(logs - logsumexp(np.append(logs, np.log(NONE))))
 
