@@ -71,8 +71,8 @@ class Outcome:
 
     Attributes:
         verdict: of the diagnosis; empty where the session was left out.
-        first: whether the effects, or look-alikes named with them, come first in the ranking.
-        found: whether they, or look-alikes named with them, were accepted.
+        first: whether the effects, or effects confounded with them, come first in the ranking.
+        found: whether they, or effects confounded with them, were accepted.
         exact: whether they themselves were accepted, and nothing else.
         before: error of the map with the effect in the data, over its error without.
         after: the same with what was accepted in the model.

@@ -48,11 +48,11 @@ def test_the_odd_one_of_three(several: SimpleNamespace, odd: str, seed: int) -> 
     assert entry.difference_u < 3e-7
 
 
-def test_two_sessions_cannot_tell_which(several: SimpleNamespace) -> None:
+def test_two_sessions_alone_do_not_determine_which_is_wrong(several: SimpleNamespace) -> None:
     agreement = _fitted(several, 5, ("tracker", "grid"), "grid", EYX=BOW).agreement
     assert agreement.contradictions[0].motion == "EYX"
     assert "contradict each other in EYX" in agreement.statement
-    assert "two sessions alone cannot tell" in agreement.statement
+    assert "two sessions alone do not determine which" in agreement.statement
 
 
 def test_scatter_beyond_the_declared_is_no_contradiction(several: SimpleNamespace) -> None:
