@@ -9,10 +9,12 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.effects.effect_terms import effect_term
 from machine_tool_calibration.estimation.reduction import gram, project
 from machine_tool_calibration.estimation.solve import solve_normal
-from machine_tool_calibration.methods.identify import build_model
-from machine_tool_calibration.model.model import MethodModel, Parameter, Term, assemble
+from machine_tool_calibration.methods.build import build_model
+from machine_tool_calibration.methods.fitted import joint_models
+from machine_tool_calibration.model.model import Assembly, MethodModel, Parameter, Term, assemble
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.description import Description
 from machine_tool_calibration.session.session import Readings, Session
@@ -236,65 +238,93 @@ def _inverse(inner: Array, squares: Array) -> Array:
 
 
 def sense(
-    session: Session,
+    sessions: Session | Sequence[Session],
     effects: Sequence[Assumed],
     *,
+    labels: Sequence[str] | None = None,
     model: str | None = None,
     present: Sequence[Assumed] = (),
+    at: int = 0,
     first_row: int | None = None,
     turned: Mapping[str, float] | None = None,
 ) -> Sensed:
-    """What a session, with readings that may not have been taken yet, senses of effects.
+    """What a session, or several of one machine, with readings that may not have been taken yet, sense of effects.
 
     Args:
-        session: the measurement; of the new readings' displacements only the rough size matters.
+        sessions: the measurements; of the new readings' displacements only the rough size matters.
         effects: what is looked for; what cannot act in these readings is left out.
+        labels: names of several sessions.
         model: the method's model.
         present: effects that are in the model already.
+        at: which of the sessions has the new readings.
         first_row: number of the first new reading.
         turned: angles about Z by which the part in which an effect sits is turned in the new readings, rad.
 
     Raises:
         ModelError: the readings do not allow the model.
     """
-    built = build_model(session, model)[0]
-    observations = built.observations
-    new = observations.readings.row >= (np.inf if first_row is None else first_row)
-    terms = [Term("further", _names(c), c) for c in (_columns(a, observations, new, {}) for a in present)]
-    built = built.with_terms([replace(t, parameters=_renamed(t.parameters, k)) for k, t in enumerate(terms)])
-    place, signal, blocks, first = {}, {}, [np.zeros((0, len(observations)))], 0
-    for assumed in effects:
-        if assumed.effect.why_not(observations) is not None:
-            continue
-        columns = _columns(assumed, observations, new, turned or {})
-        if not np.isfinite(columns).all():
-            continue
-        name = assumed.effect.id
-        place[name] = slice(first, first + len(columns))
-        signal[name] = _signal(assumed, observations)
-        first += len(columns)
-        blocks.append(columns)
-    inner, squares = _outside(built, np.concatenate(blocks))
-    return Sensed(inner, squares, place, signal)
+    if isinstance(sessions, Session):
+        sessions = [sessions]
+    built = _models(sessions, labels, model)
+    extended, asked = [], []
+    for k, base in enumerate(built):
+        observations = base.observations
+        new = observations.readings.row >= (first_row if first_row is not None and k == at else np.inf)
+        given = [_term(a, observations, new, {}, n) for n, a in enumerate(present) if _acts(a, observations)]
+        for assumed in effects:
+            if not _acts(assumed, observations):
+                continue
+            term = _term(assumed, observations, new, turned or {}, -1)
+            if np.isfinite(term.columns).all():
+                given.append(term)
+                asked.append((k, assumed, term))
+        extended.append(base.with_terms(given))
+    assembly = assemble(extended, None if len(built) == 1 else labels)
+    # Unknowns of each effect with the sizes that they are taken to have; those of the machine are the same in all.
+    found: dict[str, dict[str, float]] = {}
+    for k, assumed, term in asked:
+        sizes = _signal(assumed, built[k].observations)
+        for parameter, size in zip(term.parameters, sizes.tolist(), strict=True):
+            found.setdefault(assumed.effect.id, {}).setdefault(assembly.published(k, parameter), size)
+    inner, squares = _outside(assembly, [name for own in found.values() for name in own])
+    ends = np.cumsum([0, *map(len, found.values())]).tolist()
+    place = {effect: slice(first, end) for effect, first, end in zip(found, ends[:-1], ends[1:], strict=True)}
+    return Sensed(inner, squares, place, {effect: np.array(list(own.values())) for effect, own in found.items()})
 
 
-def _outside(model: MethodModel, columns: Array) -> tuple[Array, Array]:
-    """Inner products of columns with the model projected off, linearised at the first estimates."""
-    k = len(columns)
-    assembly = assemble([model.with_terms([Term("candidates", _renamed(_names(columns), -1), columns)])])
-    problem = assembly.problem
-    m = problem.size - k
+def _models(sessions: Sequence[Session], labels: Sequence[str] | None, model: str | None) -> Sequence[MethodModel]:
+    if len(sessions) == 1:
+        return [build_model(sessions[0], model)[0]]
+    return joint_models(sessions, labels or (), model=model)[0].models
+
+
+def _acts(assumed: Assumed, observations: Observations) -> bool:
+    return assumed.effect.why_not(observations) is None
+
+
+def _term(
+    assumed: Assumed, observations: Observations, new: BoolArray, turned: Mapping[str, float], number: int
+) -> Term:
+    """An effect's columns under names that no model has."""
+    term = effect_term(assumed.effect, observations, assumed.shape, mapped=False)
+    columns = _columns(assumed, observations, new, turned)
+    return Term("planned", _renamed(term.parameters, number), columns)
+
+
+def _outside(assembly: Assembly, names: Sequence[str]) -> tuple[Array, Array]:
+    """Inner products of unknowns' columns with the others projected off, linearised at the first estimates."""
+    problem, place = assembly.problem, {p.name: index for index, p in enumerate(assembly.parameters)}
+    asked = np.array([place[name] for name in names], dtype=np.int64)
+    others = np.setdiff1d(np.arange(problem.size), asked)
     total, squares = gram(
         problem, np.zeros(problem.size), [np.zeros((part.dimension, part.n_points)) for part in problem.parts]
     )
-    rows = problem.constraints[:, :m]
+    order, m = np.concatenate([others, asked, np.arange(problem.size, len(total))]), len(others)
+    total, squares = total[np.ix_(order, order)], squares[order[: len(squares)]]
+    rows = problem.constraints[:, others]
     normal = solve_normal(total[:m, :m], total[:m, -1], rows, np.zeros(len(rows)), squares[:m])
-    projected = project(total, squares, normal.half, k)
+    projected = project(total, squares, normal.half, len(asked))
     return projected.gram[:-1, :-1], projected.squares[:-1]
-
-
-def _names(columns: Array) -> tuple[Parameter, ...]:
-    return tuple(Parameter(f"column {j}", "1") for j in range(len(columns)))
 
 
 def _renamed(parameters: Sequence[Parameter], number: int) -> tuple[Parameter, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -80,13 +80,15 @@ def visibilities(
     """For effects that hardly show or not at all: the measurement that shows the smallest size of them."""
     fit = diagnosis.fits[-1]
     variance = max(fit.reduced_chi_square, 1e-12)
-    observations = fit.assembly.models[0].observations
+    every = [model.observations for model in fit.assembly.models]
     out = []
     for r in diagnosis.look.findings:
         name = r.name
         if name not in now.place or (r.rank and now.share(name) > _HARDLY):
             continue
-        coefficients = assumed[name].effect.coefficients_for(observations, assumed[name].shape)
+        effect = assumed[name].effect
+        observations = next(o for o in every if effect.why_not(o) is None)
+        coefficients = effect.coefficients_for(observations, assumed[name].shape)
         before = now.information(name)
         if len(coefficients) > _MANY:
             continue
@@ -146,22 +148,22 @@ def what_to_measure(
         own: the user's own effects.
         progress: told what is being done and the share that is finished.
     """
-    if len(diagnosis.sessions) > 1:
-        # What another session would tell depends on which: each is asked for by itself.
-        return Advice()
     groups = alias_groups_of(diagnosis)
     assumed = assumed_effects(diagnosis)
     present = present_effects(diagnosis, own)
-    session = diagnosis.session
-    limits = limits_of(session, model)
+    sessions, labels = diagnosis.sessions, diagnosis.labels
+    single = len(sessions) == 1
+    limits = limits_of(sessions[0], model) if single else None
 
-    def tried(option: Option) -> Sensed | None:
+    def tried(option: Option, at: int = 0) -> Sensed | None:
         try:
             return sense(
-                option.session,
+                [option.session if k == at else other for k, other in enumerate(sessions)],
                 list(assumed.values()),
+                labels=labels,
                 model=model,
                 present=present,
+                at=at,
                 first_row=option.first_row,
                 turned=option.turned,
             )
@@ -169,22 +171,23 @@ def what_to_measure(
             return None
 
     try:
-        now = sense(session, list(assumed.values()), model=model, present=present)
+        now = sense(sessions, list(assumed.values()), labels=labels, model=model, present=present)
     except (CalibrationError, np.linalg.LinAlgError):
         return Advice(dominant=limits)
+    options = [(k, option) for k, session in enumerate(sessions) for option in further_options(session)]
     seen: list[tuple[Option, Sensed]] = []
-    options = further_options(session)
-    for k, option in enumerate(options):
-        progress("what to measure next", k / len(options))
-        found = tried(option)
+    for number, (k, option) in enumerate(options):
+        progress("what to measure next", number / len(options))
+        found = tried(option, k)
         if found is not None:
-            seen.append((option, found))
+            named = option if labels is None else replace(option, words=f"{labels[k]}: {option.words}")
+            seen.append((named, found))
     separations = []
     for group in groups:
         given = [name for name in diagnosis.accepted if name not in group]
         separation = _separation(group, now.beside(given), [(o, s.beside(given)) for o, s in seen])
         if separation is not None:
-            separations.append(_cheaper(separation, session, given, tried))
+            separations.append(_cheaper(separation, sessions[0], given, tried) if single else separation)
     others = diagnosis.accepted
     seldom = visibilities(diagnosis, now.beside(others), [(o, s.beside(others)) for o, s in seen], assumed)
     return Advice(tuple(separations), tuple(seldom), limits)

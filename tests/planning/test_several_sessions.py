@@ -1,0 +1,47 @@
+"""What to measure next where several sessions of one machine were diagnosed together."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.diagnosis.diagnose import diagnose
+from machine_tool_calibration.effects.catalogue import catalogue
+from machine_tool_calibration.planning.sensing import Assumed, sense
+from machine_tool_calibration.planning.what_to_measure import what_to_measure
+from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
+
+LABELS = ("Monday", "Tuesday")
+
+
+@pytest.fixture(scope="module")
+def days() -> list[Session]:
+    hidden = FlawSpec(id="pointer_radial_error", amplitude=4e-6)
+    whole = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=5, effects=(hidden,))).session
+    first = whole.readings.setup < 2
+    return [whole.with_readings(whole.readings.select(np.flatnonzero(mine))) for mine in (first, ~first)]
+
+
+def test_the_retroreflector_is_to_be_turned_in_one_of_them(days: list[Session]) -> None:
+    advice = what_to_measure(diagnose(days, LABELS, seed=1))
+    separation = next(s for s in advice.separations if "retroreflector_form" in s.effects)
+    assert "pointer_radial_error" in separation.effects
+    assert separation.kind == "turned"
+    assert separation.measure.split(":")[0] in LABELS
+    assert separation.cosine_after < separation.cosine_before
+
+
+def test_an_effect_of_the_machine_is_sensed_by_both_and_one_of_a_setup_by_its_own(days: list[Session]) -> None:
+    effects = catalogue()
+    backlash = Assumed(effects["backlash_y"], (), {"b": 1e-6})
+    drift = Assumed(effects["station_drift"], (), {})
+    alone = [sense(day, [backlash, drift], model="rigid_body") for day in days]
+    both = sense(days, [backlash, drift], labels=LABELS)
+    size = {name: s.stop - s.start for name, s in both.place.items()}
+    assert size["backlash_y"] == 1
+    assert size["station_drift"] == sum(
+        one.place["station_drift"].stop - one.place["station_drift"].start for one in alone
+    )
+    # Each of them leaves the other's readings to say more of what they share.
+    assert both.information("backlash_y")[0] > sum(one.information("backlash_y")[0] for one in alone)
