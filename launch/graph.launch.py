@@ -18,9 +18,10 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from machine_tool_calibration.nodes.measurement import UNNEEDED, site_document
+from machine_tool_calibration.nodes.measurement import site_document
 from machine_tool_calibration.nodes.site import read_site
 from machine_tool_calibration.procedure import read_procedure
+from machine_tool_calibration.session.catalogue import method_spec
 
 PACKAGE = "machine_tool_calibration"
 ARGUMENTS = {
@@ -61,7 +62,7 @@ def nodes(context):
         name
         for name, key in (("axis_simulator", "axes"), ("rotary_pointer", "pointer"), ("recorder", "record"))
         if not is_true[key]
-    } | set(UNNEEDED.get(measured.session.method, ("probe",)))
+    } | set(method_spec(measured.session.method).unneeded)
     if not is_true["axes"]:  # a controller such as ros2_control's has joint_states, but no axes/status
         parameters["procedure"]["arrival"] = "joint_states"
     # /clock is absolute: without this two graphs in one domain would share it
