@@ -80,6 +80,7 @@ def null_sets(
     k = len(used)
     whole = np.block([[gram.inner[np.ix_(used, used)], gram.cross[:, used].T], [gram.cross[:, used], gram.spread]])
     scale = np.sqrt(np.append(before[used], before[len(gram.inner) :]))
+    scale[scale == 0.0] = 1.0  # a spread that these readings do not show: its products are zero, too
     factor, order, rank, _ = lapack.dpstrf(whole / np.outer(scale, scale), tol=_ROUNDING, lower=1)
     rank = min(int(rank), gram.freedom)
     root = np.zeros((len(whole), rank))
