@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, IntArray, groups
 from machine_tool_calibration.planning.option import Option, mounted_again
 from machine_tool_calibration.planning.places import other_places
 from machine_tool_calibration.planning.sensing import Changed, approached, first_repetition
@@ -125,8 +125,8 @@ def _runs(session: Session, rows: IntArray) -> IntArray:
     readings = session.readings
     keys = [readings.setup[rows]]
     if "target" in readings.labels:
-        keys.append(np.unique(readings.labels["target"][rows], return_inverse=True)[1].reshape(-1))
-    return np.asarray(np.unique(np.stack(keys), axis=1, return_inverse=True)[1].reshape(-1))
+        keys.append(readings.labels["target"][rows])
+    return groups(*keys)
 
 
 def _other_order(session: Session, rows: IntArray) -> tuple[Changed, str] | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Container
 from pathlib import Path as FilePath
 from typing import Annotated, Any, Literal
 
@@ -13,7 +14,7 @@ from machine_tool_calibration.session.description import Description
 from machine_tool_calibration.session.parse import describe
 from machine_tool_calibration.session.yaml_text import Document, load_yaml
 
-__all__ = ["Motion", "Path", "Procedure", "Spread", "parse_procedure", "read_procedure"]
+__all__ = ["Motion", "Path", "Procedure", "Spread", "first_defect", "parse_procedure", "read_procedure"]
 
 FORMAT = "mtcal-procedure/1"
 
@@ -21,6 +22,8 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 _MAX_POINTS = 1_000_000
+# Names of records: no keys of the file.
+_UNNAMED = ("Spread", "tuple[float, ...]")
 
 
 class Record(BaseModel):
@@ -151,7 +154,7 @@ def parse_procedure(text: str, source: str) -> Procedure:
     try:
         content = _File.model_validate(document.value)
     except ValidationError as error:
-        raise SessionError(_message(error, source, document)) from None
+        raise SessionError(first_defect(error, source, document, _UNNAMED)) from None
     lines = {path[1:]: line for path, line in document.lines.items() if path[:1] == ("session",)}
     inner = Document({"format": "mtcal-session/1", **content.session}, lines)
     session = describe(inner.value, source, inner)
@@ -168,11 +171,18 @@ def parse_procedure(text: str, source: str) -> Procedure:
     )
 
 
-def _message(error: ValidationError, source: str, document: Document) -> str:
-    """The first defect in one line; an unknown key first, as it is often the misspelt one that is then missing."""
+def first_defect(error: ValidationError, source: str, document: Document, unnamed: Container[str]) -> str:
+    """The first defect in one line; an unknown key first, as it is often the misspelt one that is then missing.
+
+    Args:
+        error: of the records that the document was read into.
+        source: name of the file.
+        document: its text.
+        unnamed: parts of a defect's place that are names of records, not keys of the file.
+    """
     defects = sorted(error.errors(include_url=False), key=lambda defect: defect["type"] != "extra_forbidden")
     defect = defects[0]
-    path = tuple(part for part in defect["loc"] if part not in ("Spread", "tuple[float, ...]"))
+    path = tuple(part for part in defect["loc"] if part not in unnamed)
     line = document.line(path)
     where = source if line is None else f"{source} line {line}"
     key = ".".join(str(part) for part in path)

@@ -23,6 +23,7 @@ from pydantic import Field, ValidationError
 
 from machine_tool_calibration.arrays import BoolArray
 from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.procedure.description import first_defect
 from machine_tool_calibration.procedure.workpiece.features import Circle, Feature, File, Line, Outline, Points, Record
 from machine_tool_calibration.procedure.workpiece.outline import (
     Contour,
@@ -34,10 +35,12 @@ from machine_tool_calibration.procedure.workpiece.outline import (
 )
 from machine_tool_calibration.procedure.workpiece.outline_files import read_csv_outline, read_dxf_outline
 from machine_tool_calibration.session.description import WorkpiecePoint
-from machine_tool_calibration.session.yaml_text import Document, load_yaml
+from machine_tool_calibration.session.yaml_text import load_yaml
 
 __all__ = ["Workpiece", "read_workpiece", "workpiece_entries", "workpiece_points"]
 
+# Kinds of features, by which records are told apart: no keys of the file.
+_KINDS = frozenset({"line", "pin", "disc", "sphere", "hole", "outline", "file", "points"})
 _UNITS = {"m": 1.0, "mm": 1e-3, "inch": 0.0254}
 
 
@@ -72,7 +75,7 @@ def read_workpiece(file: Path) -> tuple[WorkpiecePoint, ...]:
     try:
         workpiece = Workpiece.model_validate(document.value)
     except ValidationError as error:
-        raise SessionError(_message(error, str(file), document)) from None
+        raise SessionError(first_defect(error, str(file), document, _KINDS)) from None
     return workpiece_points(workpiece, file.parent)
 
 
@@ -163,20 +166,3 @@ def _numbered(found: list[tuple[str, Touched]]) -> Iterator[WorkpiecePoint]:
             u, v = (round(float(v), 12) + 0.0 for v in normal)
             yield WorkpiecePoint(id=str(number), feature=name, position=(x, y), normal=(u, v))
             number += 1
-
-
-def _message(error: ValidationError, source: str, document: Document) -> str:
-    """The first defect in one line."""
-    defects = sorted(error.errors(include_url=False), key=lambda defect: defect["type"] != "extra_forbidden")
-    defect = defects[0]
-    kinds = {"line", "pin", "disc", "sphere", "hole", "outline", "file", "points"}
-    path = tuple(part for part in defect["loc"] if part not in kinds)
-    line = document.line(path)
-    where = source if line is None else f"{source} line {line}"
-    key = ".".join(str(part) for part in path)
-    if defect["type"] == "extra_forbidden":
-        return f"{where}: unknown key {key!r}"
-    if defect["type"] == "missing":
-        return f"{where}: the key {key!r} is missing"
-    text = str(defect.get("ctx", {}).get("error", defect["msg"]))
-    return f"{where}: {key}: {text[0].lower()}{text[1:]}" if key else f"{where}: {text}"
