@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
-import numpy as np
 
 from machine_tool_calibration.cli.output import error_console, note, session_labels
 from machine_tool_calibration.errors import CalibrationError
 
 if TYPE_CHECKING:
+    import numpy as np
     from numpy.typing import NDArray
 
     from machine_tool_calibration.diagnosis.history import Entry
@@ -57,6 +57,8 @@ def current_models(
     Raises:
         CalibrationError: no model was tried yet.
     """
+    import numpy as np
+
     from machine_tool_calibration.reports.history_file import fingerprint, history_path, read_history
 
     entry = read_history(history_path(*paths)).in_use

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from machine_tool_calibration.model.result import Estimate
+if TYPE_CHECKING:
+    from machine_tool_calibration.model.result import Estimate
 
 __all__ = [
     "NOT_DETERMINED",

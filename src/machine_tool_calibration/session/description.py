@@ -15,6 +15,8 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from machine_tool_calibration.machine.chain import Chain
 
 __all__ = [
+    "DESCRIPTION_FILE",
+    "OBSERVATIONS_FILE",
     "Description",
     "DiagonalSetup",
     "Direct",
@@ -34,6 +36,10 @@ __all__ = [
     "WorkpiecePoint",
     "rotary_column",
 ]
+
+
+DESCRIPTION_FILE = "session.yaml"
+OBSERVATIONS_FILE = "observations.csv"
 
 
 @dataclass(frozen=True)
@@ -81,9 +87,9 @@ Vector2 = tuple[Finite, Finite]
 
 
 class Record(BaseModel):
-    """A frozen record that accepts no unknown key."""
+    """A frozen record that accepts no unknown key; its checks are made when one is first read, as that takes long."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
 
 Instrument = Literal[
