@@ -20,7 +20,8 @@ from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import Document, load_yaml
 
 if TYPE_CHECKING:
-    from machine_tool_calibration.arrays import Array
+    import numpy as np
+
     from machine_tool_calibration.session.session import Session
 
 __all__ = ["HISTORY_FILE", "fingerprint", "history_path", "read_history", "update_history"]
@@ -65,7 +66,7 @@ def fingerprint(*sessions: Session) -> str:
     (session,) = sessions
     readings = session.readings
     digest = hashlib.sha256(session.method.encode())
-    arrays: list[tuple[str, Array]] = [
+    arrays: list[tuple[str, np.ndarray]] = [
         ("setup", readings.setup),
         ("repeat", readings.repeat),
         ("displacement", readings.displacement),
