@@ -52,6 +52,9 @@ def hear(operator):
 def check_content(name, message):
     """Whether what a message holds is explained."""
     (section,) = sections()[name]
+    header = getattr(message, "header", None)
+    if header is not None and "`machine`" in section.facts["frame"]:
+        assert header.frame_id == "machine", name
     if section.type.endswith("/PointCloud2"):
         assert {field.name for field in message.fields} == set(section.names), name
     if section.type.endswith("/DiagnosticArray"):

@@ -36,6 +36,7 @@ from machine_tool_calibration.nodes.ros.messages import (
 from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run
 from machine_tool_calibration.nodes.site import Moment, Site, read_site
 from machine_tool_calibration.procedure.motion import AxisLimits, Trajectory, check_command
+from machine_tool_calibration.recording.graph import MACHINE
 
 __all__ = ["AxisSimulator", "main"]
 
@@ -200,7 +201,7 @@ class AxisSimulator(Node):
             self._known, self._point = known, self.site.functional_point(moment)
             self._rotation = quaternion_of(self.site.tool_rotation(moment))
             self._turned = None
-        self._truth.publish(pose_message(stamp, "machine", self._point + self._offset, self._rotation))
+        self._truth.publish(pose_message(stamp, MACHINE, self._point + self._offset, self._rotation))
         if self._turning:
             self._publish_table(stamp)
 
@@ -212,7 +213,7 @@ class AxisSimulator(Node):
             position, directions = self._motion.position(since), self._motion.directions(since, self._directions)
             place, rotation = self.site.table(Moment(seconds(stamp - self._origin), position, directions))
             self._turned = place, quaternion_of(rotation)
-        self._table.publish(pose_message(stamp, "machine", *self._turned))
+        self._table.publish(pose_message(stamp, MACHINE, *self._turned))
 
     def _publish_state(self, stamp: int) -> None:
         since = seconds(stamp - self._start)
@@ -223,7 +224,7 @@ class AxisSimulator(Node):
             velocity=[velocity[name] for name in self._names],
         )
         message.header.stamp = to_message(stamp)
-        message.header.frame_id = "machine"
+        message.header.frame_id = MACHINE
         self._states.publish(message)
 
     def _set_report(self, level: Level, text: str, **entries: object) -> None:

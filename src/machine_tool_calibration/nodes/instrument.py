@@ -18,11 +18,12 @@ from pathlib import Path
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PointStamped, PoseStamped
+from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, String
 from std_srvs.srv import Trigger
 
@@ -32,7 +33,6 @@ from machine_tool_calibration.nodes.averaging import Batch, NotYet, Recent, Sour
 from machine_tool_calibration.nodes.environment import TOPICS
 from machine_tool_calibration.nodes.optics import make_optics
 from machine_tool_calibration.nodes.ros.messages import (
-    COMMAND,
     LATCHED,
     SLOW,
     STATE,
@@ -48,6 +48,7 @@ from machine_tool_calibration.nodes.ros.messages import (
 from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run
 from machine_tool_calibration.nodes.ros.services import Answer, DeferredService
 from machine_tool_calibration.nodes.samples import DriverSource, SimulatedSource, clock_offset
+from machine_tool_calibration.nodes.setups import Pairs, Target, hear_targets, setup_named
 from machine_tool_calibration.nodes.site import Beam, Site, read_site
 from machine_tool_calibration.session.parse import parse_description
 
@@ -81,6 +82,8 @@ class Instrument(Node):
         self._environment_stamp = 0
         self._shown: object = None
         self._setups: list[str] = []
+        self._waiting: Target | None = None
+        self._pairs = Pairs()
 
         self._stream = self.create_publisher(Float64MultiArray, "instrument/displacement", STATE)
         self._status = self.create_publisher(DiagnosticArray, "instrument/status", LATCHED)
@@ -102,8 +105,9 @@ class Instrument(Node):
             self._simulated.blocked = self._blocked
             for body in ("functional_point", "table"):
                 self.create_subscription(PoseStamped, f"truth/{body}", partial(self._body, body=body), STATE)
-            self.create_subscription(PointStamped, "pointer/command", self._commanded, COMMAND)
-            self.create_subscription(PoseStamped, "truth/beam", self._pointed, STATE)
+            hear_targets(self, self._commanded)
+            self.create_subscription(PoseStamped, "truth/beam", partial(self._pointed, 0), STATE)
+            self.create_subscription(JointState, "pointer/state", partial(self._pointed, 1), STATE)
             self.create_subscription(String, "session", self._described, LATCHED)
         elif self._simulated_time:
             raise CalibrationError("a real driver needs real time: use_sim_time must be false")
@@ -222,6 +226,8 @@ class Instrument(Node):
             self._simulated.look_at(make_optics(self._site, session))
         except CalibrationError as error:
             self.get_logger().error(str(error))
+        if self._waiting is not None:
+            self._commanded(self._waiting)
 
     def _body(self, message: PoseStamped, body: str) -> None:
         if self._simulated.optics.body != body:
@@ -235,24 +241,31 @@ class Instrument(Node):
             if self._requests:
                 self._answer_requests()
 
-    def _pointed(self, message: PoseStamped) -> None:
+    def _pointed(self, side: int, message: PoseStamped | JointState) -> None:
+        """The true beam, and what the pointer says of itself: the setup that the beam belongs to."""
         if not self._simulated.optics.aims:
             return
-        place, setup = message.pose.position, message.header.frame_id
+        stamp = from_message(message.header.stamp)
+        pair = self._pairs.put(side, stamp, message)
+        if pair is None:
+            return
+        truth, state = pair
+        place, setup = truth.pose.position, setup_named(state, self._setups)
         if self._simulated.setup and not setup:
             return  # a pointer that has just started again: the instrument stands where it stood
-        direction = rotation_of(message.pose.orientation)[:, 0]
+        direction = rotation_of(truth.pose.orientation)[:, 0]
         beam = Beam(np.array([place.x, place.y, place.z]), direction)
-        self._simulated.set_beam(from_message(message.header.stamp), setup, self._index(setup), beam)
+        self._simulated.set_beam(stamp, setup, self._index(setup), beam)
         self._moved()
 
-    def _commanded(self, message: PointStamped) -> None:
+    def _commanded(self, target: Target) -> None:
         """Axes and pointer move; an instrument whose beam is fixed learns from it at which setup it stands."""
-        self._simulated.expect(from_message(message.header.stamp))
-        if self._simulated.optics.aims:
+        self._simulated.expect(target.stamp)
+        setup = target.setup(self._setups)
+        self._waiting = None if setup else target  # the session that describes it may be under way
+        if self._simulated.optics.aims or not setup:
             return
-        setup = message.header.frame_id
-        self._simulated.set_setup(from_message(message.header.stamp), setup, self._index(setup))
+        self._simulated.set_setup(target.stamp, setup, self._index(setup))
         self._moved()
 
     def _index(self, setup: str) -> int:

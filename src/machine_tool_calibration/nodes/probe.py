@@ -44,6 +44,7 @@ from machine_tool_calibration.nodes.ros.messages import (
 from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run
 from machine_tool_calibration.nodes.ros.services import Answer, DeferredService
 from machine_tool_calibration.nodes.site import Site, read_site
+from machine_tool_calibration.recording.graph import MACHINE
 from machine_tool_calibration.session.description import Probing
 from machine_tool_calibration.session.parse import parse_description
 from machine_tool_calibration.simulation.disturbance import Sight
@@ -350,7 +351,7 @@ class Probe(Node):
         command = max(begin, self._floor + 1)
         self._floor = command
         message.header.stamp = to_message(command)
-        message.header.frame_id = "machine"
+        message.header.frame_id = MACHINE
         deepest = {**position, **touch.at(turn)}
         message.points = [
             JointTrajectoryPoint(positions=[place[name] for name in names], time_from_start=duration_message(clock))
@@ -381,7 +382,7 @@ class Probe(Node):
         else:
             self._touches += 1
             self._last = ""
-            self._publish_trigger(cycle, point)
+            self._publish_trigger(cycle)
         self._show()
         sensed = self._site.sensed(seconds(cycle.moment - self._origin))
         document = {
@@ -403,11 +404,11 @@ class Probe(Node):
         }
         self._send(True, json.dumps(document))
 
-    def _publish_trigger(self, cycle: _Cycle, point: str) -> None:
-        latched = {**cycle.position, **cycle.touch.at(cycle.displacement)}
+    def _publish_trigger(self, cycle: _Cycle) -> None:
+        latched = {**cycle.position, **cycle.touch.at(cycle.displacement), "point_index": float(cycle.touch.point)}
         message = JointState(name=list(latched), position=list(latched.values()))
         message.header.stamp = to_message(cycle.moment)
-        message.header.frame_id = point
+        message.header.frame_id = MACHINE
         self._triggers.publish(message)
 
     def _refuse(self, reason: str) -> None:

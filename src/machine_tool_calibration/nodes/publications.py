@@ -20,6 +20,7 @@ from machine_tool_calibration.methods.axis_tables import axis_tables
 from machine_tool_calibration.model.result import ErrorMap, Estimate, Result
 from machine_tool_calibration.nodes.calculation import Diagnosed, Identified, Improved
 from machine_tool_calibration.nodes.ros.messages import LATCHED, Level, cloud, now, status, to_message
+from machine_tool_calibration.recording.graph import MACHINE
 from machine_tool_calibration.reports.quantities import sizes_in_words
 from machine_tool_calibration.reports.verdict import verdict_words
 
@@ -66,7 +67,7 @@ def axis_cloud(stamp: int, result: Result) -> PointCloud2:
     return cloud(stamp, {name: content[:, k] for k, name in enumerate(AXIS_FIELDS)})
 
 
-def arrows(stamp: int, error_map: ErrorMap, magnification: float = 0.0, frame: str = "machine") -> MarkerArray:
+def arrows(stamp: int, error_map: ErrorMap, magnification: float = 0.0, frame: str = MACHINE) -> MarkerArray:
     """The position errors as arrows, magnified; grey where the error is within its U (k = 2).
 
     At most MOST_ARROWS of the points, evenly chosen. A first marker takes away the arrows of an earlier map; the last
