@@ -30,10 +30,10 @@ from machine_tool_calibration.nodes.ros.messages import (
     pose_message,
     quaternion_of,
     seconds,
-    status_message,
     to_message,
 )
 from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run
+from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.site import Moment, Site, read_site
 from machine_tool_calibration.procedure.motion import AxisLimits, Trajectory, check_command
 from machine_tool_calibration.recording.graph import MACHINE
@@ -73,7 +73,13 @@ class AxisSimulator(Node):
         self._epoch = uuid.uuid4().hex[:12]
 
         self._states = self.create_publisher(JointState, "joint_states", STATE)
-        self._status = self.create_publisher(DiagnosticArray, "axes/status", STATE)
+        self._status = StatusTopic(
+            self,
+            self.create_publisher(DiagnosticArray, "axes/status", STATE),
+            "axes",
+            hardware_id=f"simulated machine {self.site.chain}",
+            clock=self._now,
+        )
         self._truth = self.create_publisher(PoseStamped, "truth/functional_point", STATE)
         self._table = self.create_publisher(PoseStamped, "truth/table", STATE)
         self._ticks = self.create_publisher(ClockMessage, "/clock", 10) if self._jumping else None
@@ -233,8 +239,7 @@ class AxisSimulator(Node):
 
     def _send_report(self) -> None:
         level, text, entries = self._report
-        entries = {**entries, "command": self._command, "epoch": self._epoch}
-        self._status.publish(status_message(self._now(), "axes", level, text, entries))
+        self._status.say(level, text, {**entries, "command": self._command, "epoch": self._epoch})
 
 
 def main(args: list[str] | None = None) -> int:

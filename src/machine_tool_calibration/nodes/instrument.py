@@ -42,11 +42,12 @@ from machine_tool_calibration.nodes.ros.messages import (
     now,
     rotation_of,
     seconds,
-    status_message,
     to_message,
 )
+from machine_tool_calibration.nodes.ros.names import OwnPublisher, offer
 from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run
-from machine_tool_calibration.nodes.ros.services import Answer, DeferredService
+from machine_tool_calibration.nodes.ros.services import Answer
+from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.samples import DriverSource, SimulatedSource, clock_offset
 from machine_tool_calibration.nodes.setups import Pairs, Target, hear_targets, setup_named
 from machine_tool_calibration.nodes.site import Beam, Site, read_site
@@ -85,8 +86,7 @@ class Instrument(Node):
         self._waiting: Target | None = None
         self._pairs = Pairs()
 
-        self._stream = self.create_publisher(Float64MultiArray, "instrument/displacement", STATE)
-        self._status = self.create_publisher(DiagnosticArray, "instrument/status", LATCHED)
+        self._stream = OwnPublisher(self, "instrument", "displacement", Float64MultiArray, STATE)
         self._sensors = {
             name: self.create_publisher(kind, f"environment/{name}", SLOW) for name, (kind, _) in TOPICS.items()
         }
@@ -113,8 +113,11 @@ class Instrument(Node):
             raise CalibrationError("a real driver needs real time: use_sim_time must be false")
         else:
             self.source = DriverSource(load_driver(Path(self._driver)), clock_offset(now(self)))
-        DeferredService(self, Trigger, "instrument/datum", lambda answer: self._requested(answer, is_datum=True))
-        DeferredService(self, Trigger, "instrument/capture", lambda answer: self._requested(answer, is_datum=False))
+        own = OwnPublisher(self, "instrument", "status", DiagnosticArray, LATCHED)
+        hardware_id = self.source.hardware_id or Path(self._driver).stem
+        self._status = StatusTopic(self, own, "instrument", hardware_id=hardware_id)
+        offer(self, "instrument", "datum", Trigger, lambda answer: self._requested(answer, is_datum=True))
+        offer(self, "instrument", "capture", Trigger, lambda answer: self._requested(answer, is_datum=False))
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(0.1, self._check, clock=steady)
         if not self._simulated_time:
@@ -255,8 +258,7 @@ class Instrument(Node):
             return  # a pointer that has just started again: the instrument stands where it stood
         direction = rotation_of(truth.pose.orientation)[:, 0]
         beam = Beam(np.array([place.x, place.y, place.z]), direction)
-        self._simulated.set_beam(stamp, setup, self._index(setup), beam)
-        self._moved()
+        self._stand(stamp, setup, beam)
 
     def _commanded(self, target: Target) -> None:
         """Axes and pointer move; an instrument whose beam is fixed learns from it at which setup it stands."""
@@ -265,13 +267,14 @@ class Instrument(Node):
         self._waiting = None if setup else target  # the session that describes it may be under way
         if self._simulated.optics.aims or not setup:
             return
-        self._simulated.set_setup(target.stamp, setup, self._index(setup))
-        self._moved()
+        self._stand(target.stamp, setup)
 
-    def _index(self, setup: str) -> int:
-        return self._setups.index(setup) if setup in self._setups else 0
-
-    def _moved(self) -> None:
+    def _stand(self, stamp: int, setup: str, beam: Beam | None = None) -> None:
+        """The instrument stands at a setup from a time on; that it was moved is no fault, but its count is void."""
+        index = self._setups.index(setup) if setup in self._setups else 0
+        moved = self._simulated.set_setup(stamp, setup, index, beam)
+        if moved:
+            self._lose_datum(moved, is_fault=False)
         self._note_loss()
         if self._simulated_time and self._requests:
             self._answer_requests()
@@ -381,8 +384,8 @@ class Instrument(Node):
         if reason:
             self._lose_datum(reason)
 
-    def _lose_datum(self, reason: str) -> None:
-        if self._datum:
+    def _lose_datum(self, reason: str, *, is_fault: bool = True) -> None:
+        if self._datum and is_fault:
             self.get_logger().warning(f"the datum is lost: {reason}")
         self._datum, self._reason = "", reason
         self._recent.clear()
@@ -409,7 +412,7 @@ class Instrument(Node):
         self._shown = shown
         level = Level.OK if state == "measuring" else Level.WARN
         entries = {"state": state, "datum": self._datum, "epoch": self._epoch, "driver": self._driver}
-        self._status.publish(status_message(now(self), "instrument", level, text, entries))
+        self._status.say(level, text, entries)
 
     def _sensed(self, stamp: int) -> dict[str, float]:
         """The environment that this node knows itself; with a real driver the sensors publish it."""

@@ -37,12 +37,13 @@ from machine_tool_calibration.nodes.ros.messages import (
     nanoseconds,
     now,
     seconds,
-    status_message,
     to_message,
     values,
 )
+from machine_tool_calibration.nodes.ros.names import OwnPublisher
 from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run
 from machine_tool_calibration.nodes.ros.services import Answer, DeferredService
+from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.site import Site, read_site
 from machine_tool_calibration.recording.graph import MACHINE
 from machine_tool_calibration.session.description import Probing
@@ -167,8 +168,10 @@ class Probe(Node):
         self._floor = 0
         self._random = np.random.default_rng([self._site.spec.seed, 43, self._noise_seed])
 
-        self._status = self.create_publisher(DiagnosticArray, "instrument/status", LATCHED)
-        self._triggers = self.create_publisher(JointState, "probe/trigger", STATE)
+        # it stands in the instrument's place, whatever its own name is
+        told = self.create_publisher(DiagnosticArray, "instrument/status", LATCHED)
+        self._status = StatusTopic(self, told, "probe", hardware_id="simulated probe")
+        self._triggers = OwnPublisher(self, "probe", "trigger", JointState, STATE)
         self._commands = self.create_publisher(JointTrajectory, "axes/joint_trajectory", COMMAND)
         self._sensors = {
             name: self.create_publisher(kind, f"environment/{name}", SLOW) for name, (kind, _) in TOPICS.items()
@@ -442,7 +445,7 @@ class Probe(Node):
         self._shown = shown
         level = Level.WARN if problem or self._last else Level.OK
         state = "no signal" if problem else "measuring"
-        self._status.publish(status_message(now(self), "probe", level, text, {"state": state, "datum": "", **counters}))
+        self._status.say(level, text, {"state": state, "datum": "", **counters})
 
     def _publish_environment(self, stamp: int) -> None:
         self._environment_stamp = stamp

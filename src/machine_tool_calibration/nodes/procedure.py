@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -33,11 +34,13 @@ from machine_tool_calibration.nodes.ros.messages import (
     duration_message,
     from_message,
     now,
-    status_message,
     to_message,
     values,
 )
+from machine_tool_calibration.nodes.ros.names import OwnPublisher, offer
 from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run
+from machine_tool_calibration.nodes.ros.services import Answer
+from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.setups import setup_named, target_message
 from machine_tool_calibration.procedure import plan, read_procedure
 from machine_tool_calibration.procedure.events import (
@@ -162,7 +165,8 @@ class ProcedureNode(Node):
 
         self._session = self.create_publisher(String, "session", LATCHED)
         self._readings = self.create_publisher(JointState, "reading", READINGS)
-        self._status = self.create_publisher(DiagnosticArray, "procedure/status", LATCHED)
+        own = OwnPublisher(self, "procedure", "status", DiagnosticArray, LATCHED)
+        self._status = StatusTopic(self, own, "procedure")
         # Before the subscription to its status: an instrument whose status came knows these clients, else it would drop
         # its first answers.
         self._datum = self.create_client(Trigger, "instrument/datum")
@@ -180,7 +184,7 @@ class ProcedureNode(Node):
             ("resume", self._resume),
             ("abort", self._abort),
         ):
-            self.create_service(Trigger, f"procedure/{name}", _answered(handler))
+            offer(self, "procedure", name, Trigger, partial(_answer, handler))
         self.create_timer(_TICK, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._publish_session()
         self._show()
@@ -364,20 +368,15 @@ class ProcedureNode(Node):
             return
         self._shown = (text, entries)
         level = _LEVELS.get(sequencer.state, Level.WARN if waiting else Level.OK)
-        self._status.publish(status_message(now(self), "procedure", level, text, entries))
+        self._status.say(level, text, entries)
 
 
-def _answered(handler: Callable[[], str]) -> Callable[[Trigger.Request, Trigger.Response], Trigger.Response]:
-    """A service's handler from a function that says what it did or raises what it cannot do."""
-
-    def called(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        try:
-            response.message, response.success = handler(), True
-        except CalibrationError as error:
-            response.message, response.success = str(error), False
-        return response
-
-    return called
+def _answer(handler: Callable[[], str], answer: Answer) -> None:
+    """Answer a request by a function that says what it did or raises what it cannot do."""
+    try:
+        answer.send(True, handler())
+    except CalibrationError as error:
+        answer.send(False, str(error))
 
 
 def _trajectory(motion: Motion) -> JointTrajectory:

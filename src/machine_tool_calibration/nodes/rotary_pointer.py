@@ -131,7 +131,10 @@ class RotaryPointer(Node):
         self._publish(self._arrival if self._simulated else begin)
 
     def _tick(self) -> None:
-        self._publish(self._arrival if self._simulated else now(self))
+        # in simulated time the pointer has stood still since it arrived; before the first command it stands where it is
+        stamp = (self._simulated and self._arrival) or now(self)
+        if stamp:
+            self._publish(stamp)
 
     def _publish(self, stamp: int) -> None:
         since = seconds(stamp - self._start) if self._simulated is False else self._motion.duration
