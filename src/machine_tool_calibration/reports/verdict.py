@@ -54,14 +54,14 @@ def verdict_words(diagnosis: Diagnosis, changes: Mapping[str, Consequence], advi
 
 
 def _reversed(diagnosis: Diagnosis) -> Iterator[str]:
-    """Backlash that comes out negative and is certain: the sign of a column is wrong, not the machine."""
+    """Backlash that comes out negative and is certain."""
     for f in diagnosis.look.findings:
         certain = any(s.value < -_APART * s.standard_uncertainty for s in f.sizes)
         if f.rank and certain and f.name.startswith("backlash_"):
             axis = f.name[-1]
             yield (
                 f"{f.name} would come out negative, which no backlash is: the sign of dir_{axis}, or that of "
-                "the deviations, looks reversed."
+                "the deviations, looks reversed, or the control compensates more than there is."
             )
 
 
