@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -188,9 +189,9 @@ def _inside(folder: Path, name: str) -> Path:
     pure = PurePosixPath(name)
     # bags of old distributions name the folder too
     candidates = [folder / pure, folder / pure.name]
-    root = folder.resolve()
+    root = os.path.realpath(folder)
     for candidate in candidates:
-        if pure.is_absolute() or "\0" in name or not candidate.resolve().is_relative_to(root):
+        if pure.is_absolute() or "\0" in name or not Path(os.path.realpath(candidate)).is_relative_to(root):
             raise RecordingError(f"{folder / METADATA_FILE}: the file {name!r} is outside the bag's folder")
         if candidate.is_file():
             return candidate

@@ -6,8 +6,16 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.session.description import Place, Probing, StationSetup, StepDiagonal
+from machine_tool_calibration.session.description import (
+    LARGEST,
+    SMALLEST,
+    Place,
+    Probing,
+    StationSetup,
+    StepDiagonal,
+)
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.session.table import NUMERIC_COLUMNS
 
 __all__ = ["check_units", "diagonal_units", "direction_units", "probing_units"]
 
@@ -19,6 +27,7 @@ _MICROMETRES_FROM = 3e4  # m: a machine's travel in millimetres is not as large
 _MILLIMETRES = "these look like millimetres; lengths are in metres"
 _SATURATED = 1.05  # relative humidity, with a sensor's own error
 _DEGREES = "these look like degrees; angles are in radians"
+_LARGEST_COVARIATE = 1e30  # the user's own column, such as nanoseconds since 1970, in any unit
 
 
 def check_units(session: Session, place: Place) -> None:
@@ -27,12 +36,26 @@ def check_units(session: Session, place: Place) -> None:
     Raises:
         SessionError: the file, key or column and row, the value, and the unit that is suspected.
     """
+    _sizes(session, place)
     _travel(session, place)
     _positions(session, place)
     _instrument(session, place)
     _angles(session, place)
     _displacement(session, place)
     _environment(session, place)
+
+
+def _sizes(session: Session, place: Place) -> None:
+    """Numbers whose squares would not be numbers any more, which nothing that was measured has."""
+    readings = session.readings
+    for name, values in {**readings.columns, "displacement": readings.displacement}.items():
+        size = np.abs(values)
+        largest = LARGEST if name in NUMERIC_COLUMNS else _LARGEST_COVARIATE
+        bad = np.flatnonzero((size > largest) | ((size > 0.0) & (size < SMALLEST)))
+        if len(bad):
+            value = values[bad[0]]
+            what = "large" if abs(value) > 1.0 else "small"
+            raise SessionError(f"{place.row(readings.row[bad[0]])}: {name} is {value:g}, too {what} to have been read")
 
 
 def _travel(session: Session, place: Place) -> None:
