@@ -43,7 +43,8 @@ _UNITS = {
 
 # Names of units with small powers, multiplied and divided: of anything else the library of units tries to make a
 # number, and 9**9**9**9 takes for ever.
-_UNIT = re.compile(r"1|(?:1\s*/)?{0}(?:[*/ ]{0})*".format(r"[(\s]*(?:[^\W\d]|[°%])+(?:\s*(?:\*\*|\^)\s*-?\d\d?(?:\.\d)?)?[)\s]*"))
+_POWER = r"[(\s]*(?:[^\W\d]|[°%])+(?:\s*(?:\*\*|\^)\s*-?\d\d?(?:\.\d)?)?[)\s]*"
+_UNIT = re.compile(rf"1|(?:1\s*/)?{_POWER}(?:[*/ ]{_POWER})*")
 _LONGEST_UNIT = 60
 _GRID = 12
 _LARGEST_FILE = 1 << 20

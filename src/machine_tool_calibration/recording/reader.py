@@ -20,7 +20,6 @@ from machine_tool_calibration.session.yaml_text import load_yaml
 
 __all__ = ["BagReader", "Message", "Topic", "bag_files", "is_bag"]
 
-_LARGEST_METADATA = 16 << 20
 METADATA_FILE = "metadata.yaml"
 
 
@@ -161,7 +160,7 @@ def bag_files(path: Path) -> tuple[Path, ...]:
 
 def _file_names(metadata: Path) -> list[str]:
     try:
-        value = load_yaml(read_text(metadata, _LARGEST_METADATA), str(metadata)).value
+        value = load_yaml(read_text(metadata), str(metadata)).value
     except SessionError as error:
         raise RecordingError(str(error)) from None
     information = value.get("rosbag2_bagfile_information") if isinstance(value, dict) else None

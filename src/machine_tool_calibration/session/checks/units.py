@@ -17,7 +17,7 @@ from machine_tool_calibration.session.description import (
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.session.table import NUMERIC_COLUMNS
 
-__all__ = ["check_units", "diagonal_units", "direction_units", "probing_units"]
+__all__ = ["check_sizes", "check_units", "diagonal_units", "direction_units", "probing_units"]
 
 _LARGEST_MACHINE = 50.0  # m
 _LARGEST_TRAVEL = 100.0  # m
@@ -36,7 +36,6 @@ def check_units(session: Session, place: Place) -> None:
     Raises:
         SessionError: the file, key or column and row, the value, and the unit that is suspected.
     """
-    _sizes(session, place)
     _travel(session, place)
     _positions(session, place)
     _instrument(session, place)
@@ -45,8 +44,12 @@ def check_units(session: Session, place: Place) -> None:
     _environment(session, place)
 
 
-def _sizes(session: Session, place: Place) -> None:
-    """Numbers whose squares would not be numbers any more, which nothing that was measured has."""
+def check_sizes(session: Session, place: Place) -> None:
+    """Refuse numbers whose squares would not be numbers any more, which nothing that was measured has.
+
+    Raises:
+        SessionError: the row, the column and the number.
+    """
     readings = session.readings
     for name, values in {**readings.columns, "displacement": readings.displacement}.items():
         size = np.abs(values)
