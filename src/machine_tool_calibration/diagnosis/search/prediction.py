@@ -52,8 +52,12 @@ class Prediction:
 
     @property
     def gain(self) -> float:
-        """Share by which the mean square of what is predicted wrongly falls."""
-        return float(-np.expm1(-2.0 * sum(self.log_gains) / max(self.readings, 1)))
+        """Share by which the mean square of what is predicted wrongly falls.
+
+        The noise is that of the readings beside what was found: what is left of them is one variance each.
+        """
+        gained = 2.0 * sum(self.log_gains)
+        return float(gained / (max(self.readings, 1) + max(gained, 0.0)))
 
     @property
     def speaks_against(self) -> bool:
