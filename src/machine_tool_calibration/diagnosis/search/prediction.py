@@ -59,8 +59,8 @@ class Prediction:
     def speaks_against(self) -> bool:
         """Whether the parts that were left out are predicted worse with the effect than without.
 
-        All together clearly, or one of them clearly. Where one does, the others must make up for it: at places an effect
-        may act on some alone, but what half the setups or cycles do not show is none of the machine.
+        All together clearly, or one of them clearly while the others do not make up for it. An effect may act at some
+        places alone; what half the setups or cycles do not show is none of the machine.
         """
         gains = np.array(self.log_gains)
         if gains.min() >= -_CLEARLY:
