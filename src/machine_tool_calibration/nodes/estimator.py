@@ -37,6 +37,7 @@ from machine_tool_calibration.nodes.ros.names import OwnPublisher, offer
 from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run
 from machine_tool_calibration.nodes.ros.services import Answer, Background, Progress
 from machine_tool_calibration.nodes.ros.status import StatusTopic
+from machine_tool_calibration.reports.quantities import micrometres
 
 __all__ = ["Estimator", "main"]
 
@@ -198,7 +199,7 @@ class Estimator(Node):
             "rms_residual": result.rms_residual,
             "reduced_chi_square": result.fit.joint.reduced_chi_square,
         }
-        residual = f"{result.rms_residual * 1e6:.3f} um RMS residual"
+        residual = f"{micrometres(result.rms_residual)} um RMS residual"
         return f"identified from {result.observations} readings: {residual}", content
 
     def _compared(self, outcome: tuple[Mapping[str, Any], str]) -> tuple[str, Mapping[str, Any]]:
@@ -226,7 +227,8 @@ class Estimator(Node):
         self.set_parameters([Parameter("effects", Parameter.Type.STRING_ARRAY, effects or [""])])
         added = list(outcome.diagnosed.content["accepted"])
         before, after = first.result.rms_residual, last.result.rms_residual
-        words = f"improved by {', '.join(added) or 'nothing'}: {before * 1e6:.3f} -> {after * 1e6:.3f} um RMS residual"
+        residual = f"{micrometres(before)} -> {micrometres(after)} um RMS residual"
+        words = f"improved by {', '.join(added) or 'nothing'}: {residual}"
         return words, {
             "verdict": outcome.diagnosed.content["verdict"],
             "accepted": added,
