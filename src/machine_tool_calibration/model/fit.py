@@ -123,7 +123,8 @@ class Fit:
     @property
     def determined(self) -> BoolArray:
         """Whether each of them is determined by the readings and the datum."""
-        measured = np.array([p.name not in self.model.declared for p in self.model.parameters], dtype=bool)
+        declared = self.model.declared
+        measured = np.array([p.name not in declared for p in self.model.parameters], dtype=bool)
         return np.asarray(self.solution.is_determined()[self.places] & measured)
 
     @property
