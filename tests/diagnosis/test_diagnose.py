@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from scipy.stats import binom
 
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.improve import improve
@@ -32,9 +31,9 @@ def test_nothing_missing_is_called_adequate(plan: str) -> None:
 
 def test_false_alarms_stay_rare_with_and_without_a_spread_between_setups(many: Any) -> None:
     spreads = (Spread(), Spread(slope=0.4 * SIGMA, bow=0.4 * SIGMA))
-    seeds = range(500, 500 + many.part(2 / 3).count)
+    seeds = range(500, 500 + many.part(1 / 3).count)
     alarms = [look("tracking_2d", seed, spread=one).verdict != "adequate" for one in spreads for seed in seeds]
-    assert sum(alarms) <= many.part(4 / 3).at_most(0.05)
+    assert sum(alarms) <= many.part(2 / 3).at_most(0.05)
 
 
 @pytest.mark.parametrize(
@@ -116,21 +115,6 @@ def test_an_effect_in_the_model_is_not_looked_for_again() -> None:
     found = diagnose(session, effects=["backlash_y"], seed=1, sets=SETS)
     assert found.verdict == "adequate"
     assert "backlash_y" not in {r.candidate.name for r in found.ranked}
-
-
-def test_detectable_sizes_are_found_that_often(many: Any) -> None:
-    """An effect of the stated smallest size is found in about 80 of 100 sessions, one of half the size seldom."""
-    spec = SimulationSpec(plan=PRESETS["tracking_2d"], seed=4)
-    size = diagnosed(spec).look.of("backlash_y").detectable["b"]
-
-    def found(share: float, runs: int) -> int:
-        flaw = FlawSpec(id="backlash_y", size=share * size)
-        return sum("backlash_y" in look("tracking_2d", 2000 + k, flaw).accepted for k in range(runs))
-
-    full, half = many.part(0.8).count, many.part(0.4).count
-    low, high = binom.interval(0.998, full, 0.8)
-    assert low <= found(1.0, full) <= high
-    assert found(0.5, half) < half / 2
 
 
 @pytest.mark.parametrize("plan", ["tracking_2d", "rotary_axis", "probing_cross", "step_diagonal"])
