@@ -54,7 +54,7 @@ class LostMotion(Effect):
         return min(_DEGREES, max(len(both) - 1, 1), len(np.unique(place)) - 1)
 
     def coefficients_for(self, observations: Observations, shape: tuple[float, ...] = ()) -> tuple[Coefficient, ...]:
-        """Of the polynomial, as far as the positions tell it."""
+        """Of the polynomial, as far as the positions determine it."""
         return self.coefficients[: self._degree(observations) + 1]
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:

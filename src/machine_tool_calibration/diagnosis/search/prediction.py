@@ -29,7 +29,7 @@ __all__ = ["Prediction", "predictions"]
 _PARTS = 4
 # Logarithm of the likelihood ratio of one part beyond which it contradicts: one in twenty.
 _CLEARLY = 3.0
-# Effects that are held against readings left out: more are not told apart that way.
+# Effects that are held against readings left out: more are not distinguished that way.
 _MOST = 6
 # Variance of the noise over that declared below which the residuals are rounding.
 _LEAST_NOISE = 1e-12
@@ -42,7 +42,8 @@ class Prediction:
 
     Attributes:
         what: setups, blocks of places, or cycles.
-        log_gains: for each part, by how much the effect, told by the others, raises the logarithm of its likelihood.
+        log_gains: for each part, by how much the effect, as determined by the others, raises the logarithm of its
+            likelihood.
         readings: in all parts.
     """
 
