@@ -194,7 +194,7 @@ def test_covariates_that_do_not_vary_are_left_out_and_an_unknown_one_is_named() 
     assert "y" not in found.covariates
     assert "x" in covariates(found.fit.model.observations)
     with pytest.raises(ModelError, match="no covariate 'albedo' that varies; there are order"):
-        found.covariate("humidity")
+        found.covariate("albedo")
 
 
 def test_bins_keep_distinct_values_apart_and_equal_ones_together() -> None:

@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import ast
 import importlib
+import io
 import os
 import pkgutil
 import sys
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
@@ -229,8 +231,12 @@ def run(arguments: Sequence[str] | None = None) -> int:
         Exit status: 0 done; 1 the input or the request is wrong, said in one line on standard error; 2 wrong command
         line; 130 interrupted; 141 the reader of standard output went away.
     """
+    _show_what_the_terminal_can()
     try:
-        status = group.main(args=arguments, prog_name="mtcal", standalone_mode=False)
+        with warnings.catch_warnings():
+            # NumPy's, of an overflow or a 0 in a divisor: what comes of it is judged where it is used.
+            warnings.simplefilter("default" if os.environ.get(TRACEBACK_VARIABLE) else "ignore", RuntimeWarning)
+            status = group.main(args=arguments, prog_name="mtcal", standalone_mode=False)
     except OutputClosedError:
         # What is still buffered has no reader; without this the interpreter complains at its end.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -248,6 +254,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
         return _fail(f"{error.filename}: {error.strerror}" if error.filename else error)
     except MemoryError:
         return _fail("not enough memory for this much data")
+    except RecursionError:
+        return _fail("the input is nested too deeply")
     except Exception as error:
         if os.environ.get(TRACEBACK_VARIABLE):
             raise
@@ -256,6 +264,13 @@ def run(arguments: Sequence[str] | None = None) -> int:
             f"{TRACEBACK_VARIABLE}=1 shows where it comes from)"
         )
     return status if type(status) is int else 0
+
+
+def _show_what_the_terminal_can() -> None:
+    """Replace what the encoding of the output lacks, such as the letter µ, instead of failing."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
 
 
 def _fail(reason: object, status: int = 1) -> int:

@@ -46,7 +46,8 @@ def session_labels(paths: Sequence[Path]) -> list[str]:
     """Names of several sessions: those of their folders, numbered where they repeat."""
     from machine_tool_calibration.session.session import distinct_labels
 
-    return distinct_labels([path.resolve().stem for path in paths])
+    # Not Path.resolve, which raises a RuntimeError for a link to itself.
+    return distinct_labels([Path(os.path.realpath(path)).stem for path in paths])
 
 
 def write_json(document: Any) -> None:

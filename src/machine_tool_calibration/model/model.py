@@ -304,7 +304,8 @@ def assemble(models: Sequence[MethodModel], labels: Sequence[str] | None = None)
             if name not in place:
                 place[name] = len(parameters)
                 own = "" if label is None or parameter.shared else label
-                parameters.append(replace(parameter, name=name, session=own))
+                named_so = (parameter.name, parameter.session) == (name, own)
+                parameters.append(parameter if named_so else replace(parameter, name=name, session=own))
             index.append(place[name])
         places.append(np.array(index, dtype=np.int64))
     m = len(parameters)

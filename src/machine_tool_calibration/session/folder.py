@@ -27,7 +27,6 @@ __all__ = [
 ]
 
 
-_LARGEST_DESCRIPTION = 16 << 20
 
 
 def read_session(path: Path, *, check: bool = True) -> Session:
@@ -48,7 +47,7 @@ def read_session(path: Path, *, check: bool = True) -> Session:
     for file in (described, observed):
         if not file.exists():
             raise SessionError(f"{folder}: no {file.name} in this folder; a session needs it")
-    description = parse_description(read_text(described, _LARGEST_DESCRIPTION), str(described))
+    description = parse_description(read_text(described), str(described))
     table = read_table(observed)
     require_columns(description, table.layout.columns, str(observed))
     place = Place(str(described), str(observed), table.layout.line)

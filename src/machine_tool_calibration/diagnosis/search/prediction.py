@@ -53,15 +53,19 @@ class Prediction:
 
     @property
     def gain(self) -> float:
-        """Share by which the mean square of what is predicted wrongly falls."""
-        return float(-np.expm1(-2.0 * sum(self.log_gains) / max(self.readings, 1)))
+        """Share by which the mean square of what is predicted wrongly falls.
+
+        The noise is that of the readings beside what was found: what is left of them is one variance each.
+        """
+        gained = 2.0 * sum(self.log_gains)
+        return float(gained / (max(self.readings, 1) + max(gained, 0.0)))
 
     @property
     def speaks_against(self) -> bool:
         """Whether the parts that were left out are predicted worse with the effect than without.
 
-        All together clearly, or one of them clearly. Where one does, the others must make up for it: at places an
-        effect may act on some alone, but what half the setups or cycles do not show is none of the machine.
+        All together clearly, or one of them clearly while the others do not make up for it. An effect may act at some
+        places alone; what half the setups or cycles do not show is none of the machine.
         """
         gains = np.array(self.log_gains)
         if gains.min() >= -_CLEARLY:
