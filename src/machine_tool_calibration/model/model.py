@@ -94,7 +94,7 @@ class Parameter:
 
     @property
     def family(self) -> str:
-        """Name under which it is told: that of the error motion for the values of a table."""
+        """Name under which it is listed: that of the error motion for the values of a table."""
         label = len(self.session)
         return self.name[:label] + self.name[label:].partition("(")[0] if self.kind is Kind.MOTION else self.name
 

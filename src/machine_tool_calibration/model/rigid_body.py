@@ -142,7 +142,7 @@ _OWN_SHARE = 1e-6
 def machine_terms(
     observations: Observations, tables: Sequence[MachineTable]
 ) -> tuple[tuple[MachineTable, ...], tuple[Term, ...], tuple[NotDetermined, ...]]:
-    """Terms of those error motions that the readings can tell apart.
+    """Terms of those error motions that the readings can distinguish.
 
     Args:
         observations: the readings.
@@ -174,7 +174,7 @@ def machine_terms(
             left_out.append(
                 NotDetermined(
                     table.name,
-                    "the readings cannot tell it from the translations: its lever arm was the same throughout",
+                    "the readings cannot distinguish it from the translations: its lever arm was the same throughout",
                 )
             )
             continue

@@ -2,7 +2,7 @@
 
 Beside the scatter of the readings two things weigh on a map that a fit of the readings alone does not show:
 
-- angular errors, which a step diagonal can hardly tell from straightness;
+- angular errors, which a step diagonal can hardly distinguish from straightness;
 - time: a drift of the reading, where every position is reached at one time only.
 
 Angular errors are put into the model as what they are before any reading: unknowns of an expected size; what the
@@ -183,7 +183,7 @@ def _with_remedies(found: Dominant, tried: Sequence[tuple[Option, float]]) -> Do
 
 
 def _after(option: Option, model: str | None, angular: float, drift: float) -> float | None:
-    """The map's uncertainty with a further measurement; None where that cannot be told."""
+    """The map's uncertainty with a further measurement; None where that is not determined."""
     try:
         after = _uncertainty(option.session, model, angular, drift)
     except (CalibrationError, np.linalg.LinAlgError):

@@ -7,24 +7,24 @@ import numpy as np
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.checks.consistency import check_consistency
 from machine_tool_calibration.session.checks.enough import check_enough
-from machine_tool_calibration.session.checks.units import check_units
+from machine_tool_calibration.session.checks.units import check_sizes, check_units
 from machine_tool_calibration.session.columns import needed_columns
 from machine_tool_calibration.session.description import Place
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["Place", "check_session"]
 
-# Share of different times among the readings from which the time tells readings apart.
+# Share of different times among the readings from which the time distinguishes readings.
 _TOLD_BY_TIME = 0.4
 
 
 def check_session(session: Session, place: Place | None = None) -> None:
     """Refuse a session that cannot be right or is not enough for its method.
 
-    Checked are: values that are missing where a displacement was read; times that run backwards; a reading that stands
-    there twice; units that must be wrong (`check_units`); stations, targets and readings that the method needs
-    (`check_enough`); and readings that contradict the nominal geometry while a common mistake would explain them
-    (`check_consistency`).
+    Checked are: values that are missing where a displacement was read; numbers beyond all measure (`check_sizes`);
+    times that run backwards; a reading that stands there twice; units that must be wrong (`check_units`); stations,
+    targets and readings that the method needs (`check_enough`); and readings that contradict the nominal geometry while
+    a common mistake would explain them (`check_consistency`).
 
     Args:
         session: the measurement.
@@ -35,6 +35,7 @@ def check_session(session: Session, place: Place | None = None) -> None:
     """
     place = place or Place(session.source, session.source)
     _check_missing(session, place)
+    check_sizes(session, place)
     _check_time(session, place)
     _check_signs(session, place)
     _check_doubled(session, place)
@@ -82,7 +83,7 @@ def _check_doubled(session: Session, place: Place) -> None:
     # Only readings at the same time can be the same; what is missing in both is equal in both.
     times = pd.Series(np.where(np.isnan(time), 0.0, time))
     repeated = times.duplicated().to_numpy()
-    # Where the clock does not tell readings apart, equal ones may be different ones.
+    # Where the clock does not distinguish readings, equal ones may be different ones.
     if not repeated.any() or np.count_nonzero(~repeated) < _TOLD_BY_TIME * len(readings):
         return
     readings = readings.select(times.duplicated(keep=False).to_numpy())
