@@ -126,7 +126,7 @@ def _carried(site: Site, result: Result) -> tuple[Array, Array]:
 
     Returns:
         (n, 3) its true error, m: that of an ideal turn taken off; and (6, n, 3) what a shift and a turn of the targets
-        on the table would make, which cannot be told from where the targets are.
+        on the table would make, which cannot be distinguished from where the targets are.
     """
     content, points = result.error_map.content, result.error_map.points
     angles = np.asarray(content["c"], dtype=float)
@@ -242,8 +242,8 @@ def command(
 
     The whole way that a real measurement goes: the nodes of the graph are started, the machine is moved and measured,
     everything is recorded, and the errors are identified with their uncertainty. The model is found to disagree with
-    the readings, the missing effect is looked for and added. Only then is told what was hidden, and the map is compared
-    with the true errors, which nothing before has seen.
+    the readings, the missing effect is looked for and added. Only then is revealed what was hidden, and the map is
+    compared with the true errors, which nothing before has seen.
     """
     number = int(np.random.default_rng().integers(1_000_000)) if seed is None else seed
     hidden = _hidden(method, number, hide)

@@ -188,7 +188,7 @@ def common_shape(
 
 
 def _without_absorbed(model: MethodModel, effects: Sequence[Effect]) -> tuple[MethodModel, list[Effect]]:
-    """The model, told what it takes up itself, and the other effects.
+    """The model, knowing what it takes up itself, and the other effects.
 
     An effect that only repeats the model's own unknowns would make these undetermined and add nothing.
     """

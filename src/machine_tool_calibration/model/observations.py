@@ -82,7 +82,7 @@ class Observations:
 
 
 def together(observed: Sequence[Observations]) -> Observations:
-    """Readings of several sessions of a machine as if of one: what they can tell, and how far they reach.
+    """Readings of several sessions of a machine as if of one: what they determine, and how far they reach.
 
     The description is the first session's; columns that a session lacks are left out, as are labels and the turning
     of a mirror.

@@ -21,7 +21,7 @@ __all__ = ["Family", "reproducibility"]
 _WEIGHTS = np.array([1.0, 1.0, 0.7, 0.5])
 # Readings of a group for each degree, so that a short run is not all spread.
 _FOR_A_DEGREE = 3
-# Fewer groups than this tell nothing of a spread between them where the readings are deviations of the machine itself:
+# Fewer groups than this say nothing of a spread between them where the readings are deviations of the machine itself:
 # their slopes and bows are the part's or the machine's own.
 _SEVERAL = 4
 # A grid: so many rows at most, with so many readings each.

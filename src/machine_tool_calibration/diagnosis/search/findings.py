@@ -224,7 +224,7 @@ def smallest_signal(values: Array, along: float, needed: float, power: float = _
 def alias_groups(
     findings: Sequence[Finding], gram: Gram, found: Posterior, index: Mapping[str, int]
 ) -> tuple[tuple[str, ...], ...]:
-    """Effects that this data cannot tell apart: the first of each group is its most probable member.
+    """Effects that this data cannot distinguish: the first of each group is its most probable member.
 
     Two are alike if one reproduces at least 0.9 (cosine) of the other's signal outside the model, or if they exchange
     probability: where one is not in, the other is. What contains the first describes all that it does, and is no

@@ -45,7 +45,7 @@ def absorbed_by(fit: JointFit, projected: Projected, columns: slice) -> tuple[Pa
     return tuple(first[family] for family in sorted(most, key=lambda family: -most[family])[:3])
 
 
-# Chance below which a structure is told of, and below which places that differ more than their repeats are.
+# Chance below which a structure is named, and below which places that differ more than their repeats are.
 _TOLD, _LACK = 0.02, 0.001
 # Reduced chi-square below which the residuals are rounding, whatever they look like.
 _ROUNDING = 1e-6
@@ -96,7 +96,7 @@ class Look:
         fit: of the model.
         noise: what is known of each session's noise.
         findings: effects that are not in the model, the most probable first; absorbed ones last.
-        groups: effects that this data cannot tell apart, the most probable first.
+        groups: effects that this data cannot distinguish, the most probable first.
         absorbed: effects that would not show.
         structure: what the residuals depend on, the most significant first.
         unknown: probability that a structure without a cause is in them.
