@@ -214,6 +214,7 @@ def test_effects_and_squareness_come_before_what_is_of_the_setups(say, backlash)
     assert [line.split()[0] for line in lines[begin : begin + 3]] == ["backlash_y.b", "C0Y", "A.x"]
 
 
+@pytest.mark.usefixtures("found_once")
 def test_the_model_of_the_history(say, backlash, tmp_path, capsys):
     session = tmp_path / "session"
     shutil.copytree(backlash, session)
@@ -237,6 +238,7 @@ def test_the_model_of_the_history(say, backlash, tmp_path, capsys):
     assert say(session, "--from-history", "--effect", "scale")[0] == 2
 
 
+@pytest.mark.usefixtures("found_once")
 def test_readings_that_the_history_sets_aside(say, backlash, tmp_path, capsys):
     session = tmp_path / "session"
     shutil.copytree(backlash, session)
