@@ -53,18 +53,17 @@ _IMPOSSIBLE = 0.01
 _KNOWN = 5.0
 
 
-def refuse_impossible(session: Session, error_map: ErrorMap, *, allow: bool = False) -> None:
-    """Refuse what was identified from readings that contradict the geometry.
+def refuse_impossible(session: Session, error_map: ErrorMap) -> None:
+    """Refuse what was identified from readings that contradict the geometry, unless the session says `trust_units`.
 
     Args:
         session: the measurement.
         error_map: what was identified.
-        allow: whether it is accepted nevertheless.
 
     Raises:
         ModelError: a position error of centimetres, or a station far from where it is stated to be.
     """
-    if allow:
+    if session.description.trust_units:
         return
     size = np.abs(error_map.error)
     there = np.isfinite(size) & (size > _KNOWN * error_map.uncertainty) & (size > _IMPOSSIBLE)
@@ -300,7 +299,6 @@ def identify(
     effects: Sequence[str] = (),
     own: Sequence[Effect] = (),
     keep_all: bool = False,
-    allow_impossible: bool = False,
     sets: Sequence[EffectSet] = (),
 ) -> Result:
     """Identify the machine's errors from one session.
@@ -311,7 +309,6 @@ def identify(
         effects: ids of physical effects to add to the model.
         own: the user's own effects, beside the catalogue.
         keep_all: use all readings; otherwise those that stand out of all others are set aside.
-        allow_impossible: accept position errors and places of stations that no machine has.
         sets: of effects that the readings do not tell apart, over which the map is the mean; `effects` is one of them.
 
     Raises:
@@ -327,7 +324,7 @@ def identify(
         sets,
         lambda others: fit_sessions([kept], model=model, effects=others, own=own).error_map,
     )
-    refuse_impossible(session, error_map, allow=allow_impossible)
+    refuse_impossible(session, error_map)
     return Result(
         fit=fit,
         error_map=error_map,

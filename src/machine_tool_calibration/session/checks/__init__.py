@@ -22,9 +22,9 @@ def check_session(session: Session, place: Place | None = None) -> None:
     """Refuse a session that cannot be right or is not enough for its method.
 
     Checked are: values that are missing where a displacement was read; numbers beyond all measure (`check_sizes`);
-    times that run backwards; a reading that stands there twice; units that must be wrong (`check_units`); stations, targets and readings that the method needs
-    (`check_enough`); and readings that contradict the nominal geometry while a common mistake would explain them
-    (`check_consistency`).
+    times that run backwards; a reading that stands there twice; units that must be wrong (`check_units`); stations,
+    targets and readings that the method needs (`check_enough`); and readings that contradict the nominal geometry while
+    a common mistake would explain them (`check_consistency`).
 
     Args:
         session: the measurement.
@@ -41,7 +41,8 @@ def check_session(session: Session, place: Place | None = None) -> None:
     _check_doubled(session, place)
     check_units(session, place)
     check_enough(session, place)
-    check_consistency(session, place)
+    if not session.description.trust_units:
+        check_consistency(session, place)
 
 
 def _check_missing(session: Session, place: Place) -> None:
