@@ -7,7 +7,6 @@ ros2 service call /estimator/identify std_srvs/srv/Trigger
 `procedure` is the name of one that the package brings, or a YAML file. In a namespace the graph has its own clock.
 """
 
-import tempfile
 import time
 from pathlib import Path
 
@@ -15,6 +14,7 @@ import yaml
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.logging import launch_config
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
@@ -44,11 +44,11 @@ def nodes(context):
     if not procedure.suffix:
         procedure = Path(get_package_share_directory(PACKAGE), "config", "procedures", f"{procedure}.yaml")
     measured = read_procedure(procedure)
-    # the machine's chain and travel are the procedure's
-    with tempfile.NamedTemporaryFile("w", prefix="site-", suffix=".yaml", delete=False) as site:
-        yaml.safe_dump(site_document(measured, read_site(given["site"])), site, sort_keys=False)
+    # the machine's chain and travel are the procedure's; what was simulated stays with the logs of the launch
+    site = Path(launch_config.log_dir, "site.yaml")
+    site.write_text(yaml.safe_dump(site_document(measured, read_site(given["site"])), sort_keys=False))
     common = {"use_sim_time": is_true["use_sim_time"]}
-    world = {**common, "site": site.name, "time_origin": float(int(time.time()))}
+    world = {**common, "site": str(site), "time_origin": float(int(time.time()))}
     parameters = {
         "axis_simulator": world,
         "rotary_pointer": world,

@@ -5,6 +5,8 @@ from importlib import import_module
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
+from machine_tool_calibration.nodes.usage import topics
+
 from .conftest import PATIENCE
 from .pages import PAGES, rows, sections
 
@@ -33,6 +35,20 @@ def check_topics(node):
                 assert table[key].qos.endswith(f"depth {publisher.qos_profile.depth}"), name
 
 
+def check_ends(node, names):
+    """Whether the table says of each of these nodes what it publishes, and what it listens to."""
+    for name in names:
+        for ends, found in (
+            ("publishers", node.get_publisher_names_and_types_by_node(name, "/")),
+            ("subscribers", node.get_subscriber_names_and_types_by_node(name, "/")),
+        ):
+            told = {f"/{topic.name.strip('/')}" for topic in topics() if name in getattr(topic, ends)}
+            also = IGNORED | ({"/clock"} if ends == "subscribers" or name == "axis_simulator" else set())
+            if name == "procedure":
+                also |= {"/joint_states"}  # it listens until it starts
+            assert {topic for topic, _ in found} - also == told - also, (name, ends)
+
+
 def hear(operator):
     """Subscribe to every topic; gives the newest message of each, by name."""
     heard = {}
@@ -52,9 +68,14 @@ def hear(operator):
 def check_content(name, message):
     """Whether what a message holds is explained."""
     (section,) = sections()[name]
+    header = getattr(message, "header", None)
+    if header is not None and "`machine`" in section.facts["frame"]:
+        assert header.frame_id == "machine", name
     if section.type.endswith("/PointCloud2"):
         assert {field.name for field in message.fields} == set(section.names), name
-    if section.type.endswith("/DiagnosticArray"):
+    if name == "/diagnostics":  # of any node: the values are those of its own status
+        assert all(": " in status.name and status.hardware_id for status in message.status)
+    elif section.type.endswith("/DiagnosticArray"):
         for status in message.status:
             for entry in status.values:
                 assert entry.key in section.names or entry.key.startswith(f"{status.name}."), (name, entry.key)

@@ -6,11 +6,16 @@ import numpy as np
 import pytest
 from matplotlib.collections import EllipseCollection, LineCollection
 
+from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.model.model import motion_value, place_of
+from machine_tool_calibration.model.result import Estimate
 from machine_tool_calibration.plots.error_map import draw_map, draw_tables, read_tables
 from machine_tool_calibration.plots.pictures import draw_common
 from machine_tool_calibration.plots.style import round_down, spaced
 from machine_tool_calibration.plots.tracking import draw, draw_residuals, draw_stations
+from machine_tool_calibration.reports.identification import summary_rows
+from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.simulation import SimulationSpec, TrackingPlan, simulate
 
 
@@ -142,8 +147,11 @@ def test_tables_in_micrometres_with_their_bands(volume):
 
 
 def test_tables_by_setup_are_not_taken_for_tables_by_position():
-    assert read_tables([{"name": "ECC(C1)", "value": 0.0, "standard_uncertainty": 1.0}]) == {}
-    assert draw_tables([{"name": "A.x", "value": 0.0, "standard_uncertainty": 1.0}]) is None
+    by_setup, place = motion_value("ECC", "C1", "rad"), place_of("A", "x", 0.0)
+    for parameter in (by_setup, place):
+        entry = Estimate.of(parameter, 0.0, 1.0).document()
+        assert read_tables([entry]) == {}
+        assert draw_tables([entry]) is None
 
 
 def test_stations_with_their_uncertainty(volume):
@@ -168,7 +176,14 @@ def test_residuals_of_every_station(plane):
         [line.get_ydata() for panel in figure.axes for line in panel.get_lines() if line.get_marker() == "."]
     )
     assert np.allclose(np.sort(drawn), np.sort(result.fit.residuals * 1e6))
-    assert figure.axes[0].get_title().startswith("A: RMS 0.")
+    readings = result.fit.model.observations.readings
+    own = rms(result.fit.residuals[readings.setup == 0])
+    assert figure.axes[0].get_title() == f"A: {quantity(own, 'm')} RMS"
+    said = dict(summary_rows(result.document()))
+    title = figure.get_suptitle()
+    assert said["readings used"] in title
+    assert said["RMS residual"] in title
+    assert said["reduced chi-square"].split()[0] in title
 
 
 @pytest.mark.parametrize(("value", "expected"), [(1.0, 1.0), (19.9, 10.0), (20.0, 20.0), (0.0049, 0.002), (7e5, 5e5)])

@@ -318,7 +318,8 @@ FILE_DEFECTS: list[tuple[str, Callable[[bytes], bytes], str]] = [
     (
         C,
         lambda data: data.replace(b",", b";"),
-        "observations.csv line 1: separated by semicolons, not commas; `mtcal convert FOLDER NEW --separator semicolon` reads it",
+        "observations.csv line 1: separated by semicolons, not commas; `mtcal convert FOLDER NEW --separator "
+        "semicolon` reads it",
     ),
     (
         C,

@@ -54,8 +54,8 @@ class _TablePlace(Place):
 
     def row(self, row: int) -> str:
         assert self.origin is not None
-        table, line = self.origin[row]
-        return self.tables[table].where(int(line))
+        table, line = (int(number) for number in self.origin[row])
+        return self.tables[table].where(line)
 
 
 def import_table(path: Path | Sequence[Path], mapping: Mapping, *, name: str | None = None) -> Imported:

@@ -32,7 +32,7 @@ from machine_tool_calibration.model.result import (
     plain,
     spread_document,
 )
-from machine_tool_calibration.residuals.outliers import set_aside
+from machine_tool_calibration.residuals.outliers import Outlier, set_aside
 from machine_tool_calibration.session.method import load
 from machine_tool_calibration.session.session import Session
 
@@ -223,7 +223,7 @@ def identify_sessions(
         effects: ids of physical effects to add, in every session in which they can act.
         own: the user's own effects, beside the catalogue.
         keep_all: use all readings; otherwise those that stand out of all others of their session are set aside.
-        sets: of effects that the readings do not tell apart, over which the map is the mean.
+        sets: of effects that the readings do not distinguish, over which the map is the mean.
 
     Raises:
         ModelError: as for `joint_models`; a session that contradicts itself; or too few readings.
@@ -275,6 +275,17 @@ def _spread(common: CommonModels) -> float:
     return total / freedom if freedom else 1.0
 
 
+def gross_errors(
+    session: Session, model: str | None, effects: Sequence[str] = (), own: Sequence[Effect] = ()
+) -> tuple[list[Outlier], Session]:
+    """The readings that do not belong to the rest, the largest first, and the session with these as lost ones.
+
+    Arguments as for `sound`.
+    """
+    present = find_effects(effects, own)
+    return set_aside(session, lambda part: add_effects(build_model(part, model)[0], present))
+
+
 def sound(
     session: Session, model: str | None, effects: Sequence[str] = (), own: Sequence[Effect] = ()
 ) -> tuple[Session, tuple[Rejected, ...]]:
@@ -286,8 +297,7 @@ def sound(
         effects: ids of effects in the model.
         own: the user's own effects.
     """
-    present = find_effects(effects, own)
-    found, kept = set_aside(session, lambda part: add_effects(build_model(part, model)[0], present))
+    found, kept = gross_errors(session, model, effects, own)
     return kept, rejected_readings(session) + tuple(Rejected(o.row, o.reason) for o in found)
 
 
@@ -309,7 +319,7 @@ def identify(
         effects: ids of physical effects to add to the model.
         own: the user's own effects, beside the catalogue.
         keep_all: use all readings; otherwise those that stand out of all others are set aside.
-        sets: of effects that the readings do not tell apart, over which the map is the mean; `effects` is one of them.
+        sets: of effects that the readings do not distinguish, over which the map is the mean; `effects` is one of them.
 
     Raises:
         ModelError: the data does not allow the model, an effect is unknown or needs what was not recorded, or what is

@@ -30,12 +30,13 @@ from machine_tool_calibration.nodes.ros.messages import (
     pose_message,
     quaternion_of,
     seconds,
-    status_message,
     to_message,
 )
 from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run
+from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.site import Moment, Site, read_site
 from machine_tool_calibration.procedure.motion import AxisLimits, Trajectory, check_command
+from machine_tool_calibration.recording.graph import MACHINE
 
 __all__ = ["AxisSimulator", "main"]
 
@@ -72,7 +73,13 @@ class AxisSimulator(Node):
         self._epoch = uuid.uuid4().hex[:12]
 
         self._states = self.create_publisher(JointState, "joint_states", STATE)
-        self._status = self.create_publisher(DiagnosticArray, "axes/status", STATE)
+        self._status = StatusTopic(
+            self,
+            self.create_publisher(DiagnosticArray, "axes/status", STATE),
+            "axes",
+            hardware_id=f"simulated machine {self.site.chain}",
+            clock=self._now,
+        )
         self._truth = self.create_publisher(PoseStamped, "truth/functional_point", STATE)
         self._table = self.create_publisher(PoseStamped, "truth/table", STATE)
         self._ticks = self.create_publisher(ClockMessage, "/clock", 10) if self._jumping else None
@@ -200,7 +207,7 @@ class AxisSimulator(Node):
             self._known, self._point = known, self.site.functional_point(moment)
             self._rotation = quaternion_of(self.site.tool_rotation(moment))
             self._turned = None
-        self._truth.publish(pose_message(stamp, "machine", self._point + self._offset, self._rotation))
+        self._truth.publish(pose_message(stamp, MACHINE, self._point + self._offset, self._rotation))
         if self._turning:
             self._publish_table(stamp)
 
@@ -212,7 +219,7 @@ class AxisSimulator(Node):
             position, directions = self._motion.position(since), self._motion.directions(since, self._directions)
             place, rotation = self.site.table(Moment(seconds(stamp - self._origin), position, directions))
             self._turned = place, quaternion_of(rotation)
-        self._table.publish(pose_message(stamp, "machine", *self._turned))
+        self._table.publish(pose_message(stamp, MACHINE, *self._turned))
 
     def _publish_state(self, stamp: int) -> None:
         since = seconds(stamp - self._start)
@@ -223,7 +230,7 @@ class AxisSimulator(Node):
             velocity=[velocity[name] for name in self._names],
         )
         message.header.stamp = to_message(stamp)
-        message.header.frame_id = "machine"
+        message.header.frame_id = MACHINE
         self._states.publish(message)
 
     def _set_report(self, level: Level, text: str, **entries: object) -> None:
@@ -232,8 +239,7 @@ class AxisSimulator(Node):
 
     def _send_report(self) -> None:
         level, text, entries = self._report
-        entries = {**entries, "command": self._command, "epoch": self._epoch}
-        self._status.publish(status_message(self._now(), "axes", level, text, entries))
+        self._status.say(level, text, {**entries, "command": self._command, "epoch": self._epoch})
 
 
 def main(args: list[str] | None = None) -> int:

@@ -13,7 +13,6 @@ from machine_tool_calibration.diagnosis.consequence import Consequence
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.improve import Improvement, improve
 from machine_tool_calibration.effects.effect import Effect
-from machine_tool_calibration.effects.formula import read_effects
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.result import Result, plain
 from machine_tool_calibration.nodes.ros.services import Progress
@@ -44,7 +43,7 @@ __all__ = [
 class Reading:
     """One `reading` message."""
 
-    setup: str
+    frame: str
     names: list[str]
     values: list[float]
 
@@ -79,7 +78,7 @@ class Request:
         """
         collector = Collector(parse_description(self.text, "session"), Place("session", "reading"))
         for reading in self.readings:
-            collector.add(reading.setup, reading.names, reading.values)
+            collector.add(reading.frame, reading.names, reading.values)
         return collector.session("live readings")
 
     def own(self) -> list[Effect]:
@@ -88,6 +87,8 @@ class Request:
         Raises:
             CalibrationError: a file cannot be read, or an effect is wrong.
         """
+        from machine_tool_calibration.effects.formula import read_effects  # loads pint, for few
+
         return [effect for file in self.files for effect in read_effects(Path(file))]
 
 

@@ -32,9 +32,12 @@ from machine_tool_calibration.nodes.calculation import (
     improved,
 )
 from machine_tool_calibration.nodes.publications import Publications, in_words
-from machine_tool_calibration.nodes.ros.messages import LATCHED, READINGS, Level, from_message, now, status_message
+from machine_tool_calibration.nodes.ros.messages import LATCHED, READINGS, Level, from_message
+from machine_tool_calibration.nodes.ros.names import OwnPublisher, offer
 from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run
-from machine_tool_calibration.nodes.ros.services import Answer, Background, DeferredService, Progress
+from machine_tool_calibration.nodes.ros.services import Answer, Background, Progress
+from machine_tool_calibration.nodes.ros.status import StatusTopic
+from machine_tool_calibration.reports.quantities import micrometres
 
 __all__ = ["Estimator", "main"]
 
@@ -57,7 +60,8 @@ class Estimator(Node):
         self._last, self._level = "no identification yet", Level.OK
         self._shown: object = None
         self._results = Publications(self)
-        self._status = self.create_publisher(DiagnosticArray, "estimator/status", LATCHED)
+        own = OwnPublisher(self, "estimator", "status", DiagnosticArray, LATCHED)
+        self._status = StatusTopic(self, own, "estimator")
         self.create_subscription(String, "session", self._described, LATCHED)
         self.create_subscription(JointState, "reading", self._read, READINGS)
         for name, doing, work, done in (
@@ -67,7 +71,7 @@ class Estimator(Node):
             ("improve", "improving the model", improved, self._improved),
         ):
             self._offer(name, doing, work, done)
-        self.create_service(Trigger, "estimator/reset", self._reset)
+        offer(self, "estimator", "reset", Trigger, self._reset)
         self.create_timer(_PERIOD, self._show, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._show()
 
@@ -123,12 +127,11 @@ class Estimator(Node):
             self._origin = origin
         self._messages[stamp] = Reading(message.header.frame_id, names, values)
 
-    def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success, response.message = True, f"{len(self._messages)} readings forgotten"
+    def _reset(self, answer: Answer) -> None:
+        answer.send(True, f"{len(self._messages)} readings forgotten")
         self._messages.clear()
         self._origin = None
         self._show()
-        return response
 
     def _offer(
         self,
@@ -140,7 +143,7 @@ class Estimator(Node):
         """Offer a calculation as a service.
 
         Args:
-            name: of the service, below `estimator/`.
+            name: of the service, below the node's.
             doing: what it does, for people.
             work: calculates.
             done: publishes the outcome; gives a sentence for the status, and the answer.
@@ -171,7 +174,7 @@ class Estimator(Node):
             )
             self._show()
 
-        DeferredService(self, Trigger, f"estimator/{name}", called)
+        offer(self, "estimator", name, Trigger, called)
 
     def _request(self) -> Request:
         values = {
@@ -196,7 +199,7 @@ class Estimator(Node):
             "rms_residual": result.rms_residual,
             "reduced_chi_square": result.fit.joint.reduced_chi_square,
         }
-        residual = f"{result.rms_residual * 1e6:.3f} um RMS residual"
+        residual = f"{micrometres(result.rms_residual)} um RMS residual"
         return f"identified from {result.observations} readings: {residual}", content
 
     def _compared(self, outcome: tuple[Mapping[str, Any], str]) -> tuple[str, Mapping[str, Any]]:
@@ -224,7 +227,8 @@ class Estimator(Node):
         self.set_parameters([Parameter("effects", Parameter.Type.STRING_ARRAY, effects or [""])])
         added = list(outcome.diagnosed.content["accepted"])
         before, after = first.result.rms_residual, last.result.rms_residual
-        words = f"improved by {', '.join(added) or 'nothing'}: {before * 1e6:.3f} -> {after * 1e6:.3f} um RMS residual"
+        residual = f"{micrometres(before)} -> {micrometres(after)} um RMS residual"
+        words = f"improved by {', '.join(added) or 'nothing'}: {residual}"
         return words, {
             "verdict": outcome.diagnosed.content["verdict"],
             "accepted": added,
@@ -251,7 +255,7 @@ class Estimator(Node):
             return
         self._shown = (entries, words)
         level = Level.OK if background.busy else self._level
-        self._status.publish(status_message(now(self), "estimator", level, words, entries))
+        self._status.say(level, words, entries)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray
+from machine_tool_calibration.machine.error_motions import SQUARENESS
 from machine_tool_calibration.plots.style import (
     BAND,
     COLORS,
@@ -22,16 +22,13 @@ from machine_tool_calibration.plots.style import (
     scale_bar,
     spaced,
 )
+from machine_tool_calibration.reports.quantities import quantity
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 __all__ = ["draw_map", "draw_tables", "read_tables"]
-
-
-_ENTRY = re.compile(r"E([XYZABC])([XYZABC])\(([-+.0-9e]+)\)")
-_SQUARENESS = ("A0Z", "B0Z", "C0Y")
 
 
 def read_tables(parameters: Iterable[Mapping[str, Any]]) -> dict[str, Array]:
@@ -42,10 +39,9 @@ def read_tables(parameters: Iterable[Mapping[str, Any]]) -> dict[str, Array]:
     """
     rows: dict[str, list[tuple[float, float, float]]] = {}
     for entry in parameters:
-        match = _ENTRY.fullmatch(entry["name"])
-        if match:
-            row = (float(match[3]), float(entry["value"]), float(entry["standard_uncertainty"]))
-            rows.setdefault(f"E{match[1]}{match[2]}", []).append(row)
+        if "error_motion" in entry:
+            row = (float(entry["position"]), float(entry["value"]), float(entry["standard_uncertainty"]))
+            rows.setdefault(entry["error_motion"], []).append(row)
     return {name: np.array(sorted(entries)) for name, entries in rows.items()}
 
 
@@ -104,9 +100,9 @@ def _panel(panel: Axes, axis: str, tables: Mapping[str, Array]) -> None:
 
 
 def _with_squareness(title: str, parameters: Iterable[Mapping[str, Any]]) -> str:
-    found = {entry["name"]: entry for entry in parameters if entry["name"] in _SQUARENESS}
+    found = {entry["name"]: entry for entry in parameters if entry["name"] in SQUARENESS}
     parts = [
-        f"{name} = {1e6 * entry['value']:.1f} ± {2e6 * entry['standard_uncertainty']:.2g} µrad"
+        f"{name} = {quantity(entry['value'], entry['unit'], entry['standard_uncertainty'])}"
         for name, entry in sorted(found.items())
     ]
     text = f"{title}, bands: U (k = 2)"
@@ -212,7 +208,7 @@ def _figures(whole: _Map) -> str:
         return "; no target is determined"
     largest = float(np.linalg.norm(whole.error[whole.good], axis=1).max())
     expanded = 2 * float(np.linalg.norm(whole.uncertainty[whole.good], axis=1).max())
-    return f"\nlargest error {largest * 1e6:.1f} µm, U (k = 2) at most {expanded * 1e6:.2g} µm"
+    return f"\nlargest error {quantity(largest, 'm')}, U (k = 2) at most {quantity(expanded, 'm')}"
 
 
 def _layer(panel: Axes, layer: _Map, drawing: _Drawing) -> None:

@@ -15,7 +15,9 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from machine_tool_calibration.machine.chain import Chain
 
 __all__ = [
+    "DESCRIPTION_FILE",
     "LARGEST",
+    "OBSERVATIONS_FILE",
     "SMALLEST",
     "Description",
     "DiagonalSetup",
@@ -36,6 +38,10 @@ __all__ = [
     "WorkpiecePoint",
     "rotary_column",
 ]
+
+
+DESCRIPTION_FILE = "session.yaml"
+OBSERVATIONS_FILE = "observations.csv"
 
 
 @dataclass(frozen=True)
@@ -103,9 +109,9 @@ Vector2 = tuple[Finite, Finite]
 
 
 class Record(BaseModel):
-    """A frozen record that accepts no unknown key."""
+    """A frozen record that accepts no unknown key; its checks are made when one is first read, as that takes long."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
 
 Instrument = Literal[

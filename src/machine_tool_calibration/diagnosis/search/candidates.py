@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.effects.effect import Coefficient, Effect
+from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape
 from machine_tool_calibration.residuals.pool import Pool
 
-__all__ = ["Candidate", "Shaped", "effect_candidates", "shaped_at"]
+__all__ = ["Candidate", "Shaped", "effect_candidates", "opposites", "shaped_at"]
 
 # Change of a reading, in standard uncertainties, below which an effect does not act.
 _TRACE = 0.01
@@ -26,7 +26,7 @@ class Shaped:
     Attributes:
         shape: these coefficients.
         columns: (k, n) change of each reading of all sessions per unit of each linear coefficient.
-        coefficients: the linear ones; empty for a structure.
+        coefficients: the linear ones; empty for a structure of any size.
     """
 
     shape: tuple[float, ...]
@@ -42,6 +42,7 @@ class Candidate:
         name: an effect's id, or the name of a structure.
         shapes: one for each set of nonlinear coefficients that is tried.
         effect: the effect; None for a structure without a cause.
+        nonlinear: its nonlinear coefficients.
         equally: number of sets of nonlinear coefficients that are equally probable; more than are tried where the
             others were ruled out beforehand.
     """
@@ -49,6 +50,7 @@ class Candidate:
     name: str
     shapes: tuple[Shaped, ...]
     effect: Effect | None = None
+    nonlinear: tuple[Shape, ...] = ()
     equally: int = 0
 
     @property
@@ -75,10 +77,28 @@ def effect_candidates(pool: Pool, effects: Sequence[Effect]) -> tuple[list[Candi
             continue
         shaped = tuple(s for s in _shaped(pool, effect, reasons) if _acts(pool, s))
         if shaped:
-            found.append(Candidate(effect.id, shaped, effect))
+            acting = next(o for o, reason in zip(pool.observations, reasons, strict=True) if reason is None)
+            found.append(Candidate(effect.id, shaped, effect, effect.shapes_for(acting)))
         else:
             excluded[effect.id] = "no reading depends on it"
     return found, excluded
+
+
+def opposites(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Structures: effects that have one sign only, with the other one.
+
+    No backlash is negative; that of an axis whose control compensates more than there is looks like it, and so does one
+    whose directions of approach were recorded the wrong way round.
+    """
+    found = []
+    for candidate in candidates:
+        if all(c.low == 0.0 for s in candidate.shapes for c in s.coefficients):
+            shapes = tuple(
+                replace(s, coefficients=tuple(replace(c, low=-c.high, high=0.0) for c in s.coefficients))
+                for s in candidate.shapes
+            )
+            found.append(Candidate(f"{candidate.name}: with the opposite sign", shapes))
+    return found
 
 
 def _shaped(pool: Pool, effect: Effect, reasons: Sequence[str | None]) -> list[Shaped]:
