@@ -33,6 +33,7 @@ from machine_tool_calibration.model.result import (
     spread_document,
 )
 from machine_tool_calibration.residuals.outliers import Outlier, set_aside
+from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.session.method import load
 from machine_tool_calibration.session.session import Session
 
@@ -200,6 +201,7 @@ class JointResult:
             "parameters": [estimate.document() for estimate in self.parameters],
             "not_determined": self.not_determined,
             "datum": self.common.datum,
+            "suspicious": suspicions([model.observations.session for model in self.common.models], self.labels),
             "error_map": plain(self.error_map.content),
         }
 
