@@ -315,6 +315,7 @@ class ProcedureNode(Node):
                 case Stop():
                     message = JointTrajectory()
                     message.header.stamp = to_message(action.stamp)
+                    message.header.frame_id = MACHINE
                     self._axes.publish(message)
                 case Aim():
                     self._pointer.publish(target_message(action, self._setups))
