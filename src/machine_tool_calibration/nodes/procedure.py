@@ -185,7 +185,7 @@ class ProcedureNode(Node):
             ("resume", self._resume),
             ("abort", self._abort),
         ):
-            offer(self, "procedure", name, Trigger, partial(_answer, handler))
+            offer(self, "procedure", name, Trigger, partial(_answer_by, handler))
         self.create_timer(_TICK, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._publish_session()
         self._show()
@@ -373,7 +373,7 @@ class ProcedureNode(Node):
         self._status.say(level, text, entries)
 
 
-def _answer(handler: Callable[[], str], answer: Answer) -> None:
+def _answer_by(handler: Callable[[], str], answer: Answer) -> None:
     """Answer a request by a function that says what it did or raises what it cannot do."""
     try:
         answer.send(True, handler())
