@@ -21,7 +21,6 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, String
 from std_srvs.srv import Trigger
@@ -45,7 +44,8 @@ from machine_tool_calibration.nodes.ros.messages import (
     status_message,
     to_message,
 )
-from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run
+from machine_tool_calibration.nodes.ros.node import GuardedNode
+from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run_process
 from machine_tool_calibration.nodes.ros.services import Answer, DeferredService
 from machine_tool_calibration.nodes.samples import DriverSource, SimulatedSource, clock_offset
 from machine_tool_calibration.nodes.site import Beam, Site, read_site
@@ -63,7 +63,7 @@ class _Request:
     since: float
 
 
-class Instrument(Node):
+class Instrument(GuardedNode):
     """See the module; parameters are described where they are declared."""
 
     def __init__(self) -> None:
@@ -213,10 +213,7 @@ class Instrument(Node):
     # --- what the simulated axes and pointer say
 
     def _described(self, message: String) -> None:
-        try:
-            session = parse_description(message.data, "session")
-        except CalibrationError:
-            return
+        session = parse_description(message.data, "session")
         self._setups = [setup.id for setup in session.setups]
         try:
             self._simulated.look_at(make_optics(self._site, session))
@@ -390,12 +387,13 @@ class Instrument(Node):
         problem = self.source.problem()
         state = "no signal" if problem else "measuring" if self._datum else "no datum"
         text = problem or self._reason or "measuring"
-        shown = (state, text, self._datum)
+        ignored = self.ignored_entries
+        shown = (state, text, self._datum, ignored)
         if shown == self._shown:
             return
         self._shown = shown
         level = Level.OK if state == "measuring" else Level.WARN
-        entries = {"state": state, "datum": self._datum, "epoch": self._epoch, "driver": self._driver}
+        entries = {"state": state, "datum": self._datum, "epoch": self._epoch, "driver": self._driver, **ignored}
         self._status.publish(status_message(now(self), "instrument", level, text, entries))
 
     def _sensed(self, stamp: int) -> dict[str, float]:
@@ -420,10 +418,10 @@ def _refuse(answer: Answer, kind: str, reason: str) -> None:
     answer.send(False, json.dumps({"kind": kind, "reason": reason}))
 
 
-def main(args: list[str] | None = None) -> int:
+def main(args: list[str] | None = None) -> None:
     """Run the node."""
-    return run(Instrument, args, grace=STOP_GRACE)
+    run_process(Instrument, args, grace=STOP_GRACE)
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    main()

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.ros.messages import LATCHED, Level, now, status, to_message
-from machine_tool_calibration.nodes.ros.process import declare, run, use_sim_time
+from machine_tool_calibration.nodes.ros.node import GuardedNode
+from machine_tool_calibration.nodes.ros.process import declare, run_process, use_sim_time
 from machine_tool_calibration.nodes.ros.taps import Taken, Tap, Taps
 from machine_tool_calibration.recording.errors import RecordingError
 from machine_tool_calibration.recording.graph import GRAPH_TOPICS, belongs_to_graph, with_depth
@@ -28,7 +27,7 @@ _SHOW = 0.5  # s
 _NEVER = ("/rosout", "/parameter_events", "/clock")
 
 
-class Recorder(Node):
+class Recorder(GuardedNode):
     """Records serialized messages as they come; says on `recorder/status` what it has and what it lacks."""
 
     def __init__(self) -> None:
@@ -172,6 +171,7 @@ class Recorder(Node):
             "messages": self.bag.messages,
             "lost": lost,
             "size": self.bag.size,
+            **self.ignored_entries,
             **{f"not recorded {name}": reason for name, reason in self._refused.items()},
         }
         message = DiagnosticArray(status=[status("recorder", level, text, overall)])
@@ -188,10 +188,10 @@ class Recorder(Node):
         self._status.publish(message)
 
 
-def main(args: list[str] | None = None) -> int:
+def main(args: list[str] | None = None) -> None:
     """Entry point of the executable `recorder`."""
-    return run(Recorder, args)
+    run_process(Recorder, args)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -11,27 +11,29 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.instruments.tracking import pointing
 from machine_tool_calibration.nodes.ros.messages import (
     COMMAND,
     LATCHED,
     STATE,
+    Level,
     from_message,
     nanoseconds,
     now,
     pose_message,
     quaternion_along,
     seconds,
+    status_message,
     to_message,
 )
-from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run
+from machine_tool_calibration.nodes.ros.node import GuardedNode
+from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run_process
 from machine_tool_calibration.nodes.site import Beam, Moment, Site, read_site
 from machine_tool_calibration.procedure.motion import AxisLimits, Move, move
 from machine_tool_calibration.session.description import Description, StationSetup
@@ -43,7 +45,7 @@ _ANGLES = ("azimuth", "elevation")
 _HEARTBEAT = 0.2  # s of the wall clock: who has just found this node hears where the beam is
 
 
-class RotaryPointer(Node):
+class RotaryPointer(GuardedNode):
     """See the module; parameters are described where they are declared."""
 
     def __init__(self) -> None:
@@ -81,6 +83,8 @@ class RotaryPointer(Node):
         self._motion = Move(rest, rest, 0.0, 0.0)
 
         self._states = self.create_publisher(JointState, "pointer/state", STATE)
+        self._status = self.create_publisher(DiagnosticArray, "pointer/status", LATCHED)
+        self._shown: object = None
         self._truth = self.create_publisher(PoseStamped, "truth/beam", STATE)
         self.create_subscription(String, "session", self._described, LATCHED)
         self.create_subscription(PointStamped, "pointer/command", self._commanded, COMMAND)
@@ -88,11 +92,7 @@ class RotaryPointer(Node):
         self.create_timer(period, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _described(self, message: String) -> None:
-        try:
-            self._session = parse_description(message.data, "session")
-        except CalibrationError as error:
-            self.get_logger().error(str(error))
-            return
+        self._session = parse_description(message.data, "session")
         if self._setup not in self._ids():
             self._setup = ""  # it belonged to another session
         waiting, self._waiting = self._waiting, None
@@ -112,7 +112,8 @@ class RotaryPointer(Node):
         if setup not in ids:  # the session that describes it may be under way
             self._waiting = message
             if self._session is not None:
-                self.get_logger().warning(f"the session has no setup {setup!r}; it has {', '.join(ids)}")
+                text = f"the session has no setup {setup[:40]!r}; it has {', '.join(ids)}"
+                self.get_logger().warning(text, throttle_duration_sec=10.0)
             return
         self._waiting = None
         stamp = from_message(message.header.stamp)
@@ -133,6 +134,17 @@ class RotaryPointer(Node):
 
     def _tick(self) -> None:
         self._publish(self._arrival if self._simulated else now(self))
+        self._show()
+
+    def _show(self) -> None:
+        """Publish the status where it has changed."""
+        entries = {"state": "pointing" if self._setup else "waiting", "setup": self._setup, **self.ignored_entries}
+        if entries == self._shown:
+            return
+        text = "pointing" if self._setup else f"waiting for a {'session' if self._session is None else 'command'}"
+        self._shown = entries
+        level = Level.OK if self._setup else Level.WARN
+        self._status.publish(status_message(now(self), "pointer", level, text, entries))
 
     def _publish(self, stamp: int) -> None:
         since = seconds(stamp - self._start) if self._simulated is False else self._motion.duration
@@ -167,10 +179,10 @@ class RotaryPointer(Node):
         return self.site.beam(self.site.station(self._session, index), azimuth, elevation, moment)
 
 
-def main(args: list[str] | None = None) -> int:
+def main(args: list[str] | None = None) -> None:
     """Run the node."""
-    return run(RotaryPointer, args, grace=STOP_GRACE)
+    run_process(RotaryPointer, args, grace=STOP_GRACE)
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    main()

@@ -10,25 +10,26 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable
+from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import rclpy
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.nodes.ros.node import GuardedNode
 
-__all__ = ["STOP_GRACE", "declare", "default_environment", "post", "run", "use_sim_time"]
+__all__ = ["STOP_GRACE", "declare", "default_environment", "post", "run", "run_process", "use_sim_time"]
 
 
 def declare(
-    node: Node,
+    node: GuardedNode,
     name: str,
     default: Any,
     description: str,
@@ -65,10 +66,9 @@ def declare(
         elif isinstance(default, int):
             low, high = max(low, -(2**63)), min(high, 2**63 - 1)
             descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
-    value = node.declare_parameter(name, default, descriptor).value
-    if choices and value not in choices:
-        raise CalibrationError(f"parameter {name} is {value!r}, not one of {', '.join(choices)}")
-    return value
+    if choices:
+        node.choices[name] = choices
+    return node.declare_parameter(name, default, descriptor).value
 
 
 STOP_GRACE = 1.8  # s: nodes that have nothing to save end within 2 s, whatever happens
@@ -91,7 +91,7 @@ def default_environment() -> None:
             os.environ["ROS_LOG_DIR"] = str(Path(tempfile.gettempdir(), f"ros-log-{os.getuid()}"))
 
 
-def run(create: Callable[[], Node], args: list[str] | None = None, *, grace: float = _SAVE_GRACE) -> int:
+def run(create: Callable[[], GuardedNode], args: list[str] | None = None, *, grace: float = _SAVE_GRACE) -> int:
     """Run a node until SIGINT, SIGTERM or an external shutdown.
 
     A node may have a method `close()`, which is called before it is destroyed, and an attribute `done`, which ends it
@@ -116,11 +116,12 @@ def run(create: Callable[[], Node], args: list[str] | None = None, *, grace: flo
     threading.Thread(target=_await_stop, args=(stop, grace), name="signals", daemon=True).start()
     # rclpy's own handlers end the context while callbacks run; without them the loop below finishes first
     rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    node: Node | None = None
+    node: GuardedNode | None = None
     executor = None
     status = 0
     try:
         node = create()
+        _say_unknown_parameters(node)
         executor = EventsExecutor()
         executor.add_node(node)
         node._post = executor.create_task  # type: ignore[attr-defined]
@@ -145,6 +146,28 @@ def run(create: Callable[[], Node], args: list[str] | None = None, *, grace: flo
     return status
 
 
+def run_process(
+    create: Callable[[], GuardedNode], args: list[str] | None = None, *, grace: float = _SAVE_GRACE
+) -> NoReturn:
+    """As `run`, and end the process: what a node had to save is saved, and an interpreter that tidies up, or waits for
+    a calculation that nobody wants any more, could take seconds under load.
+    """
+    status = run(create, args, grace=grace)
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(status)
+
+
+def _say_unknown_parameters(node: GuardedNode) -> None:
+    """A parameter that was given and that the node does not have would be passed over without a word."""
+    for name in sorted(node._parameter_overrides):
+        if not node.has_parameter(name):
+            known = sorted(other for other in node._parameters if "." not in other)
+            near = get_close_matches(name, known, n=1)
+            hint = f"; did you mean {near[0]}?" if near else f"; it has {', '.join(known)}"
+            node.get_logger().warning(f"this node has no parameter {name}{hint}")
+
+
 def _await_stop(stop: threading.Event, grace: float) -> None:
     """Set the event at the first signal; end the process where that does not help."""
     signal.sigwait(_STOPS)
@@ -155,7 +178,7 @@ def _await_stop(stop: threading.Event, grace: float) -> None:
     os._exit(1)
 
 
-def post(node: Node, function: Callable[[], None]) -> None:
+def post(node: GuardedNode, function: Callable[[], None]) -> None:
     """Have a function called in the node's own thread; may be called from any thread.
 
     An exception in the function is logged: this executor would crash on it.
@@ -170,7 +193,7 @@ def post(node: Node, function: Callable[[], None]) -> None:
     node._post(guarded)  # type: ignore[attr-defined]
 
 
-def use_sim_time(node: Node) -> bool:
+def use_sim_time(node: GuardedNode) -> bool:
     """Whether the node lives in simulated time."""
     parameter: Parameter = node.get_parameter("use_sim_time")
     return bool(parameter.value)
