@@ -1,11 +1,16 @@
 """No message ends a node, whoever sends it: all callbacks in this process, and a running graph that measures on."""
 
+import re
+from array import array
+from pathlib import Path
+
 import numpy as np
 import pytest
 import rclpy
 import yaml
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
+from sensor_msgs.msg import JointState
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.axis_simulator import AxisSimulator
@@ -72,7 +77,7 @@ def test_no_message_ends_a_node(nodes, kind):
     callbacks = subscribed(node)
     for topic in callbacks:
         for message in examples(topic):
-            callbacks[topic](message)
+            callbacks[topic](serialize_message(message))
     assert not node.ignored
     if kind is ProcedureNode:
         node._start()
@@ -80,7 +85,7 @@ def test_no_message_ends_a_node(nodes, kind):
     for topic, callback in callbacks.items():
         for example in examples(topic):
             for _, message in mutated(example):
-                callback(message)
+                callback(serialize_message(message))
                 sent, wrong = sent + 1, wrong + (not is_sound(message))
     for timer in node.timers:
         timer.callback()
@@ -89,6 +94,26 @@ def test_no_message_ends_a_node(nodes, kind):
     assert wrong <= ignored["ignored"] <= sent
     if callbacks:  # a recorder in real time listens by its taps only
         assert wrong and ignored["ignored_last"].split(":")[0] in callbacks
+
+
+def a_large_message_costs_no_lasting_memory(operator, graph):
+    """By default the middleware would keep the room that it took."""
+
+    def resident():
+        status = Path("/proc", str(graph.process_id("procedure")), "status").read_text()
+        return int(re.search(r"VmRSS:\s+(\d+) kB", status)[1]) / 1000
+
+    publisher = operator._node.create_publisher(JointState, "joint_states", _qos(1, latched=False))
+    assert operator.wait(publisher.get_subscription_count, PATIENCE)
+    assert operator.wait(lambda: operator.procedure.entries.get("waiting_for") == "", PATIENCE)
+    before = resident()
+    large = JointState(position=array("d", bytes(50_000_000)))
+    while not operator.procedure.number("ignored"):  # the first ones come before the subscription is matched
+        publisher.publish(large)
+        operator.wait(lambda: operator.procedure.number("ignored") > 0, 2.0)
+    operator._node.destroy_publisher(publisher)
+    assert "it has 50000036 bytes" in operator.procedure.entries["ignored_last"]
+    assert operator.wait(lambda: resident() < before + 25.0, PATIENCE)  # MB: half of one
 
 
 def test_a_graph_measures_on_whatever_else_is_said_on_its_topics(bench):
@@ -106,6 +131,7 @@ def test_a_graph_measures_on_whatever_else_is_said_on_its_topics(bench):
             depth, latched = int(row.qos.rpartition(" ")[2]), "transient local" in row.qos
             publisher = node.create_publisher(type(example), topic, _qos(depth, latched=latched)) if known else None
             spoilt += [(publisher, message) for message in known]
+    a_large_message_costs_no_lasting_memory(operator, graph)
     begin(operator)
     share = len(spoilt) // 100 + 1
     while spoilt:

@@ -9,6 +9,7 @@ from typing import Any
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.serialization import deserialize_message
 from rclpy.service import Service
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
@@ -18,6 +19,7 @@ from machine_tool_calibration.nodes.ros.sound import require_sound
 
 __all__ = ["GuardedNode"]
 
+_BYTES = 16_000_000  # of a message: a session's description of 100 000 targets
 _TOLD = 200  # characters of a reason
 
 
@@ -55,14 +57,18 @@ class GuardedNode(Node):
     ) -> Subscription:
         """As of any node; the callback gets sound messages only, and may refuse one by an exception."""
 
-        def guarded(message: Any) -> None:
+        def guarded(data: bytes) -> None:
             try:
+                # before anything is made of it: a million texts leave holes in the interpreter's memory
+                if len(data) > _BYTES:
+                    raise CalibrationError(f"it has {len(data)} bytes")
+                message = deserialize_message(data, msg_type)
                 require_sound(message)
                 callback(message)
             except Exception as error:
                 self._ignore(topic, _reason(error))
 
-        return super().create_subscription(msg_type, topic, guarded, qos_profile, **more)
+        return super().create_subscription(msg_type, topic, guarded, qos_profile, raw=True, **more)
 
     def create_timer(  # type: ignore[override]
         self, timer_period_sec: float, callback: Callable[[], None], *arguments: Any, **more: Any

@@ -10,6 +10,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NoReturn
@@ -24,6 +25,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.ros.node import GuardedNode
+from machine_tool_calibration.nodes.shared import shared_file
 
 __all__ = ["STOP_GRACE", "declare", "default_environment", "post", "run", "run_process", "use_sim_time"]
 
@@ -75,15 +77,22 @@ STOP_GRACE = 1.8  # s: nodes that have nothing to save end within 2 s, whatever 
 _SAVE_GRACE = 30.0  # s: others may have a disk to wait for
 _STOPS = {signal.SIGINT, signal.SIGTERM}
 _TICK = 0.1  # s
+# of the middleware, which are the user's
+_OWN_SETTINGS = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE", "RMW_FASTRTPS_USE_QOS_FROM_XML")
 
 
 def default_environment() -> None:
     """Discover on this machine only, unless the user says otherwise: the wheels have no security (SROS2).
 
-    Logs go where they can be written: without that no node starts for a user who has no home.
+    Logs go where they can be written: without that no node starts for a user who has no home. The middleware gives back
+    the memory of large messages (`config/fastdds.xml`), unless the user has settings of his own.
     """
     if "ROS_LOCALHOST_ONLY" not in os.environ:
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    if not any(os.environ.get(name) for name in _OWN_SETTINGS):
+        with suppress(CalibrationError):  # a checkout that was taken apart: nothing but memory depends on it
+            os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(shared_file("config/fastdds.xml"))
+            os.environ["RMW_FASTRTPS_USE_QOS_FROM_XML"] = "1"
     if not os.environ.get("ROS_LOG_DIR") and not os.environ.get("ROS_HOME"):
         logs = Path(os.path.expanduser("~"), ".ros", "log")
         there = next(folder for folder in (logs, *logs.parents) if folder.exists())

@@ -20,7 +20,6 @@ __all__ = ["LAST_SECOND", "require_sound"]
 LAST_SECOND = 2_145_916_800  # 2038-01-01: a stamp's 32 bits end 18 days later, and what is commanded then must fit too
 _LARGEST = 1e15  # of any SI value in the graph: far beyond what occurs, and its square is still a number
 _ENTRIES = 100_000  # of one array
-_CHARACTERS = 8_000_000  # of one text: a session's description of 100 000 targets
 _UNIT = 1e-3  # by which a quaternion's norm may miss 1
 
 
@@ -41,11 +40,8 @@ def _require(value: Any, where: str) -> None:
         case float():
             if not abs(value) <= _LARGEST:
                 raise CalibrationError(f"{where} is {value:g}")
-        case bool() | int() | bytes():
+        case bool() | int() | bytes() | str():
             pass
-        case str():
-            if len(value) > _CHARACTERS:
-                raise CalibrationError(f"{where} has {len(value)} characters")
         case Time():
             if not 0 <= value.sec < LAST_SECOND or value.nanosec > 999_999_999:
                 raise CalibrationError(f"{where} is no time: {value.sec} s and {value.nanosec} ns")
