@@ -1,6 +1,11 @@
-"""The errors that reach the user as one clear line."""
+"""The errors that reach the user as one clear line, and what a mistyped name may have meant."""
 
-__all__ = ["CalibrationError", "ModelError", "SessionError"]
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+__all__ = ["CalibrationError", "ModelError", "SessionError", "did_you_mean"]
 
 
 class CalibrationError(ValueError):
@@ -13,3 +18,9 @@ class SessionError(CalibrationError):
 
 class ModelError(CalibrationError):
     """A model that the data or the machine does not allow."""
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """` (did you mean 'backlash_x'?)` for the end of a message, with the nearest known name; empty if none is near."""
+    near = difflib.get_close_matches(name, list(known), n=1)
+    return f" (did you mean {near[0]!r}?)" if near else ""

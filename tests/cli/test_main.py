@@ -1,3 +1,4 @@
+import shutil
 import signal
 import subprocess
 import sys
@@ -56,8 +57,9 @@ def one_error_line(capsys: pytest.CaptureFixture[str]) -> str:
     return captured.err.removesuffix("\n")
 
 
-def test_version(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["--version"]) == 0
+@pytest.mark.parametrize("option", ["--version", "-V"])
+def test_version(option: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run([option]) == 0
     assert capsys.readouterr().out == f"mtcal {__version__}\n"
 
 
@@ -96,12 +98,28 @@ def test_help_imports_no_verb(verb: Write, capsys: pytest.CaptureFixture[str]) -
     assert "A verb" in capsys.readouterr().out
 
 
-def test_help_needs_no_large_library() -> None:
+@pytest.mark.parametrize(
+    ("words", "without"),
+    [
+        (["--help"], ["numpy", "scipy", "pandas", "matplotlib", "pydantic", "rich", "rclpy"]),
+        (["effects"], ["scipy", "pandas", "matplotlib", "pydantic", "mcap", "rosbags"]),
+        (["history", "session"], ["numpy", "scipy", "pandas", "matplotlib", "mcap", "rosbags"]),
+        (["info", "session"], ["scipy", "matplotlib", "mcap", "rosbags"]),
+    ],
+)
+def test_what_needs_no_large_library_imports_none(
+    words: list[str], without: list[str], original: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "session"
+    shutil.copytree(original, folder)
+    (folder / "history.yaml").write_text("format: mtcal-history/1\n", encoding="utf-8")
     code = (
-        "import sys; from machine_tool_calibration.cli.main import run; run(['--help'])\n"
-        "print(sorted({'numpy', 'scipy', 'pandas', 'matplotlib', 'pydantic', 'rich', 'rclpy'} & set(sys.modules)))"
+        f"import sys; from machine_tool_calibration.cli.main import run; assert run({words!r}) == 0\n"
+        f"print(sorted({set(without)!r} & set(sys.modules)))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=900, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=900, check=True, cwd=tmp_path
+    )
     assert done.stdout.splitlines()[-1] == "[]"
 
 
@@ -133,6 +151,11 @@ def test_wrong_input_is_one_line_and_status_1(verb: Write, capsys: pytest.Captur
     verb("fails", "raise SessionError('a.csv row 3:\\n  no number')")
     assert run(["fails"]) == 1
     assert one_error_line(capsys) == "mtcal: a.csv row 3: no number"
+
+
+def test_a_mistyped_verb_is_refused_with_a_hint(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["identfy", "session"]) == 2
+    assert "No such command 'identfy' (did you mean 'identify'?)" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("words", [["nothing"], ["good", "--number", "x"], ["good", "--no"], ["good", "x"], ["--no"]])

@@ -4,7 +4,7 @@ import click
 import pytest
 from click.testing import CliRunner
 
-from machine_tool_calibration.cli.output import console, json_option, one_line, write_json
+from machine_tool_calibration.cli.output import console, json_option, one_line, progress_bar, write_json
 
 
 def test_json_option_and_document() -> None:
@@ -27,3 +27,15 @@ def test_text_for_people_in_a_pipe_has_no_escape_codes(capsys: pytest.CaptureFix
 
 def test_one_line() -> None:
     assert one_line("a\n  b\tc\n") == "a b c"
+
+
+def test_progress_is_on_the_terminal_alone(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    for terminal in (False, True):
+        if terminal:
+            monkeypatch.setenv("FORCE_COLOR", "1")
+        with progress_bar() as progress:
+            progress("forecasting")
+            progress("drawing", 0.5)
+        shown = capsys.readouterr()
+        assert shown.out == ""
+        assert ("drawing" in shown.err) == terminal

@@ -11,7 +11,7 @@ from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.effects.expression import parse
 from machine_tool_calibration.effects.formula import formula_effect, read_effects
-from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.errors import CalibrationError, ModelError
 from machine_tool_calibration.methods.identify import build_model, identify
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 
@@ -53,6 +53,9 @@ def test_a_formula_has_the_value_of_ordinary_algebra(text: str, value: float) ->
         "",
         "open('f')",
         "(" * 60 + "a" + ")" * 60,
+        "-" * 900 + "a",
+        "a" + "**-" * 300 + "2",
+        "+".join("a" * 450),
         "a+" * 800,
     ],
 )
@@ -75,7 +78,13 @@ def test_what_is_not_a_formula_is_refused_in_one_line(text: str) -> None:
         ({"formula": "b * dir_y"}, "does not hold the coefficient 'tau'"),
         ({"enters": "q"}, "enters"),
         ({"colour": "red"}, "colour"),
+        ({"coefficients": {"b": {"unit": "m", "low": 1e-5, "high": -1e-5}}}, "low to high, not 1e-05 to -1e-05"),
+        ({"coefficients": {"b": {"unit": "m", "low": 0, "high": 1e308}}}, "too large"),
+        ({"shapes": {"tau": {"unit": "s", "low": 5e-324, "high": 1}}}, "too small"),
         ({"coefficients": {"b": {"unit": "furlongs per", "low": 0, "high": 1}}}, "unknown unit"),
+        ({"coefficients": {"b": {"unit": "m**9**9**9**9", "low": 0, "high": 1}}}, "unknown unit"),
+        ({"coefficients": {"b": {"unit": "9**9**9**9", "low": 0, "high": 1}}}, "unknown unit"),
+        ({"coefficients": {"b": {"unit": "m" * 5000, "low": 0, "high": 1}}}, "unknown unit"),
     ],
 )
 def test_a_wrong_definition_says_what_is_wrong(change: dict[str, object], says: str) -> None:
@@ -87,12 +96,12 @@ def test_a_wrong_definition_says_what_is_wrong(change: dict[str, object], says: 
 def test_the_example_file_is_read_and_damage_is_told(tmp_path: Path) -> None:
     example = Path(__file__).parents[2] / "config" / "effects" / "example.yaml"
     assert [effect.id for effect in read_effects(example)] == ["cubic_path", "settling_y"]
-    for text in ("effects: [", "a: 1", "effects: 3", "effects: [!!python/object/apply:os.system [x]]"):
+    for text in ("effects: [", "a: 1", "effects: 3", "effects: [!!python/object/apply:os.system [x]]", "[" * 5000):
         bad = tmp_path / "bad.yaml"
         bad.write_text(text)
-        with pytest.raises(ModelError, match=str(bad)):
+        with pytest.raises(CalibrationError, match=str(bad)):
             read_effects(bad)
-    with pytest.raises(ModelError, match="cannot be read"):
+    with pytest.raises(CalibrationError, match="no such file"):
         read_effects(tmp_path / "none.yaml")
 
 

@@ -20,6 +20,7 @@ from machine_tool_calibration.machine.chain import Chain
 )
 def test_parse(text, workpiece_side, tool_side):
     chain = Chain.parse(text)
+    assert Chain.parse(str(chain)) == chain
     assert chain.workpiece_side == tuple(workpiece_side)
     assert chain.tool_side == tuple(tool_side)
     assert chain.axes == tuple(workpiece_side + tool_side)

@@ -14,6 +14,7 @@ from std_msgs.msg import String
 from machine_tool_calibration.nodes.graph import Graph, Program
 from machine_tool_calibration.nodes.operator import Operator
 from machine_tool_calibration.nodes.ros.messages import LATCHED, READINGS, to_message
+from machine_tool_calibration.recording.graph import MACHINE
 from machine_tool_calibration.recording.session_bag import reading_columns
 from machine_tool_calibration.session.parse import description_yaml
 from machine_tool_calibration.session.session import Session
@@ -167,10 +168,10 @@ def feed(operator: Operator, session: Session, start: int = round(ORIGIN * 1e9))
     publisher = operator._node.create_publisher(JointState, "reading", READINGS)
     description.publish(String(data=description_yaml(session.description)))
     names, table = reading_columns(session)
-    for setup, row in zip(session.readings.setup, table, strict=True):
+    for row in table:
         message = JointState(name=names, position=row.tolist())
         message.header.stamp = to_message(start + round(row[names.index("time")] * 1e9))
-        message.header.frame_id = session.setup_ids[setup]
+        message.header.frame_id = MACHINE
         publisher.publish(message)
     collected(operator, len(table))
 

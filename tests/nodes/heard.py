@@ -52,9 +52,14 @@ def hear(operator):
 def check_content(name, message):
     """Whether what a message holds is explained."""
     (section,) = sections()[name]
+    header = getattr(message, "header", None)
+    if header is not None and "`machine`" in section.facts["frame"]:
+        assert header.frame_id == "machine", name
     if section.type.endswith("/PointCloud2"):
         assert {field.name for field in message.fields} == set(section.names), name
-    if section.type.endswith("/DiagnosticArray"):
+    if name == "/diagnostics":  # of any node: the values are those of its own status
+        assert all(": " in status.name and status.hardware_id for status in message.status)
+    elif section.type.endswith("/DiagnosticArray"):
         for status in message.status:
             for entry in status.values:
                 assert entry.key in section.names or entry.key.startswith(f"{status.name}."), (name, entry.key)

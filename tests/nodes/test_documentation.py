@@ -67,7 +67,8 @@ def test_links_lead_somewhere():
 
 def test_the_recorder_subscribes_to_every_topic_that_is_described():
     recorded = {topic.name: topic for topic in GRAPH_TOPICS}
-    own = {"/clock", "recorder/status", "player/status"}  # of replays, and of the recorder itself
+    # of replays, of the recorder itself, and of all once more
+    own = {"/clock", "recorder/status", "player/status", "/diagnostics"}
     assert set(recorded) == set(rows()) - own
     for name, topic in recorded.items():
         assert (topic.type, topic.latched) == (rows()[name].type, "transient local" in rows()[name].qos), name

@@ -15,7 +15,7 @@ def readings(operator):
 
 
 def since_first(operator, displacement):
-    setups = [message.header.frame_id for message in operator.readings]
+    setups = [message.position[list(message.name).index("setup_index")] for message in operator.readings]
     first = {}
     for setup, value in zip(setups, displacement, strict=True):
         first.setdefault(setup, value)

@@ -80,7 +80,7 @@ def test_environment_of_a_moment_does_not_depend_on_the_order_of_messages(sample
 @pytest.fixture
 def source():
     made = SimulatedSource(Site(SiteSpec(**{**SITE, "noise": 3e-7})), 0, 1000.0, 2e-8, 2e-3)
-    made.set_beam(0, "A", 0, Beam(np.array([-0.35, 0.0, 0.0]), np.array([1.0, 0.0, 0.0])))
+    made.set_setup(0, "A", 0, Beam(np.array([-0.35, 0.0, 0.0]), np.array([1.0, 0.0, 0.0])))
     return made
 
 
@@ -129,10 +129,10 @@ def test_what_was_said_before_the_last_command_is_no_lost_beam(source):
     assert caught.value.kind == "other"
     along = np.array([0.45, 0.2, 0.0]) / np.hypot(0.45, 0.2)
     beam = Beam(np.array([-0.35, 0.0, 0.0]), along)
-    source.set_beam(700 * MS, "A", 0, beam)
+    source.set_setup(700 * MS, "A", 0, beam)
     assert source.window(0.1).path == pytest.approx(np.hypot(0.45, 0.2), abs=2e-6)
     source.expect(1700 * MS)
-    source.set_beam(1800 * MS, "A", 0, Beam(beam.origin, np.array([1.0, 0.0, 0.0])))
+    source.set_setup(1800 * MS, "A", 0, Beam(beam.origin, np.array([1.0, 0.0, 0.0])))
     with pytest.raises(NotYet, match="since their last command") as caught:
         source.window(0.1)
     assert caught.value.kind == "other"
@@ -141,8 +141,10 @@ def test_what_was_said_before_the_last_command_is_no_lost_beam(source):
 
 def test_moving_the_instrument_to_another_setup_loses_the_count(source):
     assert source.lost() == ""
-    source.set_beam(1, "B", 1, Beam(np.zeros(3), np.array([1.0, 0.0, 0.0])))
-    assert source.lost() == "the instrument was moved from setup A to B"
+    moved = source.set_setup(1, "B", 1, Beam(np.zeros(3), np.array([1.0, 0.0, 0.0])))
+    assert moved == "the instrument was moved from setup A to B"
+    assert source.lost() == ""
+    assert source.set_setup(2, "B", 1) == ""
     assert source.lost() == ""
 
 
@@ -178,6 +180,6 @@ def test_where_the_tool_was_says_nothing_about_the_table():
     for stamp in (400 * MS, 1400 * MS):
         source.add_pose(stamp, np.zeros(3))
     source.look_at(make_optics(source.site, read_procedure(procedure_file("rotary_axis")).session))
-    source.set_beam(0, "A", 0, Beam(np.array([1.0, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0])))
+    source.set_setup(0, "A", 0, Beam(np.array([1.0, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0])))
     with pytest.raises(NotYet, match="have not said where they are"):
         source.window(0.1)

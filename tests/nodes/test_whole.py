@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
 
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.recording.cdr import joint_state
@@ -75,7 +76,8 @@ def whole(tmp_path_factory, ros_domain):
         assert operator.wait(lambda: operator.document != first, PATIENCE)
         yield SimpleNamespace(
             graph=graph, operator=operator, heard=heard, identified=identified, document=json.loads(first),
-            second_program=json.loads(printed.stdout), improved=improved, bag=bench.folder / "bag1",
+            second_program=json.loads(printed.stdout), improved=improved,
+            bag=bench.folder / "bag1", logs=bench.folder / "log1",
         )  # fmt: skip
 
 
@@ -118,6 +120,29 @@ def test_topics_services_and_contents_are_those_of_the_documents(whole):
     check_services(operator, NODES)
 
 
+def test_diagnostics_name_every_node_and_its_device(whole):
+    told = {}
+
+    def keep(message):
+        told.update((status.name, status) for status in message.status)
+
+    whole.operator._node.create_subscription(DiagnosticArray, "/diagnostics", keep, 10)
+    names = {f"{name}: {name}" for name in NODES if name not in ("axis_simulator", "rotary_pointer")}
+    names |= {"axis_simulator: axes"}
+    assert whole.operator.wait(lambda: names <= set(told), PATIENCE), names - set(told)
+    assert set(told) == names
+    assert told["axis_simulator: axes"].hardware_id == "simulated machine w-C-b-Y-X-Z-t"
+    assert told["instrument: instrument"].hardware_id == "simulated interferometer"
+    assert told["estimator: estimator"].hardware_id == "none"
+    assert told["estimator: estimator"].values == whole.heard["estimator/status"].status[0].values
+
+
+def test_nothing_that_was_planned_is_warned_of(whole):
+    said = "".join(file.read_text() for file in sorted(whole.logs.glob("*.log")))
+    assert "[recorder]: recording to" in said
+    assert "[WARN]" not in said and "[ERROR]" not in said
+
+
 def test_a_recording_in_simulated_time_holds_everything_at_its_time(whole):
     whole.graph.stop(["recorder"])  # which takes what has come
     bag = BagReader(whole.bag)
@@ -134,6 +159,11 @@ def test_a_recording_in_simulated_time_holds_everything_at_its_time(whole):
     stamped = [(message.log_time, joint_state(message.data).stamp) for message in bag.messages(["/reading"])]
     late = np.array([(logged - stamp) * 1e-9 for logged, stamp in stamped])
     assert len(late) == 128 and np.median(late) == pytest.approx(0.05, abs=1e-6)
+    for message in bag.messages():
+        header = getattr(bag.decode(message), "header", None)
+        if header is not None:
+            assert header.stamp.sec > 0, message.topic
+            assert header.frame_id not in ("A", "B", "C", "D"), message.topic
     session = session_from_bag(whole.bag)
     effects = whole.improved["effects"]
     assert "backlash_x" in effects

@@ -204,7 +204,7 @@ class World:
         for step, emit in zip(steps, self.emitted, strict=True):
             first.setdefault(step.setup, step)
             expected = self.path(step.setup, step.position) - self.path(step.setup, first[step.setup].position)
-            assert emit.setup == step.setup
+            assert list(self.stations)[int(emit.columns["setup_index"])] == step.setup
             assert emit.columns["repeat"] == step.repeat
             assert (emit.columns["x"], emit.columns["y"]) == (step.position["x"], step.position["y"])
             assert emit.columns["dir_x"] == step.direction["x"]

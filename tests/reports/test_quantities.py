@@ -59,12 +59,26 @@ def test_of_many_coefficients_the_most_significant_is_shown() -> None:
         ((-0.3500141, 1.7e-6, "m"), ("-350.0141", "0.0017", "0.0034", "mm")),
         ((-3.278e-5, 4.1e-7, "rad"), ("-32.78", "0.41", "0.82", "µrad")),
         ((0.25, 0.01, "1"), ("0.250", "0.010", "0.020", "")),
-        ((12.3456, 0.5, "1/K"), ("12.35", "0.50", "1.00", "1/K")),
+        ((12.3456e-6, 5e-7, "1/K"), ("12.3", "0.5", "1.0", "µm/(m K)")),
         ((0.0, 0.0, "m"), ("0", "0", "0", "µm")),
         ((-4e-9, 1.2e-6, "m"), ("0.0", "1.2", "2.4", "µm")),
         ((1e-9, 5e-10, "m/s"), ("3.6", "1.8", "3.6", "µm/h")),
-        ((4e-6, 6.4e-7, "m", True), ("0.00400", "0.00064", "0.00128", "mm")),
+        ((4e-6, 6.4e-7, "m", True), ("0.0040", "0.0006", "0.0013", "mm")),
     ],
 )
 def test_digits_that_the_uncertainty_bears(value, expected):
     assert value_and_uncertainties(*value) == expected
+
+
+@pytest.mark.parametrize(
+    ("value", "uncertainty", "unit"),
+    [(-5.859, 0.118, "m"), (1.502e-6, 3.8e-8, "m"), (3360.0, 1410.0, "s"), (-1.38, 0.16, "1"), (-0.4e-9, 1e-6, "m")],
+)
+def test_a_table_shows_what_a_sentence_says(value: float, uncertainty: float, unit: str) -> None:
+    number, _, expanded, shown = value_and_uncertainties(value, uncertainty, unit)
+    assert f"{number} ± {expanded} {shown}".strip() == quantity(value, unit, uncertainty)
+
+
+def test_a_length_has_the_same_figures_in_a_table_and_in_a_sentence() -> None:
+    for length in (1.024e-6, 7.79e-8, 33.58e-6):
+        assert quantity(length, "m") == f"{micrometres(length)} µm"

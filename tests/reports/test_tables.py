@@ -47,3 +47,10 @@ def test_long_texts_stay_readable_where_headings_can_break(width: int) -> None:
 
 def test_a_wide_screen_keeps_headings_in_one_line() -> None:
     assert "map moves" in printed(160)
+
+
+def test_a_narrow_screen_shows_the_columns_below_each_other() -> None:
+    lines = printed(60).splitlines()
+    assert sum("→ 2" in line for line in lines) > 1
+    for value in ("small_angles", "thermal_expansion_x", "0.089", "0.745"):
+        assert any(value in line.split() for line in lines)

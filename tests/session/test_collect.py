@@ -49,6 +49,20 @@ def test_names_that_change_on_the_way() -> None:
     assert np.array_equal(readings.columns["load"], [np.nan, 9.0, np.nan], equal_nan=True)
 
 
+def test_a_setup_is_told_by_its_place_or_as_in_earlier_releases_by_the_frame() -> None:
+    session = read_session(DATA / "tracking_2d")
+    collector = Collector(session.description, Place("session", "reading"))
+    base = ["time", "repeat", "x", "y", "azimuth", "displacement"]
+    collector.add("machine", [*base, "setup_index"], [0.0, 0, 1, 2, 3, 4, 2.0])
+    collector.add("B", base, [1.0, 0, 1, 2, 3, 4])
+    readings = collector.session("live", check=False).readings
+    assert readings.setup.tolist() == [2, 1]
+    assert "setup_index" not in readings.columns
+    collector.add("machine", base, [2.0, 0, 1, 2, 3, 4])
+    with pytest.raises(SessionError, match=r"machine"):
+        collector.session("live", check=False)
+
+
 def test_a_session_can_be_taken_before_the_last_reading() -> None:
     session = read_session(DATA / "tracking_2d")
     names, table = reading_columns(session)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from machine_tool_calibration.cli.diagnosing import model_options, note_written, own_effects
-from machine_tool_calibration.cli.output import console, json_option, session_labels, write_json
+from machine_tool_calibration.cli.output import console, json_option, progress_bar, session_labels, write_json
 
 if TYPE_CHECKING:
     from machine_tool_calibration.diagnosis.comparison import Comparison, JointComparison
@@ -59,10 +59,14 @@ def command(
     sessions, own = [open_measurement(path) for path in measurements], own_effects(files)
     if len(sessions) > 1:
         labels = session_labels(measurements)
-        several = compare_sessions(sessions, labels, model=model, effects=effects, own=own)
+        with progress_bar() as progress:
+            progress("comparing")
+            several = compare_sessions(sessions, labels, model=model, effects=effects, own=own)
         _several(several, output, against, as_json=as_json)
         return
-    comparison = compare(sessions[0], model=model, effects=effects, own=own)
+    with progress_bar() as progress:
+        progress("comparing")
+        comparison = compare(sessions[0], model=model, effects=effects, own=own)
     for name in against:
         comparison.covariate(name)
     if as_json:
@@ -88,9 +92,11 @@ def _several(comparison: JointComparison, output: Path | None, against: tuple[st
         show_comparison(console(), comparison)
     if output is not None or against:
         folder = output or Path()
-        pictures = draw_joint(comparison, folder, against)
-        table = folder / "comparison.csv"
-        pd.DataFrame(dict(joint_columns(comparison))).to_csv(table, index=False)
+        with progress_bar() as progress:
+            progress("drawing")
+            pictures = draw_joint(comparison, folder, against)
+            table = folder / "comparison.csv"
+            pd.DataFrame(dict(joint_columns(comparison))).to_csv(table, index=False)
         note_written([*pictures, table])
 
 
@@ -100,7 +106,9 @@ def _write(comparison: Comparison, folder: Path, against: tuple[str, ...]) -> li
     from machine_tool_calibration.plots.compare import draw
     from machine_tool_calibration.reports.comparison import comparison_columns
 
-    pictures = draw(comparison, folder, against)
-    table = folder / "comparison.csv"
-    pd.DataFrame(dict(comparison_columns(comparison))).to_csv(table, index=False)
+    with progress_bar() as progress:
+        progress("drawing")
+        pictures = draw(comparison, folder, against)
+        table = folder / "comparison.csv"
+        pd.DataFrame(dict(comparison_columns(comparison))).to_csv(table, index=False)
     return [*pictures, table]

@@ -180,7 +180,7 @@ def command(
 
 def _imported(source: Path, setup_name: str | None, foreign: dict[str, Any]) -> Imported | None:
     """The session of a foreign table, if the command line speaks of one."""
-    from machine_tool_calibration.session.folder import DESCRIPTION_FILE, OBSERVATIONS_FILE
+    from machine_tool_calibration.session.description import DESCRIPTION_FILE, OBSERVATIONS_FILE
 
     if is_asked(foreign):
         from machine_tool_calibration.importing import import_table, parse_mapping

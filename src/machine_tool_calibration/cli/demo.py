@@ -10,9 +10,8 @@ import click
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.cli import diagnosing
-from machine_tool_calibration.cli.measuring import graph_options, progress_bar, show_files, show_result
-from machine_tool_calibration.cli.output import console, json_option, write_json
+from machine_tool_calibration.cli.measuring import graph_options, readings_bar, show_files, show_result
+from machine_tool_calibration.cli.output import console, json_option, progress_bar, write_json
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.nodes.measurement import Measured, Setting, free_folder, measure
 from machine_tool_calibration.nodes.shared import procedure_file
@@ -255,9 +254,9 @@ def command(
         domain=domain_id,
         namespace=namespace,
     )
-    with progress_bar() as progress:
+    with readings_bar() as progress:
         measured = measure(procedure_file(procedure), setting, progress)
-    with diagnosing.progress_bar() as share:
+    with progress_bar() as share:
         story = _story(number, hidden, measured, share)
     if as_json:
         write_json(_document(story))

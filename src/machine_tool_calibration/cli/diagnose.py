@@ -10,10 +10,9 @@ from machine_tool_calibration.cli.diagnosing import (
     model_options,
     note_written,
     own_effects,
-    progress_bar,
     search_options,
 )
-from machine_tool_calibration.cli.output import console, json_option, session_labels, write_json
+from machine_tool_calibration.cli.output import console, json_option, progress_bar, session_labels, write_json
 
 __all__ = ["command"]
 
@@ -79,7 +78,10 @@ def command(
     if output is not None:
         from machine_tool_calibration.plots.diagnosis import save_diagnosis
 
-        note_written(save_diagnosis(found, then.changes, output))
+        with progress_bar() as progress:
+            progress("drawing")
+            drawn = save_diagnosis(found, then.changes, output)
+        note_written(drawn)
     if as_json:
         write_json(diagnosis_document(found, then.advice, then.changes))
         return

@@ -1,19 +1,18 @@
-"""What the verbs that diagnose share: options, the progress bar, the model in use."""
+"""What the verbs that diagnose share: options, the model in use."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
-import numpy as np
 
-from machine_tool_calibration.cli.output import error_console, note, session_labels
+from machine_tool_calibration.cli.output import note, session_labels
 from machine_tool_calibration.errors import CalibrationError
 
 if TYPE_CHECKING:
+    import numpy as np
     from numpy.typing import NDArray
 
     from machine_tool_calibration.diagnosis.history import Entry
@@ -27,7 +26,6 @@ __all__ = [
     "no_model",
     "note_written",
     "own_effects",
-    "progress_bar",
     "search_options",
 ]
 
@@ -57,6 +55,8 @@ def current_models(
     Raises:
         CalibrationError: no model was tried yet.
     """
+    import numpy as np
+
     from machine_tool_calibration.reports.history_file import fingerprint, history_path, read_history
 
     entry = read_history(history_path(*paths)).in_use
@@ -134,21 +134,6 @@ def own_effects(files: Sequence[Path]) -> list[Effect]:
     from machine_tool_calibration.effects.formula import read_effects
 
     return [effect for file in files for effect in read_effects(file)]
-
-
-@contextmanager
-def progress_bar() -> Iterator[Callable[[str, float], None]]:
-    """A progress bar on standard error; nothing where that is not a terminal."""
-    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    screen = error_console()
-    if not screen.is_terminal:
-        yield lambda what, share: None
-        return
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=screen, transient=True) as shown:
-        task = shown.add_task("reading", total=1.0)
-        yield lambda what, share: shown.update(task, description=what, completed=share)
 
 
 def note_written(paths: Sequence[Path]) -> None:

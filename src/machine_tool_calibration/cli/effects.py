@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import note_written, own_effects, progress_bar
-from machine_tool_calibration.cli.output import console, json_option, write_json
+from machine_tool_calibration.cli.diagnosing import note_written, own_effects
+from machine_tool_calibration.cli.output import console, json_option, progress_bar, write_json
 from machine_tool_calibration.reports.tables import show_table
 
 if TYPE_CHECKING:
@@ -82,6 +82,9 @@ def _describe(effect: Effect) -> None:
     from machine_tool_calibration.planning.injected import where_it_shows
     from machine_tool_calibration.reports.effect_page import coefficients_in_words, shown_table
 
+    with progress_bar() as progress:
+        progress(f"simulating {effect.id}")
+        found = where_it_shows(effect)
     screen = console()
     enters = "displaces the functional point" if effect.kind == "position" else "changes the reading itself"
     screen.print(Text(f"{effect.id}: {effect.title}", style="bold"))
@@ -97,5 +100,5 @@ def _describe(effect: Effect) -> None:
     for name, text in lines.items():
         shown.add_row(Text(f"  {name}:"), Text(text))
     screen.print(shown)
-    show_table(screen, shown_table(where_it_shows(effect)))
+    show_table(screen, shown_table(found))
     screen.print()

@@ -11,7 +11,7 @@ import click
 
 from machine_tool_calibration.cli.diagnosing import current_model
 from machine_tool_calibration.cli.info import topic_names, topic_option
-from machine_tool_calibration.cli.output import console, json_option, note, session_labels, write_json
+from machine_tool_calibration.cli.output import console, json_option, note, progress_bar, session_labels, write_json
 from machine_tool_calibration.errors import CalibrationError, SessionError
 
 if TYPE_CHECKING:
@@ -63,6 +63,7 @@ def unused_model(
         effects_only: whether to say how by effects, as for several sessions together.
     """
     from machine_tool_calibration.reports.history_file import fingerprint, history_path, read_history
+    from machine_tool_calibration.reports.quantities import rounded
 
     kept = history_path(path)
     try:
@@ -76,16 +77,16 @@ def unused_model(
     if not more and not aside:
         return None
     chi = entry.reduced_chi_square
-    figures = ""
+    fell = ""
     if fit is not None and chi is not None:
         if chi >= fit.reduced_chi_square:
             return None
-        figures = f" (chi²/ν {chi:.2f} instead of {fit.reduced_chi_square:.2f})"
+        fell = f" (reduced chi-square {rounded(chi)} instead of {rounded(fit.reduced_chi_square)})"
     what = [", ".join(more)] if more else []
     what += [f"{len(aside)} reading{'' if len(aside) == 1 else 's'} set aside"] if aside else []
     how = " ".join(f"--effect {name}" for name in more) if effects_only else "--from-history"
     return (
-        f"note: {kept} holds a better model, number {entry.number}, with {' and '.join(what)}{figures}; "
+        f"note: {kept} holds a better model, number {entry.number}, with {' and '.join(what)}{fell}; "
         f"it was not used: {how} does"
     )
 
@@ -145,15 +146,19 @@ def command(
     from machine_tool_calibration.effects.formula import read_effects
     from machine_tool_calibration.export import read_tables, write_tables
     from machine_tool_calibration.export.preview import preview
+    from machine_tool_calibration.reports.identification import group_by_reason
 
     if from_history and (len(measurements) > 1 or effects):
         raise click.UsageError("--from-history is for one session, without --effect.")
     chosen = _Chosen(model, effects, from_history, read_effects(effects_file) if effects_file else [])
-    found = _identified(measurements, chosen, topic_names(topics))
-    tables, states, models = found.tables, found.states, found.models
-    files = write_tables(form, tables, found.source)
-    held = read_tables(form, files, tables)
-    left = preview(states.error_map, held, states.directions)
+    with progress_bar() as progress:
+        progress("identifying")
+        found = _identified(measurements, chosen, topic_names(topics))
+        tables, states, models = found.tables, found.states, found.models
+        progress("writing and reading tables")
+        files = write_tables(form, tables, found.source)
+        held = read_tables(form, files, tables)
+        left = preview(states.error_map, held, states.directions)
     absent = _absent(tables, held, states.effects)
     folder = output or Path(f"compensation_{form}")
     _save(folder, files)
@@ -177,8 +182,8 @@ def command(
         )
     else:
         _show(console(), folder, files, left, absent)
-        for entry in tables.left_out:
-            note(f"not determined: {entry.name}: {entry.why}")
+        for why, names in group_by_reason((entry.name, entry.why) for entry in tables.left_out):
+            note(f"not determined: {names}: {why}")
     for text in found.warnings:
         note(text)
     if left[-1].worse:
@@ -266,16 +271,18 @@ def _show(
 ) -> None:
     from rich.table import Table
 
+    from machine_tool_calibration.reports.quantities import micrometres
+
     for name in files:
         out.print(f"[bold]{folder / name}[/]")
-    title = "Error of position over the measured points, µm, without shift and turn of the whole"
+    title = "Position error over the measured points, µm, without shift and turn of the whole"
     table = Table(title=title, title_justify="left", box=None, pad_edge=False)
     table.add_column("direction")
     for column in ("RMS now", "RMS compensated", "largest now", "largest compensated", "U (k = 2), RMS"):
         table.add_column(column, justify="right")
     for row in left:
-        figures = (row.rms_before, row.rms_after, row.largest_before, row.largest_after, 2 * row.uncertainty)
-        table.add_row(row.name, *(f"{1e6 * figure:.2f}" for figure in figures))
+        errors = (row.rms_before, row.rms_after, row.largest_before, row.largest_after, 2 * row.uncertainty)
+        table.add_row(row.name, *(micrometres(error) for error in errors))
     out.print(table)
     out.print(
         "Compensated: what the tables leave of the errors that were identified. What was not identified comes on top: "

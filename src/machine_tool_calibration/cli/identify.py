@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from machine_tool_calibration.cli.diagnosing import current_models
-from machine_tool_calibration.cli.output import console, json_option, session_labels, write_json
+from machine_tool_calibration.cli.output import console, json_option, progress_bar, session_labels, write_json
 from machine_tool_calibration.reports.documents import plain, to_json
 from machine_tool_calibration.reports.identification import show_profiles, show_result
 
@@ -72,15 +72,19 @@ def command(
         from machine_tool_calibration.effects.formula import read_effects
 
         own = read_effects(effects_file)
-    opened = [open_measurement(path) for path in sessions]
-    if from_history:
-        if effects or model or formulation:
-            raise click.UsageError("--from-history is without --effect, --model and --formulation.")
-        document, fit, result = _by_history(opened, sessions, own)
-    else:
-        document, fit, result = _identified(opened, sessions, effects, own, model, formulation, keep_all)
-    folder = output or (Path() if plot else None)
-    written = _write(document, result, opened, folder, result_file=output is not None) if folder else []
+    if from_history and (effects or model or formulation):
+        raise click.UsageError("--from-history is without --effect, --model and --formulation.")
+    folder, written = output or (Path() if plot else None), []
+    with progress_bar() as progress:
+        opened = [open_measurement(path) for path in sessions]
+        progress("identifying")
+        if from_history:
+            document, fit, result = _by_history(opened, sessions, own)
+        else:
+            document, fit, result = _identified(opened, sessions, effects, own, model, formulation, keep_all)
+        if folder:
+            progress("drawing")
+            written = _write(document, result, opened, folder, result_file=output is not None)
     if as_json:
         write_json(document)
         return

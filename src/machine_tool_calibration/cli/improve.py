@@ -14,10 +14,9 @@ from machine_tool_calibration.cli.diagnosing import (
     model_options,
     note_written,
     own_effects,
-    progress_bar,
     search_options,
 )
-from machine_tool_calibration.cli.output import console, json_option, note, session_labels, write_json
+from machine_tool_calibration.cli.output import console, json_option, note, progress_bar, session_labels, write_json
 from machine_tool_calibration.errors import CalibrationError, SessionError
 
 if TYPE_CHECKING:
@@ -152,7 +151,9 @@ def command(
     if output is None:
         names = "+".join(path.absolute().name for path in measurements)
         output = Path("mtcal_output") / f"improve_{names}"
-    drawn, why = draw(done, output)
+    with progress_bar() as progress:
+        progress("drawing")
+        drawn, why = draw(done, output)
     try:
         if as_json:
             write_json(improvement_document(done))

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from machine_tool_calibration.cli.output import console, json_option, write_json
 from machine_tool_calibration.errors import CalibrationError
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.recording.reader import BagReader
 
 __all__ = ["command", "topic_names", "topic_option"]
 
@@ -35,23 +39,14 @@ def command(measurement: Path, topics: tuple[str, ...], as_json: bool) -> None:
     mtcal info measurements/2024-05-03
     mtcal info bag --topic reading=/cell_2/reading
     """
-    from machine_tool_calibration.recording.errors import RecordingError
-    from machine_tool_calibration.recording.graph import find_topics
     from machine_tool_calibration.recording.open import is_session_folder, open_measurement
-    from machine_tool_calibration.recording.reader import BagReader, is_bag
     from machine_tool_calibration.reports.information import measurement_document, show_recording, show_session
     from machine_tool_calibration.session.summary import summarize
 
     names = topic_names(topics)
     bag, session, absent = None, None, ""
-    if not is_session_folder(measurement) and is_bag(measurement):
-        bag = BagReader(measurement)
-        try:
-            find_topics(measurement, bag.topics, names)
-        except RecordingError as error:
-            if names:
-                raise
-            absent = str(error)
+    if not is_session_folder(measurement):
+        bag, absent = _recording(measurement, names)
     if not absent:
         session = open_measurement(measurement, names, check=False)
     summary = summarize(session) if session is not None else None
@@ -65,6 +60,25 @@ def command(measurement: Path, topics: tuple[str, ...], as_json: bool) -> None:
             show_session(out, session, summary)
     if summary is not None and summary.problem:
         raise CalibrationError(summary.problem)
+
+
+def _recording(measurement: Path, names: dict[str, str]) -> tuple[BagReader | None, str]:
+    """The recording, None if it is none, and why no session can be read from it."""
+    # here, because a session folder needs none of the recording's libraries
+    from machine_tool_calibration.recording.errors import RecordingError
+    from machine_tool_calibration.recording.graph import find_topics
+    from machine_tool_calibration.recording.reader import BagReader, is_bag
+
+    if not is_bag(measurement):
+        return None, ""
+    bag = BagReader(measurement)
+    try:
+        find_topics(measurement, bag.topics, names)
+    except RecordingError as error:
+        if names:
+            raise
+        return bag, str(error)
+    return bag, ""
 
 
 def topic_names(options: tuple[str, ...]) -> dict[str, str]:

@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import ast
 import importlib
+import io
 import os
 import pkgutil
 import sys
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
@@ -22,7 +24,7 @@ import click
 
 from machine_tool_calibration import __version__, cli
 from machine_tool_calibration.cli.output import note, one_line
-from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.errors import CalibrationError, did_you_mean
 
 __all__ = ["PLUGIN_GROUP", "OutputClosedError", "Verbs", "group", "main", "run"]
 
@@ -85,6 +87,16 @@ class Verbs(click.Group):
         if cmd_name in self._entry_points():
             return _load_plugin(self._entry_points()[cmd_name])
         return None
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """The verb that the words begin with; a mistyped one is refused with what it may have meant."""
+        name = args[0]
+        hint = did_you_mean(name, self.list_commands(ctx))
+        if hint and not ctx.resilient_parsing and self.get_command(ctx, name) is None:
+            ctx.fail(f"No such command {name!r}{hint}")
+        return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the verbs by what they are for, without importing those of this package."""
@@ -199,7 +211,7 @@ command line.
 
 
 @click.group(cls=Verbs, help=HELP, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
-@click.version_option(__version__, prog_name="mtcal", message="%(prog)s %(version)s")
+@click.version_option(__version__, "-V", "--version", prog_name="mtcal", message="%(prog)s %(version)s")
 def group() -> None:
     """All verbs; what `--help` says is `HELP`."""
 
@@ -216,11 +228,15 @@ def run(arguments: Sequence[str] | None = None) -> int:
         arguments: the words of the command line after `mtcal`; those of this process if None.
 
     Returns:
-        Exit status: 0 done; 1 the input or the request is wrong, told in one line on standard error; 2 wrong command
+        Exit status: 0 done; 1 the input or the request is wrong, said in one line on standard error; 2 wrong command
         line; 130 interrupted; 141 the reader of standard output went away.
     """
+    _show_what_the_terminal_can()
     try:
-        status = group.main(args=arguments, prog_name="mtcal", standalone_mode=False)
+        with warnings.catch_warnings():
+            # NumPy's, of an overflow or a 0 in a divisor: what comes of it is judged where it is used.
+            warnings.simplefilter("default" if os.environ.get(TRACEBACK_VARIABLE) else "ignore", RuntimeWarning)
+            status = group.main(args=arguments, prog_name="mtcal", standalone_mode=False)
     except OutputClosedError:
         # What is still buffered has no reader; without this the interpreter complains at its end.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -238,6 +254,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
         return _fail(f"{error.filename}: {error.strerror}" if error.filename else error)
     except MemoryError:
         return _fail("not enough memory for this much data")
+    except RecursionError:
+        return _fail("the input is nested too deeply")
     except Exception as error:
         if os.environ.get(TRACEBACK_VARIABLE):
             raise
@@ -246,6 +264,13 @@ def run(arguments: Sequence[str] | None = None) -> int:
             f"{TRACEBACK_VARIABLE}=1 shows where it comes from)"
         )
     return status if type(status) is int else 0
+
+
+def _show_what_the_terminal_can() -> None:
+    """Replace what the encoding of the output lacks, such as the letter µ, instead of failing."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
 
 
 def _fail(reason: object, status: int = 1) -> int:

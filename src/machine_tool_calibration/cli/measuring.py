@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from machine_tool_calibration.nodes.measurement import Measured, Progress
 
-__all__ = ["graph_options", "progress_bar", "show_files", "show_result"]
+__all__ = ["graph_options", "readings_bar", "show_files", "show_result"]
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -43,7 +43,7 @@ def graph_options(function: Command) -> Command:
 
 
 @contextmanager
-def progress_bar() -> Iterator[Progress]:
+def readings_bar() -> Iterator[Progress]:
     """A progress bar of the readings on standard error; plain lines where that is not a terminal."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import click
 
@@ -26,6 +27,7 @@ __all__ = [
     "json_option",
     "note",
     "one_line",
+    "progress_bar",
     "session_labels",
     "write_json",
 ]
@@ -44,7 +46,8 @@ def session_labels(paths: Sequence[Path]) -> list[str]:
     """Names of several sessions: those of their folders, numbered where they repeat."""
     from machine_tool_calibration.session.session import distinct_labels
 
-    return distinct_labels([path.resolve().stem for path in paths])
+    # Not Path.resolve, which raises a RuntimeError for a link to itself.
+    return distinct_labels([Path(os.path.realpath(path)).stem for path in paths])
 
 
 def write_json(document: Any) -> None:
@@ -74,6 +77,31 @@ def _console(*, stderr: bool) -> Console:
     # Tables keep their width in a file or a pipe, where rich would assume 80 columns.
     width = None if stream.isatty() or "COLUMNS" in os.environ else 120
     return Screen(file=stream, width=width, highlight=False)
+
+
+class Report(Protocol):
+    """Shows what is being done, and the share that is finished where that is known."""
+
+    def __call__(self, what: str, share: float | None = None, /) -> None: ...
+
+
+@contextmanager
+def progress_bar() -> Iterator[Report]:
+    """A progress bar on standard error; nothing where that is not a terminal."""
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    screen = error_console()
+    if not screen.is_terminal:
+        yield lambda what, share=None: None
+        return
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=screen, transient=True) as shown:
+        task = shown.add_task("reading", total=None)
+
+        def report(what: str, share: float | None = None, /) -> None:
+            shown.update(task, description=what, total=None if share is None else 1.0, completed=share or 0.0)
+
+        yield report
 
 
 def note(text: str) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from machine_tool_calibration.cli.output import console, json_option, write_json
+from machine_tool_calibration.cli.output import console, json_option, progress_bar, write_json
 
 __all__ = ["command"]
 
@@ -45,7 +45,10 @@ def command(
     from machine_tool_calibration.reports.forecast import show_forecast
 
     own = read_effects(effects_file) if effects_file else []
-    found = forecast(read_procedure(procedure_file(procedure)), model=model, own=own, warming=warming, angular=angular)
+    with progress_bar() as progress:
+        progress("forecasting")
+        plan = read_procedure(procedure_file(procedure))
+        found = forecast(plan, model=model, own=own, warming=warming, angular=angular)
     if as_json:
         write_json(found.document())
         return

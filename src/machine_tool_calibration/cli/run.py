@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from machine_tool_calibration.cli.measuring import graph_options, progress_bar, show_files, show_result
+from machine_tool_calibration.cli.measuring import graph_options, readings_bar, show_files, show_result
 from machine_tool_calibration.cli.output import console, json_option, write_json
 from machine_tool_calibration.nodes.measurement import NODES, Setting, free_folder, measure
 from machine_tool_calibration.nodes.shared import procedure_file
@@ -91,7 +91,7 @@ def command(
         external=external,
         parameters=params_file.resolve() if params_file is not None else None,
     )
-    with progress_bar() as progress:
+    with readings_bar() as progress:
         measured = measure(file, setting, progress)
     if as_json:
         write_json(

@@ -24,9 +24,10 @@ from machine_tool_calibration.diagnosis.comparison import (
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.fitted import fit_sessions
+from machine_tool_calibration.methods.identify import gross_errors
 from machine_tool_calibration.model.fit import Fit, screen
 from machine_tool_calibration.model.result import Result
-from machine_tool_calibration.residuals.covariates import bins, covariates, sensed, telling
+from machine_tool_calibration.residuals.covariates import bins, covariates, rank_covariates, sensed
 from machine_tool_calibration.residuals.leverage import leverage
 from machine_tool_calibration.residuals.noise import FEWEST_REPEATS, Noise, noise_of, same_place
 from machine_tool_calibration.session.session import Session
@@ -120,13 +121,15 @@ def compare(
     Raises:
         ModelError: the data does not allow the model.
     """
+    outliers: tuple[int, ...] = ()
     if isinstance(subject, Session):
         fit = fit_sessions([subject], model=model, effects=effects, own=own).joint.fits[0]
+        outliers = tuple(sorted(o.row for o in gross_errors(subject, model, effects, own)[0]))
     elif isinstance(subject, Result):
         fit, effects = subject.fit, subject.effects
     else:
         fit = subject
-    return _Look(fit).comparison(tuple(effects))
+    return _Look(fit).comparison(tuple(effects), outliers)
 
 
 @single_blas()
@@ -173,7 +176,7 @@ class _Look:
         self.factor = max(1.0, float(np.sqrt(fit.joint.reduced_chi_square)))
         self.covariates = covariates(self.observations)
 
-    def comparison(self, effects: tuple[str, ...]) -> Comparison:
+    def comparison(self, effects: tuple[str, ...], outliers: tuple[int, ...]) -> Comparison:
         readings, fit = self.readings, self.fit
         ids = self.observations.session.setup_ids
         setups = {ids[s]: readings.setup == s for s in np.unique(readings.setup)}
@@ -193,7 +196,8 @@ class _Look:
             regions=self._regions(),
             approaches=self._approaches(),
             trends=self._trends(),
-            telling=tuple(telling(self.covariates, np.nan_to_num(self.studentized))),
+            ranked=tuple(rank_covariates(self.covariates, np.nan_to_num(self.studentized))),
+            outliers=outliers,
             worst=tuple(int(k) for k in order[: min(_WORST, self.n)]),
             residual=self.residual,
             studentized=self.studentized,

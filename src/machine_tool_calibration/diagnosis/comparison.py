@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, rms
-from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.model.fit import Fit, JointFit
 from machine_tool_calibration.residuals.noise import Noise
 
@@ -141,7 +141,9 @@ class Comparison:
         regions: bins of each axis position.
         approaches: for each axis that was approached from both sides.
         trends: over time, temperatures and every other covariate, most significant first.
-        telling: covariates, in the order in which their running mean follows the residuals, with the share it takes.
+        ranked: covariates, in the order in which their running mean follows the residuals, with the share it takes.
+        outliers: rows of the readings that do not belong to the rest, which an identification sets aside; none where
+            a fit was given, which holds those that it was made of.
         worst: indices of the readings with the largest studentized residuals.
         residual: (n,) measured minus predicted, m.
         studentized: (n,) residuals over their own standard uncertainty, as declared; NaN where the model has a
@@ -158,7 +160,8 @@ class Comparison:
     regions: tuple[Region, ...]
     approaches: tuple[Approach, ...]
     trends: tuple[Trend, ...]
-    telling: tuple[tuple[str, float], ...]
+    ranked: tuple[tuple[str, float], ...]
+    outliers: tuple[int, ...]
     worst: tuple[int, ...]
     residual: Array
     studentized: Array
@@ -181,8 +184,8 @@ class Comparison:
             ModelError: there is none, or it does not vary.
         """
         if name not in self.covariates:
-            known = ", ".join(self.covariates)
-            raise ModelError(f"there is no covariate {name!r} that varies; there are {known}")
+            hint = did_you_mean(name, self.covariates) or f"; there are {', '.join(self.covariates)}"
+            raise ModelError(f"there is no covariate {name!r} that varies{hint}")
         return self.covariates[name]
 
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.model.result import EffectSet, Estimate
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.model.result import EffectSet, Estimate
 
 __all__ = ["Alternative", "Coefficient", "Entry", "History", "Part"]
 
@@ -101,10 +103,15 @@ class Entry(_Record):
 
     def sets(self) -> list[EffectSet]:
         """The alternatives as an identification takes them."""
+        # here and below, because the file is read without the calculation that the results need
+        from machine_tool_calibration.model.result import EffectSet
+
         return [EffectSet(one.effects, one.probability) for one in self.alternatives]
 
     def estimates(self) -> list[Estimate]:
         """The coefficients as an identification gives them."""
+        from machine_tool_calibration.model.result import Estimate
+
         return [Estimate(p.name, p.value, p.standard_uncertainty, p.unit) for p in self.parameters]
 
     def same_model(self, other: Entry) -> bool:

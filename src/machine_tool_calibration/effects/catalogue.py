@@ -27,7 +27,7 @@ from machine_tool_calibration.effects.squareness_drift import SquarenessDrift, S
 from machine_tool_calibration.effects.thermal_expansion import ThermalExpansion
 from machine_tool_calibration.effects.thermal_lag import ThermalLag
 from machine_tool_calibration.effects.warmup import Warmup
-from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.machine.error_motions import SQUARENESS
 
 __all__ = ["catalogue", "find_effects"]
@@ -109,8 +109,7 @@ def find_effects(ids: Sequence[str], own: Sequence[Effect] = ()) -> list[Effect]
     known = catalogue(own)
     for k, name in enumerate(ids):
         if name not in known:
-            near = [other for other in known if other.split("_")[0] == name.split("_")[0]]
-            hint = f"; did you mean {', '.join(near[:4])}?" if near else "; `mtcal effects` lists them"
+            hint = did_you_mean(name, known) or "; `mtcal effects` lists them"
             raise ModelError(f"unknown effect {name!r}{hint}")
         if name in ids[:k]:
             raise ModelError(f"the effect {name!r} is named twice")

@@ -75,7 +75,7 @@ class Effect(ABC):
             none of these effects: nothing says that there was a beam, and slow changes of the air look like any drift.
         covariates: what the readings depend on through the effect; its columns if empty.
         setup_level: whether its coefficients belong to single setups, which then are the sample.
-        contains: ids of simpler effects that are a special case of it: where they are found too, they come first.
+        contains: ids of simpler effects that are a special case of it: a model does not hold both.
     """
 
     id: str

@@ -21,7 +21,8 @@ from machine_tool_calibration.errors import ModelError
 __all__ = ["Expression", "parse", "registry"]
 
 _MOST_CHARACTERS = 1000
-_MOST_DEPTH = 40
+_SHOWN = 80  # characters of a formula in a message
+_MOST_DEPTH = 250  # operations inside one another; evaluating them takes as many frames
 
 _FUNCTIONS: dict[str, Callable[[Any], Any]] = {
     "sin": np.sin, "cos": np.cos, "tan": np.tan, "exp": np.exp, "log": np.log,
@@ -107,21 +108,28 @@ def parse(text: str) -> Expression:
     """
     if len(text) > _MOST_CHARACTERS:
         raise ModelError(f"formula of {len(text)} characters; at most {_MOST_CHARACTERS} are read")
-    if _depth(text) > _MOST_DEPTH:
-        raise ModelError(f"formula nested deeper than {_MOST_DEPTH} levels")
     try:
         node = _grammar().parse_string(text.replace("^", "**"), parse_all=True)[0]
+        too_deep = _depth(node) > _MOST_DEPTH
     except pp.ParseException as error:
-        raise ModelError(f"formula {text!r}: not understood at character {error.loc + 1}") from None
+        raise ModelError(f"formula {_shown(text)}: not understood at character {error.loc + 1}") from None
+    except RecursionError:
+        too_deep = True
+    if too_deep:
+        raise ModelError(f"formula {_shown(text)}: nested too deeply, or too long a sum")
     return Expression(text, node)
 
 
-def _depth(text: str) -> int:
-    depth = deepest = 0
-    for character in text:
-        depth += (character == "(") - (character == ")")
-        deepest = max(deepest, depth)
-    return deepest
+def _shown(text: str) -> str:
+    return repr(text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "...")
+
+
+def _depth(node: _Node) -> int:
+    if isinstance(node, _Call):
+        return 1 + _depth(node.argument)
+    if isinstance(node, _Operation):
+        return 1 + max(_depth(node.left), _depth(node.right))
+    return 1
 
 
 @cache

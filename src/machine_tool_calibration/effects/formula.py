@@ -13,19 +13,22 @@ constants: {k0: {value: 2.5, unit: 1/s}}
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 import pint
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape, axis_unit
 from machine_tool_calibration.effects.expression import parse, registry
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.session.description import Finite
+from machine_tool_calibration.session.text import read_text
+from machine_tool_calibration.session.yaml_text import load_yaml
 
 __all__ = ["FormulaEffect", "checked_definition", "formula_effect", "read_effects"]
 
@@ -38,9 +41,13 @@ _UNITS = {
 }  # fmt: skip
 """Units of a session's columns. Temperatures count in kelvin: only differences mean something in a formula."""
 
+# Names of units with small powers, multiplied and divided: of anything else the library of units tries to make a
+# number, and 9**9**9**9 takes for ever.
+_POWER = r"[(\s]*(?:[^\W\d]|[°%])+(?:\s*(?:\*\*|\^)\s*-?\d\d?(?:\.\d)?)?[)\s]*"
+_UNIT = re.compile(rf"1|(?:1\s*/)?{_POWER}(?:[*/ ]{_POWER})*")
+_LONGEST_UNIT = 60
 _GRID = 12
-_LARGEST_FILE = 100_000
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+_LARGEST_FILE = 1 << 20
 
 
 class _Record(BaseModel):
@@ -52,6 +59,12 @@ class _Unknown(_Record):
     low: Finite
     high: Finite
     meaning: str = ""
+
+    @model_validator(mode="after")
+    def _check(self) -> _Unknown:
+        if not self.low < self.high:
+            raise ValueError(f"it must run from low to high, not {self.low:g} to {self.high:g}")
+        return self
 
 
 class _Constant(_Record):
@@ -110,6 +123,8 @@ class FormulaEffect(Effect):
         units |= {n: c.unit for n, c in definition.constants.items()}
         for name, unit in units.items():
             try:
+                if len(unit) > _LONGEST_UNIT or not _UNIT.fullmatch(unit):
+                    raise ValueError
                 registry().Unit("dimensionless" if unit == "1" else unit)
             except (
                 pint.errors.UndefinedUnitError,
@@ -118,7 +133,7 @@ class FormulaEffect(Effect):
                 TypeError,
                 AssertionError,
             ):
-                raise ModelError(f"effect {self.id}: {name} has the unknown unit {unit!r}") from None
+                raise ModelError(f"effect {self.id}: {name} has the unknown unit {unit[:_LONGEST_UNIT]!r}") from None
         unit_of_value = self._expression.unit(units)
         if unit_of_value is not None and unit_of_value.dimensionality != registry().Unit("m").dimensionality:
             raise ModelError(f"effect {self.id}: the formula gives {unit_of_value:~P}, and not a length")
@@ -198,27 +213,17 @@ def checked_definition(definition: dict[str, Any], source: str) -> _Definition:
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
-        raise ModelError(f"{source}: {place}: {first['msg']}") from None
+        raise ModelError(f"{source}: {place}: {first['msg'].removeprefix('Value error, ')}") from None
 
 
 def read_effects(path: Path) -> list[Effect]:
     """The user's effects from a YAML file.
 
     Raises:
-        ModelError: not such a file, or a wrong definition; one line that says what and where.
+        SessionError: not such a file, or not YAML; one line with the line in the file.
+        ModelError: a wrong definition; one line that says what and where.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise ModelError(f"{path}: cannot be read: {error.strerror}") from None
-    if len(data) > _LARGEST_FILE or data.count(b"&") > 50:
-        raise ModelError(f"{path}: too large for a list of effects")
-    try:
-        content = yaml.safe_load(data)
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f", line {mark.line + 1}" if mark else ""
-        raise ModelError(f"{path}{where}: not YAML") from None
+    content = load_yaml(read_text(path, _LARGEST_FILE), str(path)).value
     if not isinstance(content, dict) or set(content) != {"effects"} or not isinstance(content["effects"], list):
         raise ModelError(f"{path}: one key, effects, with a list of definitions")
     out: list[Effect] = []

@@ -10,7 +10,8 @@ from machine_tool_calibration.model.observations import Observations
 
 __all__ = ["LostMotion"]
 
-_DEGREES = 3
+# As many as it takes for a place where the screw is worn, at the usual number of positions of ISO 230-2.
+_DEGREES = 7
 _POWERS = ("the same everywhere", "straight line", "bow, power 2", "S, power 3")
 _STILL = 1e-6  # m
 
@@ -18,8 +19,8 @@ _STILL = 1e-6  # m
 class LostMotion(Effect):
     """Half the reversal error as a smooth function of the position of its axis (ISO 230-2).
 
-    b(x) = b0 + b1 P1(u) + b2 P2(u) + b3 P3(u), P the Legendre polynomials and u the position over the travel, from -1
-    to 1. The constant is the backlash, which this effect contains.
+    b(x) = b0 + b1 P1(u) + b2 P2(u) + ..., P the Legendre polynomials and u the position over the travel, from -1 to 1.
+    The constant is the backlash, which this effect contains.
     """
 
     kind = "position"
@@ -32,8 +33,8 @@ class LostMotion(Effect):
         self.title = f"lost motion that varies along {axis.upper()}"
         self.formula = f"e_{axis} = -b({axis}) dir_{axis}, b a polynomial of degree {_DEGREES}"
         self.coefficients = tuple(
-            Coefficient(f"b{k}", "m", 0.0 if k == 0 else -5e-5, 5e-5, f"half width, {_POWERS[k]}")
-            for k in range(_DEGREES + 1)
+            Coefficient(f"b{k}", "m", 0.0 if k == 0 else -5e-5, 5e-5, f"half width, {name}")
+            for k, name in enumerate((*_POWERS, *(f"power {k}" for k in range(len(_POWERS), _DEGREES + 1))))
         )
         self.needs = (axis, f"dir_{axis}")
         self.contains = (f"backlash_{axis}",)

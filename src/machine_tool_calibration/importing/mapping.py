@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, field_validator
 
-from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.errors import SessionError, did_you_mean
 from machine_tool_calibration.importing.text_table import FileForm
 from machine_tool_calibration.importing.units import UNITS, spelled
 from machine_tool_calibration.session.text import read_text
@@ -178,7 +177,7 @@ def parse_mapping(content: dict[str, Any], source: str) -> Mapping:
         key = ".".join(str(part) for part in path)
         said = str(defect["ctx"]["error"]) if "error" in defect.get("ctx", {}) else defect["msg"]
         if defect["type"] == "extra_forbidden":
-            said = f"unknown key{_near(str(path[-1]), Mapping.model_fields)}"
+            said = f"unknown key{did_you_mean(str(path[-1]), Mapping.model_fields)}"
         elif defect["type"] == "missing":
             said = "is missing"
         raise SessionError(f"{source}: {key}: {said}") from None
@@ -188,16 +187,15 @@ def parse_mapping(content: dict[str, Any], source: str) -> Mapping:
             if role not in roles:
                 raise SessionError(
                     f"{source}: {kind} names {role!r}, which a table of {mapping.table} does not have"
-                    f"{_near(role, roles)}; a covariate of your own goes under extras"
+                    f"{did_you_mean(role, roles)}; a covariate of your own goes under extras"
                 )
             if role in mapping.columns and role in mapping.values:
                 raise SessionError(f"{source}: {role} is both a column and a value")
     dimensions = {unit[0] for unit in UNITS.values()}
     for name in mapping.units:
         if name not in roles and name not in dimensions and name not in mapping.extras:
-            raise SessionError(
-                f"{source}: units names {name!r}, which is neither a quantity nor a dimension{_near(name, roles)}"
-            )
+            hint = did_you_mean(name, (*roles, *dimensions))
+            raise SessionError(f"{source}: units names {name!r}, which is neither a quantity nor a dimension{hint}")
     return mapping
 
 
@@ -206,8 +204,3 @@ def _known_unit(unit: str) -> str:
         return spelled(unit)
     except SessionError as error:
         raise ValueError(str(error)) from None
-
-
-def _near(name: str, known: Any) -> str:
-    near = difflib.get_close_matches(name, list(known), n=1)
-    return f" (did you mean {near[0]!r}?)" if near else ""

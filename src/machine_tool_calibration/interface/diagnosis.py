@@ -20,6 +20,7 @@ from machine_tool_calibration.interface.show import Shown, chosen, notebook, pri
 from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.planning.what_to_measure import Conclusions, conclude
+from machine_tool_calibration.reports.quantities import probability
 from machine_tool_calibration.session.session import Session
 
 if TYPE_CHECKING:
@@ -271,7 +272,7 @@ class Diagnosis(Shown):
         """The verdict in one line."""
         if self.verdict != "missing_effect":
             return _VERDICTS[self.verdict]
-        sure = (f"{name} (probability {self.probability[name]:.2f})" for name in self.effects)
+        sure = (f"{name} (probability {probability(self.probability[name])})" for name in self.effects)
         return f"missing: {', '.join(sure)}"
 
     def report(self) -> str:

@@ -19,6 +19,7 @@ from machine_tool_calibration.interface.show import Shown, chosen, printed
 from machine_tool_calibration.methods.identify import JointResult, identify_sessions
 from machine_tool_calibration.methods.identify import identify as identify_one
 from machine_tool_calibration.model.result import Result
+from machine_tool_calibration.reports.quantities import quantity, rounded
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -167,7 +168,7 @@ class Fit(Shown):
         added = f" with {', '.join(self.effects)}" if self.effects else ""
         return (
             f"{self.measurement.method.replace('_', ' ')}, model {self.model}{added}: {count} readings, "
-            f"residual {1e6 * self.rms_residual:.3f} µm RMS, reduced chi-square {self.reduced_chi_square:.2f}"
+            f"residual {quantity(self.rms_residual, 'm')} RMS, reduced chi-square {rounded(self.reduced_chi_square)}"
         )
 
     def report(self) -> str:
@@ -193,7 +194,7 @@ class Fit(Shown):
         """One of the pictures of `mtcal identify --plot`.
 
         Args:
-            picture: one of `pictures`; the method's most telling one if absent.
+            picture: one of `pictures`; the first of the method if absent.
 
         Returns:
             A figure that no window shows; a notebook does, and `savefig` writes it.

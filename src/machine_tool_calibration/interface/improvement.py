@@ -18,6 +18,7 @@ from machine_tool_calibration.interface.diagnosis import Diagnosis
 from machine_tool_calibration.interface.identification import Fit, split_effects
 from machine_tool_calibration.interface.session import Measurement, Source, load
 from machine_tool_calibration.interface.show import Shown, notebook, printed
+from machine_tool_calibration.reports.quantities import micrometres
 from machine_tool_calibration.residuals.noise import noise_of
 
 if TYPE_CHECKING:
@@ -89,7 +90,7 @@ class Improvement(Shown):
         added = self.done.diagnosis.accepted
         return (
             f"{'added ' + ', '.join(added) if added else 'nothing added'}; residual "
-            f"{1e6 * first.rms_residual:.3f} → {1e6 * last.rms_residual:.3f} µm RMS"
+            f"{micrometres(first.rms_residual)} → {micrometres(last.rms_residual)} µm RMS"
         )
 
     def report(self) -> str:

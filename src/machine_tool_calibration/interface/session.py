@@ -125,7 +125,7 @@ def _opened(source: Any) -> Iterator[tuple[str, Session, Mapping[str, Any] | Non
 
     if isinstance(source, str | os.PathLike):
         path = Path(os.fspath(source))
-        yield path.resolve().stem, open_measurement(path), None
+        yield Path(os.path.realpath(path)).stem, open_measurement(path), None
     elif isinstance(source, Measurement):
         for label, session in zip(source.labels, source.sessions, strict=True):
             yield label, session, source.truth

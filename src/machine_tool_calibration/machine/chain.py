@@ -48,6 +48,10 @@ class Chain:
             raise ValueError(f"chain {text!r} names an axis twice")
         return cls(tuple(names[:bed]), tuple(names[bed + 1 :]))
 
+    def __str__(self) -> str:
+        """As `parse` reads it."""
+        return "-".join(("w", *self.workpiece_side, "b", *self.tool_side, "t"))
+
     @property
     def axes(self) -> tuple[str, ...]:
         """All axes, from the workpiece to the tool."""

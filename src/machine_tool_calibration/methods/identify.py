@@ -32,7 +32,7 @@ from machine_tool_calibration.model.result import (
     plain,
     spread_document,
 )
-from machine_tool_calibration.residuals.outliers import set_aside
+from machine_tool_calibration.residuals.outliers import Outlier, set_aside
 from machine_tool_calibration.session.method import load
 from machine_tool_calibration.session.session import Session
 
@@ -276,6 +276,17 @@ def _spread(common: CommonModels) -> float:
     return total / freedom if freedom else 1.0
 
 
+def gross_errors(
+    session: Session, model: str | None, effects: Sequence[str] = (), own: Sequence[Effect] = ()
+) -> tuple[list[Outlier], Session]:
+    """The readings that do not belong to the rest, the largest first, and the session with these as lost ones.
+
+    Arguments as for `sound`.
+    """
+    present = find_effects(effects, own)
+    return set_aside(session, lambda part: add_effects(build_model(part, model)[0], present))
+
+
 def sound(
     session: Session, model: str | None, effects: Sequence[str] = (), own: Sequence[Effect] = ()
 ) -> tuple[Session, tuple[Rejected, ...]]:
@@ -287,8 +298,7 @@ def sound(
         effects: ids of effects in the model.
         own: the user's own effects.
     """
-    present = find_effects(effects, own)
-    found, kept = set_aside(session, lambda part: add_effects(build_model(part, model)[0], present))
+    found, kept = gross_errors(session, model, effects, own)
     return kept, rejected_readings(session) + tuple(Rejected(o.row, o.reason) for o in found)
 
 

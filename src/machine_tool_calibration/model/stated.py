@@ -162,10 +162,10 @@ def state(joint: JointFit) -> Stated:
     most = _MOST if joint.random is None else _MOST_WITH_RANDOM
     chosen = chosen[: min(int(np.searchsorted(np.cumsum(found.weights[chosen]), _COVERED)) + 1, most)]
     weights = found.weights[chosen] / found.weights[chosen].sum()
-    tried = [_at(joint, problem, total, squares, place, found.ratios[k]) for k in chosen]
-    mean = np.sum([w * t.step for w, t in zip(weights, tried, strict=True)], axis=0)
     left = float(weights @ found.squares[chosen])
     scatter = _scatter(left, freedom)
+    tried = [_at(joint, problem, total, squares, place, found.ratios[k], scatter) for k in chosen]
+    mean = np.sum([w * t.step for w, t in zip(weights, tried, strict=True)], axis=0)
     between = [np.outer(t.step - mean, t.step - mean) for t in tried]
     covariance = np.sum([w * t.covariance for w, t in zip(weights, tried, strict=True)], axis=0)
     covariance += np.tensordot(weights, between, axes=1) / scatter**2
@@ -218,9 +218,15 @@ def _widened(problem: Problem, families: Sequence[tuple[Family, ...]]) -> tuple[
 
 
 def _at(
-    joint: JointFit, problem: Problem, total: Array, squares: Array, family: IntArray, ratio: tuple[float, ...]
+    joint: JointFit,
+    problem: Problem,
+    total: Array,
+    squares: Array,
+    family: IntArray,
+    ratio: tuple[float, ...],
+    scatter: float,
 ) -> _Tried:
-    """Mean and covariance if what does not reproduce has a given size."""
+    """Mean and covariance (over the square of `scatter`) if what does not reproduce has a given size."""
     m, u = problem.size, len(family)
     tau = np.array(ratio)[family] if ratio else np.zeros(u)
     used = m + np.flatnonzero(tau > 0)
@@ -237,7 +243,9 @@ def _at(
         normal = solve_normal(matrix, right, problem.constraints, distance, squares[:m])
         step, covariance = normal.step, normal.covariance
     else:
-        random, step, covariance = _with_random(joint, joint.random, problem, total[:m, -1], matrix, right, squares)
+        random, step, covariance = _with_random(
+            joint, joint.random, problem, total[:m, -1], matrix, right, squares, scatter
+        )
     full, both = np.zeros(m + u), np.zeros((m + u, m + u))
     full[:m], both[:m, :m] = step, covariance
     response = carried[:, :m]
@@ -256,8 +264,12 @@ def _with_random(
     matrix: Array,
     right: Array,
     squares: Array,
+    scatter: float,
 ) -> tuple[RandomPosterior, Array, Array]:
-    """The posterior of random unknowns, step and covariance of all; the others count from the fit's values."""
+    """The posterior of random unknowns, step and covariance of all; the others count from the fit's values.
+
+    What is expected of random unknowns is in metres and radians: it is weighed against the readings' real scatter.
+    """
     place = {parameter.name: k for k, parameter in enumerate(joint.assembly.parameters)}
     last = np.array([place[name] for name in random.names], dtype=np.int64)
     others = np.setdiff1d(np.arange(problem.size), last)
@@ -270,11 +282,12 @@ def _with_random(
     conditions = problem.constraints[:, others]
     kept = np.abs(conditions).max(axis=1, initial=0.0) > 0.0
     goal = (problem.constraint_values - conditions @ theta[others])[kept]
-    found = random.posterior(inner, held, conditions[kept], goal, squares[others])
+    variance = scatter**2
+    found = random.posterior(inner / variance, held / variance, conditions[kept], goal, squares[others] / variance)
     step, covariance = np.zeros(problem.size), np.zeros((problem.size, problem.size))
     step[order] = found.theta
     step[last] -= theta[last]
-    covariance[np.ix_(order, order)] = found.covariance
+    covariance[np.ix_(order, order)] = found.covariance / variance
     return found, step, covariance
 
 

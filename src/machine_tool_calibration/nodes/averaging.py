@@ -69,7 +69,13 @@ class NotYet(Exception):  # noqa: N818  (not an error: a reason to wait)
 
 
 class Source(Protocol):
-    """Where samples come from: simulated geometry, or a driver."""
+    """Where samples come from: simulated geometry, or a driver.
+
+    Attributes:
+        hardware_id: of the instrument; empty where it is not known.
+    """
+
+    hardware_id: str
 
     def take(self, now: int) -> Batch:
         """The samples since the last call."""

@@ -29,13 +29,14 @@ from machine_tool_calibration.nodes.ros.messages import (
     pose_message,
     quaternion_of,
     seconds,
-    status_message,
     to_message,
 )
 from machine_tool_calibration.nodes.ros.node import GuardedNode
 from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run_process
+from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.site import Moment, Site, read_site
 from machine_tool_calibration.procedure.motion import AxisLimits, Trajectory, check_command
+from machine_tool_calibration.recording.graph import MACHINE
 
 __all__ = ["AxisSimulator", "main"]
 
@@ -74,7 +75,13 @@ class AxisSimulator(GuardedNode):
         self._epoch = uuid.uuid4().hex[:12]
 
         self._states = self.create_publisher(JointState, "joint_states", STATE)
-        self._status = self.create_publisher(DiagnosticArray, "axes/status", STATE)
+        self._status = StatusTopic(
+            self,
+            self.create_publisher(DiagnosticArray, "axes/status", STATE),
+            "axes",
+            hardware_id=f"simulated machine {self.site.chain}",
+            clock=self._now,
+        )
         self._truth = self.create_publisher(PoseStamped, "truth/functional_point", STATE)
         self._table = self.create_publisher(PoseStamped, "truth/table", STATE)
         self._ticks = self.create_publisher(ClockMessage, "/clock", 10) if self._jumping else None
@@ -208,7 +215,7 @@ class AxisSimulator(GuardedNode):
             self._known, self._point = known, self.site.functional_point(moment)
             self._rotation = quaternion_of(self.site.tool_rotation(moment))
             self._turned = None
-        self._truth.publish(pose_message(stamp, "machine", self._point + self._offset, self._rotation))
+        self._truth.publish(pose_message(stamp, MACHINE, self._point + self._offset, self._rotation))
         if self._turning:
             self._publish_table(stamp)
 
@@ -220,7 +227,7 @@ class AxisSimulator(GuardedNode):
             position, directions = self._motion.position(since), self._motion.directions(since, self._directions)
             place, rotation = self.site.table(Moment(seconds(stamp - self._origin), position, directions))
             self._turned = place, quaternion_of(rotation)
-        self._table.publish(pose_message(stamp, "machine", *self._turned))
+        self._table.publish(pose_message(stamp, MACHINE, *self._turned))
 
     def _publish_state(self, stamp: int) -> None:
         since = seconds(stamp - self._start)
@@ -231,7 +238,7 @@ class AxisSimulator(GuardedNode):
             velocity=[velocity[name] for name in self._names],
         )
         message.header.stamp = to_message(stamp)
-        message.header.frame_id = "machine"
+        message.header.frame_id = MACHINE
         self._states.publish(message)
 
     def _set_report(self, level: Level, text: str, **entries: object) -> None:
@@ -240,8 +247,7 @@ class AxisSimulator(GuardedNode):
 
     def _send_report(self) -> None:
         level, text, entries = self._report
-        entries = {**entries, "command": self._command, "epoch": self._epoch, **self.ignored_entries}
-        self._status.publish(status_message(self._now(), "axes", level, text, entries))
+        self._status.say(level, text, {**entries, "command": self._command, "epoch": self._epoch})
 
 
 def main(args: list[str] | None = None) -> None:

@@ -44,7 +44,7 @@ __all__ = [
 class Reading:
     """One `reading` message."""
 
-    setup: str
+    frame: str
     names: list[str]
     values: list[float]
 
@@ -79,7 +79,7 @@ class Request:
         """
         collector = Collector(parse_description(self.text, "session"), Place("session", "reading"))
         for reading in self.readings:
-            collector.add(reading.setup, reading.names, reading.values)
+            collector.add(reading.frame, reading.names, reading.values)
         return collector.session("live readings")
 
     def own(self) -> list[Effect]:

@@ -35,10 +35,13 @@ from machine_tool_calibration.nodes.calculation import (
     improved,
 )
 from machine_tool_calibration.nodes.publications import Publications, in_words
-from machine_tool_calibration.nodes.ros.messages import LATCHED, READINGS, Level, from_message, now, status_message
+from machine_tool_calibration.nodes.ros.messages import LATCHED, READINGS, Level, from_message
+from machine_tool_calibration.nodes.ros.names import OwnPublisher, offer
 from machine_tool_calibration.nodes.ros.node import GuardedNode
 from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run_process
-from machine_tool_calibration.nodes.ros.services import Answer, Background, DeferredService, Progress
+from machine_tool_calibration.nodes.ros.services import Answer, Background, Progress
+from machine_tool_calibration.nodes.ros.status import StatusTopic
+from machine_tool_calibration.reports.quantities import micrometres
 from machine_tool_calibration.session.collect import READING_INDEX
 from machine_tool_calibration.session.parse import parse_description
 
@@ -56,8 +59,8 @@ class Estimator(GuardedNode):
 
     def __init__(self) -> None:
         super().__init__("estimator")
-        self._declare()
         self._text = ""
+        self._declare()
         self._messages: dict[int, Reading] = {}
         self._origin: int | None = None
         self._indices: set[int] = set()
@@ -66,7 +69,8 @@ class Estimator(GuardedNode):
         self._last, self._level = "no identification yet", Level.OK
         self._shown: object = None
         self._results = Publications(self)
-        self._status = self.create_publisher(DiagnosticArray, "estimator/status", LATCHED)
+        own = OwnPublisher(self, "estimator", "status", DiagnosticArray, LATCHED)
+        self._status = StatusTopic(self, own, "estimator")
         self.create_subscription(String, "session", self._described, LATCHED)
         self.create_subscription(JointState, "reading", self._read, READINGS)
         for name, doing, work, done in (
@@ -76,7 +80,7 @@ class Estimator(GuardedNode):
             ("improve", "improving the model", improved, self._improved),
         ):
             self._offer(name, doing, work, done)
-        self.create_service(Trigger, "estimator/reset", self._reset)
+        offer(self, "estimator", "reset", Trigger, self._reset)
         self.create_timer(_PERIOD, self._show, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._show()
 
@@ -168,12 +172,11 @@ class Estimator(GuardedNode):
         """Readings of the session that never came, as far as those that came tell."""
         return max(self._indices) + 1 - len(self._indices) if self._indices else 0
 
-    def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success, response.message = True, f"{len(self._messages)} readings forgotten"
+    def _reset(self, answer: Answer) -> None:
+        answer.send(True, f"{len(self._messages)} readings forgotten")
         self._forget()
         self._resets += 1
         self._show()
-        return response
 
     def _offer(
         self,
@@ -185,7 +188,7 @@ class Estimator(GuardedNode):
         """Offer a calculation as a service.
 
         Args:
-            name: of the service, below `estimator/`.
+            name: of the service, below the node's.
             doing: what it does, for people.
             work: calculates.
             done: publishes the outcome; gives a sentence for the status, and the answer.
@@ -216,7 +219,7 @@ class Estimator(GuardedNode):
             )
             self._show()
 
-        DeferredService(self, Trigger, f"estimator/{name}", called)
+        offer(self, "estimator", name, Trigger, called)
 
     def _request(self) -> Request:
         values = {
@@ -241,7 +244,7 @@ class Estimator(GuardedNode):
             "rms_residual": result.rms_residual,
             "reduced_chi_square": result.fit.joint.reduced_chi_square,
         }
-        residual = f"{result.rms_residual * 1e6:.3f} um RMS residual"
+        residual = f"{micrometres(result.rms_residual)} um RMS residual"
         return f"identified from {result.observations} readings: {residual}", content
 
     def _compared(self, outcome: tuple[Mapping[str, Any], str]) -> tuple[str, Mapping[str, Any]]:
@@ -269,7 +272,8 @@ class Estimator(GuardedNode):
         self.set_parameters([Parameter("effects", Parameter.Type.STRING_ARRAY, effects or [""])])
         added = list(outcome.diagnosed.content["accepted"])
         before, after = first.result.rms_residual, last.result.rms_residual
-        words = f"improved by {', '.join(added) or 'nothing'}: {before * 1e6:.3f} -> {after * 1e6:.3f} um RMS residual"
+        residual = f"{micrometres(before)} -> {micrometres(after)} um RMS residual"
+        words = f"improved by {', '.join(added) or 'nothing'}: {residual}"
         return words, {
             "verdict": outcome.diagnosed.content["verdict"],
             "accepted": added,
@@ -292,7 +296,6 @@ class Estimator(GuardedNode):
             "busy": background.busy,
             "step": background.step,
             "progress": f"{background.share:.2f}",
-            **self.ignored_entries,
         }
         words = background.doing or self._last
         if self._missing:
@@ -304,7 +307,7 @@ class Estimator(GuardedNode):
         level = Level.OK if background.busy else self._level
         if self._missing:
             level = max(level, Level.WARN)
-        self._status.publish(status_message(now(self), "estimator", level, words, entries))
+        self._status.say(level, words, entries)
 
 
 def main(args: list[str] | None = None) -> None:

@@ -18,10 +18,11 @@ from pathlib import Path
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PointStamped, PoseStamped
+from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, String
 from std_srvs.srv import Trigger
 
@@ -31,7 +32,6 @@ from machine_tool_calibration.nodes.averaging import Batch, NotYet, Recent, Sour
 from machine_tool_calibration.nodes.environment import TOPICS
 from machine_tool_calibration.nodes.optics import make_optics
 from machine_tool_calibration.nodes.ros.messages import (
-    COMMAND,
     LATCHED,
     SLOW,
     STATE,
@@ -41,13 +41,15 @@ from machine_tool_calibration.nodes.ros.messages import (
     now,
     rotation_of,
     seconds,
-    status_message,
     to_message,
 )
+from machine_tool_calibration.nodes.ros.names import OwnPublisher, offer
 from machine_tool_calibration.nodes.ros.node import GuardedNode
 from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run_process
-from machine_tool_calibration.nodes.ros.services import Answer, DeferredService
+from machine_tool_calibration.nodes.ros.services import Answer
+from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.samples import DriverSource, SimulatedSource, clock_offset
+from machine_tool_calibration.nodes.setups import Pairs, Target, hear_targets, setup_named
 from machine_tool_calibration.nodes.site import Beam, Site, read_site
 from machine_tool_calibration.session.parse import parse_description
 
@@ -81,9 +83,10 @@ class Instrument(GuardedNode):
         self._environment_stamp = 0
         self._shown: object = None
         self._setups: list[str] = []
+        self._waiting: Target | None = None
+        self._pairs = Pairs()
 
-        self._stream = self.create_publisher(Float64MultiArray, "instrument/displacement", STATE)
-        self._status = self.create_publisher(DiagnosticArray, "instrument/status", LATCHED)
+        self._stream = OwnPublisher(self, "instrument", "displacement", Float64MultiArray, STATE)
         self._sensors = {
             name: self.create_publisher(kind, f"environment/{name}", SLOW) for name, (kind, _) in TOPICS.items()
         }
@@ -102,15 +105,19 @@ class Instrument(GuardedNode):
             self._simulated.blocked = self._blocked
             for body in ("functional_point", "table"):
                 self.create_subscription(PoseStamped, f"truth/{body}", partial(self._body, body=body), STATE)
-            self.create_subscription(PointStamped, "pointer/command", self._commanded, COMMAND)
-            self.create_subscription(PoseStamped, "truth/beam", self._pointed, STATE)
+            hear_targets(self, self._commanded)
+            self.create_subscription(PoseStamped, "truth/beam", partial(self._pointed, 0), STATE)
+            self.create_subscription(JointState, "pointer/state", partial(self._pointed, 1), STATE)
             self.create_subscription(String, "session", self._described, LATCHED)
         elif self._simulated_time:
             raise CalibrationError("a real driver needs real time: use_sim_time must be false")
         else:
             self.source = DriverSource(load_driver(Path(self._driver)), clock_offset(now(self)))
-        DeferredService(self, Trigger, "instrument/datum", lambda answer: self._requested(answer, is_datum=True))
-        DeferredService(self, Trigger, "instrument/capture", lambda answer: self._requested(answer, is_datum=False))
+        own = OwnPublisher(self, "instrument", "status", DiagnosticArray, LATCHED)
+        hardware_id = self.source.hardware_id or Path(self._driver).stem
+        self._status = StatusTopic(self, own, "instrument", hardware_id=hardware_id)
+        offer(self, "instrument", "datum", Trigger, lambda answer: self._requested(answer, is_datum=True))
+        offer(self, "instrument", "capture", Trigger, lambda answer: self._requested(answer, is_datum=False))
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(0.1, self._check, clock=steady)
         if not self._simulated_time:
@@ -219,6 +226,8 @@ class Instrument(GuardedNode):
             self._simulated.look_at(make_optics(self._site, session))
         except CalibrationError as error:
             self.get_logger().error(str(error))
+        if self._waiting is not None:
+            self._commanded(self._waiting)
 
     def _body(self, message: PoseStamped, body: str) -> None:
         if self._simulated.optics.body != body:
@@ -232,30 +241,37 @@ class Instrument(GuardedNode):
             if self._requests:
                 self._answer_requests()
 
-    def _pointed(self, message: PoseStamped) -> None:
+    def _pointed(self, side: int, message: PoseStamped | JointState) -> None:
+        """The true beam, and what the pointer says of itself: the setup that the beam belongs to."""
         if not self._simulated.optics.aims:
             return
-        place, setup = message.pose.position, message.header.frame_id
+        stamp = from_message(message.header.stamp)
+        pair = self._pairs.put(side, stamp, message)
+        if pair is None:
+            return
+        truth, state = pair
+        place, setup = truth.pose.position, setup_named(state, self._setups)
         if self._simulated.setup and not setup:
             return  # a pointer that has just started again: the instrument stands where it stood
-        direction = rotation_of(message.pose.orientation)[:, 0]
+        direction = rotation_of(truth.pose.orientation)[:, 0]
         beam = Beam(np.array([place.x, place.y, place.z]), direction)
-        self._simulated.set_beam(from_message(message.header.stamp), setup, self._index(setup), beam)
-        self._moved()
+        self._stand(stamp, setup, beam)
 
-    def _commanded(self, message: PointStamped) -> None:
+    def _commanded(self, target: Target) -> None:
         """Axes and pointer move; an instrument whose beam is fixed learns from it at which setup it stands."""
-        self._simulated.expect(from_message(message.header.stamp))
-        if self._simulated.optics.aims:
+        self._simulated.expect(target.stamp)
+        setup = target.setup(self._setups)
+        self._waiting = None if setup else target  # the session that describes it may be under way
+        if self._simulated.optics.aims or not setup:
             return
-        setup = message.header.frame_id
-        self._simulated.set_setup(from_message(message.header.stamp), setup, self._index(setup))
-        self._moved()
+        self._stand(target.stamp, setup)
 
-    def _index(self, setup: str) -> int:
-        return self._setups.index(setup) if setup in self._setups else 0
-
-    def _moved(self) -> None:
+    def _stand(self, stamp: int, setup: str, beam: Beam | None = None) -> None:
+        """The instrument stands at a setup from a time on; that it was moved is no fault, but its count is void."""
+        index = self._setups.index(setup) if setup in self._setups else 0
+        moved = self._simulated.set_setup(stamp, setup, index, beam)
+        if moved:
+            self._lose_datum(moved, is_fault=False)
         self._note_loss()
         if self._simulated_time and self._requests:
             self._answer_requests()
@@ -365,8 +381,8 @@ class Instrument(GuardedNode):
         if reason:
             self._lose_datum(reason)
 
-    def _lose_datum(self, reason: str) -> None:
-        if self._datum:
+    def _lose_datum(self, reason: str, *, is_fault: bool = True) -> None:
+        if self._datum and is_fault:
             self.get_logger().warning(f"the datum is lost: {reason}")
         self._datum, self._reason = "", reason
         self._recent.clear()
@@ -387,14 +403,13 @@ class Instrument(GuardedNode):
         problem = self.source.problem()
         state = "no signal" if problem else "measuring" if self._datum else "no datum"
         text = problem or self._reason or "measuring"
-        ignored = self.ignored_entries
-        shown = (state, text, self._datum, ignored)
+        shown = (state, text, self._datum)
         if shown == self._shown:
             return
         self._shown = shown
         level = Level.OK if state == "measuring" else Level.WARN
-        entries = {"state": state, "datum": self._datum, "epoch": self._epoch, "driver": self._driver, **ignored}
-        self._status.publish(status_message(now(self), "instrument", level, text, entries))
+        entries = {"state": state, "datum": self._datum, "epoch": self._epoch, "driver": self._driver}
+        self._status.say(level, text, entries)
 
     def _sensed(self, stamp: int) -> dict[str, float]:
         """The environment that this node knows itself; with a real driver the sensors publish it."""

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from difflib import get_close_matches
 
-from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.errors import CalibrationError, did_you_mean
 
 __all__ = ["switches", "unknown_arguments"]
 
@@ -30,8 +29,4 @@ def switches(given: Mapping[str, str], names: Collection[str]) -> dict[str, bool
 
 def unknown_arguments(given: Collection[str], known: Collection[str]) -> list[str]:
     """A sentence for each argument that nobody reads, which `ros2 launch` passes over without a word."""
-    sentences = []
-    for name in sorted(set(given) - set(known)):
-        near = get_close_matches(name, list(known), n=1)
-        sentences.append(f"there is no argument {name}" + (f"; did you mean {near[0]}?" if near else ""))
-    return sentences
+    return [f"there is no argument {name!r}{did_you_mean(name, known)}" for name in sorted(set(given) - set(known))]

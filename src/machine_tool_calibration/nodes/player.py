@@ -22,9 +22,12 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import Trigger
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.nodes.ros.messages import LATCHED, Level, status_message, to_message
+from machine_tool_calibration.nodes.ros.messages import LATCHED, Level, to_message
+from machine_tool_calibration.nodes.ros.names import OwnPublisher, offer
 from machine_tool_calibration.nodes.ros.node import GuardedNode
 from machine_tool_calibration.nodes.ros.process import declare, run_process
+from machine_tool_calibration.nodes.ros.services import Answer
+from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.ros.taps import message_class
 from machine_tool_calibration.recording.errors import RecordingError
 from machine_tool_calibration.recording.graph import with_depth
@@ -78,7 +81,7 @@ _AT_ONCE = 500  # messages, so that services are answered in between
 _SHOW = 0.2  # s
 _ACKNOWLEDGE = Duration(seconds=2.0)
 _LEAST_DEPTH = 100
-_NEVER = ("/rosout", "/parameter_events")
+_NEVER = ("/rosout", "/parameter_events", "/diagnostics")
 
 
 @dataclass
@@ -141,10 +144,11 @@ class Player(GuardedNode):
         self._time_topic = self.create_publisher(ClockMessage, "/clock", 10) if frequency else None
         self._period = round(1e9 / frequency) if frequency else 0
         self._last_clock: int | None = None
-        self._status = self.create_publisher(DiagnosticArray, "player/status", LATCHED)
+        own = OwnPublisher(self, "player", "status", DiagnosticArray, LATCHED)
+        self._status = StatusTopic(self, own, "player", clock=time.time_ns)
         self._shown: object = None
         for name, action in (("pause", self._pause), ("resume", self._resume), ("step", self._step)):
-            self.create_service(Trigger, f"player/{name}", action)
+            offer(self, "player", name, Trigger, action)
         self._pace = Pace(self._rate, self._start, time.monotonic_ns(), paused=paused)
         self._begin: int | None = time.monotonic_ns() + round(delay * 1e9) if delay else None
         self._messages: Iterator[Message] = iter(())
@@ -277,34 +281,32 @@ class Player(GuardedNode):
         self._last_clock = at
         self._time_topic.publish(ClockMessage(clock=to_message(at)))
 
-    def _pause(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _pause(self, answer: Answer) -> None:
         self._pace.pause(time.monotonic_ns())
-        return self._answer(response, "paused")
+        self._answer(answer, "paused")
 
-    def _resume(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _resume(self, answer: Answer) -> None:
         if self._ended:
-            response.success, response.message = False, "the bag has been played to its end"
-            return response
+            answer.send(False, "the bag has been played to its end")
+            return
         self._pace.resume(time.monotonic_ns())
-        return self._answer(response, "playing")
+        self._answer(answer, "playing")
 
-    def _step(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _step(self, answer: Answer) -> None:
         message, self._begin = self._next, None
         if not self._pace.paused or message is None:
-            response.success = False
-            response.message = "only a paused replay can be stepped" if message else "no message is left"
-            return response
+            answer.send(False, "only a paused replay can be stepped" if message else "no message is left")
+            return
         self._pace.set(message.log_time, time.monotonic_ns())
         try:
             self._advance(message)
         except RecordingError as error:
             self._fail(error)
-        return self._answer(response, message.topic)
+        self._answer(answer, message.topic)
 
-    def _answer(self, response: Trigger.Response, text: str) -> Trigger.Response:
-        response.success, response.message = True, text
+    def _answer(self, answer: Answer, text: str) -> None:
+        answer.send(True, text)
         self._show()
-        return response
 
     @property
     def state(self) -> str:
@@ -329,7 +331,7 @@ class Player(GuardedNode):
             return
         self._shown = entries
         level = Level.ERROR if self.trouble else Level.OK
-        self._status.publish(status_message(time.time_ns(), "player", level, self.trouble or self.state, entries))
+        self._status.say(level, self.trouble or self.state, entries)
 
 
 def _offered(topic: Topic) -> Qos:

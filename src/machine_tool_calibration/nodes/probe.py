@@ -38,14 +38,16 @@ from machine_tool_calibration.nodes.ros.messages import (
     positions,
     seconds,
     stamp_among,
-    status_message,
     to_message,
     values,
 )
+from machine_tool_calibration.nodes.ros.names import OwnPublisher
 from machine_tool_calibration.nodes.ros.node import GuardedNode
 from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run_process
 from machine_tool_calibration.nodes.ros.services import Answer, DeferredService
+from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.site import Site, read_site
+from machine_tool_calibration.recording.graph import MACHINE
 from machine_tool_calibration.session.description import Probing
 from machine_tool_calibration.session.parse import parse_description
 from machine_tool_calibration.simulation.disturbance import Sight
@@ -168,8 +170,10 @@ class Probe(GuardedNode):
         self._floor = 0
         self._random = np.random.default_rng([self._site.spec.seed, 43, self._noise_seed])
 
-        self._status = self.create_publisher(DiagnosticArray, "instrument/status", LATCHED)
-        self._triggers = self.create_publisher(JointState, "probe/trigger", STATE)
+        # it stands in the instrument's place, whatever its own name is
+        told = self.create_publisher(DiagnosticArray, "instrument/status", LATCHED)
+        self._status = StatusTopic(self, told, "probe", hardware_id="simulated probe")
+        self._triggers = OwnPublisher(self, "probe", "trigger", JointState, STATE)
         self._commands = self.create_publisher(JointTrajectory, "axes/joint_trajectory", COMMAND)
         self._sensors = {
             name: self.create_publisher(kind, f"environment/{name}", SLOW) for name, (kind, _) in TOPICS.items()
@@ -359,7 +363,7 @@ class Probe(GuardedNode):
         command = max(begin, self._floor + 1)
         self._floor = command
         message.header.stamp = to_message(command)
-        message.header.frame_id = "machine"
+        message.header.frame_id = MACHINE
         deepest = {**position, **touch.at(turn)}
         message.points = [
             JointTrajectoryPoint(positions=[place[name] for name in names], time_from_start=duration_message(clock))
@@ -390,7 +394,7 @@ class Probe(GuardedNode):
         else:
             self._touches += 1
             self._last = ""
-            self._publish_trigger(cycle, point)
+            self._publish_trigger(cycle)
         self._show()
         sensed = self._site.sensed(seconds(cycle.moment - self._origin))
         document = {
@@ -412,11 +416,11 @@ class Probe(GuardedNode):
         }
         self._send(True, json.dumps(document))
 
-    def _publish_trigger(self, cycle: _Cycle, point: str) -> None:
-        latched = {**cycle.position, **cycle.touch.at(cycle.displacement)}
+    def _publish_trigger(self, cycle: _Cycle) -> None:
+        latched = {**cycle.position, **cycle.touch.at(cycle.displacement), "point_index": float(cycle.touch.point)}
         message = JointState(name=list(latched), position=list(latched.values()))
         message.header.stamp = to_message(cycle.moment)
-        message.header.frame_id = point
+        message.header.frame_id = MACHINE
         self._triggers.publish(message)
 
     def _refuse(self, reason: str) -> None:
@@ -442,16 +446,15 @@ class Probe(GuardedNode):
             problem = "waiting for a probing session"
         elif self._axes is None:
             problem = "waiting for the axes"
-        counters: dict[str, object] = {"touches": self._touches, "missed": self._missed, "early": self._early}
-        counters |= self.ignored_entries
+        counters = {"touches": self._touches, "missed": self._missed, "early": self._early}
         text = problem or self._last or "ready"
-        shown = (text, counters)
+        shown = (text, tuple(counters.values()))
         if shown == self._shown:
             return
         self._shown = shown
         level = Level.WARN if problem or self._last else Level.OK
         state = "no signal" if problem else "measuring"
-        self._status.publish(status_message(now(self), "probe", level, text, {"state": state, "datum": "", **counters}))
+        self._status.say(level, text, {"state": state, "datum": "", **counters})
 
     def _publish_environment(self, stamp: int) -> None:
         self._environment_stamp = stamp

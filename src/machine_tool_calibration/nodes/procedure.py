@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -34,12 +35,15 @@ from machine_tool_calibration.nodes.ros.messages import (
     now,
     positions,
     stamp_among,
-    status_message,
     to_message,
     values,
 )
+from machine_tool_calibration.nodes.ros.names import OwnPublisher, offer
 from machine_tool_calibration.nodes.ros.node import GuardedNode
 from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run_process
+from machine_tool_calibration.nodes.ros.services import Answer
+from machine_tool_calibration.nodes.ros.status import StatusTopic
+from machine_tool_calibration.nodes.setups import setup_named, target_message
 from machine_tool_calibration.procedure import plan, read_procedure
 from machine_tool_calibration.procedure.events import (
     Action,
@@ -56,6 +60,7 @@ from machine_tool_calibration.procedure.events import (
 )
 from machine_tool_calibration.procedure.progress import State, Timing
 from machine_tool_calibration.procedure.sequencer import Sequencer
+from machine_tool_calibration.recording.graph import MACHINE
 from machine_tool_calibration.session.parse import description_yaml
 
 __all__ = ["ProcedureNode", "main"]
@@ -155,6 +160,7 @@ class ProcedureNode(GuardedNode):
             "whether procedure/start and procedure/resume are carried out; false: they are refused",
         )
         self.sequencer = Sequencer(plan(read_procedure(Path(file))), timing)
+        self._setups = [setup.id for setup in self.sequencer.plan.procedure.session.setups]
         self._environment = EnvironmentWatch(self, maximum_age)
         self._starts_with_clock = False
         self._resets: int | None = None
@@ -167,13 +173,15 @@ class ProcedureNode(GuardedNode):
 
         self._session = self.create_publisher(String, "session", LATCHED)
         self._readings = self.create_publisher(JointState, "reading", READINGS)
-        self._status = self.create_publisher(DiagnosticArray, "procedure/status", LATCHED)
+        own = OwnPublisher(self, "procedure", "status", DiagnosticArray, LATCHED)
+        self._status = StatusTopic(self, own, "procedure")
         # Before the subscription to its status: an instrument whose status came knows these clients, else it would drop
         # its first answers.
         self._datum = self.create_client(Trigger, "instrument/datum")
         self._capture = self.create_client(Trigger, "instrument/capture")
         self._axes = self.create_publisher(JointTrajectory, "axes/joint_trajectory", COMMAND)
-        self._pointer = self.create_publisher(PointStamped, "pointer/command", COMMAND)
+        self._pointer = self.create_publisher(JointState, "pointer/target", COMMAND)
+        self._point = self.create_publisher(PointStamped, "pointer/command", COMMAND)
         self.create_subscription(DiagnosticArray, "axes/status", self._axes_status, STATE)
         self._joints = self.create_subscription(JointState, "joint_states", self._joint_states, STATE)
         self.create_subscription(JointState, "pointer/state", self._pointer_state, STATE)
@@ -185,7 +193,7 @@ class ProcedureNode(GuardedNode):
             ("resume", self._resume),
             ("abort", self._abort),
         ):
-            self.create_service(Trigger, f"procedure/{name}", _answered(handler))
+            offer(self, "procedure", name, Trigger, partial(_answer, handler))
         self.create_timer(_TICK, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._publish_session()
         self._show()
@@ -273,7 +281,8 @@ class ProcedureNode(GuardedNode):
             raise CalibrationError("it has no azimuth")
         self._seen.add("pointer")
         stamp = from_message(message.header.stamp)
-        self._hear(Aimed(message.header.frame_id, angles["azimuth"], angles.get("elevation", 0.0), stamp))
+        setup = setup_named(message, self._setups)
+        self._hear(Aimed(setup, angles["azimuth"], angles.get("elevation", 0.0), stamp))
 
     def _instrument_status(self, message: DiagnosticArray) -> None:
         if values(message).get("state") == "no signal":
@@ -319,7 +328,8 @@ class ProcedureNode(GuardedNode):
                     message.header.stamp = to_message(action.stamp)
                     self._axes.publish(message)
                 case Aim():
-                    self._pointer.publish(_point(action))
+                    self._pointer.publish(target_message(action, self._setups))
+                    self._point.publish(_point(action))
                 case SetDatum():
                     self._call(self._datum, action.token, is_datum=True)
                 case Capture():
@@ -364,7 +374,6 @@ class ProcedureNode(GuardedNode):
             "waiting_for": waiting,
             "duration": f"{sequencer.plan.duration:.0f}",
             **counters,
-            **self.ignored_entries,
         }
         text = sequencer.message
         if waiting and sequencer.state in (State.RUNNING, State.IDLE):
@@ -375,27 +384,22 @@ class ProcedureNode(GuardedNode):
             return
         self._shown = (text, entries)
         level = _LEVELS.get(sequencer.state, Level.WARN if waiting or self._remark else Level.OK)
-        self._status.publish(status_message(now(self), "procedure", level, text, entries))
+        self._status.say(level, text, entries)
 
 
-def _answered(handler: Callable[[], str]) -> Callable[[Trigger.Request, Trigger.Response], Trigger.Response]:
-    """A service's handler from a function that says what it did or raises what it cannot do."""
-
-    def called(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        try:
-            response.message, response.success = handler(), True
-        except CalibrationError as error:
-            response.message, response.success = str(error), False
-        return response
-
-    return called
+def _answer(handler: Callable[[], str], answer: Answer) -> None:
+    """Answer a request by a function that says what it did or raises what it cannot do."""
+    try:
+        answer.send(True, handler())
+    except CalibrationError as error:
+        answer.send(False, str(error))
 
 
 def _trajectory(motion: Motion) -> JointTrajectory:
     names = list(motion.points[-1].position)
     message = JointTrajectory(joint_names=names)
     message.header.stamp = to_message(motion.stamp)
-    message.header.frame_id = "machine"
+    message.header.frame_id = MACHINE
     message.points = [
         JointTrajectoryPoint(positions=[place[name] for name in names], time_from_start=duration_message(clock))
         for place, clock in motion.points
@@ -406,7 +410,7 @@ def _trajectory(motion: Motion) -> JointTrajectory:
 def _point(aim: Aim) -> PointStamped:
     message = PointStamped()
     message.header.stamp = to_message(aim.stamp)
-    message.header.frame_id = aim.setup
+    message.header.frame_id = MACHINE
     message.point.x, message.point.y, message.point.z = aim.point
     return message
 
@@ -414,7 +418,7 @@ def _point(aim: Aim) -> PointStamped:
 def _reading(emit: Emit) -> JointState:
     message = JointState(name=list(emit.columns), position=list(emit.columns.values()))
     message.header.stamp = to_message(emit.stamp)
-    message.header.frame_id = emit.setup
+    message.header.frame_id = MACHINE
     return message
 
 

@@ -19,7 +19,8 @@ from machine_tool_calibration.machine.error_motions import SQUARENESS
 from machine_tool_calibration.methods.axis_tables import axis_tables
 from machine_tool_calibration.model.result import ErrorMap, Estimate, Result
 from machine_tool_calibration.nodes.calculation import Diagnosed, Identified, Improved
-from machine_tool_calibration.nodes.ros.messages import LATCHED, Level, cloud, now, status, to_message
+from machine_tool_calibration.nodes.ros.messages import LATCHED, Level, cloud, stamp_now, status, to_message
+from machine_tool_calibration.recording.graph import MACHINE
 from machine_tool_calibration.reports.quantities import sizes_in_words
 from machine_tool_calibration.reports.verdict import verdict_words
 
@@ -66,7 +67,7 @@ def axis_cloud(stamp: int, result: Result) -> PointCloud2:
     return cloud(stamp, {name: content[:, k] for k, name in enumerate(AXIS_FIELDS)})
 
 
-def arrows(stamp: int, error_map: ErrorMap, magnification: float = 0.0, frame: str = "machine") -> MarkerArray:
+def arrows(stamp: int, error_map: ErrorMap, magnification: float = 0.0, frame: str = MACHINE) -> MarkerArray:
     """The position errors as arrows, magnified; grey where the error is within its U (k = 2).
 
     At most MOST_ARROWS of the points, evenly chosen. A first marker takes away the arrows of an earlier map; the last
@@ -234,7 +235,7 @@ class Publications:
             identified: the map.
             magnification: of the arrows; 0 for a round number.
         """
-        result, stamp = identified.result, now(self._node)
+        result, stamp = identified.result, stamp_now(self._node)
         self._map.publish(cloud(stamp, _map_fields(result)))
         self._axes.publish(axis_cloud(stamp, result))
         self._arrows.publish(arrows(stamp, result.error_map, magnification))
@@ -247,7 +248,7 @@ class Publications:
 
     def show_diagnosis(self, diagnosed: Diagnosed) -> None:
         """Publish the verdict and the candidates, and the document."""
-        self._diagnosis.publish(verdict_message(now(self._node), diagnosed))
+        self._diagnosis.publish(verdict_message(stamp_now(self._node), diagnosed))
         self._diagnosis_result.publish(String(data=diagnosed.document))
 
     def show_improvement(self, improved: Improved, magnification: float) -> None:

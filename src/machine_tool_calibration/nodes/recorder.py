@@ -10,9 +10,11 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.nodes.ros.messages import LATCHED, Level, now, status, to_message
+from machine_tool_calibration.nodes.ros.messages import LATCHED, Level, now, status
+from machine_tool_calibration.nodes.ros.names import OwnPublisher, own_names
 from machine_tool_calibration.nodes.ros.node import GuardedNode
 from machine_tool_calibration.nodes.ros.process import declare, run_process, use_sim_time
+from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.ros.taps import Taken, Tap, Taps
 from machine_tool_calibration.recording.errors import RecordingError
 from machine_tool_calibration.recording.graph import GRAPH_TOPICS, belongs_to_graph, with_depth
@@ -24,7 +26,7 @@ __all__ = ["Recorder", "main"]
 _TAKE = 0.004  # s
 _DISCOVER = 0.2  # s
 _SHOW = 0.5  # s
-_NEVER = ("/rosout", "/parameter_events", "/clock")
+_NEVER = ("/rosout", "/parameter_events", "/clock", "/diagnostics")
 
 
 class Recorder(GuardedNode):
@@ -43,9 +45,9 @@ class Recorder(GuardedNode):
         split_bytes = declare(self, "split_size", 0, "size at which a new file begins; 0 never", unit="B", low=0)
         split_time = declare(self, "split_duration", 0.0, "duration of a file; 0 endless", unit="s", low=0.0)
         flush = declare(self, "flush_period", 0.4, "longest age of what a kill may cost", unit="s", low=0.02, high=0.8)
-        self._status = self.create_publisher(DiagnosticArray, "recorder/status", LATCHED)
-        own = self.resolve_topic_name("recorder/status")
-        self._ignored = {*_NEVER, own}
+        told = OwnPublisher(self, "recorder", "status", DiagnosticArray, LATCHED)
+        self._status = StatusTopic(self, told, "recorder")
+        self._ignored = {*_NEVER, *map(self.resolve_topic_name, own_names(self, "recorder", "status"))}
         self._refused: dict[str, str] = {}
         self._taken = 0
         self.trouble = ""
@@ -171,11 +173,9 @@ class Recorder(GuardedNode):
             "messages": self.bag.messages,
             "lost": lost,
             "size": self.bag.size,
-            **self.ignored_entries,
             **{f"not recorded {name}": reason for name, reason in self._refused.items()},
         }
-        message = DiagnosticArray(status=[status("recorder", level, text, overall)])
-        message.header.stamp = to_message(now(self))
+        topics = []
         for name, tap in sorted(taps.items()):
             values = {
                 "type": tap.type,
@@ -184,8 +184,8 @@ class Recorder(GuardedNode):
                 "lost": tap.lost,
                 "sent before the first": tap.unseen,
             }
-            message.status.append(status(name, Level.WARN if tap.lost else Level.OK, "subscribed", values))
-        self._status.publish(message)
+            topics.append(status(name, Level.WARN if tap.lost else Level.OK, "subscribed", values))
+        self._status.say(level, text, overall, topics)
 
 
 def main(args: list[str] | None = None) -> None:

@@ -1,9 +1,9 @@
 """The simulated rotary pointer of an open-loop tracking interferometer.
 
 Points the beam from the *estimated* station at the *commanded* target (Ibaraki et al. 2014, Eq. (1), four quadrants,
-with elevation in three dimensions). The estimated stations are those of the latched `session`; which one is meant
-stands in the command's `frame_id`. Where the beam really goes (true station, zero offsets, radial error motion) is seen
-by the simulated instrument only.
+with elevation in three dimensions). The estimated stations are those of the latched `session`; which one is meant, the
+command says. Where the beam really goes (true station, zero offsets, radial error motion) is seen by the simulated
+instrument only.
 """
 
 from __future__ import annotations
@@ -12,30 +12,30 @@ import math
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PointStamped, PoseStamped
+from geometry_msgs.msg import PoseStamped
 from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from machine_tool_calibration.instruments.tracking import pointing
 from machine_tool_calibration.nodes.ros.messages import (
-    COMMAND,
     LATCHED,
     STATE,
     Level,
-    from_message,
     nanoseconds,
     now,
     pose_message,
     quaternion_along,
     seconds,
-    status_message,
     to_message,
 )
 from machine_tool_calibration.nodes.ros.node import GuardedNode
 from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run_process
+from machine_tool_calibration.nodes.ros.status import StatusTopic
+from machine_tool_calibration.nodes.setups import SETUP, Target, hear_targets
 from machine_tool_calibration.nodes.site import Beam, Moment, Site, read_site
 from machine_tool_calibration.procedure.motion import AxisLimits, Move, move
+from machine_tool_calibration.recording.graph import MACHINE
 from machine_tool_calibration.session.description import Description, StationSetup
 from machine_tool_calibration.session.parse import parse_description
 
@@ -75,7 +75,7 @@ class RotaryPointer(GuardedNode):
         self._limits = dict.fromkeys(_ANGLES, AxisLimits(speed, acceleration))
         self.site = Site(read_site(site))
         self._session: Description | None = None
-        self._waiting: PointStamped | None = None
+        self._waiting: Target | None = None
         self._setup = ""
         self._setup_starts: dict[str, int] = {}
         self._start = self._arrival = 0
@@ -83,11 +83,12 @@ class RotaryPointer(GuardedNode):
         self._motion = Move(rest, rest, 0.0, 0.0)
 
         self._states = self.create_publisher(JointState, "pointer/state", STATE)
-        self._status = self.create_publisher(DiagnosticArray, "pointer/status", LATCHED)
+        own = self.create_publisher(DiagnosticArray, "pointer/status", LATCHED)
+        self._status = StatusTopic(self, own, "pointer", hardware_id="simulated pointer")
         self._shown: object = None
         self._truth = self.create_publisher(PoseStamped, "truth/beam", STATE)
         self.create_subscription(String, "session", self._described, LATCHED)
-        self.create_subscription(PointStamped, "pointer/command", self._commanded, COMMAND)
+        hear_targets(self, self._commanded)
         period = _HEARTBEAT if self._simulated else 1.0 / rate
         self.create_timer(period, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -104,24 +105,23 @@ class RotaryPointer(GuardedNode):
         setups = self._session.setups if self._session is not None else ()
         return [setup.id for setup in setups if isinstance(setup, StationSetup)]
 
-    def _commanded(self, message: PointStamped) -> None:
-        setup = message.header.frame_id
+    def _commanded(self, target: Target) -> None:
         ids = self._ids()
         if self._session is not None and not ids:
             return
-        if setup not in ids:  # the session that describes it may be under way
-            self._waiting = message
+        setup = target.setup(ids)
+        if not setup:  # the session that describes it may be under way
+            self._waiting = target
             if self._session is not None:
-                text = f"the session has no setup {setup[:40]!r}; it has {', '.join(ids)}"
+                text = f"the session has no setup {target.named}; it has {', '.join(ids)}"
                 self.get_logger().warning(text, throttle_duration_sec=10.0)
             return
         self._waiting = None
-        stamp = from_message(message.header.stamp)
+        stamp = target.stamp
         if setup != self._setup:
             self._setup = setup
             self._setup_starts[setup] = max(stamp, now(self))
-        point = np.array([[message.point.x, message.point.y, message.point.z]])
-        azimuth, elevation = pointing(point, np.array(self._session.setups[ids.index(setup)].position))  # type: ignore[union-attr]
+        azimuth, elevation = pointing(target.point[None], np.array(self._session.setups[ids.index(setup)].position))  # type: ignore[union-attr]
         flat = getattr(self._session, "dimension", 3) == 2
         begin = max(stamp, now(self)) if not self._simulated else stamp
         here = self._motion.position(seconds(begin - self._start))
@@ -133,18 +133,21 @@ class RotaryPointer(GuardedNode):
         self._publish(self._arrival if self._simulated else begin)
 
     def _tick(self) -> None:
-        self._publish(self._arrival if self._simulated else now(self))
+        # in simulated time the pointer has stood still since it arrived; before the first command it stands where it is
+        stamp = (self._simulated and self._arrival) or now(self)
+        if stamp:
+            self._publish(stamp)
         self._show()
 
     def _show(self) -> None:
         """Publish the status where it has changed."""
-        entries = {"state": "pointing" if self._setup else "waiting", "setup": self._setup, **self.ignored_entries}
+        entries = {"state": "pointing" if self._setup else "waiting", "setup": self._setup}
         if entries == self._shown:
             return
         text = "pointing" if self._setup else f"waiting for a {'session' if self._session is None else 'command'}"
         self._shown = entries
         level = Level.OK if self._setup else Level.WARN
-        self._status.publish(status_message(now(self), "pointer", level, text, entries))
+        self._status.say(level, text, entries)
 
     def _publish(self, stamp: int) -> None:
         since = seconds(stamp - self._start) if self._simulated is False else self._motion.duration
@@ -156,13 +159,17 @@ class RotaryPointer(GuardedNode):
             position=[azimuth, place["elevation"]],
             velocity=[rate[name] for name in _ANGLES],
         )
+        if self._setup:
+            message.name.append(SETUP)
+            message.position.append(float(self._ids().index(self._setup)))
+            message.velocity.append(0.0)
         message.header.stamp = to_message(stamp)
-        message.header.frame_id = self._setup
+        message.header.frame_id = MACHINE
         self._states.publish(message)
 
     def _publish_truth(self, stamp: int, azimuth: float, elevation: float) -> None:
         beam = self._beam(stamp, azimuth, elevation)
-        self._truth.publish(pose_message(stamp, self._setup, beam.origin, quaternion_along(beam.direction)))
+        self._truth.publish(pose_message(stamp, MACHINE, beam.origin, quaternion_along(beam.direction)))
 
     def _beam(self, stamp: int, azimuth: float, elevation: float) -> Beam:
         """The true beam; from the machine's zero as long as no setup has been commanded."""

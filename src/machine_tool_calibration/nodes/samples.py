@@ -28,10 +28,14 @@ class DriverSource:
     Args:
         driver: not yet opened.
         clock_offset: ROS time minus `time.monotonic`, ns.
+
+    Attributes:
+        hardware_id: the instrument's; empty where its driver does not know it.
     """
 
     def __init__(self, driver: Driver, clock_offset: int) -> None:
         self._driver, self._offset = driver, clock_offset
+        self.hardware_id: str = getattr(driver, "hardware_id", "")
         self._samples: deque[tuple[int, float]] = deque(maxlen=_MOST)
         self._reason = ""
         self._problem = "connecting"
@@ -119,6 +123,7 @@ class SimulatedSource:
     Attributes:
         optics: what the instrument looks at.
         blocked: whether something stands in the beam.
+        hardware_id: of the instrument.
         setup: id of the present setup, and `setup_index` its place in the description.
         first: geometric path of the setup's first reading, m.
     """
@@ -134,6 +139,7 @@ class SimulatedSource:
         keep: int = 4000,
     ) -> None:
         self.site = site
+        self.hardware_id = "simulated interferometer"
         self.optics: Optics = OnTool(site, tracking=False)
         self.blocked = False
         self.setup, self.setup_index = "", 0
@@ -167,18 +173,18 @@ class SimulatedSource:
             self._poses.pop()
         self._poses.append(Pose(stamp, place, _IDENTITY if rotation is None else rotation))
 
-    def set_setup(self, stamp: int, setup: str, index: int) -> None:
-        """The setup at which the instrument stands from a time on."""
-        if setup != self.setup:
-            if self.setup:
-                self._lost = f"the instrument was moved from setup {self.setup} to {setup}"
+    def set_setup(self, stamp: int, setup: str, index: int, beam: Beam | None = None) -> str:
+        """The setup at which the instrument stands from a time on, and the true beam where it has a pointer.
+
+        Returns:
+            From where to where it was moved, in words; empty if it was not.
+        """
+        before = self.setup
+        if setup != before:
             self.setup, self._setup_start, self.first = setup, stamp, None
         self.setup_index, self._beam_stamp = index, stamp
-
-    def set_beam(self, stamp: int, setup: str, index: int, beam: Beam) -> None:
-        """The true beam from a time on, and the setup that it belongs to."""
-        self.set_setup(stamp, setup, index)
-        self._beam = beam
+        self._beam = beam or self._beam
+        return f"the instrument was moved from setup {before} to {setup}" if before not in ("", setup) else ""
 
     def expect(self, stamp: int) -> None:
         """Axes and pointer were commanded: what they said before says nothing about where they are now."""

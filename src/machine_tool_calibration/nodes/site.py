@@ -20,6 +20,7 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.session.description import Description, StationSetup, Target
+from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
 from machine_tool_calibration.simulation.environment import Environment, random_environment
 from machine_tool_calibration.simulation.flaw import Chosen
@@ -268,12 +269,7 @@ def read_site(path: str) -> SiteSpec:
     """
     if not path:
         return SiteSpec()
-    try:
-        content = load_yaml(Path(path).read_text(encoding="utf-8"), path).value
-    except OSError as error:
-        raise CalibrationError(f"{path}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise CalibrationError(f"{path}: is not UTF-8 text") from None
+    content = load_yaml(read_text(Path(path)), path).value
     try:
         return SiteSpec.model_validate(content if content is not None else {})
     except ValidationError as error:

@@ -12,6 +12,7 @@ from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.diagnosis.comparison import Comparison, JointComparison
 from machine_tool_calibration.plots.residuals import color, draw_arrows, draw_residuals, grids, planes, repeat_groups
 from machine_tool_calibration.plots.style import COLORS, save
+from machine_tool_calibration.reports.quantities import rounded
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,7 +40,7 @@ def draw(comparison: Comparison, folder: Path, against: Sequence[str] = ()) -> l
     Args:
         comparison: what to draw.
         folder: where; made if it is not there.
-        against: covariates for the residuals; the most telling ones if empty.
+        against: covariates for the residuals; the first of their ranking if empty.
 
     Returns:
         The files.
@@ -67,7 +68,7 @@ def draw_joint(comparison: JointComparison, folder: Path, against: Sequence[str]
     Args:
         comparison: what to draw.
         folder: where; made if it is not there.
-        against: covariates for the residuals, in the sessions that have them; the most telling ones if empty.
+        against: covariates for the residuals, in the sessions that have them; the first of their ranking if empty.
 
     Returns:
         The files.
@@ -89,7 +90,7 @@ def draw_joint(comparison: JointComparison, folder: Path, against: Sequence[str]
 def chosen_covariates(comparison: Comparison, most: int = _PANELS) -> list[str]:
     """Covariates whose running mean follows the residuals best, without those that would make the same picture."""
     values, out = comparison.covariates, list[str]()
-    for name, _ in comparison.telling:
+    for name, _ in comparison.ranked:
         if all(abs(_correlation(values[name], values[other])) < _SAME for other in out):
             out.append(name)
         if len(out) == most:
@@ -125,7 +126,7 @@ def draw_fit(comparison: Comparison) -> Figure:
         right.plot(expected, normal, ls="", marker=".", ms=3, color=COLORS[0])
         right.plot(expected[[0, -1]], expected[[0, -1]], color="0.6", lw=0.8, zorder=0)
     right.set(xlabel="expected of normal noise", ylabel="residual over its declared uncertainty")
-    right.set_title(f"Studentized residuals,\nscatter {comparison.overall.ratio:.2g} × declared")
+    right.set_title(f"Studentized residuals,\nscatter {rounded(comparison.overall.ratio)} × declared")
     grids(figure)
     return figure
 
@@ -205,7 +206,7 @@ def draw_setups(comparison: Comparison | JointComparison) -> Figure:
             mean = 1e6 * one.residual[own].mean()
             strip.plot([mean, mean], [at.min() - 0.03, at.max() + 0.03], color="black", lw=1.2)
         bars.barh(line, 1e6 * share.rms, height=0.5, color=color(number), alpha=0.8)
-        ratio = "" if share.reduced_chi_square is None else f"{share.reduced_chi_square**0.5:.2g} ×"
+        ratio = "" if share.reduced_chi_square is None else f"{rounded(share.reduced_chi_square**0.5)} ×"
         bars.annotate(f" {ratio}", (1e6 * share.rms, line), va="center", fontsize=8)
         sigma = 2e6 * one.overall.noise.declared
         strip.fill_betweenx([line - 0.5, line + 0.5], -sigma, sigma, color="0.92", lw=0, zorder=0)

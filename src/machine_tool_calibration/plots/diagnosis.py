@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, rms
 from machine_tool_calibration.diagnosis.consequence import Consequence, before_and_after
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.plots.residuals import axis_label, color, grids
-from machine_tool_calibration.residuals.covariates import bins, covariates, telling
+from machine_tool_calibration.reports.quantities import probability, quantity
+from machine_tool_calibration.residuals.covariates import bins, covariates, rank_covariates
 from machine_tool_calibration.residuals.pool import Pool
 
 if TYPE_CHECKING:
@@ -22,7 +23,8 @@ if TYPE_CHECKING:
 
 __all__ = ["candidate_table", "draw_diagnosis", "save_diagnosis"]
 
-_SHOWN = 10
+# Candidates beside those found, as many as the table of the report.
+_SHOWN = 8
 _LISTED = 8
 _MEANS = 16
 
@@ -49,20 +51,21 @@ def _title(diagnosis: Diagnosis) -> str:
         "outliers": f"{len(diagnosis.outliers)} readings do not belong to the rest",
     }
     method = " + ".join(dict.fromkeys(session.method.replace("_", " ") for session in diagnosis.sessions))
-    count = sum(len(session.readings) for session in diagnosis.sessions)
-    return f"{method}, {count} readings: {what[diagnosis.verdict]}"
+    pool = Pool(diagnosis.fits[0])
+    residual = f"residual {quantity(rms(pool.residuals), 'm')} RMS"
+    return f"{method}, {len(pool.residuals)} readings used, {residual}: {what[diagnosis.verdict]}"
 
 
 def _ranking(panel: Axes, diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> None:
     """Residual without and with each candidate, and the probability that it is the cause."""
-    table = candidate_table(diagnosis, changes)[:_SHOWN]
+    table = candidate_table(diagnosis, changes)[: len(diagnosis.accepted) + _SHOWN]
     place = np.arange(len(table))[::-1]
     before, after = 1e6 * table["rms_before"].to_numpy(), 1e6 * table["rms_after"].to_numpy()
     colors = ["tab:green" if name in diagnosis.accepted else "tab:blue" for name in table["effect"]]
     panel.barh(place, before, color="0.88", label="without it")
     panel.barh(place, after, height=0.55, color=colors, label="with it")
     for y, value, p in zip(place, before, table["probability"], strict=True):
-        panel.text(value, y, f" {p:.2f}" if p >= 0.005 else " 0", va="center", fontsize=8, color="0.3")
+        panel.text(value, y, f" {probability(p)}", va="center", fontsize=8, color="0.3")
     panel.axvline(1e6 * diagnosis.noise.declared, color="0.3", ls=":", label="declared uncertainty")
     panel.set_yticks(place, table["effect"], fontsize=8)
     panel.set_xlabel("residual, µm RMS")
@@ -134,7 +137,7 @@ def _covariate(diagnosis: Diagnosis) -> tuple[str, Array]:
                 return structure.covariate, known[structure.covariate]
     what = first.residuals - last.residuals if diagnosis.accepted else first.residuals
     own = _acts_through(diagnosis, known)
-    best = telling({name: known[name] for name in own} if own else known, what)
+    best = rank_covariates({name: known[name] for name in own} if own else known, what)
     name = best[0][0] if best else own[0] if own else "order"
     return name, known.get(name, np.arange(len(what), dtype=float))
 

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, rms
 from machine_tool_calibration.plots.style import save
+from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.session.session import Session
 
 if TYPE_CHECKING:
@@ -81,8 +82,6 @@ def draw_tables(tables: Mapping[str, Any]) -> Figure:
     """Each error motion against its axis, with expanded uncertainty (k = 2); squareness in the title."""
     from matplotlib.figure import Figure
 
-    from machine_tool_calibration.reports.quantities import quantity
-
     curves = {name: table for name, table in tables.items() if "nodes" in table}
     columns = min(3, len(curves))
     rows = -(-len(curves) // columns)
@@ -143,10 +142,11 @@ def draw_map(content: Mapping[str, Any]) -> Figure:
     panel.set_aspect("equal", adjustable="datalim")
     panel.set_xlabel(f"{'XYZ'[i]} / mm")
     panel.set_ylabel(f"{'XYZ'[j]} / mm")
-    rms = 1e6 * float(np.sqrt(np.mean(size**2))) if shown.any() else 0.0
+    known = np.linalg.norm(np.nan_to_num(error[np.isfinite(error).any(axis=1)]), axis=1)
+    longest = quantity(float(known.max(initial=0.0)), "m")
     nowhere = ", ".join("xyz"[k] for k in (i, j) if lost[k])
     words = f"\nnot determined along {nowhere}" if nowhere else ""
-    panel.set_title(f"Position error: largest arrow {1e6 * largest:.2f} µm, RMS {rms:.2f} µm{words}")
+    panel.set_title(f"Position error: {quantity(rms(known), 'm')} RMS, {longest} at most{words}")
     return figure
 
 

@@ -22,6 +22,7 @@ from machine_tool_calibration.plots.style import (
     scale_bar,
     spaced,
 )
+from machine_tool_calibration.reports.quantities import quantity
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -106,7 +107,7 @@ def _panel(panel: Axes, axis: str, tables: Mapping[str, Array]) -> None:
 def _with_squareness(title: str, parameters: Iterable[Mapping[str, Any]]) -> str:
     found = {entry["name"]: entry for entry in parameters if entry["name"] in _SQUARENESS}
     parts = [
-        f"{name} = {1e6 * entry['value']:.1f} ± {2e6 * entry['standard_uncertainty']:.2g} µrad"
+        f"{name} = {quantity(entry['value'], entry['unit'], entry['standard_uncertainty'])}"
         for name, entry in sorted(found.items())
     ]
     text = f"{title}, bands: U (k = 2)"
@@ -212,7 +213,7 @@ def _figures(whole: _Map) -> str:
         return "; no target is determined"
     largest = float(np.linalg.norm(whole.error[whole.good], axis=1).max())
     expanded = 2 * float(np.linalg.norm(whole.uncertainty[whole.good], axis=1).max())
-    return f"\nlargest error {largest * 1e6:.1f} µm, U (k = 2) at most {expanded * 1e6:.2g} µm"
+    return f"\nlargest error {quantity(largest, 'm')}, U (k = 2) at most {quantity(expanded, 'm')}"
 
 
 def _layer(panel: Axes, layer: _Map, drawing: _Drawing) -> None:

@@ -23,7 +23,7 @@ from machine_tool_calibration.plots.residuals import (
 )
 from machine_tool_calibration.plots.style import new_figure
 from machine_tool_calibration.reports.effect_page import gallery_page
-from machine_tool_calibration.residuals.covariates import sensed, telling
+from machine_tool_calibration.residuals.covariates import rank_covariates, sensed
 from machine_tool_calibration.simulation.environment import COLUMNS
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def draw_gallery(
 
 
 def draw_injected(injected: Injected) -> Figure:
-    """Residuals against the two most telling covariates, over the effect itself, and as a map."""
+    """Residuals against the first two covariates of their ranking, over the effect itself, and as a map."""
     comparison = injected.comparison
     observations = comparison.fit.model.observations
     effect = injected.effect
@@ -138,7 +138,7 @@ def _views(injected: Injected) -> list[_View]:
         parts = [np.asarray(v[shown] / along[shown]) for v in (comparison.residual, injected.change)]
         picked = {name: v[shown] for name, v in values.items() if not (axis and " along " in name)}
         picked = {name: v for name, v in picked.items() if np.ptp(v) > 0}
-        for name, share in telling(picked, parts[1] if injected.taken_up else parts[0], _BINS):
+        for name, share in rank_covariates(picked, parts[1] if injected.taken_up else parts[0], _BINS):
             bonus = _OWN * len(set(name.split(" along ")) & own)
             ranked.append((share + bonus, _View(name, what, shown, *parts)))
     ranked.sort(key=lambda entry: -entry[0])

@@ -13,6 +13,7 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.improve import Improvement, Step, residual_volumetric_error
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.plots.residuals import axis_label, color, grids, planes
+from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.residuals.pool import Pool
 
 if TYPE_CHECKING:
@@ -57,7 +58,7 @@ def draw_steps(steps: Sequence[Step], sessions: Sequence[Session], declared: flo
             _curves(panel, step, along, size)
         else:
             _arrows(panel, step, size)
-        panel.set_title(f"{title}: {1e6 * step.result.rms_residual:.3g} µm RMS", fontsize=10)
+        panel.set_title(f"{title}: {quantity(step.result.rms_residual, 'm')} RMS", fontsize=10)
     grids(figure)
     return figure
 
@@ -97,7 +98,7 @@ def _arrows(panel: Axes, step: Step, size: float) -> None:
     quiver = panel.quiver(
         *place.T, *(scale * arrow.T), color=colors, angles="xy", scale_units="xy", scale=1.0, width=0.003, alpha=0.8
     )
-    panel.quiverkey(quiver, 0.9, 1.03, scale * size, f"{1e6 * size:.2g} µm", labelpos="W", color="0.2")
+    panel.quiverkey(quiver, 0.9, 1.03, scale * size, quantity(size, "m"), labelpos="W", color="0.2")
     for k in np.unique(pool.setup):
         panel.plot([], [], "-", color=color(int(k)), label=pool.setup_names[int(k)])
     if len(np.unique(pool.setup)) <= _LISTED:

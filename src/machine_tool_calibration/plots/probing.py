@@ -10,6 +10,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.plots.style import save
+from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.session.description import Probing
 from machine_tool_calibration.session.session import Session
 
@@ -86,7 +87,7 @@ def _draw_uncertainty(panel: Axes, description: Probing, content: Mapping[str, A
         marks = panel.scatter(x, y, c=u[good], s=22, cmap="viridis")
         panel.figure.colorbar(marks, ax=panel, label="U (k = 2) of the form, µm")
     panel.plot(*place[~good].T * 1e3, ls="", marker="x", ms=5, color="black")
-    largest = f", at most {np.max(u[good]):.2g} µm" if good.any() else ""
+    largest = f", at most {quantity(1e-6 * float(np.max(u[good])), 'm')}" if good.any() else ""
     panel.set_title(f"Uncertainty of the form{largest}")
     _frame(panel, legend=False)
 
@@ -111,7 +112,7 @@ def draw_axes(panel: Axes, content: Mapping[str, Any]) -> None:
         panel.plot(*1e3 * grid[poor].T, ls="", marker="o", ms=4, mfc="none", color="tab:orange", label="uncertain")
     if not good.all():
         panel.plot(*1e3 * grid[~good].T, ls="", marker="x", ms=4, color="black", label="not determined")
-    known = f"; median U (k = 2) {2e6 * np.nanmedian(u):.2g} µm" if good.any() else ""
+    known = f"; median U (k = 2) {quantity(2 * float(np.nanmedian(u)), 'm')}" if good.any() else ""
     panel.set_title(f"X and Y, errors × {_times(scale)}{known}")
     _frame(panel, legend=bool(poor.any() or not good.all()))
 
@@ -128,7 +129,7 @@ def draw_table(panel: Axes, content: Mapping[str, Any]) -> None:
     ecc = 1e6 * _array(content, "ECC")
     turned.errorbar(angle, ecc, bars, marker="s", ms=4, lw=0.8, color="tab:red", capsize=3, label="ECC")
     turned.set_ylabel("ECC, µrad, positive counter-clockwise", color="tab:red")
-    panel.set_xlabel("C, deg")
+    panel.set_xlabel("C, °")
     panel.set_ylabel("EXC and EYC, µm")
     seen = "" if np.isfinite(ecc).any() else " (ECC is not determined)"
     panel.set_title(f"C, relative to its first angle{seen}")

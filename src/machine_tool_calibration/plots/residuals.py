@@ -100,11 +100,11 @@ def axis_label(name: str) -> tuple[str, float]:
     if name in ("x", "y", "z", "path", "displacement"):
         return f"{name}, mm", 1e3
     if name in ("azimuth", "elevation"):
-        return f"{name} of the beam, deg", 180.0 / np.pi
+        return f"{name} of the beam, °", 180.0 / np.pi
     if name == "normal":
-        return "direction of the surface's normal, deg", 180.0 / np.pi
+        return "direction of the surface's normal, °", 180.0 / np.pi
     if name == "c":
-        return "c, deg", 180.0 / np.pi
+        return "c, °", 180.0 / np.pi
     if name == "order":
         return "row, in the order of time", 1.0
     if name == "time":

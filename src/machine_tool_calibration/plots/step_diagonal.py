@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from machine_tool_calibration.methods.step_diagonal.compare import Comparison
+from machine_tool_calibration.reports.quantities import micrometres
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -97,7 +98,7 @@ def _panel(panel: Axes, comparison: Comparison, motion: int, component: int) -> 
             worst = float(value[int(np.nanargmax(np.abs(value)))])
             panel.set_ylim(low - margin, high + margin)
             where = (0.97, 0.92 if worst > 0 else 0.04)
-            text = f"conventional: {worst:+.1f} µm"
+            text = f"conventional: {micrometres(1e-6 * worst, signed=True)} µm"
             panel.annotate(text, where, xycoords="axes fraction", color="tab:red", fontsize=9, ha="right")
 
 

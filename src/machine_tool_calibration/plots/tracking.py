@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, IntArray, rms
 from machine_tool_calibration.plots.error_map import draw_map, draw_tables
 from machine_tool_calibration.plots.style import BAND, COLORS, NOMINAL, new_figure, save
-from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.reports.quantities import quantity, rounded
+from machine_tool_calibration.session.session import Readings, Session
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -70,7 +71,7 @@ def _plan(panel: Axes, points: Array, stations: Array, uncertainty: Array, names
             panel.fill(*sight[_outline(sight)].T, color=COLORS[k % len(COLORS)], alpha=0.08, lw=0)
         panel.plot(*station, "^", color=COLORS[k % len(COLORS)], ms=9, zorder=3)
         known = uncertainty[k][np.isfinite(uncertainty[k])]
-        text = f"{name} ({2 * known.max():.2g} µm)" if len(known) else name
+        text = f"{name} ({quantity(2e-6 * float(known.max()), 'm')})" if len(known) else name
         outwards = np.sign(station - (low + high) / 2)
         panel.annotate(
             text, station, (0, 9 * outwards[1] or 9), textcoords="offset points", ha="center",
@@ -92,46 +93,49 @@ def _outline(places: Array) -> IntArray:
 
 
 def draw_residuals(fit: Fit) -> Figure:
-    """Residuals of each station in the order of reading, with twice the declared uncertainty and their own RMS.
+    """Residuals of each station by their row in the recording, with twice their declared uncertainty and their RMS.
 
     Args:
         fit: of a session whose setups are stations (or any other setups).
     """
     session = fit.model.observations.session
     readings = fit.model.observations.readings
-    residual, limit = fit.residuals * 1e6, 2e6 * session.sigma
+    residual, band = fit.residuals * 1e6, 2e6 * fit.model.sigma
     names = session.setup_ids
-    height = max(float(np.abs(residual).max(initial=0.0)), limit) * 1.15
+    height = max(float(np.abs(residual).max(initial=0.0)), float(band.max(initial=0.0))) * 1.15
     columns = min(len(names), 2)
     rows = -(-len(names) // columns)
-    chi = fit.joint.reduced_chi_square
-    figure = new_figure(6.2 * columns, 2.3 * rows + 0.8, f"Measured minus predicted; reduced chi-square {chi:.2f}")
+    title = (
+        f"Measured − predicted: {len(residual)} of {len(session.readings)} readings used, "
+        f"{quantity(rms(fit.residuals), 'm')} RMS, reduced chi-square {rounded(fit.joint.reduced_chi_square)}"
+    )
+    figure = new_figure(6.2 * columns, 2.3 * rows + 0.8, title)
     panels = np.atleast_1d(figure.subplots(rows, columns, sharey=True)).reshape(-1)
     for k, panel in enumerate(panels):
         if k >= len(names):
             panel.set_axis_off()
             continue
-        _station(panel, residual, np.flatnonzero(readings.setup == k), readings.repeat, limit)
-        own = residual[readings.setup == k]
-        rms = f"RMS {np.sqrt(np.mean(own**2)):.2g} µm" if len(own) else "not read"
-        panel.set_title(f"{names[k]}: {rms}", fontsize="medium")
+        mine = readings.setup == k
+        _station(panel, residual[mine], band[mine], readings.select(mine))
+        size = f"{quantity(rms(fit.residuals[mine]), 'm')} RMS" if mine.any() else "not read"
+        panel.set_title(f"{names[k]}: {size}", fontsize="medium")
         panel.set_ylim(-height, height)
         if k % columns == 0:
             panel.set_ylabel("residual, µm")
         if k + columns >= len(names):
-            panel.set_xlabel("reading")
+            panel.set_xlabel("row")
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False, fontsize="small")
     return figure
 
 
-def _station(panel: Axes, residual: Array, mine: IntArray, repeat: IntArray, limit: float) -> None:
-    order = np.arange(len(mine))
-    panel.axhspan(-limit, limit, color=BAND, alpha=0.18, lw=0, label="± 2 declared u")
+def _station(panel: Axes, residual: Array, band: Array, readings: Readings) -> None:
+    row, repeat = readings.row, readings.repeat
+    panel.fill_between(row, -band, band, color=BAND, alpha=0.18, lw=0, label="± 2 declared u")
     panel.axhline(0.0, color="0.6", lw=0.8)
-    repeats = np.unique(repeat[mine])
+    repeats = np.unique(repeat)
     for k, number in enumerate(repeats[:4]):
-        chosen = repeat[mine] == number if k < 3 or len(repeats) == 4 else repeat[mine] >= number
+        chosen = repeat == number if k < 3 or len(repeats) == 4 else repeat >= number
         name = f"repeat {number}" + ("" if k < 3 or len(repeats) == 4 else " and later")
-        panel.plot(order[chosen], residual[mine][chosen], ".", color=COLORS[k], ms=5, label=name)
+        panel.plot(row[chosen], residual[chosen], ".", color=COLORS[k], ms=5, label=name)
     panel.margins(x=0.02)

@@ -12,6 +12,7 @@ from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.description import Description
 from machine_tool_calibration.session.parse import describe
+from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import Document, load_yaml
 
 __all__ = ["Motion", "Path", "Procedure", "Spread", "first_defect", "parse_procedure", "read_procedure"]
@@ -133,13 +134,7 @@ def read_procedure(file: FilePath) -> Procedure:
     Raises:
         SessionError: it cannot be read; or as `parse_procedure`.
     """
-    try:
-        text = file.read_text(encoding="utf-8")
-    except OSError as error:
-        raise SessionError(f"{file}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise SessionError(f"{file}: is not UTF-8 text") from None
-    return parse_procedure(text, str(file))
+    return parse_procedure(read_text(file), str(file))
 
 
 def parse_procedure(text: str, source: str) -> Procedure:

@@ -154,9 +154,8 @@ class Capture:
 
 @dataclass(frozen=True)
 class Emit:
-    """A reading of the session: the setup's id, the time and the numeric columns of `observations.csv`."""
+    """A reading of the session: the time, and the numeric columns of `observations.csv` with the setup's number."""
 
-    setup: str
     stamp: int
     columns: Mapping[str, float]
 

@@ -329,7 +329,7 @@ class Sequencer:
     def _measured(self, step: Step, event: Captured, now: int, wall: float) -> list[Action]:
         value = event.displacement + self._group.offset
         self._group.taken.append((step, value))
-        emit = Emit(step.setup, event.stamp, self._columns(step, event, value))
+        emit = Emit(event.stamp, self._columns(step, event, value))
         self.done += 1
         self._recoveries = self._unstable = 0
         self.message = "measuring"
@@ -408,6 +408,7 @@ class Sequencer:
     def _columns(self, step: Step, event: Captured, value: float) -> dict[str, float]:
         session = self.plan.procedure.session
         columns = {"time": (event.stamp - self.origin) / _NANO, "repeat": float(step.repeat)}
+        columns["setup_index"] = float([setup.id for setup in session.setups].index(step.setup))
         columns |= {name: float(place) for name, place in step.position.items()}
         columns |= {f"dir_{name}": float(sign) for name, sign in step.direction.items()}
         if isinstance(session, TrackingInterferometer):

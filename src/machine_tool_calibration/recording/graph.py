@@ -14,6 +14,7 @@ from machine_tool_calibration.recording.reader import Topic
 __all__ = [
     "GRAPH_TOPICS",
     "LABELS",
+    "MACHINE",
     "READING",
     "SESSION",
     "GraphTopic",
@@ -23,6 +24,10 @@ __all__ = [
     "request_for",
     "with_depth",
 ]
+
+
+MACHINE = "machine"
+"""The frame of commands, readings and maps: its axes are the machine's, its origin is their zero."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +58,7 @@ GRAPH_TOPICS = (
     GraphTopic("truth/functional_point", "geometry_msgs/msg/PoseStamped", depth=100),
     GraphTopic("truth/table", "geometry_msgs/msg/PoseStamped", depth=100),
     GraphTopic("pointer/command", "geometry_msgs/msg/PointStamped", depth=10),
+    GraphTopic("pointer/target", "sensor_msgs/msg/JointState", depth=10),
     GraphTopic("pointer/state", "sensor_msgs/msg/JointState", depth=100),
     GraphTopic("pointer/status", _STATUS, latched=True),
     GraphTopic("truth/beam", "geometry_msgs/msg/PoseStamped", depth=100),

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.session.folder import DESCRIPTION_FILE, OBSERVATIONS_FILE, read_session
-from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.session.description import DESCRIPTION_FILE, OBSERVATIONS_FILE
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.session.session import Session
 
 __all__ = ["is_session_folder", "open_measurement"]
 
@@ -23,6 +26,9 @@ def open_measurement(path: Path, topics: Mapping[str, str] | None = None, *, che
     Raises:
         SessionError: one line that says what is wrong and where.
     """
+    # here, because the history of a session is read without the libraries that tables of readings need
+    from machine_tool_calibration.session.folder import read_session
+
     path = Path(path)
     if not path.exists():
         raise SessionError(f"{path}: no such file or folder")

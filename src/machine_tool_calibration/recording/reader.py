@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -19,7 +20,6 @@ from machine_tool_calibration.session.yaml_text import load_yaml
 
 __all__ = ["BagReader", "Message", "Topic", "bag_files", "is_bag"]
 
-_LARGEST_METADATA = 16 << 20
 METADATA_FILE = "metadata.yaml"
 
 
@@ -160,7 +160,7 @@ def bag_files(path: Path) -> tuple[Path, ...]:
 
 def _file_names(metadata: Path) -> list[str]:
     try:
-        value = load_yaml(read_text(metadata, _LARGEST_METADATA), str(metadata)).value
+        value = load_yaml(read_text(metadata), str(metadata)).value
     except SessionError as error:
         raise RecordingError(str(error)) from None
     information = value.get("rosbag2_bagfile_information") if isinstance(value, dict) else None
@@ -188,9 +188,9 @@ def _inside(folder: Path, name: str) -> Path:
     pure = PurePosixPath(name)
     # bags of old distributions name the folder too
     candidates = [folder / pure, folder / pure.name]
-    root = folder.resolve()
+    root = os.path.realpath(folder)
     for candidate in candidates:
-        if pure.is_absolute() or "\0" in name or not candidate.resolve().is_relative_to(root):
+        if pure.is_absolute() or "\0" in name or not Path(os.path.realpath(candidate)).is_relative_to(root):
             raise RecordingError(f"{folder / METADATA_FILE}: the file {name!r} is outside the bag's folder")
         if candidate.is_file():
             return candidate

@@ -63,6 +63,8 @@ def check_ends(path: Path) -> None:
         RecordingError: cannot be read, or is no MCAP file.
         UnfinishedError: its end is missing.
     """
+    if not path.is_file():  # to open a pipe would wait for its writer
+        raise RecordingError(f"{path}: {'is not a file' if path.exists() else 'no such file'}")
     try:
         with path.open("rb") as stream:
             head = stream.read(len(MAGIC))

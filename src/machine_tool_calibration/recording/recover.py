@@ -108,9 +108,11 @@ def recover(path: Path, output: Path) -> Recovered:
 def _files(path: Path) -> list[Path]:
     if not path.exists():
         raise RecordingError(f"{path}: no such file or folder")
-    if not path.is_dir():
+    if path.is_file():
         return [path]
-    files = sorted(path.glob("*.mcap"), key=_number)
+    if not path.is_dir():
+        raise RecordingError(f"{path}: is not a file")
+    files = sorted((file for file in path.glob("*.mcap") if file.is_file()), key=_number)
     if not files:
         raise RecordingError(f"{path}: no .mcap file is in this folder")
     return files

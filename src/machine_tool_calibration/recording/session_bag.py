@@ -11,7 +11,7 @@ import numpy as np
 
 from machine_tool_calibration.recording.cdr import JOINT_STATE, TEXT, JointStateReader, encode, encode_joint_state, text
 from machine_tool_calibration.recording.errors import RecordingError
-from machine_tool_calibration.recording.graph import LABELS, READING, SESSION, find_topics
+from machine_tool_calibration.recording.graph import LABELS, MACHINE, READING, SESSION, find_topics
 from machine_tool_calibration.recording.metadata import LATCHED, Qos
 from machine_tool_calibration.recording.reader import BagReader, Message
 from machine_tool_calibration.recording.writer import BagWriter
@@ -137,8 +137,8 @@ def session_to_bag(session: Session, folder: Path, *, start: int = 0, namespace:
             bag.add_topic(f"{prefix}/{LABELS}", TEXT, qos=[LATCHED])
             bag.write(f"{prefix}/{LABELS}", encode(TEXT, json.dumps(labels, ensure_ascii=False)), start)
         stamps = start + np.round(seconds * 1e9).astype(np.int64)
-        for setup, stamp, row in zip(session.readings.setup, stamps.tolist(), table, strict=True):
-            data = encode_joint_state(max(0, stamp), session.setup_ids[setup], names, row)
+        for stamp, row in zip(stamps.tolist(), table, strict=True):
+            data = encode_joint_state(max(0, stamp), MACHINE, names, row)
             bag.write(f"{prefix}/{READING}", data, stamp)
 
 
@@ -154,6 +154,7 @@ def reading_columns(session: Session) -> tuple[list[str], np.ndarray]:
     if "time" in readings.columns:
         columns["time"] = readings.columns["time"]
     columns["repeat"] = readings.repeat.astype(np.float64)
+    columns["setup_index"] = readings.setup.astype(np.float64)
     for column, (label, key) in INDEX_COLUMNS.items():
         entries = getattr(session.description, key, None)
         if label in readings.labels and entries is not None:

@@ -225,7 +225,7 @@ class BagWriter:
 
     def _begin(self) -> None:
         """Start the next file."""
-        name = f"{self.folder.resolve().name}_{len(self._files)}.mcap"
+        name = f"{Path(os.path.realpath(self.folder)).name}_{len(self._files)}.mcap"
         file: McapFile | None = None
         try:
             file = McapFile(self.folder / name)

@@ -7,9 +7,9 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from scipy import special
 
 from machine_tool_calibration.diagnosis.comparison import Comparison, JointComparison, Overall
+from machine_tool_calibration.reports.quantities import p_value, quantity, rounded
 
 __all__ = ["comparison_columns", "comparison_document", "in_words", "joint_columns", "joint_document", "joint_in_words"]
 
@@ -20,8 +20,6 @@ _LEVEL, _TOO_GOOD, _LACK = 0.01, 0.999, 0.003
 _NEARLY = 0.05
 # Share of the misfit that repeats must show to be called as large.
 _NOISE = 0.7
-# A few readings stand out: beyond so many times the bulk's scatter, at most this share, the bulk itself this quiet.
-_FAR, _FEW, _QUIET = 5.0, 0.1, 0.7
 # How much worse than all readings together a setup must be to be named.
 _WORSE = 1.15
 
@@ -29,14 +27,14 @@ _WORSE = 1.15
 def in_words(comparison: Comparison) -> str:
     """What a person wants to know first: does the model fit, and if not, where not; lengths in micrometres."""
     overall = comparison.overall
-    ratio, p = overall.ratio, overall.p_value
+    ratio, p, declared = overall.ratio, overall.p_value, quantity(overall.noise.declared, "m")
     if p > _TOO_GOOD:
-        first = f"the readings scatter only {_ratio(ratio)} times the declared uncertainty, which is too large"
+        first = f"the readings scatter only {rounded(ratio)} times the declared uncertainty, which is too large"
     elif p >= _LEVEL:
         nearly = "nearly " if p < _NEARLY else ""
-        first = f"the model fits {nearly}within the declared uncertainty ({_um(overall.noise.declared)}; p = {p:.2g})"
+        first = f"the model fits {nearly}within the declared uncertainty ({declared}; {p_value(p)})"
     else:
-        first = f"the readings scatter {_ratio(ratio)} times the declared uncertainty; {_where(comparison)}"
+        first = f"the readings scatter {rounded(ratio)} times the declared uncertainty; {_where(comparison)}"
     apart = _stand_out(comparison)
     cause = " What the cause is, `mtcal diagnose` says." if p < _LEVEL else ""
     return f"{first}.{apart} {_repeats(overall, bool(apart))}{cause}"
@@ -47,17 +45,17 @@ def joint_in_words(comparison: JointComparison) -> str:
     joint = comparison.joint
     ratio, p = joint.reduced_chi_square**0.5, joint.p_value
     if p > _TOO_GOOD:
-        return f"the readings scatter only {_ratio(ratio)} times the declared uncertainty, which is too large."
+        return f"the readings scatter only {rounded(ratio)} times the declared uncertainty, which is too large."
     if p >= _LEVEL:
         nearly = "nearly " if p < _NEARLY else ""
-        return f"the model fits all sessions {nearly}within the declared uncertainty (p = {p:.2g})."
+        return f"the model fits all sessions {nearly}within the declared uncertainty ({p_value(p)})."
     label, worst = comparison.parts[0]
     where = "the same in all sessions"
     if worst.reduced_chi_square is not None and worst.reduced_chi_square >= _WORSE**2 * joint.reduced_chi_square:
-        times = _ratio(worst.reduced_chi_square**0.5)
+        times = rounded(worst.reduced_chi_square**0.5)
         where = f"worst is session {label} ({times} times, {worst.share:.0%} of all misfit)"
     return (
-        f"the readings scatter {_ratio(ratio)} times the declared uncertainty; {where}. Whether the sessions "
+        f"the readings scatter {rounded(ratio)} times the declared uncertainty; {where}. Whether the sessions "
         "contradict each other, `mtcal identify` says."
     )
 
@@ -71,14 +69,15 @@ def _where(comparison: Comparison) -> str:
     if worst.reduced_chi_square < _WORSE**2 * comparison.overall.reduced_chi_square:
         return "the same in all setups"
     times = worst.reduced_chi_square**0.5
-    return f"worst is setup {worst.name} ({_ratio(times)} times, {worst.share:.0%} of all misfit)"
+    return f"worst is setup {worst.name} ({rounded(times)} times, {worst.share:.0%} of all misfit)"
 
 
 def _repeats(overall: Overall, apart: bool) -> str:
     noise = overall.noise
     if noise.from_repeats is None:
         return "Too few repeats to distinguish noise from a lack of fit."
-    scatter = f"Readings repeated at one place scatter {_um(noise.from_repeats)} (declared {_um(noise.declared)})"
+    repeats, declared = (quantity(size, "m") for size in (noise.from_repeats, noise.declared))
+    scatter = f"Readings repeated at one place scatter {repeats} (declared {declared})"
     lack = noise.lack_of_fit_p
     if lack is not None and lack < _LACK:
         return f"{scatter}, and places differ by more than that: the model lacks something, or setups do not reproduce."
@@ -95,26 +94,10 @@ def _repeats(overall: Overall, apart: bool) -> str:
 
 
 def _stand_out(comparison: Comparison) -> str:
-    """A few large residuals over a quiet rest."""
-    normal = np.abs(comparison.studentized[np.isfinite(comparison.studentized)])
-    if not len(normal):
+    count = len(comparison.outliers)
+    if not count:
         return ""
-    bulk = float(np.median(normal)) / float(special.ndtri(0.75))
-    far = int((normal > _FAR * max(bulk, 1.0)).sum())
-    if not far or far > _FEW * len(normal) or bulk > _QUIET * comparison.overall.ratio:
-        return ""
-    return (
-        f" {far} reading{'s stand' if far > 1 else ' stands'} far out of the others, "
-        f"which scatter {bulk:.2g} times the declared uncertainty."
-    )
-
-
-def _ratio(value: float) -> str:
-    return f"{value:.2f}" if value < 1.5 else f"{value:.1f}"
-
-
-def _um(value: float) -> str:
-    return f"{1e6 * value:.2g} µm"
+    return f" {count} reading{'s do' if count > 1 else ' does'} not belong to the rest: `mtcal identify` names them."
 
 
 def comparison_document(comparison: Comparison) -> dict[str, Any]:
@@ -141,7 +124,8 @@ def comparison_document(comparison: Comparison) -> dict[str, Any]:
         "regions": [asdict(region) for region in comparison.regions],
         "approaches": [asdict(approach) for approach in comparison.approaches],
         "trends": [asdict(trend) for trend in comparison.trends],
-        "depends_on": [{"covariate": name, "share": share} for name, share in comparison.telling],
+        "depends_on": [{"covariate": name, "share": share} for name, share in comparison.ranked],
+        "outliers": list(comparison.outliers),
         "worst": [
             {
                 "row": int(rows[k]),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -11,7 +10,14 @@ import numpy as np
 
 from machine_tool_calibration.diagnosis.comparison import Approach, Comparison, JointComparison, Share, Trend
 from machine_tool_calibration.reports.comparison import in_words, joint_in_words
-from machine_tool_calibration.reports.quantities import NOT_DETERMINED, micrometres, plus_minus, probability, quantity
+from machine_tool_calibration.reports.quantities import (
+    NOT_DETERMINED,
+    micrometres,
+    plus_minus,
+    probability,
+    quantity,
+    rounded,
+)
 from machine_tool_calibration.reports.tables import TextTable, show_table
 
 if TYPE_CHECKING:
@@ -125,7 +131,7 @@ _MOST_PARTS, _MOST_LABELS = 12, 5
 _HOUR = 3600.0
 _HEADS = "× declared: scatter over the declared uncertainty; of all misfit: share of the sum of squares"
 # Names and factors of positions for people.
-_UNITS = {"x": ("mm", 1e3), "y": ("mm", 1e3), "z": ("mm", 1e3), "c": ("deg", 180.0 / math.pi)}
+_UNITS = {"x": ("mm", 1e3), "y": ("mm", 1e3), "z": ("mm", 1e3), "c": ("°", 180.0 / np.pi)}
 
 
 def comparison_tables(comparison: Comparison) -> Iterator[TextTable]:
@@ -156,10 +162,10 @@ def joint_tables(comparison: JointComparison) -> Iterator[TextTable]:
     """Where the model of several sessions fails: sessions, setups of all, and what else is in each session."""
     joint = comparison.joint
     rows = (
-        ("measured − predicted, RMS", quantity(comparison.rms, "m")),
+        ("RMS residual (measured − predicted)", quantity(comparison.rms, "m")),
         (
             "reduced chi-square (1 if the model and the declared uncertainty are right)",
-            f"{joint.reduced_chi_square:.3g}, {joint.solution.degrees_of_freedom} degrees of freedom",
+            f"{rounded(joint.reduced_chi_square)}, {joint.solution.degrees_of_freedom} degrees of freedom",
         ),
         ("p-value of the fit", probability(joint.p_value)),
     )
@@ -178,7 +184,7 @@ def _overall(comparison: Comparison) -> TextTable:
     overall = comparison.overall
     repeats = overall.noise.from_repeats
     rows = [
-        ("measured − predicted, RMS", quantity(overall.rms, "m")),
+        ("RMS residual (measured − predicted)", quantity(overall.rms, "m")),
         ("declared standard uncertainty of a reading", quantity(overall.noise.declared, "m")),
         (
             "scatter of readings repeated at one place",
@@ -186,7 +192,7 @@ def _overall(comparison: Comparison) -> TextTable:
         ),
         (
             "reduced chi-square (1 if the model and the declared uncertainty are right)",
-            f"{overall.reduced_chi_square:.3g}, {overall.degrees_of_freedom} degrees of freedom",
+            f"{rounded(overall.reduced_chi_square)}, {overall.degrees_of_freedom} degrees of freedom",
         ),
         ("p-value of the fit", probability(overall.p_value)),
     ]
@@ -287,7 +293,7 @@ def _worst(comparison: Comparison) -> TextTable:
             ids[readings.setup[k]],
             str(readings.repeat[k]),
             *(str(readings.labels[name][k]) for name in labels),
-            f"{_MICRO * comparison.residual[k]:+.2f}",
+            micrometres(comparison.residual[k], signed=True),
             f"{comparison.studentized[k]:+.1f}",
         )
         for k in comparison.worst[:_MOST_LABELS]
@@ -301,7 +307,7 @@ def _worst(comparison: Comparison) -> TextTable:
 
 
 def _times(share: Share) -> str:
-    return "–" if share.reduced_chi_square is None else f"{share.reduced_chi_square**0.5:.2f}"
+    return "–" if share.reduced_chi_square is None else rounded(share.reduced_chi_square**0.5)
 
 
 def show_comparison(screen: Console, comparison: Comparison | JointComparison) -> None:

@@ -56,23 +56,23 @@ def dominant_words(found: Dominant) -> Iterator[str]:
     """
     if found.cause == "readings":
         yield (
-            f"the readings' own scatter dominates the map's uncertainty, U = {micrometres(2 * found.uncertainty)} µm "
+            f"the readings' own scatter dominates the map's uncertainty, U = {quantity(2 * found.uncertainty, 'm')} "
             f"(k = 2) on the average: {100 * found.shares['readings']:.0f} % of its variance; more repeats help"
         )
         return
     share = f"{100 * found.shares[found.cause]:.0f} % of its variance"
-    assumed = f"angular errors of {1e6 * found.angular:.3g} µrad"
+    assumed = f"angular errors of {quantity(found.angular, 'rad')}"
     if found.cause == "time":
-        assumed = f"a drift of {3.6e9 * found.drift:.3g} µm per hour"
+        assumed = f"a drift of {quantity(found.drift, 'm/s')}"
     yield (
         f"{found.cause} dominate{'s' if found.cause == 'time' else ''} the map's uncertainty, "
-        f"U = {micrometres(2 * found.uncertainty)} µm (k = 2) on the average: {share}, for {assumed}"
+        f"U = {quantity(2 * found.uncertainty, 'm')} (k = 2) on the average: {share}, for {assumed}"
     )
     for remedy in found.remedies:
         besides = f", and {remedy.aside}" if remedy.aside else ""
         time = f" ({duration(remedy.seconds)}{besides})" if remedy.seconds is not None else ""
-        again = "" if found.again is None else f"; the same once more: {micrometres(2 * found.again)} µm"
-        yield f"  {remedy.measure}{time}: U = {micrometres(2 * remedy.uncertainty)} µm{again}"
+        again = "" if found.again is None else f"; the same once more: {quantity(2 * found.again, 'm')}"
+        yield f"  {remedy.measure}{time}: U = {quantity(2 * remedy.uncertainty, 'm')}{again}"
     if not found.remedies:
         yield "  none of the further measurements that were considered does clearly better than the same once more"
 
@@ -223,11 +223,11 @@ def _candidates(diagnosis: Diagnosis, changes: Mapping[str, Consequence], shown:
     if diagnosis.verdict == "unexplained":
         title = "Effects looked for: none of them is named as the cause"
     left = len(ranked) - len(rows)
-    before = micrometres(rms(Pool(diagnosis.fits[0]).residuals))
+    before = quantity(rms(Pool(diagnosis.fits[0]).residuals), "m")
     note = (
         "group: the same letter, confounded effects; p-value: corrected for the whole search; size ± U (k = 2); "
         "cross-validation: fall of the mean square error of predicting readings left out, worst of setups, blocks of "
-        f"places and cycles; residual and map: RMS with it in the model; without any the residual is {before} µm"
+        f"places and cycles; residual and map: RMS with it in the model; without any the residual is {before}"
     )
     if accepted:
         note = f"✓ found; {note}; the others as they were before anything was added"
@@ -261,7 +261,7 @@ def _sizes(ranked: Finding, change: Consequence | None) -> str:
 
 def _outliers(diagnosis: Diagnosis) -> TextTable:
     rows = tuple(
-        (str(o.row), f"{o.studentized:+.1f}", f"{1e6 * o.deviation:+.2f}")
+        (str(o.row), f"{o.studentized:+.1f}", micrometres(o.deviation, signed=True))
         for o in sorted(diagnosis.outliers, key=lambda o: o.row)
     )
     return TextTable(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from machine_tool_calibration.reports.quantities import NOT_DETERMINED, probability, quantity
+from machine_tool_calibration.reports.quantities import micrometres, probability, quantity, rounded
 from machine_tool_calibration.reports.tables import TextTable
 
 if TYPE_CHECKING:
@@ -34,17 +34,18 @@ def scatter_words(content: Mapping[str, Any], p_value: float) -> str | None:
     scatter = content.get("scatter")
     if scatter is None or scatter["found"] is None:
         return None
-    found, declared = 1e6 * scatter["found"], 1e6 * scatter["declared"]
-    both = f"scatter {_three(found)} µm, declared {_three(declared)} µm"
+    found, declared = scatter["found"], scatter["declared"]
+    both = f"scatter {quantity(found, 'm')}, declared {quantity(declared, 'm')}"
     if scatter["uncertainties_from"] == "scatter":
         return (
-            f"The readings scatter {scatter['factor']:.1f} times their declared uncertainty about the model ({both}): "
-            "standard uncertainties use the scatter. Whether something is missing in the model, `mtcal diagnose` says."
+            f"The readings scatter {rounded(scatter['factor'])} times their declared uncertainty about the model "
+            f"({both}): standard uncertainties use the scatter. Whether something is missing in the model, "
+            "`mtcal diagnose` says."
         )
     if p_value is not None and p_value > 1 - 1e-3:
         return (
             f"The readings scatter less than declared about the model ({both}): standard uncertainties use what was "
-            f"declared; from the scatter alone they would be {_three(found / declared)} times as large."
+            f"declared; from the scatter alone they would be {rounded(found / declared)} times as large."
         )
     return f"The model fits the readings within their declared uncertainty ({both}): standard uncertainties use it."
 
@@ -68,8 +69,8 @@ def _plate_table(plate: Mapping[str, Any]) -> Table:
         table.add_row(
             step["model"],
             str(step["unknowns"]),
-            f"{1e6 * step['rms']:.3f}",
-            f"{1e6 * step['scatter']:.3f}",
+            micrometres(step["rms"]),
+            micrometres(step["scatter"]),
             probability(step["p_value"]) if "p_value" in step else "",
             "\n".join(_size(p) for p in step["parameters"]),
         )
@@ -88,8 +89,8 @@ def _plate_words(plate: Mapping[str, Any]) -> Iterator[str]:
         words.append(f"Not significant: {', '.join(not_good)}.")
     if len(steps) > 3:
         more = "significant" if steps[3]["p_value"] < _SIGNIFICANT else "not significant"
-        fell = 1e6 * (steps[2]["scatter"] - steps[3]["scatter"])
-        words.append(f"Curves beyond that are {more}" + (f" (they take {fell:.2f} µm)." if fell > 0 else "."))
+        fell = steps[2]["scatter"] - steps[3]["scatter"]
+        words.append(f"Curves beyond that are {more}" + (f" (they take {quantity(fell, 'm')})." if fell > 0 else "."))
     yield " ".join(words)
     if plate["set_aside"]:
         rows = plate["set_aside"]
@@ -104,9 +105,9 @@ def _run_table(run: Mapping[str, Any]) -> TextTable:
     counts = [min(run["count_up"] or [0]), min(run["count_down"] or [0])]
     rows = []
     for key, title, names in _FIGURES:
-        texts = [_micro(run.get(name)) if name else "" for name in names]
+        texts = [micrometres(run.get(name)) if name else "" for name in names]
         if any(text not in ("", "–") for text in texts):
-            rows.append((title, *texts, _micro(run.get(f"{key}_U"))))
+            rows.append((title, *texts, micrometres(run.get(f"{key}_U"))))
     title = (
         f"{run['axis']} by ISO 230-2: setup {run['setup']}, {len(run['position'])} positions, runs: {counts[0]} up, "
         f"{counts[1]} down (µm)"
@@ -143,11 +144,3 @@ def _size(parameter: Mapping[str, Any]) -> str:
         return f"{name} not determined"
     size = quantity(parameter["value"], parameter["unit"], parameter["standard_uncertainty"])
     return f"{name} = {size}" + ("" if _is(parameter) else " (not significant)")
-
-
-def _micro(value: float | None) -> str:
-    return NOT_DETERMINED if value is None else f"{1e6 * value:.2f}"
-
-
-def _three(value: float) -> str:
-    return f"{value:.3g}"

@@ -4,23 +4,25 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape
-from machine_tool_calibration.planning.injected import AMPLITUDE, Injected, Shown
 from machine_tool_calibration.reports.quantities import range_of
 from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.reports.unknowns import unknowns_in_words
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.planning.injected import Injected, Shown
 
 __all__ = ["coefficients_in_words", "effect_document", "effects_table", "gallery_page", "shown_table"]
 
 # Share of an effect in the residuals from which the rest is not worth a word.
 _NEARLY_ALL = 0.95
 
-_INTRODUCTION = f"""# What effects look like
+_INTRODUCTION = """# What effects look like
 
 Each effect is put into perfect readings of a machine without errors by the simulator, which knows nothing of the
-effect's formula; the largest change of a reading is {AMPLITUDE * 1e6:.0f} µm. The method's default model, which lacks
+effect's formula; the largest change of a reading is {amplitude:.0f} µm. The method's default model, which lacks
 the effect, is fitted. Coloured: what it leaves, by setup, with the running mean in black. Gray: what the effect did to
 the readings, without the mean of each run. Arrows: the residuals, along the direction that the instrument senses.
 
@@ -117,7 +119,9 @@ def shown_table(shown: Sequence[Shown]) -> TextTable:
 
 def gallery_page(effects: Sequence[Effect], found: Mapping[str, Injected | None]) -> str:
     """Markdown page with a picture of every effect beside it."""
-    parts = [_INTRODUCTION]
+    from machine_tool_calibration.planning.injected import AMPLITUDE  # here: the catalogue needs no simulation
+
+    parts = [_INTRODUCTION.format(amplitude=AMPLITUDE * 1e6)]
     for effect in effects:
         injected = found[effect.id]
         lines = [

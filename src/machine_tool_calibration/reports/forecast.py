@@ -25,8 +25,9 @@ def show_forecast(screen: Console, found: Forecast) -> None:
     document = plain(found.document())
     sigma = found.result.fit.model.observations.session.sigma
     screen.print(
-        f"{document['method'].replace('_', ' ')}, model {document['model']}: {document['readings']} readings of "
-        f"u = {sigma * 1e6:.3g} µm (k = 1) in {duration(found.seconds)} of motion and waiting; setting up comes on top"
+        f"{document['method'].replace('_', ' ')}, model {document['model']}: {document['readings']} readings "
+        f"of u = {quantity(sigma, 'm')} (k = 1) in {duration(found.seconds)} of motion and waiting; setting up comes "
+        "on top"
     )
     table = Table(
         title="uncertainty to come, U (k = 2), of each coordinate", title_justify="left", box=None, pad_edge=False
@@ -69,9 +70,9 @@ def _row(name: str, values: Any) -> tuple[str, str, str, str] | None:
     lost = f"{int((~good).sum())} of {len(found)}" if not good.all() else ""
     if not good.any():
         return name, "–", "–", lost
-    unit = "µrad" if len(name) == 3 and name[0] == "E" and name[1] in "ABC" else "µm"
-    typical, most = 2e6 * np.sqrt(np.mean(found[good] ** 2)), 2e6 * found[good].max()
-    return name.replace("_", " "), f"{typical:.3g} {unit}", f"{most:.3g} {unit}", lost
+    unit = "rad" if len(name) == 3 and name[0] == "E" and name[1] in "ABC" else "m"
+    typical, most = 2 * float(np.sqrt(np.mean(found[good] ** 2))), 2 * float(found[good].max())
+    return name.replace("_", " "), quantity(typical, unit), quantity(most, unit), lost
 
 
 def _flat(values: Any) -> list[float]:

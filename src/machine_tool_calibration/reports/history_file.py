@@ -8,18 +8,21 @@ import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import yaml
 from pydantic import ValidationError
 
 from machine_tool_calibration.diagnosis.history import History
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.recording.open import is_session_folder
-from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import Document, load_yaml
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from machine_tool_calibration.session.session import Session
 
 __all__ = ["HISTORY_FILE", "fingerprint", "history_path", "read_history", "update_history"]
 
@@ -70,7 +73,7 @@ def fingerprint(*sessions: Session) -> str:
         *sorted(readings.columns.items()),
     ]
     for name, values in arrays:
-        digest.update(name.encode() + b"\0" + np.ascontiguousarray(values).tobytes())
+        digest.update(name.encode() + b"\0" + values.tobytes())
     for name, labels in sorted(readings.labels.items()):
         digest.update("\0".join([name, *(str(v) for v in labels)]).encode())
     return f"sha256-{digest.hexdigest()[:16]}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from machine_tool_calibration.diagnosis.history import Entry, History
-from machine_tool_calibration.reports.quantities import micrometres, quantity
+from machine_tool_calibration.reports.quantities import NOT_DETERMINED, micrometres, quantity, rounded
 from machine_tool_calibration.reports.tables import TextTable
 
 __all__ = ["compared_models", "tried_models"]
@@ -24,7 +24,7 @@ def tried_models(history: History) -> TextTable:
             entry.change or "first model",
             str(entry.used),
             micrometres(entry.rms_residual),
-            "–" if entry.reduced_chi_square is None else f"{entry.reduced_chi_square:.2f}",
+            _chi_square(entry),
             micrometres(entry.map_change_rms),
         )
         for entry in history.models
@@ -42,19 +42,16 @@ def compared_models(one: Entry, other: Entry) -> TextTable:
     def row(name: str, first: str, second: str) -> tuple[str, str, str]:
         return (name, first, second)
 
-    def chi(entry: Entry) -> str:
-        return "–" if entry.reduced_chi_square is None else f"{entry.reduced_chi_square:.2f}"
-
     both = (one, other)
     rows = [
         row("variant", one.model, other.model),
         row("effects", ", ".join(one.effects) or "–", ", ".join(other.effects) or "–"),
         row("readings used", str(one.used), str(other.used)),
         row("set aside", str(one.readings_aside), str(other.readings_aside)),
-        row("residual, µm RMS", micrometres(one.rms_residual), micrometres(other.rms_residual)),
-        row("chi²/ν", chi(one), chi(other)),
+        row("RMS residual, µm", micrometres(one.rms_residual), micrometres(other.rms_residual)),
+        row("reduced chi-square", _chi_square(one), _chi_square(other)),
         row("degrees of freedom", str(one.degrees_of_freedom), str(other.degrees_of_freedom)),
-        row("map of errors, µm RMS", micrometres(one.map_rms), micrometres(other.map_rms)),
+        row("position error of the map, µm RMS", micrometres(one.map_rms), micrometres(other.map_rms)),
         row(
             "its uncertainty U, µm RMS (k = 2)",
             *(micrometres(None if e.map_uncertainty_rms is None else 2 * e.map_uncertainty_rms) for e in both),
@@ -72,3 +69,7 @@ def compared_models(one: Entry, other: Entry) -> TextTable:
         tuple(rows),
         "coefficients ± U (k = 2)" if len(rows) > _FIGURES else "",
     )
+
+
+def _chi_square(entry: Entry) -> str:
+    return NOT_DETERMINED if entry.reduced_chi_square is None else rounded(entry.reduced_chi_square)

@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.reports.direct_deviations import direct_tables, scatter_words
-from machine_tool_calibration.reports.quantities import decimals, fixed, reproducibility_words, value_and_uncertainties
+from machine_tool_calibration.reports.quantities import (
+    decimals,
+    fixed,
+    p_value,
+    probability,
+    quantity,
+    reproducibility_words,
+    rounded,
+    value_and_uncertainties,
+)
 from machine_tool_calibration.reports.tables import TextTable, show_table
 from machine_tool_calibration.reports.unknowns import unknown_in_words
 
@@ -41,23 +50,24 @@ def summary_rows(document: dict[str, Any]) -> list[tuple[str, str]]:
     """What the result of a session says, in words and micrometres."""
     rows = [
         ("readings used", f"{document['used']} of {document['observations']}"),
-        ("RMS residual", f"{document['rms_residual'] * 1e6:.3f} µm"),
+        ("RMS residual", quantity(document["rms_residual"], "m")),
     ]
     chi = document.get("reduced_chi_square")
     if chi is not None:
-        rows.append(("reduced chi-square", f"{chi:.2f} (1 if the model and the declared uncertainty are right)"))
+        rows.append(("reduced chi-square", f"{rounded(chi)} (1 if the model and the declared uncertainty are right)"))
     error_map = document.get("error_map") or {}
     error, uncertainty = _array(error_map.get("position_error")), _array(error_map.get("position_error_u"))
     if error.size:
         rows.append(("points of the map", _points(error_map.get("points"), len(error))))
         known = np.isfinite(error).any()
-        text = f"{_rms(error):.2f} µm RMS, {_largest(error):.2f} µm at most" if known else "not determined"
-        rows.append(("error of position", text + (_lost(error) if known else "")))
+        text = f"{quantity(_rms(error), 'm')} RMS, {quantity(_largest(error), 'm')} at most{_lost(error)}"
+        rows.append(("position error", text if known else "not determined"))
     if np.isfinite(uncertainty).any():
         rows.append(
             (
                 "its uncertainty U (k = 2)",
-                f"{2 * _rms(uncertainty):.2f} µm RMS, {2 * _largest(uncertainty):.2f} µm at most{_if_right(document)}",
+                f"{quantity(2 * _rms(uncertainty), 'm')} RMS, {quantity(2 * _largest(uncertainty), 'm')} at most"
+                f"{_if_right(document)}",
             )
         )
     rows += _motions(error_map)
@@ -95,10 +105,9 @@ def _motions(content: Mapping[str, Any]) -> list[tuple[str, str]]:
         if not good.any():
             out.append((title, "not determined"))
             continue
-        unit = "µrad" if _MOTION.fullmatch(name) and name[1] in "ABC" else "µm"
-        text = (
-            f"{1e6 * np.abs(found[good]).max():.2f} {unit} at most, U (k = 2) at most {2e6 * u[good].max():.2f} {unit}"
-        )
+        unit = "rad" if _MOTION.fullmatch(name) and name[1] in "ABC" else "m"
+        most, expanded = (quantity(float(size), unit) for size in (np.abs(found[good]).max(), 2 * u[good].max()))
+        text = f"{most} at most, U (k = 2) at most {expanded}"
         out.append((title, text + ("" if good.all() else f"; {int((~good).sum())} of {len(good)} not determined")))
     return out
 
@@ -114,14 +123,14 @@ def _array(value: Any) -> np.ndarray:
 
 
 def _rms(vectors: np.ndarray) -> float:
-    """Root mean square length of the vectors of which anything is known, micrometres."""
+    """Root mean square length of the vectors of which anything is known."""
     known = vectors[np.isfinite(vectors).any(axis=1)]
-    return float(np.sqrt(np.mean(np.nansum(known**2, axis=1)))) * 1e6
+    return float(np.sqrt(np.mean(np.nansum(known**2, axis=1))))
 
 
 def _largest(vectors: np.ndarray) -> float:
-    """Greatest length of a vector, micrometres."""
-    return float(np.sqrt(np.max(np.nansum(vectors**2, axis=1)))) * 1e6
+    """Greatest length of a vector."""
+    return float(np.sqrt(np.max(np.nansum(vectors**2, axis=1))))
 
 
 _MOST_ROWS = 40
@@ -144,7 +153,8 @@ def show_result(screen: Console, document: Mapping[str, Any], opened: Iterable[S
     if document["effects"]:
         screen.print(f"model: {_variants(document)} with {', '.join(document['effects'])}")
     if document["averaged_over"]:
-        over = (f"{' + '.join(one['effects'])} ({one['probability']:.2f})" for one in document["averaged_over"])
+        sets = [(" + ".join(one["effects"]), probability(one["probability"])) for one in document["averaged_over"]]
+        over = (f"{effects} ({chance})" for effects, chance in sets)
         screen.print(f"The map is the mean over effects that these readings do not distinguish: {', '.join(over)}.")
     screen.print(goodness_of_fit(document))
     for words in reproducibility_words(document["spread"]):
@@ -200,7 +210,7 @@ def session_headline(session: Session) -> str:
     repeats = len(np.unique(session.readings.repeat))
     return (
         f"{kind}: {len(session.readings)} readings in {len(ids)} setup{'s' if len(ids) > 1 else ''} ({names}), "
-        f"{repeats} repeat{'s' if repeats > 1 else ''}, declared standard uncertainty {session.sigma * 1e6:.3g} µm"
+        f"{repeats} repeat{'s' if repeats > 1 else ''}, declared standard uncertainty {quantity(session.sigma, 'm')}"
     )
 
 
@@ -213,18 +223,17 @@ def goodness_of_fit(document: Mapping[str, Any]) -> str:
     ratio = chi**0.5
     if p < 1e-3:
         return (
-            f"The readings scatter {ratio:.1f} times their declared uncertainty about the model "
-            f"(p {'< 1e-12' if p < 1e-12 else f'= {p:.1g}'}): something is missing in it, or the declared uncertainty "
-            "is too small. `mtcal diagnose` looks for it."
+            f"The readings scatter {rounded(ratio)} times their declared uncertainty about the model ({p_value(p)}): "
+            "something is missing in it, or the declared uncertainty is too small. `mtcal diagnose` looks for it."
         )
     if p > 1 - 1e-3:
-        return f"The readings scatter only {ratio:.2f} times their declared uncertainty: it is stated too large."
+        return f"The readings scatter only {rounded(ratio)} times their declared uncertainty: it is stated too large."
     if p < 0.05:
         return (
-            f"The model fits the readings nearly within their declared uncertainty (p = {p:.2g}): something small may "
+            f"The model fits the readings nearly within their declared uncertainty ({p_value(p)}): something small may "
             "be missing in it. `mtcal diagnose` looks for it."
         )
-    return f"The model fits the readings within their declared uncertainty (p = {p:.2g})."
+    return f"The model fits the readings within their declared uncertainty ({p_value(p)})."
 
 
 def group_by_reason(entries: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
@@ -243,6 +252,7 @@ def group_by_reason(entries: Iterable[tuple[str, str]]) -> list[tuple[str, str]]
 
 def _show_parameters(screen: Console, document: Mapping[str, Any], fit: JointFit) -> None:
     unknowns = fit.assembly.unknowns
+    alone = [f"of the model with {', '.join(document['effects'])} alone"] if document["averaged_over"] else []
     single = [entry for entry in document["parameters"] if unknowns[entry["name"]].kind is not Kind.MOTION]
     # Effects first, then what is of the machine (squareness), then what is of the setups.
     order = {Kind.EFFECT: 0, Kind.SQUARENESS: 1}
@@ -257,13 +267,15 @@ def _show_parameters(screen: Console, document: Mapping[str, Any], fit: JointFit
         rows.append((name, *texts, "" if what == name else what))
     if rows:
         left = len(single) - len(rows)
-        note = f"{left} more; --json gives all of them" if left else ""
+        notes = [f"{left} more; --json gives all of them"] if left else []
         heads = ("name", "value", "u (k = 1)", "U (k = 2)", "unit", "what it is")
-        show_table(screen, TextTable("Parameters", heads, tuple(rows), note))
-    _show_tables(screen, document, unknowns)
+        show_table(screen, TextTable("Parameters", heads, tuple(rows), "; ".join([*notes, *alone])))
+    _show_tables(screen, document, unknowns, alone)
 
 
-def _show_tables(screen: Console, document: Mapping[str, Any], unknowns: Mapping[str, Parameter]) -> None:
+def _show_tables(
+    screen: Console, document: Mapping[str, Any], unknowns: Mapping[str, Parameter], alone: Sequence[str]
+) -> None:
     """Each table of an error motion in one row; none of what is not determined."""
     lost = {entry["name"] for entry in document["not_determined"]}
     tables: dict[str, list[Mapping[str, Any]]] = {}
@@ -281,4 +293,5 @@ def _show_tables(screen: Console, document: Mapping[str, Any], unknowns: Mapping
         rows.append((name, str(len(own)), *texts, unit))
     if rows:
         heads = ("name", "values", "smallest", "largest", "U (k = 2) at most", "unit")
-        show_table(screen, TextTable("Error motions", heads, tuple(rows), "--json gives every value"))
+        note = "; ".join(["--json gives every value", *alone])
+        show_table(screen, TextTable("Error motions", heads, tuple(rows), note))

@@ -6,10 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 from machine_tool_calibration.diagnosis.improve import Improvement, Step
 from machine_tool_calibration.reports.quantities import (
+    NOT_DETERMINED,
     micrometres,
     probability,
     quantity,
     residual_change,
+    rounded,
     sizes_in_words,
 )
 from machine_tool_calibration.reports.tables import TextTable, show_table
@@ -117,8 +119,8 @@ def _steps(done: Improvement) -> TextTable:
         "residual volumetric error",
     )
     note = (
-        "probability: that it is missing; µm RMS; chi²/ν: reduced chi-square; map: length of the "
-        "errors; U (k = 2) as `mtcal identify` publishes it; residual volumetric error: of U with "
+        "probability: that it is missing; µm RMS; chi²/ν: reduced chi-square; map: position "
+        "error; U (k = 2) as `mtcal identify` publishes it; residual volumetric error: of U with "
         "the scatter of the readings, of what the model does not explain, and of the distance to the last map"
     )
     return TextTable("Step by step", heads, tuple(rows), note)
@@ -132,10 +134,10 @@ def _side_by_side(done: Improvement) -> TextTable:
     rows = [
         pair("effects added", [", ".join(s.result.effects) or "none" for s in both]),
         pair("readings used", [str(s.result.joint.assembly.problem.n_readings) for s in both]),
-        pair("residual, µm RMS", [micrometres(s.result.rms_residual) for s in both]),
+        pair("RMS residual, µm", [micrometres(s.result.rms_residual) for s in both]),
         pair("reduced chi-square", [_chi(s) for s in both]),
         pair("p-value", [probability(s.result.joint.p_value) for s in both]),
-        pair("map of errors, µm RMS", [micrometres(s.map_rms) for s in both]),
+        pair("position error of the map, µm RMS", [micrometres(s.map_rms) for s in both]),
         pair(
             "residual volumetric error, µm RMS (k = 2)",
             [micrometres(done.residual_volumetric_error(s)) for s in both],
@@ -145,4 +147,4 @@ def _side_by_side(done: Improvement) -> TextTable:
 
 
 def _chi(step: Step) -> str:
-    return "–" if step.reduced_chi_square is None else f"{step.reduced_chi_square:.2f}"
+    return NOT_DETERMINED if step.reduced_chi_square is None else rounded(step.reduced_chi_square)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from machine_tool_calibration.reports.documents import plain
+from machine_tool_calibration.reports.quantities import duration, quantity
 from machine_tool_calibration.reports.tables import TextTable, show_table
 
 if TYPE_CHECKING:
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
 
 __all__ = ["measurement_document", "show_recording", "show_session"]
 
-_MICRO = 1e6
 # Displacements that are all smaller, m, are deviations: shown in micrometres.
 _SMALL = 1e-3
 _UNITS = {"x": ("mm", 1e3), "y": ("mm", 1e3), "z": ("mm", 1e3), "displacement": ("mm", 1e3), "time": ("s", 1.0)}
@@ -90,12 +90,12 @@ def show_recording(out: Console, bag: BagReader, absent: str) -> None:
 
 def show_session(out: Console, session: Session, summary: SessionSummary) -> None:
     """Setups and columns of a session."""
-    duration = "" if summary.duration is None else f" in {_time(summary.duration)}"
+    lasted = "" if summary.duration is None else f" in {duration(summary.duration)}"
     method = summary.method.replace("_", " ")
     out.print(f"[bold]{session.source}[/]: {method}, machine {session.description.machine.chain}")
     out.print(
-        f"{summary.readings} readings{duration}, {summary.missing} missing, {summary.targets} targets; "
-        f"declared standard uncertainty {summary.standard_uncertainty * _MICRO:g} µm"
+        f"{summary.readings} readings{lasted}, {summary.missing} missing, {summary.targets} targets; "
+        f"declared standard uncertainty {quantity(summary.standard_uncertainty, 'm')}"
     )
     rows = tuple(
         (
@@ -104,12 +104,13 @@ def show_session(out: Console, session: Session, summary: SessionSummary) -> Non
             str(setup.readings),
             str(setup.missing or ""),
             str(setup.repeats),
-            "" if setup.first_time is None else _time(setup.first_time),
-            "" if setup.last_time is None else _time(setup.last_time),
+            _minutes(setup.first_time),
+            _minutes(setup.last_time),
         )
         for setup, entry in zip(summary.setups, session.description.setups, strict=True)
     )
-    show_table(out, TextTable("Setups", ("setup", "where", "readings", "missing", "repeats", "from", "to"), rows))
+    heads = ("setup", "where", "readings", "missing", "repeats", "from / min", "to / min")
+    show_table(out, TextTable("Setups", heads, rows))
     columns = tuple(_column(column) for column in summary.columns)
     note = "as recorded, shown in the units that people use; an empty field counts as missing"
     show_table(out, TextTable("Columns", ("column", "from", "to", "unit", "missing"), columns, note))
@@ -142,9 +143,5 @@ def _column(column: ColumnSummary) -> tuple[str, str, str, str, str]:
     return column.name, low, high, unit, str(column.missing or "")
 
 
-def _time(seconds: float) -> str:
-    if abs(seconds) < 100:
-        return f"{seconds:.3g} s"
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
+def _minutes(seconds: float | None) -> str:
+    return "" if seconds is None else f"{seconds / 60.0:.1f}"

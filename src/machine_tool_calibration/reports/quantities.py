@@ -1,12 +1,17 @@
-"""Values for people: a quantity with its expanded uncertainty, a probability, a duration."""
+"""Values for people: a quantity with its expanded uncertainty, a probability, a duration.
+
+Every command, table and picture forms its numbers here, so that one quantity looks the same wherever it stands: three
+figures where there is no uncertainty, else as many as leave the expanded uncertainty two.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from machine_tool_calibration.model.result import Estimate
+if TYPE_CHECKING:
+    from machine_tool_calibration.model.result import Estimate
 
 __all__ = [
     "NOT_DETERMINED",
@@ -14,12 +19,14 @@ __all__ = [
     "duration",
     "fixed",
     "micrometres",
+    "p_value",
     "plus_minus",
     "probability",
     "quantity",
     "range_of",
     "reproducibility_words",
     "residual_change",
+    "rounded",
     "sizes_in_words",
     "value_and_uncertainties",
 ]
@@ -28,7 +35,6 @@ __all__ = [
 # What stands where the data leaves no number.
 NOT_DETERMINED = "–"
 _MOST_PLACES = 6
-_TABLE_UNITS = {"m": (1e6, "µm"), "rad": (1e6, "µrad"), "m/s": (3.6e9, "µm/h"), "rad/s": (3.6e9, "µrad/h")}
 # Probability from which what does not reproduce is shown with a size.
 _SURE = 0.9
 _FAMILIES = {"run": "runs", "mounting": "mountings", "pass": "passes over the axis"}
@@ -57,19 +63,24 @@ def quantity(value: float, unit: str, uncertainty: float | None = None) -> str:
         uncertainty: standard uncertainty; shown expanded (k = 2).
     """
     expanded = None if uncertainty is None or not math.isfinite(uncertainty) else 2.0 * uncertainty
-    size = max(abs(value), expanded or 0.0)
-    factor, shown = next(((f, u) for low, f, u in _SCALES.get(unit, ()) if size >= low), (1.0, unit))
-    number, after = value * factor, f" {shown}" if shown not in ("", "1") else ""
+    factor, shown = _scale(unit, max(abs(value), expanded or 0.0))
+    number, after = value * factor, f" {shown}" if shown else ""
     if expanded is None or expanded == 0.0:
-        return f"{_figures(number)}{after}"
+        return f"{rounded(number)}{after}"
     expanded *= factor
     places = decimals(expanded) if expanded < 1e15 else 0
     if places > 9:
-        return f"{_figures(number)} ± {_figures(expanded)}{after}"
-    return f"{number:.{places}f} ± {expanded:.{places}f}{after}"
+        return f"{rounded(number)} ± {rounded(expanded)}{after}"
+    return f"{fixed(number, places)} ± {fixed(expanded, places)}{after}"
 
 
-def _figures(value: float) -> str:
+def _scale(unit: str, size: float) -> tuple[float, str]:
+    """Factor from SI to the unit that people use for a value of that size, and that unit."""
+    factor, shown = next(((f, u) for low, f, u in _SCALES.get(unit, ()) if size >= low), (1.0, unit))
+    return factor, "" if shown == "1" else shown
+
+
+def rounded(value: float) -> str:
     """Three figures, without an exponent where that is readable."""
     if value == 0.0 or not math.isfinite(value):
         return f"{value:g}"
@@ -77,12 +88,11 @@ def _figures(value: float) -> str:
     return f"{value:.{max(digits, 0)}f}" if -3 <= digits <= 8 else f"{value:.2e}"
 
 
-def micrometres(metres: float | None) -> str:
-    """Length in micrometres without the unit, for a table; a dash if it is not known."""
+def micrometres(metres: float | None, *, signed: bool = False) -> str:
+    """Length in micrometres (or angle in microradians) without the unit, for a table; a dash if it is not known."""
     if metres is None or not math.isfinite(metres):
         return NOT_DETERMINED
-    value = metres * 1e6
-    return f"{value:.3f}" if abs(value) < 9.9995 else f"{value:.1f}"
+    return f"{'+' if signed and metres > 0 else ''}{rounded(1e6 * metres)}"
 
 
 def probability(value: float | None) -> str:
@@ -92,6 +102,12 @@ def probability(value: float | None) -> str:
     if value < 1e-6:
         return "< 1e-6"
     return f"{value:.1e}" if value < 1e-3 else f"{value:.3f}" if value < 0.1 else f"{value:.2f}"
+
+
+def p_value(value: float) -> str:
+    """A p-value in a sentence: `p = 0.28`, `p < 1e-6`."""
+    text = probability(value)
+    return f"p {text}" if text.startswith("<") else f"p = {text}"
 
 
 def duration(seconds: float | None) -> str:
@@ -174,18 +190,15 @@ def plus_minus(value: float | None, uncertainty: float | None, factor: float) ->
 def value_and_uncertainties(
     value: float, uncertainty: float, unit: str, place: bool = False
 ) -> tuple[str, str, str, str]:
-    """Value, u and U with as many digits as the uncertainty bears, and the unit that people use; a place is in mm."""
-    factor, name = _TABLE_UNITS.get(unit, (1.0, unit))
-    if unit == "1" and max(abs(value), uncertainty) < 1e-3:
-        factor, name = 1e6, "µm/m"
-    if unit == "m" and (place or abs(value) > 1e-2):
-        factor, name = 1e3, "mm"
-    u = uncertainty * factor
-    if 1e-9 < u < 1e7 and abs(value * factor) < 1e9:
-        texts = tuple(fixed(number, decimals(u)) for number in (value * factor, u, 2 * u))
+    """Value, u and U with as many digits as `quantity` shows, and the unit that people use; a place is in mm."""
+    expanded = 2.0 * uncertainty
+    factor, name = (1e3, "mm") if place else _scale(unit, max(abs(value), expanded))
+    numbers = (value * factor, uncertainty * factor, expanded * factor)
+    if 1e-9 < numbers[2] < 1e7 and abs(numbers[0]) < 1e9:
+        texts = [fixed(number, decimals(numbers[2])) for number in numbers]
     else:
-        texts = (f"{value * factor:.5g}", f"{u:.2g}", f"{2 * u:.2g}")
-    return texts[0], texts[1], texts[2], "" if name == "1" else name
+        texts = [rounded(number) for number in numbers]
+    return texts[0], texts[1], texts[2], name
 
 
 def decimals(uncertainty: float) -> int:

@@ -14,9 +14,9 @@ __all__ = ["TextTable", "show_table"]
 
 # Longest text that a column keeps on one line.
 _UNBROKEN = 24
-# Between two columns; what a column of longer text needs to be read with ease; and the least that it can do with.
+# Between two columns; and what a column of longer text needs to be read with ease.
 _GAP = 2
-_EASE, _FOLDED = 24, 8
+_EASE = 24
 # How narrow a heading becomes before any is broken at every word.
 _HEAD = 10
 # A column of nothing else stands to the right, so that places stand below each other.
@@ -41,36 +41,78 @@ class TextTable:
 
 
 def show_table(screen: Console, table: TextTable) -> None:
-    """Print a table of text; columns without any text are left out, numbers stand to the right."""
+    """Print a table of text; columns without any text are left out, numbers stand to the right.
+
+    Where the screen is too narrow for all columns, the rest follows below, again with the first one.
+    """
+    from rich.text import Text
+
+    screen.print()
+    screen.print(Text(table.title, style="bold"))
+    for columns in _parts(table, screen.width):
+        _show_part(screen, table, columns)
+    if table.note:
+        screen.print(Text(f"({table.note})", style="dim"))
+
+
+def _parts(table: TextTable, width: int) -> list[list[int]]:
+    """Columns that stand beside each other: those that have any text, the first one in each part."""
+    used = [k for k in range(len(table.columns)) if any(row[k] for row in table.rows)]
+    parts: list[list[int]] = [used[:1]]
+    for k in used[1:]:
+        wanted = [*parts[-1], k]
+        if len(parts[-1]) > 1 and sum(_least(table, j) + _GAP for j in wanted) - _GAP > width:
+            parts.append([used[0], k])
+        else:
+            parts[-1].append(k)
+    return parts
+
+
+def _least(table: TextTable, k: int) -> int:
+    """How narrow a column can become: a short text on one line, a longer one at words of usual length."""
+    longest = max(len(row[k]) for row in table.rows)
+    words = (word for row in table.rows for word in row[k].split())
+    text = longest if longest <= _UNBROKEN else min(max(len(word) for word in words), _UNBROKEN)
+    return max(text, *(len(word) for word in table.columns[k].split() or [""]), 1)
+
+
+def _show_part(screen: Console, table: TextTable, used: list[int]) -> None:
     from rich.table import Table
     from rich.text import Text
 
     shown = Table(box=None, header_style="bold", pad_edge=False)
-    used = [k for k in range(len(table.columns)) if any(row[k] for row in table.rows)]
     longest = {k: max((len(row[k]) for row in table.rows), default=0) for k in used}
     heads = {k: table.columns[k] for k in used}
-    unbroken = {k for k in used if longest[k] <= _UNBROKEN}
 
-    def missing(folded: int) -> int:
+    def missing() -> int:
         # What rich may still break counts as if it could become so narrow.
-        texts = {k: longest[k] if k in unbroken else min(longest[k], folded) for k in used}
+        texts = {k: min(longest[k], _EASE) for k in used}
         widths = (max(texts[k], *(len(line) for line in heads[k].split("\n"))) for k in used)
         return sum(widths) + _GAP * (len(used) - 1) - screen.width
 
     # rich cuts columns that must not break where the table is too wide: break headings first, then the longest texts.
     for narrow in (_HEAD, 1):
-        if missing(_EASE) > 0:
+        if missing() > 0:
             heads = {k: fill(table.columns[k], max(longest[k], narrow), break_long_words=False) for k in used}
-    for k in sorted(unbroken, key=lambda k: longest[k], reverse=True):
-        if missing(_FOLDED) > 0:
-            unbroken.discard(k)
-    for k in used:
+    lines = {k: max(len(line) for line in heads[k].split("\n")) for k in used}
+    widths = _narrowed(
+        [max(longest[k], lines[k]) for k in used],
+        [max(_least(table, k), lines[k]) for k in used],
+        screen.width - _GAP * (len(used) - 1),
+    )
+    for k, width in zip(used, widths, strict=True):
         numbers = all(_NUMBER.fullmatch(row[k]) for row in table.rows if row[k])
-        shown.add_column(Text(heads[k]), overflow="fold", no_wrap=k in unbroken, justify="right" if numbers else "left")
+        shown.add_column(Text(heads[k]), overflow="fold", width=width, justify="right" if numbers else "left")
     for row in table.rows:
         shown.add_row(*(Text(row[k]) for k in used))
-    screen.print()
-    screen.print(Text(table.title, style="bold"))
     screen.print(shown)
-    if table.note:
-        screen.print(Text(f"({table.note})", style="dim"))
+
+
+def _narrowed(wanted: list[int], least: list[int], room: int) -> list[int]:
+    """Widths of columns that share the room: the widest give way, first down to what each needs, then further."""
+    widths = list(wanted)
+    for floor in (least, [1] * len(least)):
+        while sum(widths) > room and any(w > low for w, low in zip(widths, floor, strict=True)):
+            widest = max(range(len(widths)), key=lambda k: (widths[k] > floor[k], widths[k]))
+            widths[widest] -= 1
+    return widths

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS
-from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import Kind, Parameter
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.model.fit import JointFit
 
 __all__ = ["named_in_words", "unknown_in_words", "unknowns_in_words"]
 

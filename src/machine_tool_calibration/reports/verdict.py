@@ -13,10 +13,12 @@ from machine_tool_calibration.diagnosis.search.look import Structure
 from machine_tool_calibration.model.result import spread_document
 from machine_tool_calibration.planning.advice import Advice, Separation
 from machine_tool_calibration.reports.quantities import (
+    p_value,
     probability,
     quantity,
     reproducibility_words,
     residual_change,
+    rounded,
     sizes_in_words,
 )
 from machine_tool_calibration.residuals.pool import Pool
@@ -54,14 +56,14 @@ def verdict_words(diagnosis: Diagnosis, changes: Mapping[str, Consequence], advi
 
 
 def _reversed(diagnosis: Diagnosis) -> Iterator[str]:
-    """Backlash that comes out negative and is certain: the sign of a column is wrong, not the machine."""
+    """Backlash that comes out negative and is certain."""
     for f in diagnosis.look.findings:
         certain = any(s.value < -_APART * s.standard_uncertainty for s in f.sizes)
         if f.rank and certain and f.name.startswith("backlash_"):
             axis = f.name[-1]
             yield (
                 f"{f.name} would come out negative, which no backlash is: the sign of dir_{axis}, or that of "
-                "the deviations, looks reversed."
+                "the deviations, looks reversed, or the control compensates more than there is."
             )
 
 
@@ -156,11 +158,11 @@ def _unexplained(diagnosis: Diagnosis) -> Iterator[str]:
         best = left[0]
         yield (
             f"The residuals depend on {_covariate(best)}: this takes up {100 * best.share:.0f} % of their sum of "
-            f"squares (p {probability(best.p_value)})."
+            f"squares ({p_value(best.p_value)})."
         )
     if diagnosis.contradicted:
         fit, repeats = diagnosis.fits[-1], diagnosis.noise.from_repeats
-        text = f"The readings scatter {np.sqrt(fit.reduced_chi_square):.1f} times as much as declared"
+        text = f"The readings scatter {rounded(np.sqrt(fit.reduced_chi_square))} times as much as declared"
         yield f"{text}, repeats by {quantity(repeats, 'm')}." if repeats is not None else f"{text}."
     if diagnosis.likely:
         yield f"{_likeliest(diagnosis)} None of these accounts for the residuals."
@@ -181,7 +183,7 @@ def _noise(diagnosis: Diagnosis) -> Iterator[str]:
         yield from _scatter(diagnosis)
         return
     if diagnosis.verdict in ("adequate", "outliers", "missing_effect") and joint.p_value < _TOO_LARGE:
-        text = f"The readings scatter {ratio:.2f} times as much as declared, which noise does not explain."
+        text = f"The readings scatter {rounded(ratio)} times as much as declared, which noise does not explain."
         if noise.from_repeats is not None and diagnosis.noisy:
             repeats = quantity(noise.from_repeats, "m")
             text += f" Repeats scatter as much ({repeats}): the declared uncertainty is too small."
@@ -216,8 +218,8 @@ def _scatter(diagnosis: Diagnosis) -> Iterator[str]:
     if diagnosis.verdict == "missing_effect" and diagnosis.look.left:
         best = diagnosis.look.left[0]
         yield (
-            f"The residuals still depend on {_covariate(best)}: {100 * best.share:.0f} % of their sum of squares (p "
-            f"{probability(best.p_value)}), which no single effect of the catalogue explains. The effects that were "
+            f"The residuals still depend on {_covariate(best)}: {100 * best.share:.0f} % of their sum of squares "
+            f"({p_value(best.p_value)}), which no single effect of the catalogue explains. The effects that were "
             "found stay as they are beside it."
         )
 

@@ -9,7 +9,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.model.observations import Observations
 
-__all__ = ["bins", "covariates", "sensed", "telling"]
+__all__ = ["bins", "covariates", "rank_covariates", "sensed"]
 
 _AXES = "xyzc"
 _SENSED = 1e-6
@@ -50,7 +50,7 @@ def sensed(observations: Observations, axis: str) -> Array:
     return np.asarray(np.einsum("nj,nj->n", turned, observations.table_direction))
 
 
-def telling(values: Mapping[str, Array], residual: Array, most: int = _BINS) -> list[tuple[str, float]]:
+def rank_covariates(values: Mapping[str, Array], residual: Array, most: int = _BINS) -> list[tuple[str, float]]:
     """Covariates in the order in which a running mean over them follows the residuals.
 
     For the choice of pictures only: it tests nothing, and covariates that go together all come first.

@@ -15,7 +15,11 @@ from machine_tool_calibration.session.session import Session, assemble
 
 __all__ = ["INDEX_COLUMNS", "READING_INDEX", "Collector"]
 
-INDEX_COLUMNS = {"target_index": ("target", "targets"), "point_index": ("point", "workpiece")}
+INDEX_COLUMNS = {
+    "setup_index": ("setup", "setups"),
+    "target_index": ("target", "targets"),
+    "point_index": ("point", "workpiece"),
+}
 """Column of a `reading` message, the label that it stands for, and the list in the description that it counts in."""
 
 READING_INDEX = "reading_index"
@@ -38,13 +42,13 @@ class Collector:
         """
         self.description = description
         self._place = place
-        self._setups: list[str] = []
+        self._frames: list[str] = []
         self._names: tuple[str, ...] = ()
         self._values: list[Array] = []
         self._blocks: list[tuple[tuple[str, ...], Array]] = []
 
     def __len__(self) -> int:
-        return len(self._setups)
+        return len(self._frames)
 
     @property
     def last_time(self) -> float:
@@ -54,11 +58,11 @@ class Collector:
         last = self._values[-1] if self._values else self._blocks[-1][1][-1]
         return float(last[self._names.index("time")])
 
-    def add(self, setup: str, names: Sequence[str], values: Sequence[float] | Array) -> None:
+    def add(self, frame: str, names: Sequence[str], values: Sequence[float] | Array) -> None:
         """One more reading, as a JointState carries it.
 
         Args:
-            setup: `header.frame_id`, the setup's id.
+            frame: `header.frame_id`: the setup's id where no column `setup_index` says it, as in earlier recordings.
             names: `name`.
             values: `position`.
 
@@ -73,7 +77,7 @@ class Collector:
                 raise SessionError(f"{where}: a name stands twice in {', '.join(names[:40])}")
             self._end_block()
             self._names = tuple(names)
-        self._setups.append(setup)
+        self._frames.append(frame)
         self._values.append(np.asarray(values, dtype=np.float64))
 
     def session(self, source: str, *, check: bool = True) -> Session:
@@ -87,11 +91,13 @@ class Collector:
             SessionError: as for a session folder.
         """
         numbers = self._columns()
-        labels: dict[str, np.ndarray] = {"setup": np.array(self._setups, dtype=np.str_)}
+        frames = np.array(self._frames, dtype=np.str_)
+        labels: dict[str, np.ndarray] = {"setup": frames}
         for column, (label, key) in INDEX_COLUMNS.items():
             entries = getattr(self.description, key, None)
             if column in numbers and entries is not None:
                 labels[label] = self._labels(column, numbers.pop(column), [entry.id for entry in entries])
+        labels["setup"] = np.where(labels["setup"] == "", frames, labels["setup"])
         require_columns(self.description, [*numbers, *labels], self._place.readings)
         readings = assemble(self.description, numbers, labels, self._place)
         session = Session(self.description, readings, source)
@@ -107,7 +113,7 @@ class Collector:
 
     def _columns(self) -> dict[str, Array]:
         """Every name's values, NaN where a reading does not have it."""
-        if not self._setups:
+        if not self._frames:
             raise SessionError(f"{self._place.readings}: no readings")
         self._end_block()
         order = dict.fromkeys(name for names in dict.fromkeys(names for names, _ in self._blocks) for name in names)

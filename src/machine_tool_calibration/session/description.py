@@ -15,6 +15,10 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from machine_tool_calibration.machine.chain import Chain
 
 __all__ = [
+    "DESCRIPTION_FILE",
+    "LARGEST",
+    "OBSERVATIONS_FILE",
+    "SMALLEST",
     "Description",
     "DiagonalSetup",
     "Direct",
@@ -34,6 +38,10 @@ __all__ = [
     "WorkpiecePoint",
     "rotary_column",
 ]
+
+
+DESCRIPTION_FILE = "session.yaml"
+OBSERVATIONS_FILE = "observations.csv"
 
 
 @dataclass(frozen=True)
@@ -74,16 +82,36 @@ Identifier = Annotated[
     BeforeValidator(lambda v: str(v) if isinstance(v, int) and not isinstance(v, bool) else v),
     AfterValidator(_check_identifier),
 ]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+LARGEST, SMALLEST = 1e12, 1e-100
+"""Sizes between which numbers are in any SI unit here, if they are not 0: squares and cubes stay finite."""
+_FEMTOMETRE = 1e-15
+
+
+def _check_size(value: float) -> float:
+    """Only what can have been measured."""
+    if abs(value) > LARGEST or 0.0 < abs(value) < SMALLEST:
+        raise ValueError(f"{value:g} is too {'large' if abs(value) > 1.0 else 'small'} to be anything of a machine")
+    return value
+
+
+def _check_sign(value: float) -> float:
+    if value not in (-1.0, 0.0, 1.0):
+        raise ValueError(f"{value:g} is no sign: -1, 0 or +1")
+    return value
+
+
+Finite = Annotated[float, Field(allow_inf_nan=False), AfterValidator(_check_size)]
+Positive = Annotated[Finite, Field(gt=0), Field(ge=_FEMTOMETRE)]
+"""A length or its uncertainty; no instrument resolves a femtometre."""
+Sign = Annotated[Finite, AfterValidator(_check_sign)]
 Vector3 = tuple[Finite, Finite, Finite]
 Vector2 = tuple[Finite, Finite]
 
 
 class Record(BaseModel):
-    """A frozen record that accepts no unknown key."""
+    """A frozen record that accepts no unknown key; its checks are made when one is first read, as that takes long."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
 
 Instrument = Literal[
@@ -155,7 +183,7 @@ class DeclaredUncertainty(Record):
     """
 
     displacement: Positive
-    per_length: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    per_length: Annotated[Finite, Field(ge=0)] = 0.0
 
 
 class StandardUncertainty(DeclaredUncertainty):
@@ -173,7 +201,7 @@ class KnownLength(Record):
 
     position: Finite
     value: Finite
-    standard_uncertainty: Annotated[float, Field(ge=0, allow_inf_nan=False)]
+    standard_uncertainty: Annotated[Finite, Field(ge=0)]
 
 
 class Target(Record):
@@ -215,7 +243,7 @@ class DiagonalSetup(Setup):
     """
 
     kind: Literal["diagonal", "linear"]
-    direction: Vector3
+    direction: tuple[Sign, Sign, Sign]
     start: Vector3
     mirror: Literal["flat"] = "flat"
 

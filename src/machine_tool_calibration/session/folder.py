@@ -12,15 +12,13 @@ from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.columns import require_columns
 from machine_tool_calibration.session.csv_text import write_csv
-from machine_tool_calibration.session.description import Place
+from machine_tool_calibration.session.description import DESCRIPTION_FILE, OBSERVATIONS_FILE, Place
 from machine_tool_calibration.session.parse import description_yaml, parse_description
 from machine_tool_calibration.session.session import Session, assemble
 from machine_tool_calibration.session.table import NUMERIC_COLUMNS, read_table
 from machine_tool_calibration.session.text import read_text
 
 __all__ = [
-    "DESCRIPTION_FILE",
-    "OBSERVATIONS_FILE",
     "description_yaml",
     "parse_description",
     "read_session",
@@ -29,9 +27,6 @@ __all__ = [
 ]
 
 
-DESCRIPTION_FILE = "session.yaml"
-OBSERVATIONS_FILE = "observations.csv"
-_LARGEST_DESCRIPTION = 16 << 20
 
 
 def read_session(path: Path, *, check: bool = True) -> Session:
@@ -52,7 +47,7 @@ def read_session(path: Path, *, check: bool = True) -> Session:
     for file in (described, observed):
         if not file.exists():
             raise SessionError(f"{folder}: no {file.name} in this folder; a session needs it")
-    description = parse_description(read_text(described, _LARGEST_DESCRIPTION), str(described))
+    description = parse_description(read_text(described), str(described))
     table = read_table(observed)
     require_columns(description, table.layout.columns, str(observed))
     place = Place(str(described), str(observed), table.layout.line)
@@ -91,7 +86,7 @@ def write_session(session: Session, folder: Path, *, overwrite: bool = False) ->
         SessionError: a session is already there, or the folder cannot be written.
     """
     folder = Path(folder)
-    described, observed = folder / "session.yaml", folder / "observations.csv"
+    described, observed = folder / DESCRIPTION_FILE, folder / OBSERVATIONS_FILE
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if not overwrite and (described.exists() or observed.exists()):

@@ -13,10 +13,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from machine_tool_calibration.arrays import BoolArray
-from machine_tool_calibration.session.description import Description, Place
 
 if TYPE_CHECKING:
     from machine_tool_calibration.session.checks.mistakes import Comparison
+    from machine_tool_calibration.session.description import Description, Place
     from machine_tool_calibration.session.session import Readings, Session
 
 __all__ = ["MethodSpec", "load"]

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Sequence
 from typing import Any, get_args
 
 import yaml
 from pydantic import ValidationError
 
-from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.errors import SessionError, did_you_mean
 from machine_tool_calibration.session.catalogue import method_names, method_spec
 from machine_tool_calibration.session.description import Description
 from machine_tool_calibration.session.yaml_text import Document, load_yaml
@@ -144,8 +143,7 @@ def _meant(location: tuple[Any, ...], whole: type[Description]) -> str:
         field = getattr(record, "model_fields", {}).get(part)
         record = _record_in(field.annotation) if field is not None else None
     names = list(getattr(record, "model_fields", {}))
-    near = difflib.get_close_matches(str(location[-1]), names, n=1)
-    return f" (did you mean {near[0]!r}?)" if near else ""
+    return did_you_mean(str(location[-1]), names)
 
 
 def _record_in(annotation: Any) -> Any:

@@ -6,14 +6,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import PurePath
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.catalogue import method_spec
-from machine_tool_calibration.session.description import Description, Place
 from machine_tool_calibration.session.method import MethodSpec
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.session.description import Description, Place
 
 __all__ = ["Readings", "Session", "assemble", "distinct_labels", "distinct_places"]
 

@@ -7,7 +7,10 @@ from pathlib import Path
 
 from machine_tool_calibration.errors import SessionError
 
-__all__ = ["read_text", "reject_foreign_encoding"]
+__all__ = ["LARGEST", "read_text", "reject_foreign_encoding"]
+
+LARGEST = 16 << 20
+"""Bytes of a description that are accepted."""
 
 _FOREIGN = {
     codecs.BOM_UTF32_LE: "UTF-32",
@@ -24,7 +27,7 @@ def reject_foreign_encoding(head: bytes, source: str) -> None:
             raise SessionError(f"{source}: the text is {name}; save the file as UTF-8")
 
 
-def read_text(path: Path, limit: int) -> str:
+def read_text(path: Path, limit: int = LARGEST) -> str:
     """The text of a small file, without a byte order mark.
 
     Args:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.errors import CalibrationError, did_you_mean
 from machine_tool_calibration.simulation.flaw import Chosen, Flaw
 from machine_tool_calibration.simulation.flaws_position import POSITION_FLAWS, REVERSAL_FLAWS
 from machine_tool_calibration.simulation.flaws_reading import READING_FLAWS
@@ -30,9 +30,8 @@ def find_flaw(name: str) -> Flaw:
     """
     if name in FLAWS:
         return FLAWS[name]
-    stem = name.split("_")[0].lower()
-    alike = [known for known in FLAWS if known.lower().startswith(stem)] or [k for k in FLAWS if "_" in k]
-    raise CalibrationError(f"no effect {name!r} can be simulated; known are {', '.join(alike)}")
+    hint = did_you_mean(name, FLAWS) or f"; known are {', '.join(FLAWS)}"
+    raise CalibrationError(f"no effect {name!r} can be simulated{hint}")
 
 
 def choose_flaw(

@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from machine_tool_calibration.errors import CalibrationError, ModelError
 from machine_tool_calibration.machine.chain import Chain
+from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
 from machine_tool_calibration.simulation.flaw import ALL_METHODS
 from machine_tool_calibration.simulation.machine import VirtualMachine
@@ -138,13 +139,7 @@ def read_record(path: Path, record: type[R]) -> R:
     Raises:
         CalibrationError: the file cannot be read, or a key or value is wrong; one line names file, line and key.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise CalibrationError(f"{path}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise CalibrationError(f"{path}: not a text file") from None
-    document = load_yaml(text, str(path))
+    document = load_yaml(read_text(path), str(path))
     try:
         return record.model_validate(document.value if document.value is not None else {})
     except ValidationError as error:

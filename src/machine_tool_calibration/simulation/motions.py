@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import ModelError
-
-if TYPE_CHECKING:
-    from scipy.interpolate import PPoly
 
 __all__ = [
     "COMPONENTS",
@@ -125,30 +122,45 @@ class Table:
         if self.interpolation == "periodic" and abs(values[-1] - values[0]) > 1e-12:
             raise ModelError("a periodic error motion's first and last values must agree")
 
-    def polynomial(self) -> PPoly:
-        """The motion as a piecewise polynomial."""
-        return _polynomial(np.asarray(self.nodes, float), np.asarray(self.values, float), self.interpolation)
-
     def __call__(self, position: Array | float) -> Array:
         """The motion at positions of the axis."""
         x = np.asarray(position, float)
         low, high = self.nodes[0], self.nodes[-1]
         x = low + np.mod(x - low, high - low) if self.interpolation == "periodic" else np.clip(x, low, high)
-        values: Array = self.polynomial()(x)
+        nodes = np.asarray(self.nodes, float)
+        values: Array = _value(nodes, _pieces(nodes, np.array([self.values]).T, self.interpolation), x)[..., 0]
         return values
 
 
-def _polynomial(nodes: Array, values: Array, interpolation: Interpolation) -> PPoly:
-    """Piecewise polynomial through values (k,) or (k, m) at nodes (k,)."""
-    # Here: nodes of a graph start in half the time without it, and most of them need no spline.
-    from scipy.interpolate import CubicSpline, PPoly
+def _pieces(nodes: Array, values: Array, interpolation: Interpolation) -> Array:
+    """(4, k - 1, m) coefficients of the distance from a piece's first node, the cube's first, through values (k, m)."""
+    # By hand: loading scipy.interpolate takes as long as all else that a node does to start.
+    length = np.diff(nodes)[:, None]
+    slope = np.diff(values, axis=0) / length
+    second = np.zeros(values.shape)
+    if interpolation != "linear" and len(nodes) > 2:
+        # Second derivatives that make the first ones continuous, at every node or all but the ends.
+        wraps = interpolation == "periodic"
+        inner = np.arange(0 if wraps else 1, len(nodes) - 1)
+        system = np.zeros((len(nodes) - 1,) * 2)
+        before = length[inner - 1, 0]
+        np.add.at(system, (inner, inner - 1), before)
+        np.add.at(system, (inner, inner), 2.0 * (before + length[inner, 0]))
+        np.add.at(system, (inner, (inner + 1) % len(system)), length[inner, 0])
+        change = 6.0 * (slope[inner] - slope[inner - 1])
+        second[inner] = np.linalg.solve(system[np.ix_(inner, inner)], change)
+        if wraps:
+            second[-1] = second[0]
+    first = slope - length * (2.0 * second[:-1] + second[1:]) / 6.0
+    return np.stack([np.diff(second, axis=0) / (6.0 * length), second[:-1] / 2.0, first, values[:-1]])
 
-    if interpolation == "linear" or len(nodes) == 2:
-        slope = np.diff(values, axis=0) / np.diff(nodes).reshape(-1, *(1,) * (values.ndim - 1))
-        return PPoly(np.stack([slope, values[:-1]]), nodes)
-    if interpolation == "periodic":
-        return CubicSpline(nodes, np.concatenate([values[:-1], values[:1]]), bc_type="periodic")
-    return CubicSpline(nodes, values, bc_type="natural")
+
+def _value(breaks: Array, pieces: Array, x: Array) -> Array:
+    """(…, m) piecewise polynomials (4, k - 1, m) at positions (…) between their breaks (k,)."""
+    index = np.minimum(np.searchsorted(breaks, x, side="right") - 1, len(breaks) - 2)
+    step = (x - breaks[index])[..., None]
+    values: Array = ((pieces[0, index] * step + pieces[1, index]) * step + pieces[2, index]) * step + pieces[3, index]
+    return values
 
 
 @dataclass(frozen=True)
@@ -189,14 +201,20 @@ class AxisMotion:
         for group in alike.values():
             columns, table = [column for column, _ in group], group[0][1]
             values = np.array([member.values for _, member in group]).T
-            polynomial = _polynomial(np.asarray(table.nodes, float), values, table.interpolation)
-            inside = ((start >= table.nodes[0]) & (start < table.nodes[-1]))[:, None]
-            ends = np.where(start[:, None] < table.nodes[0], values[0], values[-1])
-            for order, factor in ((0, 1.0), (1, 1.0), (2, 0.5), (3, 1.0 / 6.0)):
-                if order < len(polynomial.c):
-                    part = np.where(inside, factor * polynomial(start, order), ends if order == 0 else 0.0)
-                    for place, column in enumerate(columns):
-                        merged[3 - order, :, column] += part[:, place]
+            nodes = np.asarray(table.nodes, float)
+            pieces = _pieces(nodes, values, table.interpolation)
+            index = np.clip(np.searchsorted(nodes, start, side="right") - 1, 0, len(nodes) - 2)
+            cube, square, first, _ = pieces[:, index]
+            step = (start - nodes[index])[:, None]
+            inside = ((start >= nodes[0]) & (start < nodes[-1]))[:, None]
+            ends = np.where(start[:, None] < nodes[0], values[0], values[-1])
+            parts = (
+                np.where(inside, cube, 0.0),
+                np.where(inside, square + 3.0 * cube * step, 0.0),
+                np.where(inside, first + (2.0 * square + 3.0 * cube * step) * step, 0.0),
+                np.where(inside, _value(nodes, pieces, start), ends),
+            )
+            np.add.at(merged, (slice(None), slice(None), columns), np.stack(parts))
         return breaks, merged
 
     def __call__(self, position: Array) -> Array:
@@ -208,11 +226,7 @@ class AxisMotion:
             x = low + np.mod(position - low, high - low)
         else:
             x = np.minimum(np.maximum(position, low), high)
-        index = np.minimum(np.searchsorted(breaks, x, side="right") - 1, len(breaks) - 2)
-        step = (x - breaks[index])[:, None]
-        c = coefficients
-        values: Array = ((c[0, index] * step + c[1, index]) * step + c[2, index]) * step + c[3, index]
-        return values
+        return _value(breaks, coefficients, x)
 
     def with_tables(self, extra: Iterable[tuple[str, Table]]) -> AxisMotion:
         """The same axis with further tables added."""
@@ -260,8 +274,9 @@ def random_periodic(rng: np.random.Generator, amplitude: float, *, orders: int =
 
 
 def _normalised(nodes: Array, values: Array, amplitude: float, zero: float, interpolation: Interpolation) -> Table:
-    spline = _polynomial(nodes, values, interpolation)
-    shift = float(spline(min(max(zero, nodes[0]), nodes[-1])))
-    peak = float(np.max(np.abs(spline(np.linspace(nodes[0], nodes[-1], 20 * len(nodes))) - shift)))
+    pieces = _pieces(nodes, values[:, None], interpolation)
+    shift = float(_value(nodes, pieces, np.array(min(max(zero, nodes[0]), nodes[-1])))[0])
+    between = _value(nodes, pieces, np.linspace(nodes[0], nodes[-1], 20 * len(nodes)))
+    peak = float(np.max(np.abs(between - shift)))
     scaled = (values - shift) * (amplitude / peak if peak > 0 else 0.0)
     return Table(tuple(nodes.tolist()), tuple(scaled.tolist()), interpolation)

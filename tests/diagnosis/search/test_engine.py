@@ -74,6 +74,27 @@ def test_backlash_of_a_sign_that_cannot_be_is_not_accepted() -> None:
         assert not found.look.of("backlash_y").possible
 
 
+def test_a_reversal_of_that_sign_is_told_all_the_same() -> None:
+    """An axis whose control compensates more than there is."""
+    found = diagnose(simulated("iso230_2", 24, [FlawSpec(id="backlash_x", size=-3e-6)]), sets=19)
+    assert found.verdict == "unexplained"
+    assert found.accepted == ()
+    assert found.look.structure[0].covariate == "backlash_x"
+    assert found.look.structure[0].shape == "with the opposite sign"
+
+
+def test_lost_motion_at_one_place_is_no_backlash_beside_it() -> None:
+    """A screw that is worn around one place: one effect describes all of it."""
+    session = simulated("iso230_2", 27, [FlawSpec(id="backlash_x", size=1e-6)])
+    columns = session.readings.columns
+    x = columns["x"]
+    share = (x - x.min()) / np.ptp(x)
+    worn = -4e-6 * np.exp(-(((share - 0.7) / 0.12) ** 2)) * columns["dir_x"]
+    found = diagnose(with_columns(session, worn), sets=19)
+    assert found.accepted == ("lost_motion_x",)
+    assert all({"backlash_x", "lost_motion_x"} - set(members) for members, _ in found.look.sets)
+
+
 def test_a_wave_that_nobody_knows_is_unexplained_and_its_period_told() -> None:
     session = simulated("tracking_2d", 25)
     time = session.readings.columns["time"]

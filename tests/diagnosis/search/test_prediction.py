@@ -17,7 +17,7 @@ from machine_tool_calibration.methods.identify import build_model
 from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
+from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
 EFFECT = "backlash_y"
 
@@ -76,17 +76,33 @@ def test_without_an_accepted_effect_there_is_nothing_to_predict() -> None:
 
 
 @pytest.mark.parametrize(
-    ("gains", "against"),
+    ("gains", "setups", "places"),
     [
-        ((5.0, 4.0, 6.0), False),
-        ((20.0, -1.0, -1.0), False),
-        ((-2.0, -2.0), True),
-        ((30.0, -4.0, -4.0, 1.0), True),
-        ((30.0, 2.0, -4.0, 1.0), False),
+        ((5.0, 4.0, 6.0), False, False),
+        ((20.0, -1.0, -1.0), False, False),
+        ((-2.0, -2.0), True, True),
+        # It acts in one setup alone, or at some places alone.
+        ((30.0, -4.0, -4.0, 1.0), True, False),
+        ((30.0, 2.0, -4.0, 1.0), False, False),
+        ((5.0, 1.0, -4.0, 0.5), False, True),
     ],
 )
-def test_parts_that_are_predicted_worse_speak_against(gains: tuple[float, ...], against: bool) -> None:
-    assert Prediction("setups", gains, 100).speaks_against is against
+def test_parts_that_are_predicted_worse_speak_against(gains: tuple[float, ...], setups: bool, places: bool) -> None:
+    assert Prediction("setups", gains, 100).speaks_against is setups
+    assert Prediction("blocks of places", gains, 100).speaks_against is places
+
+
+def test_what_has_no_cause_does_not_count_against_an_effect() -> None:
+    """A warm-up beside a wave in half of the places: without the wave among the known, those places contradict."""
+    flaws = [FlawSpec(id="warmup_x", amplitude=8e-6, parameters={"tau": 160.0})]
+    session = simulate(SimulationSpec(plan=PRESETS["iso230_2"], seed=23, effects=tuple(flaws))).session
+    readings = session.readings
+    far = readings.columns["x"] > np.median(readings.columns["x"])
+    disturbed = readings.displacement + 6e-6 * far * np.sin(2.0 * np.pi * np.arange(len(readings)) / 7.3)
+    found = diagnose(session.with_readings(replace(readings, displacement=disturbed)), seed=1, sets=19)
+    assert found.look.unknown > 0.99
+    assert len(found.look.without_cause)
+    assert "warmup_x" not in found.refused
 
 
 def test_the_gain_is_the_share_by_which_the_mean_square_falls() -> None:

@@ -29,6 +29,11 @@ def test_examples_load(path: Path) -> None:
     assert driver.health().state == "disconnected"
 
 
+def test_the_instrument_is_known_by_its_own_number_or_by_where_it_is_connected(tmp_path: Path) -> None:
+    assert load_driver(write(tmp_path, TEXT)).hardware_id == "localhost:4001"
+    assert load_driver(write(tmp_path, TEXT + "hardware_id: SN 12345\n")).hardware_id == "SN 12345"
+
+
 def test_there_are_examples() -> None:
     assert len(EXAMPLES) >= 2
 

@@ -65,6 +65,11 @@ def test_deviations_in_another_unit(plates: ModuleType, factor: float, unit: str
                 identify(plates.with_columns(session, factor * session.readings.displacement))
 
 
+def test_a_short_axis_may_be_off_by_a_hundredth_of_its_travel(plates: ModuleType) -> None:
+    """A stage of 8 mm whose deviations are tens of micrometres is bad, and no mistake."""
+    identify(plates.axis(1, positions=5, length=8e-3, noise=4e-5))
+
+
 def test_a_bad_machine_and_a_part_askew_are_not_refused(plates: ModuleType) -> None:
     for seed in range(12):
         turn = (0.0, 1e-3, 1e-2, 5e-2)[seed % 4]

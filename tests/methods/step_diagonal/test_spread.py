@@ -1,5 +1,7 @@
 """Small angular errors: the mean over all sizes and shapes, against plain linear algebra with every one of them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import block_diag, null_space
@@ -84,6 +86,15 @@ def test_the_map_is_the_mean_over_sizes_and_shapes(exact, angular, seed, reprodu
     assert profiles.value == pytest.approx(mean, abs=1e-3 * uncertainty.max())
     assert np.sqrt(np.diag(profiles.covariance)) == pytest.approx(uncertainty, rel=2e-3, abs=1e-12)
     assert model.spread.posterior.probability == pytest.approx(weights[1:].sum(), rel=1e-3)
+
+
+def test_a_declaration_that_is_too_small_does_not_turn_scatter_into_angles(exact):
+    session = exact(5, noise=1.0, angular=3e-6, repeats=2).session
+    declared = session.description.standard_uncertainty
+    small = declared.model_copy(update={"displacement": declared.displacement / 3.0})
+    other = replace(session, description=session.description.model_copy(update={"standard_uncertainty": small}))
+    right, found = (identify(one).error_map.uncertainty for one in (session, other))
+    assert np.nanmedian(found[right > 0] / right[right > 0]) == pytest.approx(1.0, abs=0.1)
 
 
 def test_the_same_readings_give_the_same_to_the_last_bit(exact):

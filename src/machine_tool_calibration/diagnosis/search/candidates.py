@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient, Effect
 from machine_tool_calibration.residuals.pool import Pool
 
-__all__ = ["Candidate", "Shaped", "effect_candidates", "shaped_at"]
+__all__ = ["Candidate", "Shaped", "effect_candidates", "opposites", "shaped_at"]
 
 # Change of a reading, in standard uncertainties, below which an effect does not act.
 _TRACE = 0.01
@@ -26,7 +26,7 @@ class Shaped:
     Attributes:
         shape: these coefficients.
         columns: (k, n) change of each reading of all sessions per unit of each linear coefficient.
-        coefficients: the linear ones; empty for a structure.
+        coefficients: the linear ones; empty for a structure of any size.
     """
 
     shape: tuple[float, ...]
@@ -79,6 +79,23 @@ def effect_candidates(pool: Pool, effects: Sequence[Effect]) -> tuple[list[Candi
         else:
             excluded[effect.id] = "no reading depends on it"
     return found, excluded
+
+
+def opposites(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Structures: effects that have one sign only, with the other one.
+
+    No backlash is negative; that of an axis whose control compensates more than there is looks like it, and so does one
+    whose directions of approach were recorded the wrong way round.
+    """
+    found = []
+    for candidate in candidates:
+        if all(c.low == 0.0 for s in candidate.shapes for c in s.coefficients):
+            shapes = tuple(
+                replace(s, coefficients=tuple(replace(c, low=-c.high, high=0.0) for c in s.coefficients))
+                for s in candidate.shapes
+            )
+            found.append(Candidate(f"{candidate.name}: with the opposite sign", shapes))
+    return found
 
 
 def _shaped(pool: Pool, effect: Effect, reasons: Sequence[str | None]) -> list[Shaped]:

@@ -38,6 +38,8 @@ _AT_ONCE = 4e5
 _ABSORBED = 1e-9
 # Share of the squared norm of columns below which what a model leaves of a combination of them is rounding.
 _ROUNDED = 1e-7
+# Readings that an exact knowledge of the noise is worth: as good as infinitely many.
+_KNOWN = 1e9
 
 
 @dataclass(frozen=True)
@@ -104,6 +106,7 @@ class Gram:
         squares: (B,) squared norm of each data set.
         family: (u,) family of each spread column.
         freedom: degrees of freedom of the readings beside the model's unknowns.
+        worth: readings that what is known of the noise is worth.
     """
 
     inner: Array
@@ -114,6 +117,12 @@ class Gram:
     squares: Array
     family: IntArray
     freedom: int
+    worth: float = DECLARED_WORTH
+
+    @property
+    def power(self) -> float:
+        """Of the squares that are left, in the evidence."""
+        return 0.5 * (self.freedom + self.worth)
 
     @classmethod
     def of(cls, projected: Array, family: IntArray, fitted: Solution) -> Gram:
@@ -139,6 +148,12 @@ class Gram:
     def with_data(self, data: Array, spread_data: Array, squares: Array) -> Gram:
         """The same columns with other data sets."""
         return replace(self, data=data, spread_data=spread_data, squares=squares)
+
+    def with_noise(self, variance: float) -> Gram:
+        """With noise whose variance over that declared is known."""
+        root = np.sqrt(variance)
+        known = replace(self, worth=_KNOWN)
+        return known.with_data(self.data / root, self.spread_data / root, self.squares / variance)
 
 
 @dataclass(frozen=True)
@@ -179,8 +194,7 @@ class Metric:
 
     def log_null(self, gram: Gram) -> Array:
         """(B,) logarithm of the evidence without any candidate."""
-        power = 0.5 * (gram.freedom + DECLARED_WORTH)
-        return np.asarray(self.log_prior - power * np.log(DECLARED_WORTH + self.squares(gram)))
+        return np.asarray(self.log_prior - gram.power * np.log(gram.worth + self.squares(gram)))
 
     def beside(self, gram: Gram, columns: IntArray, scale: Array) -> Metric:
         """With columns of given scales (standard deviations of their coefficients) folded in as well."""
@@ -336,20 +350,19 @@ def _evidence(
     left = squares[:, None, None] - gain @ along**2
     left = np.maximum(left, 1e-12 * squares[:, None, None])
     prior = np.array([metric.log_prior for metric in tried])[:, None, None]
-    power = 0.5 * (gram.freedom + DECLARED_WORTH)
-    value = (prior - 0.5 * np.log(grown).sum(axis=-1))[..., None] - power * np.log(DECLARED_WORTH + left)
+    value = (prior - 0.5 * np.log(grown).sum(axis=-1))[..., None] - gram.power * np.log(gram.worth + left)
     uncut = _log_sum(value[..., 0])
     if not any(map(_is_bounded, blocks)):
         return _log_sum(value), uncut
     mean = vectors[:, :, None] @ (gain[..., None] * along[:, :, None])
     variance = (vectors[:, :, None] ** 2 @ gain[..., None])[..., 0]
-    noise = (DECLARED_WORTH + left) / (DECLARED_WORTH + gram.freedom)
+    noise = (gram.worth + left) / (gram.worth + gram.freedom)
     deviation = np.sqrt(np.maximum(variance[..., None] * noise[..., None, :], 1e-300))
     low = (np.array([block.low for block in blocks]) / unit)[None, :, None, :, None]
     high = (np.array([block.high for block in blocks]) / unit)[None, :, None, :, None]
     # Signs and sizes that do not occur, coefficient by coefficient: the probability of the others after the readings
     # over that before.
-    freedom = gram.freedom + DECLARED_WORTH
+    freedom = gram.freedom + gram.worth
     after = _log_between(_normal((low - mean) / deviation, freedom), _normal((high - mean) / deviation, freedom))
     scale = scales[None, :, :, None, None]
     value += (after - _log_between(low / scale, high / scale)).sum(axis=3)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped
+from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped, opposites
 from machine_tool_calibration.diagnosis.search.chance import Chance, chance_of
 from machine_tool_calibration.diagnosis.search.evidence import Block, Gram, rounding
 from machine_tool_calibration.diagnosis.search.findings import Finding, alias_groups, basis_of, finding_of
@@ -107,6 +107,9 @@ class Look:
         sets: ids of the effects of every set that matters, with its probability; structures without a cause are
             `unknown`.
         spread: size of every family of what does not reproduce beside the most probable effects, in units of the noise.
+        variance: of the noise beside them, over that declared.
+        without_cause: (k, n) columns of the structures in the most probable set.
+        expected: (k,) standard deviation of their coefficients.
     """
 
     fit: JointFit
@@ -122,6 +125,9 @@ class Look:
     false_alarms: float
     sets: tuple[tuple[tuple[str, ...], float], ...]
     spread: dict[str, float]
+    variance: float
+    without_cause: Array
+    expected: Array
 
     def of(self, effect: str) -> Finding:
         """What was found of the effect of an id."""
@@ -168,7 +174,14 @@ def look_at(
     prior[: columns.effects] = min(EFFECT, 1.0 / visible)
     log_odds = np.log(prior / (1.0 - prior))
     among = [k for k, seen in enumerate(columns.seen) if seen and k < columns.effects]
-    found = search(columns.gram, columns.blocks, log_odds, side_by_side=side_by_side, pairs_among=among)
+    found = search(
+        columns.gram,
+        columns.blocks,
+        log_odds,
+        side_by_side=side_by_side,
+        pairs_among=among,
+        apart=_apart(columns.candidates),
+    )
     chance = _chance(columns, log_odds, found, rng, sets)
     findings = _findings(columns, found, chance)
     groups = alias_groups(findings, columns.gram, found, {c.name: k for k, c in enumerate(columns.candidates)})
@@ -191,11 +204,13 @@ def look_at(
         false_alarms=chance.false_alarms,
         sets=_named_sets(columns, found),
         spread=dict(zip(columns.pool.spread[2], found.metric.ratio, strict=True)),
+        variance=_variance(columns, found),
+        **_without_cause(columns, found),
     )
 
 
 def _columns(pool: Pool, candidates: Sequence[Candidate], structures: Sequence[Candidate]) -> _Columns:
-    every = [*candidates, *structures]
+    every = [*candidates, *opposites(candidates), *structures]
     spread, family, _ = pool.spread
     stacked = [s.columns for c in every for s in c.shapes]
     columns = np.concatenate([np.zeros((0, len(pool))), *stacked, spread])
@@ -223,6 +238,13 @@ def _columns(pool: Pool, candidates: Sequence[Candidate], structures: Sequence[C
     return _without_repeated(whole)
 
 
+def _apart(candidates: Sequence[Candidate]) -> list[frozenset[int]]:
+    """Pairs of effects of which one contains the other."""
+    place = {c.name: k for k, c in enumerate(candidates) if c.effect is not None}
+    found = ((k, c.effect.contains) for k, c in enumerate(candidates) if c.effect is not None)
+    return [frozenset((k, place[name])) for k, names in found for name in names if name in place]
+
+
 def _leading(candidate: Candidate, place: slice) -> list[slice]:
     """All columns of an effect, and the first few alone: of a series, the further coefficients are often nothing."""
     count = place.stop - place.start
@@ -236,7 +258,7 @@ def _block(index: int, candidate: Candidate, shape: int, place: slice, squares: 
     whole = candidate.shapes[shape]
     parts = 1 if candidate.effect is None else len(_leading(candidate, slice(0, len(whole.columns))))
     share = -float(np.log(candidate.count * parts))
-    if candidate.effect is None:
+    if not whole.coefficients:
         unit = 50.0 / np.sqrt(squares / max(whole.columns.shape[1], 1))
         never = np.full(len(unit), np.inf)
         return Block(index, place, unit, -never, never, share, rounding(squares, unit))
@@ -248,7 +270,8 @@ def _without_repeated(columns: _Columns) -> _Columns:
     gram, effects = columns.gram.inner, columns.effects
     bases = [basis_of(gram, block.place) for block in columns.blocks]
     mine = [k for k, block in enumerate(columns.blocks) if block.candidate < effects]
-    others = [k for k, block in enumerate(columns.blocks) if block.candidate >= effects]
+    free = [not candidate.shapes[0].coefficients for candidate in columns.candidates]
+    others = [k for k, block in enumerate(columns.blocks) if free[block.candidate]]
     if not mine or not others:
         return columns
     # Columns of all structures in their own orthonormal directions, side by side.
@@ -275,8 +298,22 @@ def _without_repeated(columns: _Columns) -> _Columns:
 def _chance(columns: _Columns, log_odds: Array, found: Posterior, rng: np.random.Generator, sets: int) -> Chance:
     odds = np.where(columns.seen, log_odds, -np.inf)
     tried = [metric for share, metric in sorted(found.weights, key=lambda entry: -entry[0]) if share > 0.01]
-    variance = found.left / max(columns.gram.freedom, 1)
+    variance = _variance(columns, found)
     return chance_of(columns.gram, columns.before, columns.blocks, odds, tried, variance, sets, rng)
+
+
+def _without_cause(columns: _Columns, found: Posterior) -> dict[str, Array]:
+    """Columns of the structures in the most probable set, and what is expected of their coefficients."""
+    stacked, expected = [np.zeros((0, len(columns.pool)))], [np.zeros(0)]
+    for k, member in found.best.items():
+        if k >= columns.effects:
+            stacked.append(columns.candidates[k].shapes[columns.shaped[member.point.block][1]].columns)
+            expected.append(columns.blocks[member.point.block].unit * member.point.scale)
+    return {"without_cause": np.concatenate(stacked), "expected": np.concatenate(expected)}
+
+
+def _variance(columns: _Columns, found: Posterior) -> float:
+    return found.left / max(columns.gram.freedom, 1)
 
 
 def _findings(columns: _Columns, found: Posterior, chance: Chance) -> tuple[Finding, ...]:

@@ -16,7 +16,6 @@ from scipy.special import logsumexp
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.diagnosis.search.evidence import Block, Gram, Metric, Point, Table, metrics, table
-from machine_tool_calibration.estimation.variance_components import DECLARED_WORTH
 
 __all__ = ["Member", "Posterior", "search"]
 
@@ -118,6 +117,7 @@ class _Search:
     blocks: Sequence[Block]
     log_odds: Array
     tried: list[Metric]
+    apart: Sequence[frozenset[int]] = ()
     found: dict[frozenset[int], tuple[float, dict[int, Member]]] = field(default_factory=dict)
     grown: set[frozenset[tuple[int, Point]]] = field(default_factory=set)
 
@@ -125,6 +125,10 @@ class _Search:
         key = frozenset(members)
         if key not in self.found or self.found[key][0] < log_weight:
             self.found[key] = (log_weight, members)
+
+    def may_stand(self, members: Collection[int]) -> bool:
+        """Whether no member of a set is a special case of another."""
+        return not any(pair <= set(members) for pair in self.apart)
 
     def metrics_beside(self, members: dict[int, Member]) -> list[Metric]:
         """The metrics with the members folded in at their points."""
@@ -147,7 +151,7 @@ class _Search:
     def keep_beside(self, members: dict[int, Member], k: int, beside: Table) -> None:
         """The set of some members and another candidate, from the table beside these members."""
         point = beside.best[k]
-        if point is not None:
+        if point is not None and self.may_stand({*members, k}):
             prior = sum(self.log_odds[j] + m.log_rest for j, m in members.items())
             weight = prior + self.log_odds[k] + float(beside.log_evidence[k, 0])
             self.keep({**members, k: Member(point, float(beside.log_rest[k]))}, weight)
@@ -163,7 +167,13 @@ class _Search:
 
 
 def search(
-    gram: Gram, blocks: Sequence[Block], log_odds: Array, *, side_by_side: bool, pairs_among: Sequence[int]
+    gram: Gram,
+    blocks: Sequence[Block],
+    log_odds: Array,
+    *,
+    side_by_side: bool,
+    pairs_among: Sequence[int],
+    apart: Sequence[frozenset[int]] = (),
 ) -> Posterior:
     """The posterior over sets.
 
@@ -173,8 +183,9 @@ def search(
         log_odds: (candidates,) logarithm of the prior odds of each.
         side_by_side: whether many effects are expected at once: the machine itself is read.
         pairs_among: candidates of which all pairs are tried.
+        apart: pairs of candidates of which one is a special case of the other: no set holds both.
     """
-    work = _Search(gram, blocks, log_odds, metrics(gram))
+    work = _Search(gram, blocks, log_odds, metrics(gram), apart=apart)
     nothing = np.array([metric.log_null(gram)[0] for metric in work.tried])
     single = work.grow({})
     work.tried = _worth(work, single, nothing)
@@ -232,7 +243,9 @@ def _best_pairs(work: _Search, single: Table, among: Sequence[int]) -> list[tupl
     if len(mine) < 2:
         return []
     widths = {k: len(work.blocks[_member(single, k).point.block].unit) for k in mine}
-    pairs = list(combinations(mine, 2))
+    pairs = [pair for pair in combinations(mine, 2) if work.may_stand(pair)]
+    if not pairs:
+        return []
     total = np.array([[work.log_odds[k] + _member(single, k).log_rest for k in pair] for pair in pairs]).sum(axis=1)
     values = np.full((len(pairs), len(work.tried)), -np.inf)
     by_width: dict[int, list[int]] = {}
@@ -258,8 +271,8 @@ def _best_pairs(work: _Search, single: Table, among: Sequence[int]) -> list[tupl
             solved = np.linalg.solve(core, right[:, :, None])[:, :, 0]
             left = np.maximum(squares - np.einsum("nk,nk->n", right, solved), 1e-12 * squares)
             determinant = np.linalg.slogdet(core)[1]
-            power = 0.5 * (work.gram.freedom + DECLARED_WORTH)
-            values[numbers, t] = metric.log_prior - 0.5 * determinant - power * np.log(DECLARED_WORTH + left)
+            misfit = work.gram.power * np.log(work.gram.worth + left)
+            values[numbers, t] = metric.log_prior - 0.5 * determinant - misfit
     weight = logsumexp(values, axis=1) + total
     best = max(value for value, _ in work.found.values())
     order = np.argsort(-weight)[:_PAIRS]

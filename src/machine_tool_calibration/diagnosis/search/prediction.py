@@ -8,7 +8,7 @@ around the readings at hand loses there what it seems to win.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +31,9 @@ _PARTS = 4
 _CLEARLY = 3.0
 # Effects that are held against readings left out: more are not told apart that way.
 _MOST = 6
+# Variance of the noise over that declared below which the residuals are rounding.
+_LEAST_NOISE = 1e-12
+_PLACES = "blocks of places"
 
 
 @dataclass(frozen=True)
@@ -54,9 +57,17 @@ class Prediction:
 
     @property
     def speaks_against(self) -> bool:
-        """Whether the parts that were left out are predicted worse with the effect than without."""
+        """Whether the parts that were left out are predicted worse with the effect than without.
+
+        All together clearly, or one of them clearly while the others do not make up for it. An effect may act at some
+        places alone; what half the setups or cycles do not show is none of the machine.
+        """
         gains = np.array(self.log_gains)
-        return bool(gains.sum() < -_CLEARLY or (gains.min() < -_CLEARLY and 2 * int((gains < 0).sum()) >= len(gains)))
+        if gains.min() >= -_CLEARLY:
+            return bool(gains.sum() < -_CLEARLY)
+        if self.what == _PLACES:
+            return bool(gains.sum() < _CLEARLY)
+        return bool(gains.sum() < -_CLEARLY or 2 * int((gains < 0).sum()) >= len(gains))
 
 
 def predictions(
@@ -76,7 +87,7 @@ def predictions(
         return {}
     found = [(look.of(name).candidate.effect, look.of(name).shape) for name in names]
     effects = [(effect, shape) for effect, shape in found if effect is not None]
-    whole = _log_factors(look.fit, effects, look.spread)
+    whole = _log_factors(look.fit, effects, look)
     out: dict[str, list[Prediction]] = {name: [] for name in names}
     for what, parts in _divisions(sessions):
         if what == "cycles" and look.fit.random is not None:
@@ -86,7 +97,7 @@ def predictions(
         for k in range(1 + max(int(part.max(initial=-1)) for part in parts)):
             left = [s.with_readings(s.readings.select(part != k)) for s, part in zip(sessions, parts, strict=True)]
             try:
-                gains.append(whole - _log_factors(fit_of(left), effects, look.spread))
+                gains.append(whole - _log_factors(fit_of(left), effects, look))
             except (CalibrationError, np.linalg.LinAlgError):
                 continue
             readings += sum(int((part == k).sum()) for part in parts)
@@ -98,28 +109,35 @@ def predictions(
 
 
 def _log_factors(
-    fit: JointFit, effects: Sequence[tuple[Effect, tuple[float, ...]]], sizes: Mapping[str, float]
+    fit: JointFit, effects: Sequence[tuple[Effect, tuple[float, ...]]], look: Look
 ) -> np.ndarray:
     """(effects,) logarithm of the Bayes factor of each beside the others.
 
-    What does not reproduce has the same size for all readings and for a part of them: only so do the two compare.
+    The noise and what does not reproduce have the same size for all readings and for a part of them: only so do the two
+    compare. Where the noise were estimated from a part, one that something else spoils would speak against every
+    effect of which the others are sure.
 
     Args:
         fit: of all readings, or of a part.
         effects: at their nonlinear coefficients.
-        sizes: of what does not reproduce, by family, in units of the noise.
+        look: at all readings, with the size of the noise and of what does not reproduce.
     """
     pool = Pool(fit)
     shaped = [shaped_at(pool, effect, shape) for effect, shape in effects]
     spread, family, names = pool.spread
-    gram = Gram.of(pool.screen(np.concatenate([*(s.columns for s in shaped), spread])).gram, family, fit.solution)
+    # Structures without a cause stand beside every effect: what they leave out would count against it.
+    further = look.without_cause[:, _rows(pool, Pool(look.fit))]
+    projected = pool.screen(np.concatenate([*(s.columns for s in shaped), further, spread])).gram
+    gram = Gram.of(projected, family, fit.solution).with_noise(max(look.variance, _LEAST_NOISE))
+    sizes = look.spread
     blocks = _blocks(shaped)
     # Where a part has one run in each mounting, they are one family.
     ratio = tuple(sizes.get(name, 0.0) for name in names)
     if "mounting" in sizes and "mounting" not in names and "run" in names:
         merged = float(np.hypot(sizes.get("run", 0.0), sizes["mounting"]))
         ratio = tuple(merged if name == "run" else size for name, size in zip(names, ratio, strict=True))
-    base, out = metric_at(gram, ratio), np.zeros(len(blocks))
+    known = sum(len(s.columns) for s in shaped) + np.arange(len(further))
+    base, out = metric_at(gram, ratio).beside(gram, known, look.expected), np.zeros(len(blocks))
     for j, block in enumerate(blocks):
         others = [o for i, o in enumerate(blocks) if i != j]
         place = np.concatenate([np.zeros(0, dtype=np.int64), *(np.arange(o.place.start, o.place.stop) for o in others)])
@@ -129,6 +147,15 @@ def _log_factors(
         # Readings on which the effect does not show say nothing of it.
         out[j] = factor if np.isfinite(factor) else 0.0
     return out
+
+
+def _rows(part: Pool, whole: Pool) -> IntArray:
+    """(m,) place of each reading of a part among all."""
+    out = []
+    for own, every, piece in zip(part.observations, whole.observations, whole.pieces, strict=True):
+        order = np.argsort(every.readings.row)
+        out.append(piece.start + order[np.searchsorted(every.readings.row, own.readings.row, sorter=order)])
+    return np.concatenate(out)
 
 
 def _blocks(shaped: Sequence[Shaped]) -> list[Block]:
@@ -148,7 +175,7 @@ def _divisions(sessions: Sequence[Session]) -> Iterator[tuple[str, list[IntArray
     angles = [s.readings.columns.get("c") for s in sessions]
     place = _zones(position, angles[0] if len(sessions) == 1 else None)
     if place is not None:
-        yield "blocks of places", np.split(place, np.cumsum([len(s.readings) for s in sessions])[:-1])
+        yield _PLACES, np.split(place, np.cumsum([len(s.readings) for s in sessions])[:-1])
     cycles = [np.unique(s.readings.repeat, return_inverse=True)[1].reshape(-1) for s in sessions]
     if max(int(part.max(initial=0)) for part in cycles) >= 1:
         yield "cycles", [part % _PARTS for part in cycles]

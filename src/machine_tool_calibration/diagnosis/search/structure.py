@@ -96,7 +96,8 @@ def _lost_motions(observations: Observations) -> list[Candidate]:
     for j, axis in enumerate("xyz"):
         sign = np.sign(observations.readings.columns.get(f"dir_{axis}", np.zeros(len(observations))))
         along = sign * observations.direction[:, j]
-        if len(np.unique(sign[sign != 0])) < 2 or np.ptp(along) < 1e-6:
+        # Where the direction of approach is unknown for some readings, the last is not a number.
+        if len(np.unique(sign[sign != 0])) < 2 or not np.ptp(along) >= 1e-6:
             continue
         for k, other in enumerate("xyz"):
             scaled = _scaled(observations.position[:, k])

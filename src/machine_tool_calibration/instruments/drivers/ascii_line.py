@@ -102,6 +102,9 @@ class AsciiLineDriver:
         settings: the instrument's protocol.
         clock: gives the time of a sample, s.
         connect: opens the link; `transport.connect` unless a test gives another.
+
+    Attributes:
+        hardware_id: of the instrument.
     """
 
     def __init__(
@@ -112,6 +115,7 @@ class AsciiLineDriver:
         connect: Callable[[Connection, float], Transport] = connect,
     ) -> None:
         self._settings = settings
+        self.hardware_id = settings.hardware_id or str(settings.connection)
         self._clock = clock
         self._connect = connect
         self._parser = LineParser(settings.line, settings.value)

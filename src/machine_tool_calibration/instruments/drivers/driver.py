@@ -62,6 +62,7 @@ class Driver(Protocol):
 
     `open` and `read` are called from one thread; `set_datum`, `health` and `close` from any.
     A link that is lost after `open` is made again by `read`, so a caller only looks at `health`.
+    A driver that knows which instrument it has may say so in an attribute `hardware_id`, for diagnostics.
     """
 
     def open(self) -> None:

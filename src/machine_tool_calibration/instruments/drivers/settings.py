@@ -174,6 +174,7 @@ class AsciiLineSettings(Record):
     Attributes:
         start: text sent after connecting, such as a command to begin streaming.
         datum: text that makes the present path the instrument's zero.
+        hardware_id: of the instrument in diagnostics, such as its serial number; where it is connected if not given.
     """
 
     format: Literal["mtcal-driver/1"]
@@ -185,3 +186,4 @@ class AsciiLineSettings(Record):
     start: Ascii | None = None
     datum: Ascii | None = None
     timeouts: Timeouts = Timeouts()
+    hardware_id: str = ""

@@ -18,6 +18,9 @@ __all__ = ["refuse_mistakes"]
 
 # Deviations of a machine tool, share of the travel: a tenth of a per cent would be a wreck.
 _WRECK = 2e-3
+# Deviations that are no larger are of a machine, however short its travel, m: read in another unit they would be those
+# of none.
+_SMALL = 2e-4
 # Share of the readings that a wrong reading explains before it is named.
 _EXPLAINED = 0.99
 # Residuals over declared uncertainty within which a fit is taken for good.
@@ -56,7 +59,7 @@ def refuse_mistakes(session: Session, build: Callable[[Session], MethodModel]) -
         raise ModelError(f"{session.source}: {lying}")
     # Single readings may be off by anything: the bulk counts.
     spread = 1.4826 * float(np.median(np.abs(reading - np.median(reading))))
-    if spread < _WRECK * extent:
+    if spread < max(_WRECK * extent, _SMALL):
         return
     along = np.einsum("nj,nj->n", seen.position, seen.direction)
     if (name := _position_read(reading, along)) is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from array import array
 from collections.abc import Mapping
 from enum import IntEnum
@@ -22,6 +23,7 @@ from machine_tool_calibration.nodes.ros.sound import LAST_SECOND
 __all__ = [
     "COMMAND",
     "LATCHED",
+    "NO_HARDWARE",
     "READINGS",
     "SLOW",
     "STATE",
@@ -40,8 +42,8 @@ __all__ = [
     "rotation_of",
     "seconds",
     "stamp_among",
+    "stamp_now",
     "status",
-    "status_message",
     "to_message",
     "values",
 ]
@@ -73,9 +75,9 @@ def from_message(stamp: Time) -> int:
     return int(stamp.sec) * _GIGA + int(stamp.nanosec)
 
 
-def to_message(time: int) -> Time:
+def to_message(stamp: int) -> Time:
     """The stamp of a time in nanoseconds."""
-    sec, nanosec = divmod(time, _GIGA)
+    sec, nanosec = divmod(stamp, _GIGA)
     return Time(sec=sec, nanosec=nanosec)
 
 
@@ -105,6 +107,11 @@ def now(node: Node) -> int:
     return int(node.get_clock().now().nanoseconds)
 
 
+def stamp_now(node: Node) -> int:
+    """The stamp of what is said now, ns: ROS time, or the wall clock's where simulated time has not begun yet."""
+    return now(node) or time.time_ns()
+
+
 class Level(IntEnum):
     """Levels of a DiagnosticStatus."""
 
@@ -113,7 +120,13 @@ class Level(IntEnum):
     ERROR = 2
 
 
-def status(name: str, level: Level, message: str, entries: Mapping[str, object]) -> DiagnosticStatus:
+NO_HARDWARE = "none"
+"""Stands for the id of the hardware of what has none, as with `diagnostic_updater`."""
+
+
+def status(
+    name: str, level: Level, message: str, entries: Mapping[str, object], hardware_id: str = NO_HARDWARE
+) -> DiagnosticStatus:
     """One entry.
 
     Args:
@@ -121,29 +134,15 @@ def status(name: str, level: Level, message: str, entries: Mapping[str, object])
         level: how it is.
         message: one sentence for people.
         entries: values for programs.
+        hardware_id: of the device.
     """
     return DiagnosticStatus(
         level=bytes([level]),
         name=name,
         message=message,
-        hardware_id="machine_tool_calibration",
+        hardware_id=hardware_id,
         values=[KeyValue(key=key, value=str(value)) for key, value in entries.items()],
     )
-
-
-def status_message(stamp: int, name: str, level: Level, message: str, entries: Mapping[str, object]) -> DiagnosticArray:
-    """A message of one entry.
-
-    Args:
-        stamp: ROS time, ns.
-        name: what it is about.
-        level: how it is.
-        message: one sentence for people.
-        entries: values for programs.
-    """
-    array = DiagnosticArray(status=[status(name, level, message, entries)])
-    array.header.stamp = to_message(stamp)
-    return array
 
 
 def values(message: DiagnosticArray) -> dict[str, str]:

@@ -11,7 +11,6 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -23,11 +22,20 @@ from rclpy.experimental import EventsExecutor
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
-from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.errors import CalibrationError, did_you_mean
 from machine_tool_calibration.nodes.ros.node import GuardedNode
 from machine_tool_calibration.nodes.shared import shared_file
 
-__all__ = ["STOP_GRACE", "declare", "default_environment", "post", "run", "run_process", "use_sim_time"]
+__all__ = [
+    "STOP_GRACE",
+    "declare",
+    "default_environment",
+    "post",
+    "run",
+    "run_process",
+    "say_unknown_parameters",
+    "use_sim_time",
+]
 
 
 def declare(
@@ -130,7 +138,7 @@ def run(create: Callable[[], GuardedNode], args: list[str] | None = None, *, gra
     status = 0
     try:
         node = create()
-        _say_unknown_parameters(node)
+        say_unknown_parameters(node)
         executor = EventsExecutor()
         executor.add_node(node)
         node._post = executor.create_task  # type: ignore[attr-defined]
@@ -167,14 +175,13 @@ def run_process(
     os._exit(status)
 
 
-def _say_unknown_parameters(node: GuardedNode) -> None:
+def say_unknown_parameters(node: GuardedNode) -> None:
     """A parameter that was given and that the node does not have would be passed over without a word."""
     for name in sorted(node._parameter_overrides):
         if not node.has_parameter(name):
             known = sorted(other for other in node._parameters if "." not in other)
-            near = get_close_matches(name, known, n=1)
-            hint = f"; did you mean {near[0]}?" if near else f"; it has {', '.join(known)}"
-            node.get_logger().warning(f"this node has no parameter {name}{hint}")
+            hint = did_you_mean(name, known) or f"; it has {', '.join(known)}"
+            node.get_logger().warning(f"this node has no parameter {name!r}{hint}")
 
 
 def _await_stop(stop: threading.Event, grace: float) -> None:

@@ -35,6 +35,7 @@ from machine_tool_calibration.procedure.workpiece.outline import (
 )
 from machine_tool_calibration.procedure.workpiece.outline_files import read_csv_outline, read_dxf_outline
 from machine_tool_calibration.session.description import WorkpiecePoint
+from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
 
 __all__ = ["Workpiece", "read_workpiece", "workpiece_entries", "workpiece_points"]
@@ -65,13 +66,7 @@ def read_workpiece(file: Path) -> tuple[WorkpiecePoint, ...]:
     Raises:
         SessionError: one line with file, line and key of the first defect; or as `workpiece_points`.
     """
-    try:
-        text = file.read_text(encoding="utf-8")
-    except OSError as error:
-        raise SessionError(f"{file}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise SessionError(f"{file}: is not UTF-8 text") from None
-    document = load_yaml(text, str(file))
+    document = load_yaml(read_text(file), str(file))
     try:
         workpiece = Workpiece.model_validate(document.value)
     except ValidationError as error:

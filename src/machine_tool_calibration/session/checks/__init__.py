@@ -7,7 +7,7 @@ import numpy as np
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.checks.consistency import check_consistency
 from machine_tool_calibration.session.checks.enough import check_enough
-from machine_tool_calibration.session.checks.units import check_units
+from machine_tool_calibration.session.checks.units import check_sizes, check_units
 from machine_tool_calibration.session.columns import needed_columns
 from machine_tool_calibration.session.description import Place
 from machine_tool_calibration.session.session import Session
@@ -21,10 +21,10 @@ _TOLD_BY_TIME = 0.4
 def check_session(session: Session, place: Place | None = None) -> None:
     """Refuse a session that cannot be right or is not enough for its method.
 
-    Checked are: values that are missing where a displacement was read; times that run backwards; a reading that stands
-    there twice; units that must be wrong (`check_units`); stations, targets and readings that the method needs
-    (`check_enough`); and readings that contradict the nominal geometry while a common mistake would explain them
-    (`check_consistency`).
+    Checked are: values that are missing where a displacement was read; numbers beyond all measure (`check_sizes`);
+    times that run backwards; a reading that stands there twice; units that must be wrong (`check_units`); stations,
+    targets and readings that the method needs (`check_enough`); and readings that contradict the nominal geometry while
+    a common mistake would explain them (`check_consistency`).
 
     Args:
         session: the measurement.
@@ -35,6 +35,7 @@ def check_session(session: Session, place: Place | None = None) -> None:
     """
     place = place or Place(session.source, session.source)
     _check_missing(session, place)
+    check_sizes(session, place)
     _check_time(session, place)
     _check_signs(session, place)
     _check_doubled(session, place)

@@ -6,10 +6,18 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.session.description import Place, Probing, StationSetup, StepDiagonal
+from machine_tool_calibration.session.description import (
+    LARGEST,
+    SMALLEST,
+    Place,
+    Probing,
+    StationSetup,
+    StepDiagonal,
+)
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.session.table import NUMERIC_COLUMNS
 
-__all__ = ["check_units", "diagonal_units", "direction_units", "probing_units"]
+__all__ = ["check_sizes", "check_units", "diagonal_units", "direction_units", "probing_units"]
 
 _LARGEST_MACHINE = 50.0  # m
 _LARGEST_TRAVEL = 100.0  # m
@@ -19,6 +27,7 @@ _MICROMETRES_FROM = 3e4  # m: a machine's travel in millimetres is not as large
 _MILLIMETRES = "these look like millimetres; lengths are in metres"
 _SATURATED = 1.05  # relative humidity, with a sensor's own error
 _DEGREES = "these look like degrees; angles are in radians"
+_LARGEST_COVARIATE = 1e30  # the user's own column, such as nanoseconds since 1970, in any unit
 
 
 def check_units(session: Session, place: Place) -> None:
@@ -33,6 +42,23 @@ def check_units(session: Session, place: Place) -> None:
     _angles(session, place)
     _displacement(session, place)
     _environment(session, place)
+
+
+def check_sizes(session: Session, place: Place) -> None:
+    """Refuse numbers whose squares would not be numbers any more, which nothing that was measured has.
+
+    Raises:
+        SessionError: the row, the column and the number.
+    """
+    readings = session.readings
+    for name, values in {**readings.columns, "displacement": readings.displacement}.items():
+        size = np.abs(values)
+        largest = LARGEST if name in NUMERIC_COLUMNS else _LARGEST_COVARIATE
+        bad = np.flatnonzero((size > largest) | ((size > 0.0) & (size < SMALLEST)))
+        if len(bad):
+            value = values[bad[0]]
+            what = "large" if abs(value) > 1.0 else "small"
+            raise SessionError(f"{place.row(readings.row[bad[0]])}: {name} is {value:g}, too {what} to have been read")
 
 
 def _travel(session: Session, place: Place) -> None:

@@ -1,0 +1,81 @@
+"""Files and streams that nobody means to give: one line, in bounded time, nothing on standard output."""
+
+from __future__ import annotations
+
+import io
+import os
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.cli.main import run
+from machine_tool_calibration.session.folder import write_session
+from machine_tool_calibration.simulation import SimulationSpec, simulate
+from machine_tool_calibration.simulation.plans import PLANS
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Path:
+    folder = tmp_path / "run"
+    write_session(simulate(SimulationSpec(plan=PLANS["direct"](), seed=3)).session, folder)
+    return folder
+
+
+def refused(capsys: pytest.CaptureFixture[str], *words: object) -> str:
+    assert run([str(word) for word in words]) == 1
+    captured = capsys.readouterr()
+    assert captured.out == "" and captured.err.count("\n") == 1 and "fault of mtcal" not in captured.err
+    return captured.err
+
+
+VERBS = (
+    *(("identify",), ("info",), ("compare",), ("diagnose",), ("history",), ("improve",), ("recover",), ("plan",)),
+    *(("play",), ("workpiece", "--spacing", 1), ("export", "--format", "json")),
+    *(("convert", "--table", "points", "--dry-run"), ("convert", "--to", "csv")),
+)
+
+
+@pytest.mark.parametrize("words", VERBS, ids=str)
+def test_a_link_to_itself(capsys: pytest.CaptureFixture[str], tmp_path: Path, words: tuple[object, ...]) -> None:
+    for name in ("link", "link.mcap", "link.yaml"):
+        (tmp_path / name).symlink_to(name)
+        target = [tmp_path / "out"] if "--to" in words else []
+        refused(capsys, words[0], tmp_path / name, *target, *words[1:])
+
+
+@pytest.mark.parametrize("words", VERBS, ids=str)
+def test_a_pipe_without_a_writer(capsys: pytest.CaptureFixture[str], tmp_path: Path, words: tuple[object, ...]) -> None:
+    for name in ("pipe", "pipe.mcap", "pipe.yaml"):
+        os.mkfifo(tmp_path / name)
+        target = [tmp_path / "out"] if "--to" in words else []
+        refused(capsys, words[0], tmp_path / name, *target, *words[1:])
+
+
+@pytest.mark.parametrize("file", ["session.yaml", "observations.csv"])
+def test_a_session_of_a_link_to_itself(capsys: pytest.CaptureFixture[str], session: Path, file: str) -> None:
+    (session / file).unlink()
+    (session / file).symlink_to(file)
+    assert f"no {file} in this folder" in refused(capsys, "identify", session)
+
+
+def test_numpy_warns_nobody(
+    capsys: pytest.CaptureFixture[str], session: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def overflows(*_: object) -> None:
+        warnings.warn("overflow encountered in square", RuntimeWarning, stacklevel=2)
+        _ = np.array([1e308]) * 1e308
+
+    monkeypatch.setattr("machine_tool_calibration.session.checks.check_units", overflows)
+    assert run(["info", str(session), "--json"]) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_a_terminal_that_lacks_letters(session: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    written = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(written, encoding="ascii"))
+    assert run(["info", str(session)]) == 0
+    sys.stdout.flush()
+    assert b"declared standard uncertainty 0.2 ?m" in written.getvalue()
