@@ -78,7 +78,7 @@ WRONG = [
     ("model", "rigid", "unknown model 'rigid'; known are "),
     ("effects", ["backlash_q"], "unknown effect 'backlash_q' (did you mean"),
     ("effects", ["backlash_x", "backlash_x"], "the effect 'backlash_x' is named twice"),
-    ("effects_files", ["/nowhere.yaml"], "/nowhere.yaml: cannot be read"),
+    ("effects_files", ["/nowhere.yaml"], "/nowhere.yaml: no such file"),
     ("magnification", float("nan"), "magnification"),
     ("magnification", float("inf"), "magnification"),
     ("sets", 3, "sets"),
