@@ -48,6 +48,7 @@ _FIRST = (
     "nodes/test_probe.py",
     "planning/test_what_to_measure.py",
     "nodes/test_whole.py",
+    "nodes/test_hostile.py",
     "planning/test_dominant.py",
     "nodes/test_methods.py",
     "methods/joint/test_spread.py",
