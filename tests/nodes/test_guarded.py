@@ -23,7 +23,7 @@ from machine_tool_calibration.nodes.probe import Probe
 from machine_tool_calibration.nodes.procedure import ProcedureNode
 from machine_tool_calibration.nodes.ros.messages import Level, status, to_message, values
 from machine_tool_calibration.nodes.ros.process import say_unknown_parameters
-from machine_tool_calibration.nodes.ros.services import Answer
+from machine_tool_calibration.nodes.ros.services import Answer, DeferredService
 
 from .conftest import ORIGIN, PROCEDURE
 
@@ -117,6 +117,23 @@ def test_a_parameter_that_there_is_not_is_said(made, capfd):
     node = made(AxisSimulator, sped=1.0)
     say_unknown_parameters(node)
     assert "this node has no parameter 'sped' (did you mean 'speed'?)" in capfd.readouterr().err
+
+
+def test_a_fault_in_a_timer_or_a_service_is_logged_and_the_node_goes_on(made, capfd):
+    node = made(AxisSimulator)
+
+    def stumble(*_):
+        raise ZeroDivisionError("an axis without length")
+
+    timer = node.create_timer(1.0, stumble)
+    service = DeferredService(node, Trigger, "stumble", stumble).service
+    for _ in range(3):
+        timer.callback()
+        answer = service.callback(Trigger.Request(), Trigger.Response())
+        assert (answer.success, answer.message) == (False, "ZeroDivisionError: an axis without length")
+    said = capfd.readouterr().err
+    assert said.count("stumble: ZeroDivisionError: an axis without length") == 2
+    assert "in stumble" in said
 
 
 # --- readings that are missing

@@ -204,10 +204,10 @@ class ProcedureNode(GuardedNode):
         self._require_moves()
         if self.sequencer.state in (State.RUNNING, State.PAUSED, State.ERROR):
             raise CalibrationError(f"the procedure is {self.sequencer.state}; abort it first")
-        if not now(self):  # times would count from 1970
-            self._starts_with_clock = True
+        self._starts_with_clock = not now(self)
+        if self._starts_with_clock:  # times would count from 1970
             return "it starts with the first /clock"
-        self._starts_with_clock, self._remark = False, ""
+        self._remark = ""
         if self.sequencer.done:  # the readings of the last run must not pass for this one's
             self.destroy_publisher(self._readings)
             self._readings = self.create_publisher(JointState, "reading", READINGS)

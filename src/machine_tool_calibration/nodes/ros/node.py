@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import traceback
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -117,10 +118,11 @@ class GuardedNode(Node):
             self.get_logger().warning(f"a message on {topic} was ignored: {reason}; more of them are only counted")
 
     def _fail(self, what: str, error: Exception) -> None:
+        """A fault of the node's own: the log says once where."""
         text = f"{what}: {_reason(error)}"
         if text not in self._failed:
             self._failed.add(text)
-            self.get_logger().error(text)
+            self.get_logger().error(text + "\n" + "".join(traceback.format_exception(error)))
 
     def _set(self, parameters: list[Parameter]) -> SetParametersResult:
         wanted = {parameter.name: parameter.value for parameter in parameters}
