@@ -7,6 +7,8 @@ machine so that it arrives. Before there is a map, and outside of what it covers
 why: an uncorrected position must not pass for a corrected one.
 """
 
+import sys
+
 import rclpy
 from geometry_msgs.msg import PointStamped
 from rclpy.executors import ExternalShutdownException
@@ -60,6 +62,9 @@ class Compensate(Node):
 
 def main() -> None:
     """Run the node."""
+    if {"-h", "--help"} & set(sys.argv[1:]):
+        print(__doc__)
+        return
     rclpy.init()
     node = Compensate()
     try:

@@ -8,7 +8,6 @@ ros2 service call /estimator/identify std_srvs/srv/Trigger
 launch ends with the first node that the measurement cannot do without.
 """
 
-import tempfile
 import time
 from pathlib import Path
 
@@ -16,6 +15,7 @@ import yaml
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction, Shutdown
+from launch.logging import launch_config
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
@@ -57,11 +57,11 @@ def nodes(context):
     if not procedure.suffix:
         procedure = Path(get_package_share_directory(PACKAGE), "config", "procedures", f"{procedure}.yaml")
     measured = read_procedure(procedure)
-    # the machine's chain and travel are the procedure's
-    with tempfile.NamedTemporaryFile("w", prefix="site-", suffix=".yaml", delete=False) as site:
-        yaml.safe_dump(site_document(measured, read_site(given["site"])), site, sort_keys=False)
+    # the machine's chain and travel are the procedure's; what was simulated stays with the logs of the launch
+    site = Path(launch_config.log_dir, "site.yaml")
+    site.write_text(yaml.safe_dump(site_document(measured, read_site(given["site"])), sort_keys=False))
     common = {"use_sim_time": is_true["use_sim_time"]}
-    world = {**common, "site": site.name, "time_origin": float(int(time.time()))}
+    world = {**common, "site": str(site), "time_origin": float(int(time.time()))}
     parameters = {
         "axis_simulator": world,
         "rotary_pointer": world,

@@ -72,7 +72,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """The statistics of a few simulated measurements are tests; those of hundreds are benchmarks."""
-    parser.addoption("--runs", type=int, default=12, help="simulated measurements of a statistical test (default 12)")
+    parser.addoption("--runs", type=int, default=10, help="simulated measurements of a statistical test (default 10)")
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,9 @@ from functools import cache
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.simulation import SimulationSpec, simulate
 
+# Simulated sets of a diagnosis: p-values are made of them, and nothing else.
+SETS = 19
+
 
 def diagnosed(spec: SimulationSpec, seed: int = 1) -> Diagnosis:
     """What a diagnosis says of a simulated session."""
@@ -15,4 +18,4 @@ def diagnosed(spec: SimulationSpec, seed: int = 1) -> Diagnosis:
 
 @cache
 def _diagnosed(spec: str, seed: int) -> Diagnosis:
-    return diagnose(simulate(SimulationSpec.model_validate_json(spec)).session, seed=seed)
+    return diagnose(simulate(SimulationSpec.model_validate_json(spec)).session, seed=seed, sets=SETS)

@@ -2,12 +2,52 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from machine_tool_calibration.diagnosis import diagnose, improve
+from machine_tool_calibration.planning import what_to_measure
 from machine_tool_calibration.session.folder import write_session
+from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
+
+_FOUND: dict[tuple[object, ...], Any] = {}
+
+
+def _once(search: Callable[..., Any]) -> Callable[..., Any]:
+    """A search that is made once for the same subject and options, whoever asks."""
+
+    def found(subject: Any, *more: Any, progress: Callable[[str, float], None], **options: Any) -> Any:
+        if options.get("own"):
+            return search(subject, *more, progress=progress, **options)
+        key = (search, _same(subject), repr(more), repr(sorted(options.items())))
+        if key not in _FOUND:
+            _FOUND[key] = (search(subject, *more, progress=progress, **options), subject)
+        return _FOUND[key][0]
+
+    return found
+
+
+def _same(subject: Any) -> object:
+    """What is equal where sessions hold the same, whatever folder they lie in."""
+    if not isinstance(subject, Session):
+        return tuple(map(_same, subject)) if isinstance(subject, tuple | list) else id(subject)
+    readings = subject.readings
+    columns = tuple((name, values.tobytes()) for name, values in sorted(readings.columns.items()))
+    return subject.description.model_dump_json(), readings.displacement.tobytes(), readings.setup.tobytes(), columns
+
+
+@pytest.fixture(scope="module")
+def found_once() -> Iterator[None]:
+    """Diagnoses and improvements of sessions that several tests of the commands look at are calculated once."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(diagnose, "diagnose", _once(diagnose.diagnose))
+        patch.setattr(improve, "improve", _once(improve.improve))
+        patch.setattr(what_to_measure, "conclude", _once(what_to_measure.conclude))
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -31,6 +31,7 @@ def test_people_see_before_and_after(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "not determined: EZX" in shown.err
 
 
+@pytest.mark.usefixtures("found_once")
 def test_effects_of_the_history(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     session, folder = tmp_path / "session", tmp_path / "tables"
     spec = SimulationSpec(plan=PRESETS["tracking_2d"], seed=4, effects=(FlawSpec(id="backlash_y", size=2e-6),))

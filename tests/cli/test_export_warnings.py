@@ -25,7 +25,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def improved(session: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def improved(found_once: None, session: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("improved") / "plane"
     folder.mkdir()
     for name in ("session.yaml", "observations.csv"):

@@ -13,6 +13,7 @@ from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.recording.open import open_measurement
 from machine_tool_calibration.reports.history_file import read_history
 
+pytestmark = pytest.mark.usefixtures("found_once")
 SETS = ["--sets", "199"]
 Run = pytest.CaptureFixture[str]
 

@@ -13,6 +13,8 @@ import pytest
 from machine_tool_calibration.cli.main import BROKEN_PIPE, run
 from machine_tool_calibration.reports.history_file import read_history
 
+pytestmark = pytest.mark.usefixtures("found_once")
+
 Shown = pytest.CaptureFixture[str]
 PICTURES = {"improve.png", "improve.csv", "residuals.csv"}
 

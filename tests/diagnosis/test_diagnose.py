@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from scipy.stats import binom
 
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.improve import improve
@@ -15,7 +14,7 @@ from machine_tool_calibration.model.fit import fit_models, screen
 from machine_tool_calibration.residuals.leverage import leverage
 from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, Spread, simulate
 
-from ..diagnosed import diagnosed
+from ..diagnosed import SETS, diagnosed
 
 SIGMA = 3e-7
 
@@ -32,9 +31,9 @@ def test_nothing_missing_is_called_adequate(plan: str) -> None:
 
 def test_false_alarms_stay_rare_with_and_without_a_spread_between_setups(many: Any) -> None:
     spreads = (Spread(), Spread(slope=0.4 * SIGMA, bow=0.4 * SIGMA))
-    seeds = range(500, 500 + many.part(2 / 3).count)
+    seeds = range(500, 500 + many.part(1 / 3).count)
     alarms = [look("tracking_2d", seed, spread=one).verdict != "adequate" for one in spreads for seed in seeds]
-    assert sum(alarms) <= many.part(4 / 3).at_most(0.05)
+    assert sum(alarms) <= many.part(2 / 3).at_most(0.05)
 
 
 @pytest.mark.parametrize(
@@ -63,7 +62,7 @@ def test_a_hidden_effect_is_named_and_the_error_falls(plan: str, effect: str, am
 def test_what_free_angles_took_up_leaves_the_tool_point() -> None:
     hidden = FlawSpec(id="backlash_y", amplitude=3e-6)
     session = simulate(SimulationSpec(plan=PRESETS["step_diagonal"], seed=77, effects=(hidden,))).session
-    done = improve(session, seed=77)
+    done = improve(session, seed=77, sets=SETS)
     assert done.diagnosis.accepted == ("backlash_y",)
     before, after = (done.residual_volumetric_error(step) for step in (done.steps[0], done.steps[-1]))
     assert before is not None
@@ -94,7 +93,7 @@ def test_an_effect_that_nobody_knows_is_unexplained_and_its_covariate_named() ->
 
 def test_chips_are_named_by_row_and_nothing_else() -> None:
     simulated = simulate(SimulationSpec(plan=PRESETS["probing_cross"], seed=5, chips=Chips(fraction=0.02)))
-    found = diagnose(simulated.session, seed=1)
+    found = diagnose(simulated.session, seed=1, sets=SETS)
     rows = {o.row for o in found.outliers}
     truth = {int(row) for row in simulated.truth.document()["outliers"]}
     assert found.verdict == "outliers"
@@ -113,24 +112,9 @@ def test_an_effect_in_the_model_is_not_looked_for_again() -> None:
     session = simulate(
         SimulationSpec(plan=PRESETS["tracking_2d"], seed=77, effects=(FlawSpec(id="backlash_y", amplitude=1.5e-6),))
     ).session
-    found = diagnose(session, effects=["backlash_y"], seed=1)
+    found = diagnose(session, effects=["backlash_y"], seed=1, sets=SETS)
     assert found.verdict == "adequate"
     assert "backlash_y" not in {r.candidate.name for r in found.ranked}
-
-
-def test_detectable_sizes_are_found_that_often(many: Any) -> None:
-    """An effect of the stated smallest size is found in about 80 of 100 sessions, one of half the size seldom."""
-    spec = SimulationSpec(plan=PRESETS["tracking_2d"], seed=4)
-    size = diagnose(simulate(spec).session, seed=1).look.of("backlash_y").detectable["b"]
-
-    def found(share: float, runs: int) -> int:
-        flaw = FlawSpec(id="backlash_y", size=share * size)
-        return sum("backlash_y" in look("tracking_2d", 2000 + k, flaw).accepted for k in range(runs))
-
-    full, half = many.part(0.8).count, many.part(0.4).count
-    low, high = binom.interval(0.998, full, 0.8)
-    assert low <= found(1.0, full) <= high
-    assert found(0.5, half) < half / 2
 
 
 @pytest.mark.parametrize("plan", ["tracking_2d", "rotary_axis", "probing_cross", "step_diagonal"])
@@ -155,7 +139,7 @@ def test_screening_an_effect_says_what_adding_it_gives() -> None:
 
 def test_rounding_is_no_structure() -> None:
     plan = PRESETS["tracking_2d"].model_copy(update={"station_uncertainty": 0.0})
-    found = diagnose(simulate(SimulationSpec(plan=plan, seed=4, noise_factor=0.0)).session, sets=199)
+    found = diagnose(simulate(SimulationSpec(plan=plan, seed=4, noise_factor=0.0)).session, sets=SETS)
     assert found.verdict == "adequate"
     assert found.accepted == ()
     assert not found.look.structure

@@ -13,8 +13,7 @@ import pytest
 
 from machine_tool_calibration.diagnosis.diagnose import diagnose
 
-# Simulated sets of a diagnosis: what is accepted does not depend on them.
-SETS = 19
+from ..diagnosed import SETS
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +64,7 @@ def test_rows_that_scatter_together_are_no_effect(plates: ModuleType, many: Any)
 
 def test_far_holes_are_named(plates: ModuleType) -> None:
     session, far = plates.plate(3, far=4, scales=(4e-5, 4e-5), tails=None)
-    found = diagnose(session)
+    found = diagnose(session, sets=SETS)
     assert [o.row for o in sorted(found.outliers, key=lambda o: o.row)] == far
     assert found.accepted == ("scale",)
 
@@ -75,7 +74,7 @@ def test_repeats_in_a_plane_that_is_not_zero(plates: ModuleType) -> None:
     session, _ = plates.plate(2, repeats=3, holes=100, scales=(4e-5, 4e-5))
     readings = session.readings
     lifted = session.with_readings(replace(readings, columns={**readings.columns, "z": np.full(len(readings), 0.05)}))
-    found = diagnose(lifted)
+    found = diagnose(lifted, sets=SETS)
     assert found.accepted == ("scale",)
     assert np.ptp(found.look.fit.fits[0].model.observations.position[:, 2]) == 0.0
 
@@ -87,14 +86,14 @@ def test_far_holes_beside_each_other_are_something_else(plates: ModuleType) -> N
     change = np.zeros(len(readings))
     along_y = np.flatnonzero(readings.columns["gy"] == 1.0)
     change[along_y[40:49]] = 2e-4
-    found = diagnose(session.with_readings(replace(readings, displacement=readings.displacement + change)))
+    found = diagnose(session.with_readings(replace(readings, displacement=readings.displacement + change)), sets=SETS)
     assert found.outliers == ()
 
 
 def test_axis_with_backlash_and_an_error_of_no_simple_shape(plates: ModuleType) -> None:
     for seed in range(6):
         session = plates.axis(seed, backlash=2e-6, wander=2e-6, scale=2e-5, between=2e-7)
-        found = diagnose(session)
+        found = diagnose(session, sets=SETS)
         assert found.verdict == "missing_effect"
         assert {"EXX", "backlash_x"} <= set(found.accepted) <= {"scale", "EXX", "backlash_x"}
 

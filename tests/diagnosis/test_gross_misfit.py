@@ -17,6 +17,8 @@ from machine_tool_calibration.reports.verdict import verdict_words
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
+from ..diagnosed import SETS
+
 
 def with_added(session: Session, change: np.ndarray) -> Session:
     readings = session.readings
@@ -49,7 +51,7 @@ def each_place_apart(seed: int) -> Session:
 
 @pytest.fixture(scope="module")
 def bent() -> Diagnosis:
-    return diagnose(bent_by_the_path(3), seed=1)
+    return diagnose(bent_by_the_path(3), sets=SETS)
 
 
 def test_setups_that_differ_grossly_are_spread_and_no_effect(bent: Diagnosis) -> None:
@@ -78,7 +80,7 @@ def test_the_words_say_by_how_much_setups_differ(bent: Diagnosis) -> None:
 
 
 def test_places_that_differ_without_any_pattern_are_unexplained() -> None:
-    found = diagnose(each_place_apart(3), seed=1)
+    found = diagnose(each_place_apart(3), sets=SETS)
     assert found.fits[0].reduced_chi_square > 2
     assert found.contradicted and not found.noisy
     assert found.verdict == "unexplained"
@@ -93,7 +95,7 @@ def test_a_declared_uncertainty_that_is_too_small_is_no_misfit() -> None:
     """The repeats scatter as much: then it is the declaration."""
     session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=12)).session
     noise = 2.0 * session.sigma * np.random.default_rng(0).normal(size=len(session.readings))
-    found = diagnose(with_added(session, noise), seed=1)
+    found = diagnose(with_added(session, noise), sets=SETS)
     assert found.fits[0].reduced_chi_square > 2
     assert found.verdict == "adequate"
 
@@ -103,7 +105,7 @@ def test_a_large_effect_that_explains_itself_is_named_all_the_same() -> None:
         simulate(
             SimulationSpec(plan=PRESETS["tracking_2d"], seed=12, effects=(FlawSpec(id="backlash_y", amplitude=2e-5),))
         ).session,
-        seed=1,
+        sets=SETS,
     )
     assert found.verdict == "missing_effect"
     assert found.accepted == ("backlash_y",)

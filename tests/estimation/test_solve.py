@@ -61,7 +61,7 @@ def test_an_unknown_without_readings():
 
 @pytest.mark.parametrize("unit", [1e-9, 1e-3, 1.0, 1e6, 1e12])
 def test_the_unit_of_an_unknown_does_not_matter(unit):
-    """Path-independent and path-dependent shares of the air cannot be told apart on one path: in whatever unit."""
+    """Path-independent and path-dependent shares of the air cannot be distinguished on one path: in whatever unit."""
     columns = np.array([np.full(20, 1.0), np.full(20, 0.3 * unit), np.linspace(-1, 1, 20) * unit])
     solution = solve(line_problem(columns, 1e-6 * np.linspace(-1, 1, 20)))
     assert solution.is_determined().tolist() == [False, False, True]

@@ -5,6 +5,8 @@ from importlib import import_module
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
+from machine_tool_calibration.nodes.usage import topics
+
 from .conftest import PATIENCE
 from .pages import PAGES, rows, sections
 
@@ -31,6 +33,20 @@ def check_topics(node):
             assert re.sub(r", depth \d+", "", table[key].qos) == shown(publisher.qos_profile), name
             if publisher.qos_profile.history == HistoryPolicy.KEEP_LAST:  # discovery does not always tell
                 assert table[key].qos.endswith(f"depth {publisher.qos_profile.depth}"), name
+
+
+def check_ends(node, names):
+    """Whether the table says of each of these nodes what it publishes, and what it listens to."""
+    for name in names:
+        for ends, found in (
+            ("publishers", node.get_publisher_names_and_types_by_node(name, "/")),
+            ("subscribers", node.get_subscriber_names_and_types_by_node(name, "/")),
+        ):
+            told = {f"/{topic.name.strip('/')}" for topic in topics() if name in getattr(topic, ends)}
+            also = IGNORED | ({"/clock"} if ends == "subscribers" or name == "axis_simulator" else set())
+            if name == "procedure":
+                also |= {"/joint_states"}  # it listens until it starts
+            assert {topic for topic, _ in found} - also == told - also, (name, ends)
 
 
 def hear(operator):

@@ -16,7 +16,7 @@ from machine_tool_calibration.recording.open import open_measurement
 from machine_tool_calibration.recording.session_bag import session_to_bag
 
 from .conftest import ORIGIN, PATIENCE
-from .heard import check_content, check_services, check_topics, hear
+from .heard import check_content, check_ends, check_services, check_topics, hear
 from .pages import FOLDER, PAGES, anchors, message_of, rows, sections
 
 SOURCE = Path(__file__).parents[2] / "src/machine_tool_calibration/nodes"
@@ -88,6 +88,7 @@ def test_topics_of_the_probe_and_the_player(bench):
     assert operator.wait(lambda: {"instrument/status", "player/status", "truth/table"} <= set(heard), PATIENCE)
     check_topics(operator._node)
     check_services(operator, ("probe", "player"))
+    check_ends(operator._node, ("axis_simulator", "probe"))
     check_content("player/status", heard["player/status"])
     probe = FOLDER.joinpath("probe.md").read_text()
     assert all(f"`{entry.key}`" in probe for entry in heard["instrument/status"].status[0].values)

@@ -10,6 +10,7 @@ import pytest
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.measurement import NODES
+from machine_tool_calibration.nodes.site import read_site
 
 LAUNCH = Path(__file__).parents[2] / "launch"
 
@@ -48,12 +49,13 @@ KINDS = ("LaunchDescription", "DeclareLaunchArgument", "LogInfo", "OpaqueFunctio
 @pytest.fixture
 def launch(monkeypatch, tmp_path):
     """Loads a launch file."""
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    (tmp_path / "log").mkdir()
     made = {kind: type(kind, (Record,), {}) for kind in KINDS}
     configuration = lambda name: SimpleNamespace(perform=lambda context: context.launch_configurations[name])  # noqa: E731
     contents = {
         "launch": {"LaunchDescription": made["LaunchDescription"]},
         "launch.actions": made,
+        "launch.logging": {"launch_config": SimpleNamespace(log_dir=str(tmp_path / "log"))},
         "launch.substitutions": {"LaunchConfiguration": configuration},
         "launch_ros": {},
         "launch_ros.actions": {"Node": made["Node"]},
@@ -74,6 +76,17 @@ def launch(monkeypatch, tmp_path):
 def started(found, **given):
     usual = {name: default for name, (default, _) in found["ARGUMENTS"].items()}
     return found["nodes"](SimpleNamespace(launch_configurations={**usual, **given}))
+
+
+def test_what_is_simulated_stays_with_the_logs_of_the_launch(launch, monkeypatch, tmp_path):
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(elsewhere))
+    (node,) = [node for node in started(launch("graph.launch.py")) if node.named["name"] == "instrument"]
+    (parameters,) = node.named["parameters"]
+    assert parameters["site"] == str(tmp_path / "log" / "site.yaml")
+    assert read_site(parameters["site"]).machine.chain == "w-C-b-Y-X-Z-t"
+    assert not list(elsewhere.iterdir())
 
 
 def test_switches_take_what_people_write_and_nothing_else(launch):

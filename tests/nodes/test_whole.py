@@ -16,7 +16,7 @@ from machine_tool_calibration.recording.reader import BagReader
 from machine_tool_calibration.recording.session_bag import session_from_bag
 
 from .conftest import ORIGIN, PATIENCE, PROCEDURE, SITE, Bench, begin, collected, ended
-from .heard import check_content, check_services, check_topics, hear
+from .heard import check_content, check_ends, check_services, check_topics, hear
 from .pages import rows
 from .reference import reference
 from .test_measurement import readings, since_first
@@ -118,6 +118,7 @@ def test_topics_services_and_contents_are_those_of_the_documents(whole):
         check_content(name, message)
     assert len(heard["diagnosis"].status) > 3
     check_services(operator, NODES)
+    check_ends(node, NODES)
 
 
 def test_diagnostics_name_every_node_and_its_device(whole):

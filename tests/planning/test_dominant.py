@@ -96,7 +96,7 @@ def test_the_promise_of_the_fourth_diagonal_is_kept(of_three: Dominant) -> None:
             made = simulate(spec)
             model = build(made.session)
             found = model.profiles(fit_models([model]).fits[0])
-            judged = made.truth.judged["axis_errors"]
+            judged = made.truth.expected["axis_errors"]
             true = eq17(found.blocks, np.concatenate([np.ravel(judged[letter]) for letter in "xyz"]))
             errors.append(np.mean((found.value - true) ** 2))
         square.append(np.mean(errors))

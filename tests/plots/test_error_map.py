@@ -8,6 +8,8 @@ from matplotlib.collections import EllipseCollection, LineCollection
 
 from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.model.model import motion_value, place_of
+from machine_tool_calibration.model.result import Estimate
 from machine_tool_calibration.plots.error_map import draw_map, draw_tables, read_tables
 from machine_tool_calibration.plots.pictures import draw_common
 from machine_tool_calibration.plots.style import round_down, spaced
@@ -145,8 +147,11 @@ def test_tables_in_micrometres_with_their_bands(volume):
 
 
 def test_tables_by_setup_are_not_taken_for_tables_by_position():
-    assert read_tables([{"name": "ECC(C1)", "value": 0.0, "standard_uncertainty": 1.0}]) == {}
-    assert draw_tables([{"name": "A.x", "value": 0.0, "standard_uncertainty": 1.0}]) is None
+    by_setup, place = motion_value("ECC", "C1", "rad"), place_of("A", "x", 0.0)
+    for parameter in (by_setup, place):
+        entry = Estimate.of(parameter, 0.0, 1.0).document()
+        assert read_tables([entry]) == {}
+        assert draw_tables([entry]) is None
 
 
 def test_stations_with_their_uncertainty(volume):

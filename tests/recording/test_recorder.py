@@ -107,14 +107,14 @@ def test_a_graph_in_its_namespace(tmp_path: Path, ros_domain: int) -> None:
 
 def test_ten_thousand_samples_a_second(tmp_path: Path, ros_domain: int) -> None:
     folder = tmp_path / "bag"
-    with recorder(f"folder:={folder}", "split_size:=100000") as process, publisher("/", 2000, 500, 20) as sender:
+    with recorder(f"folder:={folder}", "split_size:=100000") as process, publisher("/", 1000, 500, 20) as sender:
         expect(sender, "sent")
         said = stop(process, signal.SIGTERM)
     assert "0 lost" in said
     bag = BagReader(folder)
     assert len(bag.files) > 1
-    assert np.array_equal(samples_of(bag), np.arange(40_000))
-    assert bag.topics["/joint_states"].messages == 2000
+    assert np.array_equal(samples_of(bag), np.arange(20_000))
+    assert bag.topics["/joint_states"].messages == 1000
 
 
 def test_chosen_topics_of_any_quality(tmp_path: Path, ros_domain: int) -> None:

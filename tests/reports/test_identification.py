@@ -6,7 +6,7 @@ from machine_tool_calibration.reports.identification import goodness_of_fit, gro
 def test_goodness_of_fit():
     assert "within their declared" in goodness_of_fit({"reduced_chi_square": 1.0, "p_value": 0.5})
     assert "scatter 2.00 times" in goodness_of_fit({"reduced_chi_square": 4.0, "p_value": 1e-9})
-    assert "p < 1e-12" in goodness_of_fit({"reduced_chi_square": 4.0, "p_value": 0.0})
+    assert "p < 1e-6" in goodness_of_fit({"reduced_chi_square": 4.0, "p_value": 0.0})
     assert "nearly within" in goodness_of_fit({"reduced_chi_square": 1.15, "p_value": 0.007})
     assert "stated too large" in goodness_of_fit({"reduced_chi_square": 0.25, "p_value": 0.99999})
 

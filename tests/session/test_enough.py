@@ -126,7 +126,7 @@ def test_one_angle_of_c(session_folder) -> None:
     folder = session_folder("probing_cross")
     folder.edit_rows(lambda fields, _: fields if fields["setup"] == "C1" else None)
     assert message(folder.path) == (
-        "observations.csv: touches at 1 C angle; probing needs at least 2 to tell the workpiece from the machine"
+        "observations.csv: touches at 1 C angle; probing needs at least 2 to distinguish the workpiece from the machine"
     )
 
 

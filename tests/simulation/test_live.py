@@ -43,7 +43,7 @@ def test_live_readings_are_those_of_the_session():
         start = column["time"][session.readings.setup == setup][0]
         now = live.scene(column["time"][row], session.readings.position()[row],
                          {a: column[f"dir_{a.lower()}"][row] for a in "XYZ"}, setup=setup, start=start)
-        station = np.array(simulated.truth.judged["stations"])[setup]
+        station = np.array(simulated.truth.expected["stations"])[setup]
         azimuth = column["azimuth"][row]
         origin, direction = live.beam(now, plan.pointer(), azimuth, 0.0, station)
         length = sensed_path(live.functional_point(now), origin, direction)
@@ -58,7 +58,7 @@ def test_live_readings_are_those_of_the_session():
 def test_live_table_is_that_of_the_session():
     effects = [FlawSpec(id="backlash_c"), FlawSpec(id="table_thermal_growth", size=2e-5)]
     simulated = simulate(SimulationSpec(plan=RotaryPlan(both_ways=True), seed=3, noise_factor=0, effects=effects))
-    column, judged = simulated.session.readings.columns, simulated.truth.judged
+    column, judged = simulated.session.readings.columns, simulated.truth.expected
     row = 25
     warm = Environment({})
     live = LiveMachine.prepare(simulated.truth.machine, simulated.truth.effects, warm)

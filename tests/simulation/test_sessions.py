@@ -77,16 +77,16 @@ def test_an_effect_changes_neither_machine_nor_noise():
     flawed = simulate(SimulationSpec(plan=TrackingPlan(dimension=3), seed=9, effects=[FlawSpec(id="backlash_x")]))
     change = flawed.session.readings.displacement - plain.session.readings.displacement
     np.testing.assert_allclose(change, flawed.truth.signal, atol=1e-15)
-    assert flawed.truth.judged == plain.truth.judged
+    assert flawed.truth.expected == plain.truth.expected
 
 
 def test_extra_error_motion_is_in_the_true_errors():
     plan = TrackingPlan(dimension=2)
     shape = {"shape": "linear"}
-    plain = simulate(SimulationSpec(plan=plan, seed=1)).truth.judged["position_error"]
+    plain = simulate(SimulationSpec(plan=plan, seed=1)).truth.expected["position_error"]
     flawed = simulate(SimulationSpec(plan=plan, seed=1, effects=[FlawSpec(id="EYX", size=4e-6, parameters=shape)]))
-    change = np.array(flawed.truth.judged["position_error"]) - plain
-    x = np.array(flawed.truth.judged["points"])[:, 0]
+    change = np.array(flawed.truth.expected["position_error"]) - plain
+    x = np.array(flawed.truth.expected["points"])[:, 0]
     np.testing.assert_allclose(change[:, 1], 4e-6 * (x / 0.2 - 1), atol=1e-10)
 
 
@@ -106,19 +106,19 @@ def test_tracking_readings_are_changes_of_the_projection():
     session, truth = simulated.session, simulated.truth
     c = session.readings.columns
     target = session.readings.position() + truth.machine.position_error(session.readings.position())
-    station = np.array(truth.judged["stations"])[session.readings.setup]
+    station = np.array(truth.expected["stations"])[session.readings.setup]
     beam = np.column_stack([np.cos(c["elevation"]) * np.cos(c["azimuth"]),
                             np.cos(c["elevation"]) * np.sin(c["azimuth"]), np.sin(c["elevation"])])
     path = np.sum((target - station) * beam, axis=1)
     first = np.unique(session.readings.setup, return_index=True)[1]
     np.testing.assert_allclose(session.readings.displacement, path - path[first][session.readings.setup], atol=1e-14)
     stated = np.array([s.position for s in session.description.setups])
-    assert 0 < np.max(np.abs(stated - np.array(truth.judged["stations"]))) < 6e-5
+    assert 0 < np.max(np.abs(stated - np.array(truth.expected["stations"]))) < 6e-5
 
 
 def test_tracking_beam_reads_true_distances():
     simulated = perfect(TrackingPlan(dimension=3, pointing="tracking", repeats=1))
-    station = np.array(simulated.truth.judged["stations"])
+    station = np.array(simulated.truth.expected["stations"])
     distance = np.linalg.norm(simulated.session.readings.position() - station[simulated.session.readings.setup], axis=1)
     first = np.unique(simulated.session.readings.setup, return_index=True)[1]
     change = distance - distance[first][simulated.session.readings.setup]
@@ -193,7 +193,7 @@ def test_orders_of_moves_end_at_the_same_blocks():
 
 def test_rotary_axis_readings_are_distances_between_stations_and_targets():
     simulated = simulate(SimulationSpec(plan=RotaryPlan(), seed=6, noise_factor=0))
-    session, judged = simulated.session, simulated.truth.judged
+    session, judged = simulated.session, simulated.truth.expected
     c = session.readings.columns["c"]
     errors = {name: np.array(values)[np.searchsorted(judged["angles"], c - 1e-9)] for name, values in
               judged["errors"].items()}
@@ -215,7 +215,7 @@ def test_rotary_axis_readings_are_distances_between_stations_and_targets():
 @pytest.mark.parametrize(("axis", "sign"), [("A", 1), ("B", 1), ("B", -1)])
 def test_other_rotary_axes_turn_about_their_own_axis(axis, sign):
     simulated = perfect(RotaryPlan(axis=axis, sign=sign))
-    session, judged = simulated.session, simulated.truth.judged
+    session, judged = simulated.session, simulated.truth.expected
     assert session.description.machine.axis == axis
     angle = sign * session.readings.columns[axis.lower()]
     turn = Rotation.from_rotvec(angle[:, None] * np.eye(3)["ABC".index(axis)])
@@ -245,11 +245,11 @@ def test_probing_is_workpiece_minus_linear_axes_plus_table(columns):
     rot = np.stack([np.stack([np.cos(c), np.sin(c)], -1), np.stack([-np.sin(c), np.cos(c)], -1)], -2)  # clockwise
     p = np.einsum("nij,nj->ni", rot, [part[i].position for i in session.readings.labels["point"]])
     n = np.einsum("nij,nj->ni", rot, [part[i].normal for i in session.readings.labels["point"]])
-    form = dict(zip(part, truth.judged["workpiece_error"], strict=True))
+    form = dict(zip(part, truth.expected["workpiece_error"], strict=True))
     place = p + (0.003 * n if columns == "centre" else 0)
     np.testing.assert_allclose(session.readings.position()[:, :2], place, atol=1e-15)
     linear = truth.machine.position_error(session.readings.position())[:, :2]
-    table = {k: np.array(v)[session.readings.setup] for k, v in truth.judged["c_errors"].items()}
+    table = {k: np.array(v)[session.readings.setup] for k, v in truth.expected["c_errors"].items()}
     expected = (
         np.array([form[i] for i in session.readings.labels["point"]])
         - np.sum(n * linear, axis=1)
@@ -296,7 +296,7 @@ def test_drilled_plate_is_the_machines_error_and_a_rigid_misplacement():
     columns = np.column_stack([readings.columns["gx"], readings.columns["gy"],
                                np.where(readings.columns["gx"] == 1, -y, x)])
     rigid, *_ = np.linalg.lstsq(columns, rest, rcond=None)
-    turned = simulated.truth.judged["misplacement"]["rotation"][0][2]
+    turned = simulated.truth.expected["misplacement"]["rotation"][0][2]
     assert rigid[2] == pytest.approx(turned, rel=1e-2)
     np.testing.assert_allclose(columns @ rigid, rest, atol=3 * np.max(np.abs(turned)) ** 2 + 2e-7)
 
@@ -354,7 +354,7 @@ def test_an_independent_multilateration_finds_the_points():
     simulated = simulate(SimulationSpec(plan=TrackingPlan(dimension=2, repeats=1, pointing="tracking"), seed=2,
                                         noise_factor=0))
     session = simulated.session
-    truth = session.readings.position()[:36, :2] + np.array(simulated.truth.judged["position_error"])[:, :2]
+    truth = session.readings.position()[:36, :2] + np.array(simulated.truth.expected["position_error"])[:, :2]
     read = session.readings.displacement.reshape(4, 36)
     stations = np.array([s.position[:2] for s in session.description.setups])
 
@@ -375,7 +375,7 @@ def test_each_mounting_has_its_own_misplacement():
     simulated = perfect(plan)
     session = simulated.session
     assert session.setup_ids == ("grid_plate1", "grid_plate2", "grid_plate3")
-    moved = simulated.truth.judged["misplacement"]
+    moved = simulated.truth.expected["misplacement"]
     for setup in range(3):
         at_zero = (session.readings.setup == setup) & ~session.readings.position().any(axis=1)
         read = session.readings.displacement[at_zero].reshape(-1, 2)

@@ -126,7 +126,7 @@ def _carried(site: Site, result: Result) -> tuple[Array, Array]:
 
     Returns:
         (n, 3) its true error, m: that of an ideal turn taken off; and (6, n, 3) what a shift and a turn of the targets
-        on the table would make, which cannot be told from where the targets are.
+        on the table would make, which cannot be distinguished from where the targets are.
     """
     content, points = result.error_map.content, result.error_map.points
     angles = np.asarray(content["c"], dtype=float)
@@ -242,8 +242,8 @@ def command(
 
     The whole way that a real measurement goes: the nodes of the graph are started, the machine is moved and measured,
     everything is recorded, and the errors are identified with their uncertainty. The model is found to disagree with
-    the readings, the missing effect is looked for and added. Only then is told what was hidden, and the map is compared
-    with the true errors, which nothing before has seen.
+    the readings, the missing effect is looked for and added. Only then is revealed what was hidden, and the map is
+    compared with the true errors, which nothing before has seen.
     """
     number = int(np.random.default_rng().integers(1_000_000)) if seed is None else seed
     hidden = _hidden(method, number, hide)
@@ -318,10 +318,10 @@ def _show_error_of_map(session: Session, before: MapError, after: MapError, stat
     out = "mean" if direct else "shift and turn"
     own = "the axis's deviations" if direct else "the machine's own errors"
     known = stated is not None and not direct
-    expected = f" The last model's own uncertainty says {1e6 * (stated or 0.0):.2f} µm RMS (k = 1)." if known else ""
+    expected = f" The last model's own uncertainty says {quantity(stated or 0.0, 'm')} RMS (k = 1)." if known else ""
     console().print(
-        f"The {COMPARED[session.method]} is off the truth by {before.rms * 1e6:.2f} µm RMS with the first model and by "
-        f"{after.rms * 1e6:.2f} µm with the last ({out} taken out); {own} are {before.before * 1e6:.2f} µm RMS."
+        f"The {COMPARED[session.method]} is off the truth by {quantity(before.rms, 'm')} RMS with the first model and "
+        f"by {quantity(after.rms, 'm')} with the last ({out} taken out); {own} are {quantity(before.before, 'm')} RMS."
         f"{expected}\n"
     )
 

@@ -67,7 +67,7 @@ def command(
     for entry in remap:
         if ":=" not in entry:
             raise click.UsageError(f"--remap {entry}: write FROM:=TO, such as /reading:=/cell/reading")
-    BagReader(bag)  # a bag that cannot be read is told in the same words as everywhere
+    BagReader(bag)  # a bag that cannot be read is refused in the same words as everywhere
     parameters = {
         "bag": _quoted(str(bag)),
         "rate": repr(0.0 if fast else rate),
@@ -92,7 +92,7 @@ def command(
         try:
             made.append(Player())
         except CalibrationError as error:
-            refused.append(error)  # to be told once, by the command
+            refused.append(error)  # to be said once, by the command
             raise ExternalShutdownException from None
         return made[0]
 

@@ -22,7 +22,7 @@ __all__ = ["Consequence", "before_and_after", "consequences", "effect_estimates"
 
 # How many of the best candidates are added in full, each by itself.
 _MOST = 4
-# Uncertainty over size of an effect's share in the readings, above which it is not told.
+# Uncertainty over size of an effect's share in the readings, above which it is not stated.
 _TOLD = 0.3
 
 

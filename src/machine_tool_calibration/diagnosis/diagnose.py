@@ -41,7 +41,7 @@ _STILL = 1e-6  # m
 def mean_places(fit: Fit) -> tuple[Session, Noise] | None:
     """The session with the mean of the readings of each place, and what its repeats say of the noise.
 
-    A hole that was drilled once and measured five times tells of the machine once. Averaged are direct deviations whose
+    A hole that was drilled once and measured five times says of the machine once. Averaged are direct deviations whose
     places differ along at least two axes and by more than their repeats do; the readings of a single axis are the
     machine's own, run after run.
 
@@ -93,7 +93,7 @@ _MOST_OF_IT = 1 / 3
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What is missing, what cannot be told apart and what could not have been seen.
+    """What is missing, what cannot be distinguished and what could not have been seen.
 
     Attributes:
         sessions: the measurements, without outliers.
@@ -196,7 +196,7 @@ def diagnose(
         own: the user's own effects, looked for beside the catalogue.
         seed: of the simulated data sets.
         sets: simulated data sets in which nothing is missing.
-        progress: told what is being done and the share that is finished.
+        progress: called with what is being done and the share that is finished.
 
     Raises:
         ModelError: the data does not allow the model.

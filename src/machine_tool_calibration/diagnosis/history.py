@@ -66,7 +66,7 @@ class Entry(_Record):
         sessions: those that were fitted together; empty for one session.
         effects: ids of the effects that were added to it.
         change: what it has and its parent has not, in a few words.
-        alternatives: sets of effects that the readings do not tell apart, over which its map is the mean.
+        alternatives: sets of effects that the readings do not distinguish, over which its map is the mean.
         data: fingerprint of the readings; another one means other readings.
         used: number of readings in the fit.
         set_aside: rows of readings that were taken for outliers, of one session.

@@ -105,7 +105,7 @@ class Improvement:
         """RMS length left at the tool point with the model of a step, so that steps can be compared, m.
 
         The expanded uncertainty (k = 2) that the step itself knows of, and how far its map is from that of the last
-        step: what a model lacks moves its map by more than its own residuals tell.
+        step: what a model lacks moves its map by more than its own residuals show.
         """
         return residual_volumetric_error(step, self.steps[-1])
 
@@ -141,7 +141,7 @@ def improve(
         own: the user's own effects.
         seed: of the simulated data sets.
         sets: simulated data sets in which nothing is missing.
-        progress: told what is being done and the share that is finished.
+        progress: called with what is being done and the share that is finished.
 
     Raises:
         ModelError: the data does not allow the model.
@@ -245,7 +245,7 @@ def entries(improvement: Improvement, data: str, each: Sequence[str], made: str,
 
 
 def _parts(improvement: Improvement, step: Step, each: Sequence[str]) -> tuple[Part, ...]:
-    """The sessions of a step; none for a single one, of which the entry itself tells."""
+    """The sessions of a step; none for a single one, of which the entry itself says."""
     if isinstance(step.result, Result):
         return ()
     aside = improvement.diagnosis.set_aside if step.set_aside else tuple(() for _ in each)

@@ -66,7 +66,7 @@ def effect_term(
         _coefficient(effect, c, 0.0, not effect.of_session) for c in effect.coefficients_for(observations, shape)
     ]
     if size is not None:
-        for j, coefficient in enumerate(effect.shapes):
+        for j, coefficient in enumerate(effect.shapes_for(observations)):
             if coefficient.discrete:
                 continue
             step = _STEP * shape[j]
@@ -188,7 +188,7 @@ def common_shape(
 
 
 def _without_absorbed(model: MethodModel, effects: Sequence[Effect]) -> tuple[MethodModel, list[Effect]]:
-    """The model, told what it takes up itself, and the other effects.
+    """The model, knowing what it takes up itself, and the other effects.
 
     An effect that only repeats the model's own unknowns would make these undetermined and add nothing.
     """

@@ -21,7 +21,7 @@ __all__ = ["ErrorMotionEffect", "polynomials", "sensed_lever_arms", "sensed_moti
 _DEGREES = 4
 # Legendre polynomials over the axis's travel: what each looks like; its size is that at the upper end.
 _POWERS = ("constant", "straight line", "bow, power 2", "S, power 3", "double bow, power 4")
-# A single axis read again and again at so few positions tells its error at each of them.
+# A single axis read again and again at so few positions shows its error at each of them.
 _FEWEST, _MOST = 4, 60
 _STILL = 1e-6  # m
 _ARM = 1e-9  # m, shorter than which a lever arm is none
@@ -54,7 +54,7 @@ class ErrorMotionEffect(Effect):
     The lever arm of a rotation is that of the chain. Where the chain gives none in the measured plane, the carriage is
     taken to turn about the machine's zero: a carriage that yields instead of moving as a rigid body.
 
-    Direct deviations of a single axis, read repeatedly at a few positions (ISO 230-2, a straightedge), tell a
+    Direct deviations of a single axis, read repeatedly at a few positions (ISO 230-2, a straightedge), show a
     translation at every position, whatever its shape: there it has one coefficient for each of them, unless other
     sessions, which were at other positions, are fitted with them.
     """

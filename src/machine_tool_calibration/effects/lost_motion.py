@@ -31,7 +31,7 @@ class LostMotion(Effect):
         self.axis = axis
         self.id = f"lost_motion_{axis}"
         self.title = f"lost motion that varies along {axis.upper()}"
-        self.formula = f"e_{axis} = -b({axis}) dir_{axis}, b a polynomial of degree {_DEGREES}"
+        self.formula = f"e_{axis} = -b({axis}) dir_{axis}, b a polynomial of a degree up to {_DEGREES}"
         self.coefficients = tuple(
             Coefficient(f"b{k}", "m", 0.0 if k == 0 else -5e-5, 5e-5, f"half width, {name}")
             for k, name in enumerate((*_POWERS, *(f"power {k}" for k in range(len(_POWERS), _DEGREES + 1))))
@@ -47,12 +47,14 @@ class LostMotion(Effect):
         return why
 
     def _degree(self, observations: Observations) -> int:
-        """As high as the number of distinct positions allows."""
-        places = np.unique(np.round(observations.readings.column(self.axis) / _STILL))
-        return min(_DEGREES, len(places) - 1)
+        """As high as the number of positions allows that were approached from both sides; a straight line at least."""
+        place = np.round(observations.readings.column(self.axis) / _STILL)
+        sign = np.sign(observations.readings.column(f"dir_{self.axis}"))
+        both = np.intersect1d(place[sign > 0], place[sign < 0])
+        return min(_DEGREES, max(len(both) - 1, 1), len(np.unique(place)) - 1)
 
     def coefficients_for(self, observations: Observations, shape: tuple[float, ...] = ()) -> tuple[Coefficient, ...]:
-        """Of the polynomial, as far as the positions tell it."""
+        """Of the polynomial, as far as the positions determine it."""
         return self.coefficients[: self._degree(observations) + 1]
 
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:

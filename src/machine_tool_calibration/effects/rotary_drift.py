@@ -16,7 +16,7 @@ class RotaryAxisDrift(Effect):
     """The table's axis average line moves and tilts at a constant rate, and all that the table carries with it.
 
     Where time and angle go together in every run (one way, one after the other), the error motions at the angles and
-    the stations take most of it up; forth and back inside each run tells it. Probing tells the two shifts in its plane.
+    the stations take most of it up; forth and back inside each run shows it. Probing shows the two shifts in its plane.
     """
 
     id = "rotary_axis_drift"

@@ -19,7 +19,7 @@ class ThermalLag(Effect):
 
     At the start of the session structure and sensor are taken to be equally warm; between readings the sensor's
     temperature is taken to change evenly. Fixed point and coefficients are those of the thermal expansion, which is the
-    special case without lag. A lag longer than the session tells a rate of change only.
+    special case without lag. A lag longer than the session shows a rate of change only.
     """
 
     kind = "position"

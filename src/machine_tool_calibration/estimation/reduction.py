@@ -61,6 +61,8 @@ def project(total: Array, squares: Array, half: Array, k: int, names: tuple[str,
 
 
 _THREADS = 2
+# Readings up to which handing chunks to threads takes longer than the chunks.
+_FEW = 10_000
 _KEPT = 3 << 20
 
 
@@ -87,9 +89,9 @@ def single_blas() -> Iterator[None]:
 
 
 def over_chunks(part: Part, work: Callable[[int, slice], Array]) -> list[Array]:
-    """Results of every chunk, in order, by two threads with single-threaded BLAS."""
+    """Results of every chunk, in order, by two threads with single-threaded BLAS where there are many readings."""
     chunks = part.chunks()
-    if len(chunks) <= 2:
+    if len(chunks) <= 2 or part.n_readings <= _FEW:
         return [work(*chunk) for chunk in chunks]
     with single_blas():
         return list(_pool(os.getpid(), _THREADS).map(lambda chunk: work(*chunk), chunks))

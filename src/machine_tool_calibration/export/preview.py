@@ -25,7 +25,8 @@ class ResidualError:
         rms_after: with the compensation.
         largest_before: as measured.
         largest_after: with the compensation.
-        uncertainty: root mean square standard uncertainty of the measured error: what is left cannot be told smaller.
+        uncertainty: root mean square standard uncertainty of the measured error: what is left cannot be known to be
+            smaller.
     """
 
     name: str

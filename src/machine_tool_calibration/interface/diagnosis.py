@@ -135,7 +135,7 @@ class Comparison(Shown):
 
         Args:
             picture: `residuals` (over covariates), `measured_predicted`, `residual_map` or `setups`.
-            against: covariates for `residuals`; those that tell most if empty.
+            against: covariates for `residuals`; the first of their ranking if empty.
             session: of several sessions, the label of the one to draw; the first one if absent.
 
         Raises:

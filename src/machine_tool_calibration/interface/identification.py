@@ -89,7 +89,7 @@ class Fit(Shown):
         Columns: `x y z` the place, m; `ex ey ez` the error, m; `ux uy uz` its standard uncertainty, m (an expanded
         uncertainty U, k = 2, is twice that); `determined_x determined_y determined_z`: where False, error and
         uncertainty are NaN. Step diagonals have `axis` besides, rotary axes `target` and the angle (`c`, rad). A place
-        is there more than once where an effect tells directions of approach apart.
+        is there more than once where an effect distinguishes directions of approach.
         """
         return tables.error_map(self.result)
 

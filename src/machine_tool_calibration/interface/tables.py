@@ -143,14 +143,14 @@ def _curve(name: str, position: Any, value: Any, u: Any) -> Iterator[_Value]:
 
 def _unknowns(result: Result) -> Iterator[_Value]:
     """Error motions among the model's unknowns, those of a rotary table at the angles of its setups."""
-    told = {estimate.name: estimate for estimate in result.parameters}
+    known = {estimate.name: estimate for estimate in result.parameters}
     setups = result.fit.model.observations.session.description.setups
     angle = {setup.id: float(getattr(setup, "c", np.nan)) for setup in setups}
     for parameter in result.fit.model.parameters:
         if parameter.kind not in (Kind.MOTION, Kind.SQUARENESS):
             continue
         position = angle[parameter.at] if isinstance(parameter.at, str) else parameter.at
-        estimate = told.get(parameter.name)
+        estimate = known.get(parameter.name)
         value, u = (np.nan, np.nan) if estimate is None else (estimate.value, estimate.standard_uncertainty)
         yield _Value(parameter.owner, np.nan if position is None else position, value, u)
 

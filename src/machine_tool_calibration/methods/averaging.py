@@ -1,4 +1,4 @@
-"""One map over several sets of effects that the readings do not tell apart.
+"""One map over several sets of effects that the readings do not distinguish.
 
 Look-alikes explain the same readings and may move the map differently. The published map is then the mean over the sets
 with their probabilities, and its uncertainty holds the difference between them as well (law of total variance).

@@ -224,7 +224,7 @@ def identify_sessions(
         effects: ids of physical effects to add, in every session in which they can act.
         own: the user's own effects, beside the catalogue.
         keep_all: use all readings; otherwise those that stand out of all others of their session are set aside.
-        sets: of effects that the readings do not tell apart, over which the map is the mean.
+        sets: of effects that the readings do not distinguish, over which the map is the mean.
 
     Raises:
         ModelError: as for `joint_models`; a session that contradicts itself; or too few readings.
@@ -322,7 +322,7 @@ def identify(
         own: the user's own effects, beside the catalogue.
         keep_all: use all readings; otherwise those that stand out of all others are set aside.
         allow_impossible: accept position errors and places of stations that no machine has.
-        sets: of effects that the readings do not tell apart, over which the map is the mean; `effects` is one of them.
+        sets: of effects that the readings do not distinguish, over which the map is the mean; `effects` is one of them.
 
     Raises:
         ModelError: the data does not allow the model, an effect is unknown or needs what was not recorded, or what is

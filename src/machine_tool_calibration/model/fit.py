@@ -51,6 +51,13 @@ class JointFit:
         return replace(self.solution, theta=stated.solution.theta[:m], covariance=covariance)
 
     @cached_property
+    def root(self) -> Array:
+        """(m, r) root of the covariance of the shared unknowns at the solution, to hold further columns against."""
+        problem = self.assembly.problem
+        total, squares = gram(problem, self.solution.theta, self.solution.local)
+        return covariance_root(total, squares, problem.constraints)
+
+    @cached_property
     def stripped(self) -> Problem:
         """The problem without what is expected of unknowns that are random functions."""
         if self.random is None:
@@ -123,7 +130,8 @@ class Fit:
     @property
     def determined(self) -> BoolArray:
         """Whether each of them is determined by the readings and the datum."""
-        measured = np.array([p.name not in self.model.declared for p in self.model.parameters], dtype=bool)
+        declared = self.model.declared
+        measured = np.array([p.name not in declared for p in self.model.parameters], dtype=bool)
         return np.asarray(self.solution.is_determined()[self.places] & measured)
 
     @property
@@ -216,8 +224,7 @@ def screen_joint(joint: JointFit, terms: Sequence[Sequence[Term]]) -> Projected:
     order = np.concatenate([known, new, [len(theta)]])
     names = tuple(wide.parameters[k].name.replace(_FURTHER, "", 1) for k in new)
     total, squares = total[np.ix_(order, order)], squares[order]
-    half = covariance_root(total, squares, old.problem.constraints)
-    return project(total, squares, half, len(new), names)
+    return project(total, squares, joint.root, len(new), names)
 
 
 def _further(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:

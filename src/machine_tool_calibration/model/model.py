@@ -94,7 +94,7 @@ class Parameter:
 
     @property
     def family(self) -> str:
-        """Name under which it is told: that of the error motion for the values of a table."""
+        """Name under which it is listed: that of the error motion for the values of a table."""
         label = len(self.session)
         return self.name[:label] + self.name[label:].partition("(")[0] if self.kind is Kind.MOTION else self.name
 
@@ -304,7 +304,8 @@ def assemble(models: Sequence[MethodModel], labels: Sequence[str] | None = None)
             if name not in place:
                 place[name] = len(parameters)
                 own = "" if label is None or parameter.shared else label
-                parameters.append(replace(parameter, name=name, session=own))
+                named_so = (parameter.name, parameter.session) == (name, own)
+                parameters.append(parameter if named_so else replace(parameter, name=name, session=own))
             index.append(place[name])
         places.append(np.array(index, dtype=np.int64))
     m = len(parameters)

@@ -10,7 +10,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, rms
 from machine_tool_calibration.model.fit import Fit, JointFit
-from machine_tool_calibration.model.model import NotDetermined, Parameter
+from machine_tool_calibration.model.model import Kind, NotDetermined, Parameter
 from machine_tool_calibration.model.stated import FamilySize
 
 __all__ = ["EffectSet", "ErrorMap", "Estimate", "Rejected", "Result", "averaged_document", "plain", "spread_document"]
@@ -18,19 +18,32 @@ __all__ = ["EffectSet", "ErrorMap", "Estimate", "Rejected", "Result", "averaged_
 
 @dataclass(frozen=True)
 class Estimate:
-    """A parameter with its standard uncertainty (k = 1), and of what it is (`Parameter.owner`)."""
+    """A parameter with its standard uncertainty (k = 1).
+
+    Attributes:
+        name: of the unknown.
+        value: in the unit.
+        standard_uncertainty: in the unit.
+        unit: SI.
+        owner: of what it is (`Parameter.owner`).
+        position: of a value of an error motion's table, at which position of its axis, m or rad; None of others.
+    """
 
     name: str
     value: float
     standard_uncertainty: float
     unit: str
     owner: str = ""
+    position: float | None = None
 
     @staticmethod
     def of(parameter: Parameter, value: float, standard_uncertainty: float) -> Estimate:
         """Of an unknown that is counted from its reference."""
         published = float(parameter.reference + value)
-        return Estimate(parameter.name, published, float(standard_uncertainty), parameter.unit, parameter.owner)
+        u, at = float(standard_uncertainty), parameter.at
+        in_table = parameter.kind is Kind.MOTION and not parameter.session
+        position = at if in_table and not isinstance(at, str) else None
+        return Estimate(parameter.name, published, u, parameter.unit, parameter.owner, position)
 
     def document(self) -> dict[str, Any]:
         """As an entry of a document."""
@@ -39,6 +52,7 @@ class Estimate:
             "value": self.value,
             "standard_uncertainty": self.standard_uncertainty,
             "unit": self.unit,
+            **({} if self.position is None else {"error_motion": self.owner, "position": self.position}),
         }
 
 

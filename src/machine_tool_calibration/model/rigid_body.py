@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -66,12 +67,12 @@ class MachineTable:
         motion = parse_motion(self.name)
         return not motion.is_rotation and motion.component != motion.axis
 
-    @property
+    @cached_property
     def labels(self) -> tuple[str, ...]:
         """Names of the unknowns: `EXX(0.08)` is the value at 0.08 m."""
         return tuple(parameter.name for parameter in self.parameters)
 
-    @property
+    @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """The unknowns."""
         if self.is_squareness:
@@ -79,14 +80,21 @@ class MachineTable:
         unit = "rad" if self.is_rotation else "m"
         return tuple(motion_value(self.name, node, unit) for node in self.nodes)
 
+    def field(self, position: Array) -> Array:
+        """(n, 3) displacement of the functional point by a unit of the motion at each position."""
+        if self.is_squareness:
+            return squareness_field(self.name, position)
+        return motion_field(self.chain, parse_motion(self.name), position)
+
+    def weights(self, position: Array) -> Array:
+        """(k, n) share of each unknown in the motion at each position."""
+        if self.is_squareness:
+            return np.ones((1, len(position)))
+        return interpolation(self.nodes, position[:, "XYZ".index(parse_motion(self.name).axis)])
+
     def scalar(self, position: Array, direction: Array) -> Array:
         """(n,) what a unit of the motion at each position adds along the given directions (n, 3)."""
-        field = (
-            squareness_field(self.name, position)
-            if self.is_squareness
-            else motion_field(self.chain, parse_motion(self.name), position)
-        )
-        return np.asarray(np.einsum("nj,nj->n", field, direction))
+        return np.asarray(np.einsum("nj,nj->n", self.field(position), direction))
 
     def columns(self, position: Array, direction: Array) -> Array:
         """(k, n) change along the direction per unit of each unknown.
@@ -95,11 +103,7 @@ class MachineTable:
             position: (n, 3) commanded x, y, z, m.
             direction: (n, 3).
         """
-        along = self.scalar(position, direction)
-        if self.is_squareness:
-            return along[None]
-        axis = "XYZ".index(parse_motion(self.name).axis)
-        return interpolation(self.nodes, position[:, axis]) * along
+        return self.weights(position) * self.scalar(position, direction)
 
 
 def axis_nodes(positions: Array) -> Array:
@@ -138,7 +142,7 @@ _OWN_SHARE = 1e-6
 def machine_terms(
     observations: Observations, tables: Sequence[MachineTable]
 ) -> tuple[tuple[MachineTable, ...], tuple[Term, ...], tuple[NotDetermined, ...]]:
-    """Terms of those error motions that the readings can tell apart.
+    """Terms of those error motions that the readings can distinguish.
 
     Args:
         observations: the readings.
@@ -170,7 +174,7 @@ def machine_terms(
             left_out.append(
                 NotDetermined(
                     table.name,
-                    "the readings cannot tell it from the translations: its lever arm was the same throughout",
+                    "the readings cannot distinguish it from the translations: its lever arm was the same throughout",
                 )
             )
             continue
@@ -211,10 +215,8 @@ def _free_part(table: MachineTable) -> Array:
 
 def map_field(tables: Sequence[MachineTable], position: Array) -> Array:
     """(K, n, 3) position error at given places per unit of each unknown of the tables."""
-    n = len(position)
-    axes = [np.tile(np.eye(3)[j], (n, 1)) for j in range(3)]
-    columns = [np.stack([table.columns(position, axis) for axis in axes], axis=-1) for table in tables]
-    return np.concatenate(columns) if columns else np.zeros((0, n, 3))
+    columns = [table.weights(position)[:, :, None] * table.field(position) for table in tables]
+    return np.concatenate([np.zeros((0, len(position), 3)), *columns])
 
 
 def tables_content(tables: Iterable[MachineTable], value: Array, sigma: Array) -> dict[str, Any]:

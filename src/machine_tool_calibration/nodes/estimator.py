@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -20,7 +19,6 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from machine_tool_calibration.effects.catalogue import find_effects
-from machine_tool_calibration.effects.formula import read_effects
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.methods.build import model_names
 from machine_tool_calibration.nodes.calculation import (
@@ -33,6 +31,7 @@ from machine_tool_calibration.nodes.calculation import (
     diagnosed,
     identified,
     improved,
+    own_effects,
 )
 from machine_tool_calibration.nodes.publications import Publications, in_words
 from machine_tool_calibration.nodes.ros.messages import LATCHED, READINGS, Level, from_message
@@ -136,8 +135,7 @@ class Estimator(GuardedNode):
                 wanted[name] if name in wanted else self.get_parameter_or(name).value
                 for name in ("effects", "effects_files")
             )
-            own = [effect for file in files or () if file for effect in read_effects(Path(file))]
-            find_effects([name for name in effects or () if name], own)
+            find_effects([name for name in effects or () if name], own_effects(files or ()))
 
     def _described(self, message: String) -> None:
         parse_description(message.data, "session")  # refused here, and not at the next request

@@ -89,7 +89,7 @@ class Advice:
 
 
 def alias_groups_of(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
-    """Groups of effects that this data cannot tell apart, those of the accepted effects first and led by them."""
+    """Groups of effects that this data cannot distinguish, those of the accepted effects first and led by them."""
     accepted = diagnosis.accepted
     groups = [
         tuple(sorted(group, key=lambda name: accepted.index(name) if name in accepted else len(accepted)))

@@ -2,7 +2,7 @@
 
 Beside the scatter of the readings two things weigh on a map that a fit of the readings alone does not show:
 
-- angular errors, which a step diagonal can hardly tell from straightness;
+- angular errors, which a step diagonal can hardly distinguish from straightness;
 - time: a drift of the reading, where every position is reached at one time only.
 
 Angular errors are put into the model as what they are before any reading: unknowns of an expected size; what the
@@ -15,18 +15,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 
 from machine_tool_calibration.effects.drift import LinearDrift
+from machine_tool_calibration.effects.effect_terms import effect_term
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.estimation.solve import Solution
 from machine_tool_calibration.methods.identify import build_model
 from machine_tool_calibration.methods.step_diagonal.model import StepDiagonalModel
 from machine_tool_calibration.methods.step_diagonal.small_angles import angular_priors, mean_shape
 from machine_tool_calibration.model.fit import JointFit, fit_models
+from machine_tool_calibration.model.model import Constraint, MethodModel
 from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.model.stated import Stated
 from machine_tool_calibration.planning.option import Option
 from machine_tool_calibration.planning.options import further_options
 from machine_tool_calibration.session.session import Session
@@ -180,7 +183,7 @@ def _with_remedies(found: Dominant, tried: Sequence[tuple[Option, float]]) -> Do
 
 
 def _after(option: Option, model: str | None, angular: float, drift: float) -> float | None:
-    """The map's uncertainty with a further measurement; None where that cannot be told."""
+    """The map's uncertainty with a further measurement; None where that is not determined."""
     try:
         after = _uncertainty(option.session, model, angular, drift)
     except (CalibrationError, np.linalg.LinAlgError):
@@ -193,28 +196,28 @@ def _uncertainty(session: Session, model: str | None, angular: float, drift: flo
 
     Angular errors are in it with an expected size.
     """
-    still = _map(session, model, angular)
-    square = still.uncertainty**2
-    if drift:
-        readings = session.readings
-        moved = readings.displacement + drift * readings.column("time")
-        drifted = _map(session.with_readings(replace(readings, displacement=moved)), model, angular)
-        square = square + (drifted.error - still.error) ** 2
-    # Neither what is not determined nor what the datum fixes.
-    known = square[np.isfinite(square) & (still.uncertainty > 0)]
-    return float(np.sqrt(np.mean(known))) if len(known) else float("nan")
-
-
-def _map(session: Session, model: str | None, angular: float) -> ErrorMap:
     built = build_model(session, model)[0]
     if isinstance(built, StepDiagonalModel) and built.spread is not None:
         # Of this size, whatever the readings say: those of a further measurement are not there yet.
         expected = [angular**2 * mean_shape(angle.table.nodes) for angle in built.spread.angles]
         spread = replace(built.spread, posterior=None)
         built = replace(built, spread=spread, priors=angular_priors(spread.names, expected))
-    joint = fit_models([built])
+    still = _map(built)
+    square = still.uncertainty**2
+    if drift:
+        term = effect_term(LinearDrift(), built.observations)
+        held = Constraint({term.parameters[0].name: 1.0}, -drift)
+        drifted = _map(replace(built.with_terms((term,)), constraints=(*built.constraints, held)))
+        square = square + (drifted.error - still.error) ** 2
+    # Neither what is not determined nor what the datum fixes.
+    known = square[np.isfinite(square) & (still.uncertainty > 0)]
+    return float(np.sqrt(np.mean(known))) if len(known) else float("nan")
+
+
+def _map(model: MethodModel) -> ErrorMap:
+    joint = fit_models([model])
     fit = _Geometric(joint.assembly, joint.solution).fits[0]
-    return fit.model.error_map(fit)
+    return model.error_map(fit)
 
 
 class _Geometric(JointFit):
@@ -224,7 +227,9 @@ class _Geometric(JointFit):
     does not reproduce.
     """
 
-    @property
-    def published(self) -> Solution:
-        """The shared unknowns where the sum of squares is least, with the covariance of the declared uncertainty."""
-        return self.solution
+    @cached_property
+    def stated(self) -> Stated:
+        """The solution where the sum of squares is least, with the covariance of the declared uncertainty."""
+        parts = tuple(self.assembly.problem.parts)
+        none = tuple(np.zeros((0, part.n_readings)) for part in parts)
+        return Stated(parts, self.solution, 1.0, (), None, none, self.solution.chi_square)

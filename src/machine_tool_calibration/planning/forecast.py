@@ -1,4 +1,4 @@
-"""What a procedure will tell, before it is run: uncertainties, gaps, and the smallest effects that it could find."""
+"""What a procedure will determine, before it is run: uncertainties, gaps, and the smallest effects to be found."""
 
 from __future__ import annotations
 
@@ -220,7 +220,7 @@ class Visible:
 
 @dataclass(frozen=True)
 class Forecast:
-    """What a measurement will tell.
+    """What a measurement will determine.
 
     Attributes:
         result: as it will be for a machine without errors: its uncertainties and gaps are those to come.
@@ -274,7 +274,7 @@ def forecast(
     warming: float = 1.0,
     angular: float = ANGULAR,
 ) -> Forecast:
-    """What a procedure will tell, if its readings scatter as declared and mountings add no spread.
+    """What a procedure will determine, if its readings scatter as declared and mountings add no spread.
 
     Args:
         procedure: what is to be measured.

@@ -101,7 +101,7 @@ def mounted_again(session: Session, rows: IntArray) -> Mounting:
     ids = {setup.id for setup in setups}
     place = {}
     for s in sorted(set(session.readings.setup[rows].tolist())):
-        # In front, because the end of an id may tell the order of the moves.
+        # In front, because the end of an id may state the order of the moves.
         name = f"again_{setups[s].id}"
         while name in ids:
             name = f"again_{name}"

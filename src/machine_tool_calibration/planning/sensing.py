@@ -65,7 +65,8 @@ def approached(values: Array, group: IntArray, before: Array) -> Array:
     out = before.copy()
     for g in np.unique(group):
         mine = np.flatnonzero(group == g)
-        moves = np.sign(np.diff(np.round(values[mine], 12), prepend=values[mine[0]]))
+        places: Array = np.round(values[mine], 12)
+        moves: Array = np.sign(np.diff(places, prepend=places[0]))
         last = np.maximum.accumulate(np.where(moves != 0, np.arange(len(mine)), -1))
         out[mine] = np.where(last >= 0, moves[np.maximum(last, 0)], before[mine])
     return out

@@ -146,7 +146,7 @@ def what_to_measure(
         diagnosis: what looks alike, and how large.
         model: the method's model that was diagnosed.
         own: the user's own effects.
-        progress: told what is being done and the share that is finished.
+        progress: called with what is being done and the share that is finished.
     """
     groups = alias_groups_of(diagnosis)
     assumed = assumed_effects(diagnosis)
@@ -284,7 +284,7 @@ def conclude(
         found: the diagnosis.
         model: with which it was made.
         own: the user's own effects.
-        progress: told what is being done and the share of the whole, which begins at `SEARCH`.
+        progress: called with what is being done and the share of the whole, which begins at `SEARCH`.
     """
     progress("what the candidates would change", SEARCH)
     changes = consequences(found)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray
+from machine_tool_calibration.machine.error_motions import SQUARENESS
 from machine_tool_calibration.plots.style import (
     BAND,
     COLORS,
@@ -31,10 +31,6 @@ if TYPE_CHECKING:
 __all__ = ["draw_map", "draw_tables", "read_tables"]
 
 
-_ENTRY = re.compile(r"E([XYZABC])([XYZABC])\(([-+.0-9e]+)\)")
-_SQUARENESS = ("A0Z", "B0Z", "C0Y")
-
-
 def read_tables(parameters: Iterable[Mapping[str, Any]]) -> dict[str, Array]:
     """Tables among the parameters of a result's document.
 
@@ -43,10 +39,9 @@ def read_tables(parameters: Iterable[Mapping[str, Any]]) -> dict[str, Array]:
     """
     rows: dict[str, list[tuple[float, float, float]]] = {}
     for entry in parameters:
-        match = _ENTRY.fullmatch(entry["name"])
-        if match:
-            row = (float(match[3]), float(entry["value"]), float(entry["standard_uncertainty"]))
-            rows.setdefault(f"E{match[1]}{match[2]}", []).append(row)
+        if "error_motion" in entry:
+            row = (float(entry["position"]), float(entry["value"]), float(entry["standard_uncertainty"]))
+            rows.setdefault(entry["error_motion"], []).append(row)
     return {name: np.array(sorted(entries)) for name, entries in rows.items()}
 
 
@@ -105,7 +100,7 @@ def _panel(panel: Axes, axis: str, tables: Mapping[str, Array]) -> None:
 
 
 def _with_squareness(title: str, parameters: Iterable[Mapping[str, Any]]) -> str:
-    found = {entry["name"]: entry for entry in parameters if entry["name"] in _SQUARENESS}
+    found = {entry["name"]: entry for entry in parameters if entry["name"] in SQUARENESS}
     parts = [
         f"{name} = {quantity(entry['value'], entry['unit'], entry['standard_uncertainty'])}"
         for name, entry in sorted(found.items())

@@ -51,7 +51,7 @@ def draw_gallery(
     Args:
         effects: which.
         folder: where; made if it is not there.
-        progress: told the effect and the share that is finished.
+        progress: called with the effect and the share that is finished.
 
     Returns:
         The files, the page last. An effect that shows in no simulated plan is on the page without a picture.

@@ -1,4 +1,4 @@
-"""One look for all pictures: colours that the colour-blind tell apart (Okabe and Ito 2008), sizes, scales."""
+"""One look for all pictures: colours that the colour-blind distinguish (Okabe and Ito 2008), sizes, scales."""
 
 from __future__ import annotations
 

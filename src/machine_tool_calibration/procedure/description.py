@@ -56,7 +56,8 @@ class Path(Record):
         points: or the targets one by one, each a position of the same axes.
         order: `lines`: each line of the grid begins at the same end; `serpentine`: every second line runs back.
         alternate: every second repetition runs the path backwards.
-        both_ways: every run of a rotary axis turns back through the same angles, so that time and angle are told apart.
+        both_ways: every run of a rotary axis turns back through the same angles, so that time and angle are
+            distinguished.
     """
 
     grid: Annotated[dict[str, Spread | tuple[Finite, ...]], Field(min_length=1)] | None = None

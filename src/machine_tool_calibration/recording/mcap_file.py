@@ -1,6 +1,6 @@
 """One MCAP file, written chunk by chunk.
 
-The `mcap` library's writer cannot be told to end a chunk, which a recorder must do every second so that a kill costs no
+The `mcap` library's writer cannot be made to end a chunk, which a recorder must do every second so that a kill costs no
 more. Its records are used here; only the order in which they are written is ours.
 """
 

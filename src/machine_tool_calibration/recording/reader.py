@@ -29,11 +29,11 @@ class Topic:
 
     Attributes:
         name: absolute name.
-        type: such as `sensor_msgs/msg/JointState`; empty if the bag does not tell.
+        type: such as `sensor_msgs/msg/JointState`; empty if the bag does not say.
         encoding: of its messages, `cdr`.
         definition: text of the message definition.
         schema_encoding: form of the definition, `ros2msg`.
-        type_hash: `RIHS01_…`; empty if the bag does not tell.
+        type_hash: `RIHS01_…`; empty if the bag does not say.
         qos: what the publishers offered.
         messages: how many there are.
     """

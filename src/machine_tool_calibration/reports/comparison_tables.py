@@ -70,8 +70,8 @@ _NOTHING, _LEAST = 0.05, 1
 
 def trends_table(comparison: Comparison) -> TextTable:
     """Straight lines over time, temperature and every other covariate, the clearest first."""
-    told = [t for t in comparison.trends if t.slope is not None and t.added is not None]
-    groups = correlated_groups(comparison, told)
+    known = [t for t in comparison.trends if t.slope is not None and t.added is not None]
+    groups = correlated_groups(comparison, known)
     clear = [group for group in groups if (group[0].p_value or 0.0) < _NOTHING]
     shown = (clear or groups[:_LEAST])[:_MOST]
     rows = tuple(

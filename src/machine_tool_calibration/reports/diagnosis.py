@@ -283,7 +283,7 @@ def _structure(diagnosis: Diagnosis) -> TextTable:
 def _confounded(diagnosis: Diagnosis, advice: Advice) -> TextTable:
     rows = []
     for s in advice.separations:
-        told = s.effects[0] in diagnosis.accepted
+        found = s.effects[0] in diagnosis.accepted
         rows.append(
             (
                 ", ".join(s.effects),
@@ -291,7 +291,7 @@ def _confounded(diagnosis: Diagnosis, advice: Advice) -> TextTable:
                 duration(s.seconds),
                 s.aside,
                 f"{s.cosine_before:.2f} → {s.cosine_after:.2f}" if s.kind is not None else "",
-                f"{s.apart_before:.1f} → {s.apart_after:.1f}" if told else "",
+                f"{s.apart_before:.1f} → {s.apart_after:.1f}" if found else "",
             )
         )
     heads = ("confounded effects", "to distinguish them", "time", "besides", "cosine", "apart / u")

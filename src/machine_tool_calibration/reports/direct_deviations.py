@@ -62,7 +62,8 @@ def direct_tables(content: Mapping[str, Any]) -> Iterator[Table | TextTable | st
 
 def _plate_table(plate: Mapping[str, Any]) -> Table:
     table = _plate_heads(
-        f"step by step, over {plate['places']} deviations (sizes ± U, k = 2, from the scatter that is left)",
+        f"step by step, over {plate['places']} deviations: models simpler than that of the fit, whose values are "
+        "further below (sizes ± U, k = 2, from the scatter that is left)",
         ("model", "unknowns", "RMS / µm", "scatter / µm", "p of the step", "sizes"),
     )
     for step in plate["steps"]:
@@ -79,9 +80,9 @@ def _plate_table(plate: Mapping[str, Any]) -> Table:
 
 def _plate_words(plate: Mapping[str, Any]) -> Iterator[str]:
     steps = plate["steps"]
-    told = [p for step in steps[1:3] for p in step["parameters"] if p["value"] is not None]
-    good = [p["name"].split(".")[0] if "-" not in p["name"] else _plain(p["name"]) for p in told if _is(p)]
-    not_good = [p["name"].split(".")[0] if "-" not in p["name"] else _plain(p["name"]) for p in told if not _is(p)]
+    known = [p for step in steps[1:3] for p in step["parameters"] if p["value"] is not None]
+    good = [p["of"] for p in known if _is(p)]
+    not_good = [p["of"] for p in known if not _is(p)]
     words = []
     if good:
         words.append(f"Significant (p < {_SIGNIFICANT}): {', '.join(good)}.")
@@ -134,12 +135,8 @@ def _is(parameter: Mapping[str, Any]) -> bool:
     return parameter["p_value"] is not None and parameter["p_value"] < _SIGNIFICANT
 
 
-def _plain(name: str) -> str:
-    return name.replace(".s", "").replace("-", "−")
-
-
 def _size(parameter: Mapping[str, Any]) -> str:
-    name = _plain(parameter["name"].removesuffix(".angle"))
+    name = parameter["of"]
     if parameter["value"] is None:
         return f"{name} not determined"
     size = quantity(parameter["value"], parameter["unit"], parameter["standard_uncertainty"])

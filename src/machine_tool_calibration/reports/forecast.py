@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, parse_motion
 from machine_tool_calibration.planning.forecast import Forecast
 from machine_tool_calibration.reports.diagnosis import dominant_words
 from machine_tool_calibration.reports.documents import plain
@@ -70,7 +71,7 @@ def _row(name: str, values: Any) -> tuple[str, str, str, str] | None:
     lost = f"{int((~good).sum())} of {len(found)}" if not good.all() else ""
     if not good.any():
         return name, "–", "–", lost
-    unit = "rad" if len(name) == 3 and name[0] == "E" and name[1] in "ABC" else "m"
+    unit = "rad" if name in ERROR_MOTIONS and parse_motion(name).is_rotation else "m"
     typical, most = 2 * float(np.sqrt(np.mean(found[good] ** 2))), 2 * float(found[good].max())
     return name.replace("_", " "), quantity(typical, unit), quantity(most, unit), lost
 

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, parse_motion
 from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.reports.direct_deviations import direct_tables, scatter_words
 from machine_tool_calibration.reports.quantities import (
     decimals,
     fixed,
+    micrometres,
     p_value,
     probability,
     quantity,
@@ -43,7 +44,6 @@ __all__ = [
 # p-value of the residuals below which the model is in doubt.
 _DOUBTFUL = 0.01
 _PUBLISHED = ("x", "y", "z", "workpiece_error", "workpiece_form")
-_MOTION = re.compile(r"E[XYZABC][XYZABC]")
 
 
 def summary_rows(document: dict[str, Any]) -> list[tuple[str, str]]:
@@ -96,7 +96,7 @@ def _motions(content: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Largest value and uncertainty of what a map holds beside positions."""
     out = []
     for name, value in content.items():
-        known = name in _PUBLISHED or _MOTION.fullmatch(name)
+        known = name in _PUBLISHED or name in ERROR_MOTIONS
         if not known or f"{name}_u" not in content or not isinstance(value, list):
             continue
         found, u = (np.array(content[key], dtype=float).reshape(-1) for key in (name, f"{name}_u"))
@@ -105,7 +105,7 @@ def _motions(content: Mapping[str, Any]) -> list[tuple[str, str]]:
         if not good.any():
             out.append((title, "not determined"))
             continue
-        unit = "rad" if _MOTION.fullmatch(name) and name[1] in "ABC" else "m"
+        unit = "rad" if name in ERROR_MOTIONS and parse_motion(name).is_rotation else "m"
         most, expanded = (quantity(float(size), unit) for size in (np.abs(found[good]).max(), 2 * u[good].max()))
         text = f"{most} at most, U (k = 2) at most {expanded}"
         out.append((title, text + ("" if good.all() else f"; {int((~good).sum())} of {len(good)} not determined")))
@@ -190,7 +190,7 @@ def show_profiles(screen: Console, document: Mapping[str, Any]) -> None:
         for heading in ("block", "ex", "ey", "ez"):
             table.add_column(heading, justify="right")
         for k, row in enumerate(rows):
-            table.add_row(str(k), *("-" if v is None else f"{v * 1e6:.3f}" for v in row))
+            table.add_row(str(k), *(micrometres(v) for v in row))
         screen.print(table)
 
 

@@ -37,7 +37,7 @@ NOT_DETERMINED = "–"
 _MOST_PLACES = 6
 # Probability from which what does not reproduce is shown with a size.
 _SURE = 0.9
-_FAMILIES = {"run": "runs", "mounting": "mountings", "pass": "passes over the axis"}
+_FAMILIES = {"run": "runs", "mounting": "setups as they were mounted", "pass": "passes over the axis"}
 # Coefficients of an effect beyond which only one is shown.
 _MANY = 3
 # (smallest absolute value, factor, unit) for each SI unit, the largest first.

@@ -37,7 +37,7 @@ def unknown_in_words(unknown: Parameter) -> str:
 
 
 def unknowns_in_words(unknowns: Iterable[Parameter]) -> str:
-    """What several unknowns are; those of the same kind are told together."""
+    """What several unknowns are; those of the same kind are named together."""
     kinds: dict[Kind, list[str]] = {}
     for unknown in unknowns:
         owners = kinds.setdefault(unknown.kind, [])

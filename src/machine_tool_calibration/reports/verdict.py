@@ -38,7 +38,7 @@ _SHARED = 0.7
 
 
 def verdict_words(diagnosis: Diagnosis, changes: Mapping[str, Consequence], advice: Advice) -> Iterator[str]:
-    """Paragraphs: the verdict, every effect found, and what the data cannot tell."""
+    """Paragraphs: the verdict, every effect found, and what the data does not determine."""
     yield _verdict(diagnosis)
     for name in diagnosis.accepted:
         yield _found(diagnosis, name, changes.get(name), advice)

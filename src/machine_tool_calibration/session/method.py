@@ -55,7 +55,7 @@ class MethodSpec:
         reads_deviations: whether a reading is a small deviation rather than a path.
         reads_machine: whether a reading is the machine's deviation itself along a given direction: what does not
             reproduce is then the machine's or the part's own, of which the declared uncertainty knows nothing.
-        beam_from_pointer: whether readings look along a beam from a pointer: azimuth and elevation tell them apart.
+        beam_from_pointer: whether readings look along a beam from a pointer: azimuth and elevation distinguish them.
         probes_surface: whether readings sense a workpiece's surface along its normal, which turns with the table.
         on_turning_table: whether what is measured lies on a rotary table whose sense of rotation matters.
         turns_one_axis: whether a run turns one rotary axis, angle after angle.

@@ -29,7 +29,7 @@ class DiagonalPlan(Plan):
     """Step diagonals of single-axis moves; without arguments the four space diagonals of a cube of 120 mm.
 
     The paper runs three (ppp, npp, pnp), in 12 blocks of 10 mm. Three leave angular errors to be taken for straightness
-    where the fourth tells them apart; 10 blocks of 12 mm make up for its readings.
+    where the fourth distinguishes them; 10 blocks of 12 mm make up for its readings.
 
     Attributes:
         step: length of a move along x, y, z, m.

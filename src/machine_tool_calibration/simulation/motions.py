@@ -214,7 +214,9 @@ class AxisMotion:
                 np.where(inside, first + (2.0 * square + 3.0 * cube * step) * step, 0.0),
                 np.where(inside, _value(nodes, pieces, start), ends),
             )
-            np.add.at(merged, (slice(None), slice(None), columns), np.stack(parts))
+            whole = np.stack(parts)
+            for k, column in enumerate(columns):
+                merged[:, :, column] += whole[:, :, k]
         return breaks, merged
 
     def __call__(self, position: Array) -> Array:

@@ -38,7 +38,7 @@ class Truth:
         signal: (n,) what the effects changed in the clean readings, m.
         outliers: rows with a gross error.
         datum: (n,) readings of the same number are changes since the first of them; None: absolute readings.
-        judged: the method's own figures: `position_error` at `points`, `stations`, …
+        expected: what the measurement should find, as the method states it: `position_error` at `points`, `stations`, …
     """
 
     seed: int
@@ -48,7 +48,7 @@ class Truth:
     signal: Array
     outliers: IntArray
     datum: IntArray | None = None
-    judged: Mapping[str, Any] = field(default_factory=dict)
+    expected: Mapping[str, Any] = field(default_factory=dict)
 
     def document(self) -> dict[str, Any]:
         """The content of `truth.json`."""
@@ -58,7 +58,7 @@ class Truth:
             "effect": named,
             "amplitude": float(np.max(np.abs(self.signal), initial=0.0)),
             "effects": [chosen.document() for chosen in self.effects],
-            **self.judged,
+            **self.expected,
             "outliers": [int(row) for row in self.outliers],
             "machine": machine_document(self.machine),
         }

@@ -106,6 +106,8 @@ def test_what_has_no_cause_does_not_count_against_an_effect() -> None:
 
 
 def test_the_gain_is_the_share_by_which_the_mean_square_falls() -> None:
-    """Ten readings, known noise that an effect halves: each gains log 2 in likelihood."""
-    assert Prediction("setups", (5.0 * np.log(2.0), 5.0 * np.log(2.0)), 10).gain == pytest.approx(0.75)
+    """Ten readings that are predicted to within their noise, which are off by twice as much without the effect."""
+    squares = 10 * (2.0**2 - 1.0**2)
+    assert Prediction("setups", (0.2 * squares, 0.3 * squares), 10).gain == pytest.approx(0.75)
     assert Prediction("setups", (0.0, 0.0), 10).gain == 0.0
+    assert Prediction("setups", (-2.0, -3.0), 10).gain == pytest.approx(-1.0)

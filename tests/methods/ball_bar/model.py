@@ -1,8 +1,8 @@
 """What a ball bar should read: radius deviation against the machine's errors in the plane.
 
 With u the unit vector from the centre to the tool, a displacement e of the tool changes the reading by u.e, an offset c
-of the centre by -u.c, and a bar that is longer than stated by -1. The mean scale of X and Y cannot be told from the
-bar's length; the difference of the two can.
+of the centre by -u.c, and a bar that is longer than stated by -1. The mean scale of X and Y cannot be distinguished
+from the bar's length; the difference of the two can.
 """
 
 from dataclasses import dataclass

@@ -77,7 +77,7 @@ def differences() -> Callable[[Case, dict[str, Any]], dict[str, np.ndarray]]:
     """
 
     def compare(case: Case, document: dict[str, Any]) -> dict[str, np.ndarray]:
-        found, judged = document["error_map"], case.truth.judged
+        found, judged = document["error_map"], case.truth.expected
         scaled = any(entry["name"] == "absolute length" for entry in document["not_determined"])
         description = case.session.description
         points = description.workpiece
@@ -104,7 +104,7 @@ def differences() -> Callable[[Case, dict[str, Any]], dict[str, np.ndarray]]:
 
 def _axis_c(case: Case, found: dict[str, Any]) -> dict[str, np.ndarray]:
     """Differences of EXC, EYC and ECC, the true ones counted from the first index and from the axes at zero."""
-    truth = case.truth.judged["c_errors"]
+    truth = case.truth.expected["c_errors"]
     angle = case.session.rotation_sign * np.array(truth["c"])
     zero = case.truth.machine.position_error(np.zeros((1, 3)))[0, :2] @ [1, 1j]
     place = np.array(truth["EXC"]) + 1j * np.array(truth["EYC"]) - zero

@@ -23,7 +23,7 @@ def test_truth_comes_back(make, differences, part, sign):
 def test_angle_of_c_is_positive_counter_clockwise(make):
     # C positive is clockwise in the paper: ECC of Eq. (13) is not
     case = make(part="cam")
-    truth = np.array(case.truth.judged["c_errors"]["ECC"])
+    truth = np.array(case.truth.expected["c_errors"]["ECC"])
     found = np.array(case.identified()["error_map"]["ECC"])
     assert np.ptp(truth) > 1e-9
     np.testing.assert_allclose(found, truth - truth[0], rtol=0, atol=1e-11)
@@ -37,8 +37,8 @@ def test_workpiece_lies_where_it_is_seen_from_c(make):
     points = case.session.description.workpiece
     place, normal = np.array([p.position for p in points]), np.array([p.normal for p in points])
     turn = place[:, 0] * normal[:, 1] - place[:, 1] * normal[:, 0]
-    first = [case.truth.judged["c_errors"][name][0] for name in ("EXC", "EYC")]
-    difference = error - case.truth.judged["workpiece_error"] - normal @ first
+    first = [case.truth.expected["c_errors"][name][0] for name in ("EXC", "EYC")]
+    difference = error - case.truth.expected["workpiece_error"] - normal @ first
     difference -= turn * (turn @ difference) / (turn @ turn)
     assert np.abs(difference).max() < PICO
 

@@ -103,7 +103,7 @@ def test_disc_with_rounded_coordinates(make):
 
 
 def test_quarter_turns(make, differences):
-    """Turned by 90 degrees, errors that X and Y have in common cannot be told from the part's."""
+    """Turned by 90 degrees, errors that X and Y have in common cannot be distinguished from the part's."""
     case = make(part="cam", angles=degrees(0, 90, 180, 270))
     document = case.identified()
     found = document["error_map"]

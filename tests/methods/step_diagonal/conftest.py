@@ -59,7 +59,7 @@ def exact() -> Callable[..., Simulated]:
 
 
 def _truth(simulated: Simulated, blocks: Sequence[np.ndarray]) -> np.ndarray:
-    judged = simulated.truth.judged["axis_errors"]
+    judged = simulated.truth.expected["axis_errors"]
     return eq17(blocks, np.concatenate([np.ravel(judged[letter]) for letter in "xyz"]))
 
 

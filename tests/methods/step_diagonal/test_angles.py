@@ -1,4 +1,4 @@
-"""Angular errors: columns against exact geometry, what the orders of the moves tell, the paper's conclusion."""
+"""Angular errors: columns against exact geometry, what the orders of the moves determine, the paper's conclusion."""
 
 import numpy as np
 import pytest

@@ -6,9 +6,27 @@ from pathlib import Path
 import pytest
 
 from machine_tool_calibration.cli.main import run
+from machine_tool_calibration.methods.step_diagonal import compare
 from machine_tool_calibration.session.folder import write_session
 
 EXAMPLE = Path(__file__).parents[2] / "data" / "step_diagonal"
+
+
+@pytest.fixture(scope="module")
+def found():
+    """Formulations of sessions that a command has compared, by where the session is."""
+    return {}
+
+
+@pytest.fixture(autouse=True)
+def compared_once(found, monkeypatch):
+    def once(session, compare_formulations=compare.compare_formulations):
+        key = session.source
+        if key not in found:
+            found[key] = compare_formulations(session)
+        return found[key]
+
+    monkeypatch.setattr(compare, "compare_formulations", once)
 
 
 def test_table_for_people(capsys):

@@ -47,7 +47,7 @@ def test_map_is_in_the_coordinate_system_of_eq_17(exact):
 def test_squareness_and_straightness_do_not_depend_on_the_datum(exact, truth):
     simulated = exact(6)
     result = identify(simulated.session, model="translations")
-    error = {letter: np.array(simulated.truth.judged["axis_errors"][letter]) for letter in "xyz"}
+    error = {letter: np.array(simulated.truth.expected["axis_errors"][letter]) for letter in "xyz"}
     at = 0.01 * np.arange(13)
 
     def slope(letter, component):

@@ -63,7 +63,7 @@ class Truth:
 def _truth(simulated: Simulated, counted: np.ndarray | None = None) -> Truth:
     description = simulated.session.description
     d = description.dimension
-    judged = simulated.truth.judged
+    judged = simulated.truth.expected
     points, error = np.array(judged["points"])[:, :d], np.array(judged["position_error"])[:, :d]
     stations = np.array(judged["stations"])[:, :d]
     counted = np.ones(len(points), dtype=bool) if counted is None else counted

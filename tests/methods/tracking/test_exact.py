@@ -52,8 +52,8 @@ def test_a_wide_network_without_any_datum_error(simulated, truth):
 def test_dead_path_is_the_path_at_the_datum(dimension, simulated):
     made = simulated(dimension, "tracking", noise=0.0)
     result = identify(made.session)
-    stations = np.array(made.truth.judged["stations"])[:, :dimension]
-    first = np.array(made.truth.judged["points"])[0] + made.truth.judged["position_error"][0]
+    stations = np.array(made.truth.expected["stations"])[:, :dimension]
+    first = np.array(made.truth.expected["points"])[0] + made.truth.expected["position_error"][0]
     actual = np.linalg.norm(first[:dimension] - stations, axis=1)
     assert np.abs(result.error_map.content["dead_path"] - actual).max() < 1e-8
 

@@ -30,7 +30,7 @@ def determined(result):
 @pytest.mark.parametrize("pointing", ["open_loop", "tracking"])
 def test_targets_seen_from_too_few_stations(pointing, simulated, truth, edit):
     made = simulated(3, pointing, seed=5)
-    target = target_of(made.session, np.array(made.truth.judged["points"]))
+    target = target_of(made.session, np.array(made.truth.expected["points"]))
     station = made.session.readings.setup
     lost = (target == 7) & (station >= 2) | (target == 50) & (station != 3) | (target == 99)
     result = identify(edit(made.session, lost=lost))
@@ -51,7 +51,7 @@ def test_targets_seen_from_too_few_stations(pointing, simulated, truth, edit):
 
 def test_three_stations_place_a_target_in_space(simulated, truth, edit):
     made = simulated(3, seed=5)
-    target = target_of(made.session, np.array(made.truth.judged["points"]))
+    target = target_of(made.session, np.array(made.truth.expected["points"]))
     result = identify(edit(made.session, lost=(target % 5 == 0) & (made.session.readings.setup == 1)))
     assert determined(result).all()
     assert 0.75 < normalised(result, truth(made), slice(None)) < 1.25
@@ -61,7 +61,7 @@ def test_three_stations_place_a_target_in_space(simulated, truth, edit):
 
 def test_all_repeats_of_one_target_from_one_station(simulated, truth, edit):
     made = simulated(2, seed=2, repeats=4)
-    target = target_of(made.session, np.array(made.truth.judged["points"]))
+    target = target_of(made.session, np.array(made.truth.expected["points"]))
     result = identify(edit(made.session, lost=(target == 8) & (made.session.readings.setup == 0)))
     assert determined(result).all()
     assert result.not_determined == []
@@ -71,7 +71,7 @@ def test_all_repeats_of_one_target_from_one_station(simulated, truth, edit):
 @pytest.mark.parametrize("pointing", ["open_loop", "tracking"])
 def test_half_of_the_targets_without_one_of_five_stations(pointing, simulated, truth, edit):
     made = simulated(3, pointing, seed=4, stations=FIVE)
-    target = target_of(made.session, np.array(made.truth.judged["points"]))
+    target = target_of(made.session, np.array(made.truth.expected["points"]))
     result = identify(edit(made.session, keep=~((target < 62) & (made.session.readings.setup == 4))))
     assert determined(result).all()
     assert 0.75 < normalised(result, truth(made), slice(None)) < 1.25
@@ -82,7 +82,7 @@ def test_half_of_the_targets_without_one_of_five_stations(pointing, simulated, t
 def test_a_station_that_is_all_but_lost(left, pointing, simulated, truth, edit):
     """A station with fewer readings than unknowns is named; the map is what the other four make of it."""
     made = simulated(3, pointing, seed=6, stations=FIVE, repeats=1)
-    target = target_of(made.session, np.array(made.truth.judged["points"]))
+    target = target_of(made.session, np.array(made.truth.expected["points"]))
     fifth = made.session.readings.setup == 4
     session = edit(made.session, keep=~fifth | np.isin(target, [60, 3, 121][:left]))
     result = identify(session)
@@ -133,7 +133,7 @@ def test_unequal_steps_other_travel_and_a_height(simulated, truth):
     result = identify(made.session)
     assert 0.6 < normalised(result, truth(made), slice(None)) < 1.5
     assert np.allclose(result.error_map.points[:, 2], 0.3)
-    assert np.allclose(result.error_map.content["points"], made.truth.judged["points"])
+    assert np.allclose(result.error_map.content["points"], made.truth.expected["points"])
 
 
 def test_targets_keep_the_order_of_the_recording_though_their_first_readings_are_lost(simulated, edit):
@@ -141,7 +141,7 @@ def test_targets_keep_the_order_of_the_recording_though_their_first_readings_are
     lost = np.zeros(len(made.session.readings), dtype=bool)
     lost[:20] = True
     result = identify(edit(made.session, lost=lost))
-    assert np.allclose(result.error_map.points, made.truth.judged["points"])
+    assert np.allclose(result.error_map.points, made.truth.expected["points"])
 
 
 @pytest.mark.parametrize("dimension", [2, 3])

@@ -40,7 +40,7 @@ class Chance:
     def alone(self, candidate: int, log_factor: float) -> float:
         """Chance that nothing at all gives a candidate so large a Bayes factor.
 
-        Beyond what the simulated sets can tell, its bound: a factor of B comes up with a chance of 1 / B at most.
+        Beyond what the simulated sets can show, its bound: a factor of B comes up with a chance of 1 / B at most.
         """
         return _told(self.log_factors[candidate] >= log_factor, -log_factor)
 

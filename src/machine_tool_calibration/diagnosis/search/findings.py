@@ -154,7 +154,7 @@ def finding_of(
     # Readings without any noise leave nothing.
     rest = max(1.0 - gain / squares, 1e-12) if squares > 0 else 1.0
     taken = basis_of(gram.inner, place).T @ gram.data[place, 0]
-    unknowns = basis.shape[1] + len(candidate.effect.shapes if candidate.effect is not None else ())
+    unknowns = basis.shape[1] + len(candidate.nonlinear)
     return Finding(
         candidate=candidate,
         shape=shaped.shape,
@@ -224,10 +224,11 @@ def smallest_signal(values: Array, along: float, needed: float, power: float = _
 def alias_groups(
     findings: Sequence[Finding], gram: Gram, found: Posterior, index: Mapping[str, int]
 ) -> tuple[tuple[str, ...], ...]:
-    """Effects that this data cannot tell apart: the first of each group is its most probable member.
+    """Effects that this data cannot distinguish: the first of each group is its most probable member.
 
     Two are alike if one reproduces at least 0.9 (cosine) of the other's signal outside the model, or if they exchange
-    probability: where one is not in, the other is.
+    probability: where one is not in, the other is. What contains the first describes all that it does, and is no
+    alternative to it for that.
 
     Args:
         findings: the most probable first.
@@ -242,7 +243,7 @@ def alias_groups(
         alike = [
             f
             for f in rest
-            if max(_cosine(head, f, gram), _cosine(f, head, gram)) >= ALIKE
+            if (not _contains(f, head) and max(_cosine(head, f, gram), _cosine(f, head, gram)) >= ALIKE)
             or (
                 head.probability > LIKELY and found.without(index[f.name], index[head.name]) > LIKELY * head.probability
             )
@@ -252,6 +253,11 @@ def alias_groups(
         names = {f.name for f in alike}
         left = [f for f in rest if f.name not in names]
     return tuple(groups)
+
+
+def _contains(one: Finding, other: Finding) -> bool:
+    effect = one.candidate.effect
+    return effect is not None and other.name in effect.contains
 
 
 def _cosine(one: Finding, other: Finding, gram: Gram) -> float:

@@ -45,7 +45,7 @@ def absorbed_by(fit: JointFit, projected: Projected, columns: slice) -> tuple[Pa
     return tuple(first[family] for family in sorted(most, key=lambda family: -most[family])[:3])
 
 
-# Chance below which a structure is told of, and below which places that differ more than their repeats are.
+# Chance below which a structure is named, and below which places that differ more than their repeats are.
 _TOLD, _LACK = 0.02, 0.001
 # Reduced chi-square below which the residuals are rounding, whatever they look like.
 _ROUNDING = 1e-6
@@ -96,7 +96,7 @@ class Look:
         fit: of the model.
         noise: what is known of each session's noise.
         findings: effects that are not in the model, the most probable first; absorbed ones last.
-        groups: effects that this data cannot tell apart, the most probable first.
+        groups: effects that this data cannot distinguish, the most probable first.
         absorbed: effects that would not show.
         structure: what the residuals depend on, the most significant first.
         unknown: probability that a structure without a cause is in them.
@@ -221,14 +221,15 @@ def _columns(pool: Pool, candidates: Sequence[Candidate], structures: Sequence[C
     before = np.maximum(pool.within_runs(columns[:k]), np.maximum(_CONSTANT * projected.squares[:k], _NONE))
     blocks, shaped, seen, first = [], [], [], 0
     for c, candidate in enumerate(every):
-        own = []
+        own, least = [], _least(candidate, candidates)
         for j, s in enumerate(candidate.shapes):
             place = slice(first, first + len(s.columns))
             first = place.stop
             scale = np.sqrt(before[place])
             share = np.linalg.eigvalsh(gram.inner[place, place] / np.outer(scale, scale))
             if share[-1] > _ABSORBED:
-                own += [(_block(c, candidate, j, part, before[part]), (c, j)) for part in _leading(candidate, place)]
+                parts = _leading(candidate, place, least)
+                own += [(_block(c, candidate, j, part, before[part], len(parts)), (c, j)) for part in parts]
         seen.append(bool(own))
         blocks += [block for block, _ in own]
         shaped += [at for _, at in own]
@@ -245,18 +246,28 @@ def _apart(candidates: Sequence[Candidate]) -> list[frozenset[int]]:
     return [frozenset((k, place[name])) for k, names in found for name in names if name in place]
 
 
-def _leading(candidate: Candidate, place: slice) -> list[slice]:
+def _least(candidate: Candidate, others: Sequence[Candidate]) -> int:
+    """Columns from which on an effect is more than those that it contains: fewer would be one of these again."""
+    least = 1
+    for other in others:
+        if candidate.effect is not None and other.name in candidate.effect.contains:
+            own = other.shapes[0].columns
+            if np.allclose(candidate.shapes[0].columns[: len(own)], own, atol=1e-12):
+                least = max(least, len(own) + 1)
+    return least
+
+
+def _leading(candidate: Candidate, place: slice, least: int) -> list[slice]:
     """All columns of an effect, and the first few alone: of a series, the further coefficients are often nothing."""
     count = place.stop - place.start
     if candidate.effect is None or candidate.effect.setup_level:
         return [place]
-    return [slice(place.start, place.start + k) for k in (*_LEADING, count) if k < count or k == count]
+    return [slice(place.start, place.start + k) for k in (*(k for k in _LEADING if least <= k < count), count)]
 
 
-def _block(index: int, candidate: Candidate, shape: int, place: slice, squares: Array) -> Block:
+def _block(index: int, candidate: Candidate, shape: int, place: slice, squares: Array, parts: int) -> Block:
     """Limits are those of the effect's coefficients; a structure's may be a hundred standard uncertainties."""
     whole = candidate.shapes[shape]
-    parts = 1 if candidate.effect is None else len(_leading(candidate, slice(0, len(whole.columns))))
     share = -float(np.log(candidate.count * parts))
     if not whole.coefficients:
         unit = 50.0 / np.sqrt(squares / max(whole.columns.shape[1], 1))

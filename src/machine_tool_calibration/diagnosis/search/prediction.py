@@ -29,7 +29,7 @@ __all__ = ["Prediction", "predictions"]
 _PARTS = 4
 # Logarithm of the likelihood ratio of one part beyond which it contradicts: one in twenty.
 _CLEARLY = 3.0
-# Effects that are held against readings left out: more are not told apart that way.
+# Effects that are held against readings left out: more are not distinguished that way.
 _MOST = 6
 # Variance of the noise over that declared below which the residuals are rounding.
 _LEAST_NOISE = 1e-12
@@ -42,7 +42,8 @@ class Prediction:
 
     Attributes:
         what: setups, blocks of places, or cycles.
-        log_gains: for each part, by how much the effect, told by the others, raises the logarithm of its likelihood.
+        log_gains: for each part, by how much the effect, as determined by the others, raises the logarithm of its
+            likelihood.
         readings: in all parts.
     """
 
@@ -52,8 +53,12 @@ class Prediction:
 
     @property
     def gain(self) -> float:
-        """Share by which the mean square of what is predicted wrongly falls."""
-        return float(-np.expm1(-2.0 * sum(self.log_gains) / max(self.readings, 1)))
+        """Share by which the mean square of what is predicted wrongly falls.
+
+        The noise is that of the readings beside what was found: what is left of them is one variance each.
+        """
+        gained = 2.0 * sum(self.log_gains)
+        return float(gained / (max(self.readings, 1) + max(gained, 0.0)))
 
     @property
     def speaks_against(self) -> bool:

@@ -31,7 +31,7 @@ def positioning_runs(observations: Observations) -> list[dict[str, Any]]:
 
     Returns:
         For each such setup its id, the axis, the fields of `iso230_2.Positioning`, and the expanded
-        uncertainties (k = 2) of its figures, `B_U` and so on, as far as the runs tell them.
+        uncertainties (k = 2) of its figures, `B_U` and so on, as far as the runs determine them.
     """
     out = []
     for index, name in enumerate(observations.session.setup_ids):
@@ -125,7 +125,7 @@ def direct_map(
     for term in effects:
         size = len(term.parameters)
         fields.append(np.zeros((size, n, 3)) if term.field is None else term.field)
-    # What is not sensed has no part in the map's least squares, and tells no states of an effect apart.
+    # What is not sensed has no part in the map's least squares, and distinguishes no states of an effect.
     sensed = sensed_axes(observations.direction)
     fields = [one * sensed for one in fields]
     field = np.concatenate(fields)

@@ -215,7 +215,7 @@ def _usable(readings: Readings) -> Readings:
 def _sensed_terms(
     observations: Observations, tables: tuple[MachineTable, ...], setups: SetupDatum
 ) -> tuple[tuple[MachineTable, ...], tuple[Term, ...], tuple[NotDetermined, ...]]:
-    """The tables on which some reading depends; which of them cannot be told apart is found by the solver."""
+    """The tables on which some reading depends; which of them cannot be distinguished is found by the solver."""
     kept, terms, left = [], [], []
     for table in tables:
         columns = table.columns(observations.position, observations.direction)

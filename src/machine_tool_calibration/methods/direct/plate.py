@@ -32,11 +32,11 @@ _DATUM = {"none": "as measured", "offset": "an offset of each setup", "rigid": "
 
 @dataclass(frozen=True)
 class _Step:
-    """Columns of one step; those with a name are told."""
+    """Columns of one step; those with a name (of the unknown, of what it is, and unit) are in its result."""
 
     title: str
     columns: Array
-    names: tuple[tuple[str, str], ...] = ()
+    names: tuple[tuple[str, str, str], ...] = ()
 
 
 def plate_steps(observations: Observations, setups: SetupDatum) -> dict[str, Any] | None:
@@ -71,8 +71,8 @@ def plate_steps(observations: Observations, setups: SetupDatum) -> dict[str, Any
     out = []
     before: tuple[float, int] | None = None
     for k in range(len(steps)):
-        told, before = _fitted(steps[: k + 1], reading, good, before)
-        out.append(told)
+        step, before = _fitted(steps[: k + 1], reading, good, before)
+        out.append(step)
     rows = observations.readings.row[~good[place]]
     return {"steps": out, "set_aside": [int(row) for row in rows], "places": int(good.sum())}
 
@@ -108,12 +108,15 @@ def _columns(position: Array, direction: Array, plane: Sequence[int], first: _St
     letters = ["xyz"[j] for j in plane]
     return [
         first,
-        _Step("+ one scale", np.array([np.sum(scale, axis=0)]), (("scale.s", "1"),)),
+        _Step("+ one scale", np.array([np.sum(scale, axis=0)]), (("scale.s", "scale", "1"),)),
         _Step(
             "+ different scales, squareness",
             # The first scale of all is in the model already: together they are the scales of the axes.
             np.array([*scale, *skew]),
-            (*((f"scale_{letter}.s", "1") for letter in letters), *((f"{name}.angle", "rad") for name in square)),
+            (
+                *((f"scale_{letter}.s", f"scale_{letter}", "1") for letter in letters),
+                *((f"{name}.angle", name, "rad") for name in square),
+            ),
         ),
         _Step("+ curves of second order", np.array(bows)),
     ]
@@ -169,22 +172,23 @@ def _fitted(
     weights[np.arange(len(names)), place + np.arange(len(names))] = 1.0
     if len(names) > 1:
         # What the scales of the axes differ by is known better than each of them, or is known alone.
-        scales = [k for k, (name, _) in enumerate(names) if name.startswith("scale_")]
+        scales = [k for k, (*_, unit) in enumerate(names) if unit == "1"]
         for one, other in itertools.combinations(scales, 2):
             weights = np.concatenate([weights, (weights[one] - weights[other])[None]])
-            names.append((f"{names[one][0]} - {names[other][0]}", "1"))
+            names.append((f"{names[one][0]} - {names[other][0]}", f"{names[one][1]} − {names[other][1]}", "1"))
     loose = vectors[~keep]
     out["parameters"] = []
-    for row, (name, unit) in zip(weights / size, names, strict=True):
-        told = bool(np.linalg.norm(loose @ row) < _ROUNDING**0.5 * np.linalg.norm(row))
+    for row, (name, what, unit) in zip(weights / size, names, strict=True):
+        known = bool(np.linalg.norm(loose @ row) < _ROUNDING**0.5 * np.linalg.norm(row))
         value, u = float(row @ theta), float(np.sqrt(row @ covariance @ row))
         out["parameters"].append(
             {
                 "name": name,
-                "value": value if told else None,
-                "standard_uncertainty": u if told else None,
+                "of": what,
+                "value": value if known else None,
+                "standard_uncertainty": u if known else None,
                 "unit": unit,
-                "p_value": float(2 * special.stdtr(freedom, -abs(value) / u)) if told and u > 0 and freedom else None,
+                "p_value": float(2 * special.stdtr(freedom, -abs(value) / u)) if known and u > 0 and freedom else None,
             }
         )
     return out, (squares, rank)

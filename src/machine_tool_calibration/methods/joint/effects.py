@@ -40,7 +40,7 @@ def with_effects(common: CommonModels, labels: Sequence[str], effects: Sequence[
         if all(why is not None for why in reasons.values()):
             first, why = next(iter(reasons.items()))
             raise ModelError(f"effect {effect.id} acts in no session: {first}: {why}")
-    # Even where a session by itself takes an effect up, the others may tell it.
+    # Even where a session by itself takes an effect up, the others may determine it.
     models, effects = _without_absorbed(models, labels, effects)
     for effect in effects:
         if not effect.shapes:
@@ -54,7 +54,7 @@ def with_effects(common: CommonModels, labels: Sequence[str], effects: Sequence[
 def _without_absorbed(
     models: Sequence[MethodModel], labels: Sequence[str], effects: Sequence[Effect]
 ) -> tuple[list[MethodModel], list[Effect]]:
-    """The models, told what they take up together, and the other effects: those would leave the map undetermined."""
+    """The models, knowing what they take up together, and the other effects: those would leave the map undetermined."""
     fit, out, kept = fit_models(models, labels), list(models), []
     for effect in effects:
         acting = [m.observations if effect.why_not(m.observations) is None else None for m in models]
@@ -111,14 +111,14 @@ def _shape_is_determined(fit: JointFit, effect: Effect) -> bool:
 
 
 def _held(models: Sequence[MethodModel], effect: Effect, shape: tuple[float, ...]) -> list[MethodModel]:
-    """The models, told that the nonlinear coefficients are held."""
+    """The models, knowing that the nonlinear coefficients are held."""
     entries = tuple(
         NotDetermined(
             f"{effect.id}.{c.name}",
             f"the readings do not bound it: the effect is too small in them; held at {shape[k]:.3g} {c.unit}",
             effect.id,
         )
-        for k, c in enumerate(effect.shapes)
+        for k, c in enumerate(effect.shapes_for(models[0].observations))
         if not c.discrete
     )
     return [replace(model, left_out=(*model.left_out, *entries)) for model in models]

@@ -97,9 +97,9 @@ def joint_map(joint: JointFit, common: CommonModels, angles: StatedAngles | None
     """Tables with their uncertainties, and position errors at the points of all sessions.
 
     What all readings together leave open is taken out of the position errors by least squares over the points. Where a
-    component depends on a table beyond its nodes, which a session reached that cannot tell it there, it has no value;
-    where it depends on one between its nodes, what straight lines may be wrong by is in its uncertainty. A direction
-    of the machine that no reading of any session senses has no value either.
+    component depends on a table beyond its nodes, which a session reached that does not determine it there, it has no
+    value; where it depends on one between its nodes, what straight lines may be wrong by is in its uncertainty. A
+    direction of the machine that no reading of any session senses has no value either.
 
     Args:
         joint: the fit.

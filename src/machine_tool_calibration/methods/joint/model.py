@@ -1,8 +1,8 @@
 """Models of several sessions of one machine made to speak of the same unknowns.
 
-Every session's model has tables of the machine's error motions at nodes of its own, and only those that it can tell by
-itself. Put together, a table must be the same function for all: the nodes are those of all sessions that have it, and
-a session's readings depend on every motion that any session has and that moves its functional point, also on those
+Every session's model has tables of the machine's error motions at nodes of its own, and only those that it determines
+by itself. Put together, a table must be the same function for all: the nodes are those of all sessions that have it,
+and a session's readings depend on every motion that any session has and that moves its functional point, also on those
 that it had left out because it could not tell them from others. The angular errors that a step diagonal takes for small
 random functions are such motions too (`joint_spread`).
 """
@@ -88,7 +88,7 @@ def common_models(models: Sequence[MethodModel], labels: Sequence[str]) -> Commo
 
 
 def _acquainted(models: Sequence[MethodModel]) -> list[MethodModel]:
-    """The models, told what all sessions have read, so that functions of an axis's position are the same for all."""
+    """The models, knowing what all sessions have read, so that functions of an axis's position are the same for all."""
     covered = {}
     for axis in "xyz":
         read = [m.observations.readings.columns.get(axis, np.empty(0)) for m in models]
@@ -133,7 +133,7 @@ def _shared_tables(models: Sequence[MethodModel], chain: Chain) -> tuple[Machine
         if name in SQUARENESS:
             out.append(MachineTable(chain, name, np.empty(0)))
             continue
-        # Nodes of those that can tell the motion: at further ones it would be mixed with others, and nothing gained.
+        # Nodes of those that determine the motion: at further ones it would be mixed with others, and nothing gained.
         nodes = [table.nodes for table in every if table.name == name]
         if name in random or not nodes:
             # Of a random function something is known everywhere, and a straight line beyond its nodes is not that.
@@ -143,9 +143,10 @@ def _shared_tables(models: Sequence[MethodModel], chain: Chain) -> tuple[Machine
 
 
 def _determined_together(models: Sequence[MethodModel], chain: Chain) -> list[str]:
-    """Error motions that tracking interferometers tell by all their readings, though none of them may by its own.
+    """Error motions that tracking interferometers determine by all their readings, though none of them may by its own.
 
-    A single station senses one direction at each place: it cannot tell an angle from a straightness, which two can.
+    A single station senses one direction at each place: it cannot distinguish an angle from a straightness, which two
+    can.
     """
     trackers = [m for m in models if m.observations.session.spec.beam_from_pointer and tables_of(m)]
     if len(trackers) < 2:

@@ -31,7 +31,7 @@ from machine_tool_calibration.model.rigid_body import MachineTable
 
 __all__ = ["StatedAngles", "angles_of", "expected", "in_words", "random_of", "settled", "stated", "without_spread"]
 
-# Share of the variance expected of an angle, over all its nodes, that must go before the readings tell it.
+# Share of the variance expected of an angle, over all its nodes, that must go before the readings determine it.
 _TOLD = 0.5
 # Probability of angular errors above which differences between sessions may have been taken for them.
 _LIKELY = 0.5
@@ -56,7 +56,7 @@ class StatedAngles:
         """What an agreement of sessions does not mean, because angular errors explain as much; empty if they do not.
 
         A rotation of the mirror looks like straightness to a step diagonal in every order of its moves (ECX like EYX):
-        a straightness that another session sees differently cannot be told from such a rotation.
+        a straightness that another session sees differently cannot be distinguished from such a rotation.
         """
         if self.probability < _LIKELY:
             return ""
@@ -95,14 +95,14 @@ def without_spread(model: MethodModel) -> MethodModel:
 
 
 def expected(models: Sequence[MethodModel], angles: Sequence[MachineTable]) -> tuple[MethodModel, ...]:
-    """The models, told that these angular errors are smooth and at the most of the largest size that is considered."""
+    """The models, knowing that these angular errors are smooth and at most of the largest size that is considered."""
     return _with_priors(models, angles, {t.name: LARGEST**2 * mean_shape(t.nodes, _zero(t)) for t in angles})
 
 
 def settled(
     models: Sequence[MethodModel], labels: Sequence[str], angles: Sequence[MachineTable]
 ) -> tuple[MethodModel, ...]:
-    """The models with the size and shape of the angular errors that all readings together tell.
+    """The models with the size and shape of the angular errors that all readings together determine.
 
     Args:
         models: one for each session, those terms that were added included.

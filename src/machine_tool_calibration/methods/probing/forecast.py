@@ -1,6 +1,6 @@
 """The uncertainty that a probing measurement will have, before it is made (Section 6 of the paper).
 
-Which points can tell workpiece and machine apart depends on the part and on the angles of C, so it is worth knowing
+Which points can distinguish workpiece and machine depends on the part and on the angles of C, so it is worth knowing
 beforehand. The model is linear: no Monte Carlo is needed.
 """
 

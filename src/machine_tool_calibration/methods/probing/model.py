@@ -1,8 +1,8 @@
-"""Probing self-calibration of a free-form part on a rotary table: workpiece, X, Y and C told apart.
+"""Probing self-calibration of a free-form part on a rotary table: workpiece, X, Y and C distinguished.
 
 The same points are touched at several angles of C. The error motions of X and Y are tables, so they stay in a closed
-set however the part is turned, and can be told from the part's own errors. One touch reads, along the outward normal
-n at the nominal contact p of the turned workpiece (Eqs. (7) to (14)):
+set however the part is turned, and can be distinguished from the part's own errors. One touch reads, along the outward
+normal n at the nominal contact p of the turned workpiece (Eqs. (7) to (14)):
 
     displacement = G - n . (E_X, E_Y)(p) + n . (EXC, EYC) + n . (R(90 deg) p) ECC
 

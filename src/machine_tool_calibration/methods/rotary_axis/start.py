@@ -172,6 +172,8 @@ def _weighted(
     nominal = np.concatenate([stations.ravel(), targets.ravel()])
     count = np.bincount(table.run, weight)
     root = np.sqrt(weight)
+    share = np.zeros((len(count), len(reading)))  # of each reading in its run's mean
+    share[table.run, np.arange(len(reading))] = weight / count[table.run]
 
     def centred(values: Array) -> Array:
         return np.asarray(values - (np.bincount(table.run, weight * values) / count)[table.run])
@@ -196,9 +198,7 @@ def _weighted(
         for j in range(3):
             out[rows, 3 * setup + j] = -g[:, j]
             out[rows, size + 3 * table.target + j] = on_table[:, j]
-        mean = np.zeros((len(count), len(x)))
-        np.add.at(mean, table.run, weight[:, None] * out)
-        out -= (mean / count[:, None])[table.run]
+        out -= (share @ out)[table.run]
         return np.concatenate([root[:, None] * out / _ERRORS, np.eye(len(x)) / within])
 
     found = least_squares(residual, start, jacobian, method="trf", xtol=1e-9, ftol=1e-9, gtol=1e-9, max_nfev=60)

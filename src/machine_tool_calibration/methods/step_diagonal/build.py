@@ -63,12 +63,12 @@ MODELS = ("small_angles", "translations", "angular", "angular_one_mirror", "alig
 """Models of a step diagonal; the first is the default.
 
 `small_angles`: position errors of the axes; angular errors are zero or small smooth random functions, of a size that
-the readings tell as far as they can (`spread`). `translations`: no angular errors. `angular`: those angular errors that
-the orders of the moves tell are free; `angular_one_mirror`: and the mirror was not touched between the orders of a
-diagonal. `aligned_mirror`: no angular errors and no tilts, as the conventional formulation assumes.
+the readings determine as far as they can (`spread`). `translations`: no angular errors. `angular`: those angular errors
+that the orders of the moves determine are free; `angular_one_mirror`: and the mirror was not touched between the orders
+of a diagonal. `aligned_mirror`: no angular errors and no tilts, as the conventional formulation assumes.
 """
 
-_SMALL = "only its size is told by the readings (angular_size); it is taken for a small smooth random function"
+_SMALL = "only its size is determined by the readings (angular_size); it is taken for a small smooth random function"
 _ZERO = "the model takes it to be zero"
 _RANDOM = (
     f"; the map is the mean over angular errors that are zero (with a probability of {NONE:g} before any reading) or "

@@ -5,9 +5,10 @@ start at (x0, y0, z0) and the chain w-Y-X-b-Z-t, the angular errors E of each ax
 
     X: E.(l x (x - x0, y - y0, -z0))    Y: E.(l x (-x0, y - y0, -z0))    Z: E.(l x (x - x0, y - y0, z - z0))
 
-(lever arm of Eq. (23) and rotation of the mirror together). What depends on one axis alone cannot be told from position
-errors; there remain EAX and ECX (through y) and EAZ, EBZ and ECZ (through x and y): five of nine, as the paper has it.
-The mean of a slope is told only if the mirror stayed as it was: a tilt set anew for each order looks the same.
+(lever arm of Eq. (23) and rotation of the mirror together). What depends on one axis alone cannot be distinguished from
+position errors; there remain EAX and ECX (through y) and EAZ, EBZ and ECZ (through x and y): five of nine, as the paper
+has it. The mean of a slope is determined only if the mirror stayed as it was: a tilt set anew for each order looks the
+same.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ def angles_shown_by_orders(model: StepDiagonalModel, angles: Sequence[Angle]) ->
     """Angular errors that show beside any functions of single axes, one for each diagonal and axis.
 
     Such functions hold all position errors, the place at which the beam meets the mirror, and the other angular
-    errors: what is told beside them rests on no assumption about these.
+    errors: what is determined beside them rests on no assumption about these.
     """
     observations = model.observations
     n = len(observations)
@@ -74,7 +75,7 @@ def _range(columns: Array) -> Array:
 
 
 def free_angles(model: StepDiagonalModel, rotations: Sequence[MachineTable]) -> StepDiagonalModel:
-    """The model with those angular errors as free tables that the orders of the moves tell.
+    """The model with those angular errors as free tables that the orders of the moves determine.
 
     Raises:
         ModelError: the moves were made in one order only.
@@ -93,7 +94,7 @@ def free_angles(model: StepDiagonalModel, rotations: Sequence[MachineTable]) -> 
     terms = tuple(Term(angle.table.name, angle.table.parameters, angle.columns) for angle in kept)
     names = {angle.table.name for angle in kept}
     left_out = model.left_out + tuple(
-        NotDetermined(table.name, "no order of the moves tells it from position errors; the model takes it to be zero")
+        NotDetermined(table.name, "no order of the moves distinguishes it from position errors; it is taken to be zero")
         for table in rotations
         if table.name not in names
     )

@@ -1,6 +1,6 @@
-"""Angular errors that are small but perhaps not zero: smooth random functions whose size the readings themselves tell.
+"""Angular errors that are small but perhaps not zero: smooth random functions whose size the readings show.
 
-Four of the nine angular errors look like straightness to every order of the moves, and five can only be told with
+Four of the nine angular errors look like straightness to every order of the moves, and five can only be determined with
 large uncertainty. To leave them out makes the map wrong by the lever arm times the angle, with an uncertainty that does
 not say so; to fit them freely makes it useless. So each is given a smooth random function of its axis's position, zero
 at the first one, all nine of one size and shape.
@@ -15,10 +15,10 @@ What is expected before any reading:
 - With a probability of 0.7 the angular errors do not matter at all over the measured volume.
 - Otherwise their size, the root mean square over the travel, is anything between 0.2 and 20 urad, each octave as
   probable as the next: machining centres have 1 to 20 urad over half a metre, less over shorter ways.
-- A guideway's error has long waves (straight slopes and bows, which the readings hardly tell from position errors) and
-  shorter ones, of a correlation length of 0.1, 0.2 or 0.4 of the travel; a tenth, half or all of the variance is of
-  the long ones. The seven shapes are equally probable. Three diagonals hardly tell them apart, four do: a narrower
-  choice made the uncertainties from four diagonals a tenth too large.
+- A guideway's error has long waves (straight slopes and bows, which the readings hardly distinguish from position
+  errors) and shorter ones, of a correlation length of 0.1, 0.2 or 0.4 of the travel; a tenth, half or all of the
+  variance is of the long ones. The seven shapes are equally probable. Three diagonals hardly distinguish them, four
+  do: a narrower choice made the uncertainties from four diagonals a tenth too large.
 
 The numbers were chosen with the virtual machine alone, over angular errors of 0 to 10 urad, short and long travels, and
 smooth and rough guideways, so that the stated uncertainties are right on the whole. They cannot be right for every size
@@ -165,7 +165,7 @@ def _shapes(nodes: tuple[float, ...], zero: int) -> tuple[tuple[Array, Array], .
 
 @dataclass(frozen=True)
 class _Shape:
-    """Random functions of one shape, in the directions in which the readings tell their coefficients one by one.
+    """Random functions of one shape, in the directions in which the readings determine their coefficients one by one.
 
     Attributes:
         directions: (q, r) angles per unit of each coefficient, whose standard deviation is the size.

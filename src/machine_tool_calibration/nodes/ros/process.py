@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from types import ModuleType
 from typing import Any, NoReturn
 
 import rclpy
@@ -25,6 +26,7 @@ from rclpy.signals import SignalHandlerOptions
 from machine_tool_calibration.errors import CalibrationError, did_you_mean
 from machine_tool_calibration.nodes.ros.node import GuardedNode
 from machine_tool_calibration.nodes.shared import shared_file
+from machine_tool_calibration.nodes.usage import usage
 
 __all__ = [
     "STOP_GRACE",
@@ -111,6 +113,8 @@ def default_environment() -> None:
 def run(create: Callable[[], GuardedNode], args: list[str] | None = None, *, grace: float = _SAVE_GRACE) -> int:
     """Run a node until SIGINT, SIGTERM or an external shutdown.
 
+    Asked for help, it prints what the node is and takes, and starts nothing.
+
     A node may have a method `close()`, which is called before it is destroyed, and an attribute `done`, which ends it
     once it is true.
 
@@ -120,8 +124,10 @@ def run(create: Callable[[], GuardedNode], args: list[str] | None = None, *, gra
         grace: a node that has not ended so long after the signal is ended by force, s.
 
     Returns:
-        Exit status: 0 stopped as asked, 1 the node could not start (one line on standard error).
+        Exit status: 0 stopped as asked or help given, 1 the node could not start (one line on standard error).
     """
+    if _asks_for_help(sys.argv[1:] if args is None else args):
+        return _help(sys.modules[create.__module__])
     default_environment()
     stop = threading.Event()
     # A thread waits for the signals: it can end the process even where the middleware holds the main thread.
@@ -182,6 +188,21 @@ def say_unknown_parameters(node: GuardedNode) -> None:
             known = sorted(other for other in node._parameters if "." not in other)
             hint = did_you_mean(name, known) or f"; it has {', '.join(known)}"
             node.get_logger().warning(f"this node has no parameter {name!r}{hint}")
+
+
+def _asks_for_help(args: list[str]) -> bool:
+    own = args[: args.index("--ros-args")] if "--ros-args" in args else args
+    return "--help" in own or "-h" in own
+
+
+def _help(module: ModuleType) -> int:
+    name = Path(str(module.__file__)).stem
+    try:
+        print(usage(name, str(module.__doc__)))
+    except CalibrationError as error:
+        print(f"{name}: {error}", file=sys.stderr)
+        return 1
+    return 0
 
 
 def _await_stop(stop: threading.Event, grace: float) -> None:

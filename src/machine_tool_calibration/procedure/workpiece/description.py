@@ -40,7 +40,7 @@ from machine_tool_calibration.session.yaml_text import load_yaml
 
 __all__ = ["Workpiece", "read_workpiece", "workpiece_entries", "workpiece_points"]
 
-# Kinds of features, by which records are told apart: no keys of the file.
+# Kinds of features, by which records are distinguished: no keys of the file.
 _KINDS = frozenset({"line", "pin", "disc", "sphere", "hole", "outline", "file", "points"})
 _UNITS = {"m": 1.0, "mm": 1e-3, "inch": 0.0254}
 

@@ -14,7 +14,7 @@ from machine_tool_calibration.session.session import Session
 
 __all__ = ["Place", "check_session"]
 
-# Share of different times among the readings from which the time tells readings apart.
+# Share of different times among the readings from which the time distinguishes readings.
 _TOLD_BY_TIME = 0.4
 
 
@@ -83,7 +83,7 @@ def _check_doubled(session: Session, place: Place) -> None:
     # Only readings at the same time can be the same; what is missing in both is equal in both.
     times = pd.Series(np.where(np.isnan(time), 0.0, time))
     repeated = times.duplicated().to_numpy()
-    # Where the clock does not tell readings apart, equal ones may be different ones.
+    # Where the clock does not distinguish readings, equal ones may be different ones.
     if not repeated.any() or np.count_nonzero(~repeated) < _TOLD_BY_TIME * len(readings):
         return
     readings = readings.select(times.duplicated(keep=False).to_numpy())

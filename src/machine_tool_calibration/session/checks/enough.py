@@ -95,7 +95,7 @@ def _stations(
 def _off_a_line(setups: tuple[StationSetup, ...], place: Place) -> None:
     if len(setups) > 2 and on_a_line(np.array([setup.position for setup in setups])):
         raise SessionError(
-            f"{place.description}: all stations stand on one line: no reading tells a turn about it; move one of them "
+            f"{place.description}: all stations stand on one line: no reading shows a turn about it; move one of them "
             "off the line"
         )
 
@@ -169,7 +169,7 @@ def enough_probing(session: Session, measured: BoolArray, place: Place) -> None:
     if len(used) < 2:
         raise SessionError(
             f"{place.readings}: touches at {_count(len(used), 'C angle')}; probing needs at least 2 "
-            "to tell the workpiece from the machine"
+            "to distinguish the workpiece from the machine"
         )
     enough_in_a_setup(session, measured, place)
 

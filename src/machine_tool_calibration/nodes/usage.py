@@ -1,0 +1,111 @@
+"""What `--help` of a node's executable prints: from its module and from msg_docs, which tests hold against nodes."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from machine_tool_calibration.nodes.shared import shared_file
+
+__all__ = ["Topic", "topics", "usage"]
+
+_WIDTH = 100
+_SECTION = "## Parameters of `{}`"
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A line of the table of topics.
+
+    Attributes:
+        name: relative, or absolute.
+        type: of its messages.
+        publishers: nodes, and in words what else publishes it.
+        subscribers: likewise.
+        content: in words; may be empty.
+    """
+
+    name: str
+    type: str
+    publishers: tuple[str, ...]
+    subscribers: tuple[str, ...]
+    content: str
+
+
+def topics() -> list[Topic]:
+    """The table of topics of msg_docs."""
+    found = []
+    for name, kind, way, *_ in _rows(_page("README"), "## Topics"):
+        ends, _, content = way.partition(": ")
+        publishers, _, subscribers = ends.partition(" → ")
+        found.append(Topic(name, kind, tuple(publishers.split(", ")), tuple(subscribers.split(", ")), content))
+    return found
+
+
+def usage(node: str, about: str) -> str:
+    """The help of a node's executable.
+
+    Args:
+        node: name of the executable.
+        about: what it is.
+
+    Raises:
+        CalibrationError: msg_docs is not installed.
+    """
+    known = topics()
+    own = next(page for page in _PAGES if _SECTION.format(node) in _page(page))
+    services = [
+        (names, what.partition(": ")[2])
+        for names, what, *_ in _rows(_page("README"), "## Services")
+        if node in what.partition(": ")[0].split(", ")
+    ]
+    parts = [
+        f"Usage: ros2 run machine_tool_calibration {node} [--ros-args [-p PARAMETER:=VALUE] [-r NAME:=NAME] …]\n"
+        f"       mtcal-{node.replace('_', '-')} [--ros-args …]",
+        about.strip(),
+        _listed(
+            "Parameters",
+            [
+                _parameter(row)
+                for row in (*_rows(_page(own), _SECTION.format(node)), *_rows(_page("README"), "## Parameters"))
+            ],
+        ),
+        _listed("Publishes", [(f"{t.name} ({t.type})", t.content) for t in known if node in t.publishers]),
+        _listed("Listens to", [(f"{t.name} ({t.type})", t.content) for t in known if node in t.subscribers]),
+        _listed("Services (std_srvs/Trigger)", services),
+        f"More in {shared_file(f'msg_docs/{own}.md')}",
+    ]
+    return "\n\n".join(part for part in parts if part)
+
+
+_PAGES = ("axes", "pointer", "instrument", "probe", "procedure", "estimator", "recorder", "player")
+
+
+def _page(name: str) -> str:
+    return shared_file(f"msg_docs/{name}.md").read_text(encoding="utf-8")
+
+
+def _rows(page: str, heading: str) -> Iterator[list[str]]:
+    """Lines of the table in a section, without its head, as plain text."""
+    section = page.split(f"\n{heading}\n", 1)[1].split("\n## ", 1)[0]
+    for line in re.findall(r"^\|(.*)\|$", section, re.M)[2:]:
+        cells = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", line).replace("`", "")
+        yield [cell.strip() for cell in cells.split("|")]
+
+
+def _parameter(row: list[str]) -> tuple[str, str]:
+    name, default, *unit, meaning = row
+    notes = [f" = {default}" if default else "", *(f" [{one.strip(', ')}]" for one in unit if one)]
+    return name + "".join(notes), meaning
+
+
+def _listed(title: str, entries: list[tuple[str, str]]) -> str:
+    if not entries:
+        return ""
+    lines = [title]
+    for name, text in entries:
+        lines.append(f"  {name}")
+        lines += textwrap.wrap(text, _WIDTH, initial_indent="      ", subsequent_indent="      ")
+    return "\n".join(lines)

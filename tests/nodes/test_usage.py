@@ -1,0 +1,39 @@
+"""`--help` of every executable says what it is and takes, and starts nothing."""
+
+import re
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+from machine_tool_calibration.nodes.usage import topics
+
+from .pages import PAGES, rows
+
+ROOT = Path(__file__).parents[2]
+EXECUTABLES = sorted(path.name for path in (ROOT / "scripts" / "nodes").iterdir())
+
+
+@pytest.mark.parametrize("name", EXECUTABLES)
+@pytest.mark.parametrize("given", [["--help"], ["-h", "--ros-args", "-p", "rate:=1.0"]])
+def test_help_says_what_it_is_and_takes_and_starts_nothing(name, given, capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("rclpy.init", lambda *_, **__: pytest.fail("it was started"))
+    module = import_module(f"machine_tool_calibration.nodes.{name}")
+    assert module.main(given) == 0
+    said = capsys.readouterr().out
+    assert said.startswith(f"Usage: ros2 run machine_tool_calibration {name} ")
+    assert module.__doc__.strip() in said
+    declared = re.findall(r'declare\(\s*self,\s*"(\w+)"', Path(module.__file__).read_text())
+    assert declared
+    assert all(re.search(rf"^  .*\b{key}\b", said, re.M) for key in [*declared, "use_sim_time"])
+    served = re.findall(rf"`({name}/\w+)`", PAGES["README"].split("## Services")[1].split("## ")[0])
+    assert all(service in said for service in served)
+    assert not list(tmp_path.iterdir())
+    assert all(len(line) <= 120 for line in said.splitlines())
+
+
+def test_every_topic_is_in_the_table_that_help_is_made_of():
+    assert {topic.name: topic.type.replace("/", "/msg/") for topic in topics()} == {
+        name: row.type for name, row in rows().items()
+    }
