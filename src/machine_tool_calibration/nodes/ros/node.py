@@ -80,7 +80,7 @@ class GuardedNode(Node):
             try:
                 callback()
             except Exception as error:
-                self._fail(callback.__qualname__, error)
+                self._fail(getattr(callback, "__name__", "timer"), error)
 
         return super().create_timer(timer_period_sec, guarded, *arguments, **more)
 
