@@ -126,13 +126,14 @@ def test_a_fault_in_a_timer_or_a_service_is_logged_and_the_node_goes_on(made, ca
         raise ZeroDivisionError("an axis without length")
 
     timer = node.create_timer(1.0, stumble)
-    service = DeferredService(node, Trigger, "stumble", stumble).service
+    service = DeferredService(node, Trigger, "walk", stumble).service
     for _ in range(3):
         timer.callback()
         answer = service.callback(Trigger.Request(), Trigger.Response())
         assert (answer.success, answer.message) == (False, "ZeroDivisionError: an axis without length")
     said = capfd.readouterr().err
-    assert said.count("stumble: ZeroDivisionError: an axis without length") == 2
+    for where in ("stumble", "walk"):
+        assert said.count(f"{where}: ZeroDivisionError: an axis without length") == 1
     assert "in stumble" in said
 
 
