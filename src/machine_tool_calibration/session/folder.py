@@ -29,8 +29,6 @@ __all__ = [
 ]
 
 
-
-
 def read_session(path: Path, *, check: bool = True) -> Session:
     """Read a session folder: `session.yaml` and `observations.csv`.
 

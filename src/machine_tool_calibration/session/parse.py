@@ -68,7 +68,7 @@ def description_yaml(description: Description) -> str:
     """The text of `session.yaml`; numbers are written so that they come back to the last bit."""
     content = description.model_dump(mode="python", exclude_none=True)
     content = {"format": content.pop("format"), "method": content.pop("method"), **content}
-    plain = {key: _plain(value) for key, value in content.items() if value != {} and value != ()}
+    plain = {key: _plain(value) for key, value in content.items() if value != {} and value != () and value is not False}
     # What is 0 and said of no setup needs not be said.
     declared = description.standard_uncertainty.model_dump(exclude_defaults=True)
     plain["standard_uncertainty"] = {key: _plain(value) for key, value in declared.items()}

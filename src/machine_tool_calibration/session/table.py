@@ -150,7 +150,10 @@ def _header(where: str, text: str) -> tuple[str, ...]:
     if "," not in text:
         for separator, name in ((";", "semicolons"), ("\t", "tabs"), ("|", "bars")):
             if separator in text:
-                raise SessionError(f"{where}: separated by {name}; use commas, and a point for decimals")
+                raise SessionError(
+                    f"{where}: separated by {name}, not commas; `mtcal convert FOLDER NEW --separator "
+                    f"{name.removesuffix('s')}` reads it"
+                )
     try:
         names = tuple(name.strip() for name in next(csv.reader([text], strict=True)))
     except csv.Error as error:
