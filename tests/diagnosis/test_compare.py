@@ -95,7 +95,7 @@ def test_what_the_model_takes_up_is_no_number() -> None:
 
 def test_a_good_model_is_said_to_fit() -> None:
     words = in_words(compare(simulated("tracking_2d")))
-    assert words.startswith("the model fits within the declared uncertainty (0.3 µm")
+    assert words.startswith("the model fits within the declared uncertainty (0.300 µm")
 
 
 def test_a_bad_setup_is_named() -> None:
@@ -116,7 +116,7 @@ def test_backlash_shows_as_a_displacement_of_twice_its_half_width(plan: str, axi
     assert approach.displacement is not None and approach.displacement_u is not None and approach.p_value is not None
     assert abs(approach.displacement + 2 * size) < 4 * approach.displacement_u
     assert approach.p_value < 1e-6
-    assert found.telling[0][0] == f"dir_{axis} along {axis}" or plan == "iso230_2"
+    assert found.ranked[0][0] == f"dir_{axis} along {axis}" or plan == "iso230_2"
 
 
 def test_a_drift_shows_over_time_with_its_rate() -> None:
@@ -141,7 +141,9 @@ def test_single_bad_readings_are_named_by_row_and_said_to_stand_out() -> None:
     found = compare(simulation.session)
     rows = {int(found.fit.model.observations.readings.row[k]) for k in found.worst[:3]}
     assert rows <= {int(row) for row in simulation.truth.document()["outliers"]}
-    assert "far out of the others" in in_words(found)
+    found_rows = {entry.row for entry in identify(simulation.session).rejected}
+    assert set(found.outliers) == found_rows >= rows
+    assert f"{len(found_rows)} readings do not belong to the rest" in in_words(found)
 
 
 def test_rows_are_those_of_the_recording_where_readings_are_missing() -> None:
@@ -191,8 +193,8 @@ def test_covariates_that_do_not_vary_are_left_out_and_an_unknown_one_is_named() 
     found = compare(session)
     assert "y" not in found.covariates
     assert "x" in covariates(found.fit.model.observations)
-    with pytest.raises(ModelError, match="no covariate 'humidity' that varies; there are order"):
-        found.covariate("humidity")
+    with pytest.raises(ModelError, match="no covariate 'albedo' that varies; there are order"):
+        found.covariate("albedo")
 
 
 def test_bins_keep_distinct_values_apart_and_equal_ones_together() -> None:

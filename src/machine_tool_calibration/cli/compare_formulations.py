@@ -10,6 +10,7 @@ import click
 import numpy as np
 
 from machine_tool_calibration.cli.output import console, json_option, note, write_json
+from machine_tool_calibration.reports.quantities import plus_minus, quantity, rounded
 
 if TYPE_CHECKING:
     from machine_tool_calibration.methods.step_diagonal.compare import Comparison
@@ -125,7 +126,7 @@ def _show(comparison: Comparison) -> None:
             np.nanmax(np.abs(a - b))
             for a, b in zip(comparison.profiles["conventional"].error, comparison.profiles["new"].error, strict=True)
         ]
-        out.print(f"The conventional formulation is up to {1e6 * max(off):.2f} µm from the new one.")
+        out.print(f"The conventional formulation is up to {quantity(float(max(off)), 'm')} from the new one.")
     for name, why in comparison.refused.items():
         out.print(f"{name}: {why}")
 
@@ -146,5 +147,5 @@ def _cell(figure: Figure) -> str:
         return "not determined"
     factor = _KINDS[figure.kind][1]
     if not np.isfinite(figure.uncertainty):
-        return f"{factor * figure.value:.2f}"
-    return f"{factor * figure.value:.2f} ± {2 * factor * figure.uncertainty:.2f}"
+        return rounded(factor * figure.value)
+    return plus_minus(figure.value, figure.uncertainty, factor)

@@ -318,10 +318,10 @@ def _show_error_of_map(session: Session, before: MapError, after: MapError, stat
     out = "mean" if direct else "shift and turn"
     own = "the axis's deviations" if direct else "the machine's own errors"
     known = stated is not None and not direct
-    expected = f" The last model's own uncertainty says {1e6 * (stated or 0.0):.2f} µm RMS (k = 1)." if known else ""
+    expected = f" The last model's own uncertainty says {quantity(stated or 0.0, 'm')} RMS (k = 1)." if known else ""
     console().print(
-        f"The {COMPARED[session.method]} is off the truth by {before.rms * 1e6:.2f} µm RMS with the first model and by "
-        f"{after.rms * 1e6:.2f} µm with the last ({out} taken out); {own} are {before.before * 1e6:.2f} µm RMS."
+        f"The {COMPARED[session.method]} is off the truth by {quantity(before.rms, 'm')} RMS with the first model and "
+        f"by {quantity(after.rms, 'm')} with the last ({out} taken out); {own} are {quantity(before.before, 'm')} RMS."
         f"{expected}\n"
     )
 

@@ -10,6 +10,7 @@ import click
 from machine_tool_calibration.cli.output import console, json_option, write_json
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.reports.documents import to_json
+from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.reports.tables import show_table
 
 if TYPE_CHECKING:
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
 
 __all__ = ["command"]
 
-_SHOWN = (("m", 1e6, "µm"), ("rad", 1e6, "µrad"), ("1/K", 1e6, "µm/(m K)"), ("m/s", 3.6e9, "µm/h"))
 METHODS = ("step_diagonal", "tracking_interferometer", "rotary_axis", "probing", "direct")
 
 HELP = """Simulate a measurement on a virtual machine.
@@ -168,25 +168,17 @@ def _show(summary: dict[str, Any], simulated: Simulated) -> None:
         f"{summary['method'].replace('_', ' ')}: {summary['observations']} readings{lost}{gross}, "
         f"{setups} ({', '.join(summary['setups'])}), seed {summary['seed']}"
     )
-    out.print(f"standard uncertainty of a reading {summary['standard_uncertainty'] * 1e6:.3g} µm")
+    out.print(f"declared standard uncertainty {quantity(summary['standard_uncertainty'], 'm')}")
     for chosen in simulated.truth.effects:
         extra = ", ".join(f"{key} {_short(value)}" for key, value in chosen.parameters.items())
-        size = _sized(chosen.size, chosen.flaw.unit)
+        size = quantity(chosen.size, chosen.flaw.unit)
         out.print(f"effect {chosen.flaw.id}: size {size}{f' ({extra})' if extra else ''}")
     if simulated.truth.effects:
-        out.print(f"the effects change the readings by up to {summary['amplitude'] * 1e6:.3g} µm")
+        out.print(f"the effects change the readings by up to {quantity(summary['amplitude'], 'm')}")
     else:
         out.print("no effect beyond the machine's own errors")
     out.print(f"written to {summary['folder']}: session.yaml, observations.csv, truth.json")
     out.print(f"next: mtcal identify {summary['folder']}")
-
-
-def _sized(value: float, unit: str) -> str:
-    """A size as people write it: micrometres, microradians, ppm a kelvin."""
-    for plain, factor, shown in _SHOWN:
-        if unit == plain and abs(value * factor) < 1e5:
-            return f"{value * factor:.4g} {shown}"
-    return f"{value:.4g}" + ("" if unit == "1" else f" {unit}")
 
 
 def _short(value: Any) -> str:
@@ -220,5 +212,5 @@ def _list(as_json: bool) -> None:
     out = console()
     presets = tuple((name, plan.method.replace("_", " ")) for name, plan in PRESETS.items())
     show_table(out, TextTable("Presets", ("preset", "method"), presets))
-    rows = tuple((flaw.id, flaw.formula, _sized(flaw.typical, flaw.unit)) for flaw in FLAWS.values())
+    rows = tuple((flaw.id, flaw.formula, quantity(flaw.typical, flaw.unit)) for flaw in FLAWS.values())
     show_table(out, TextTable("Effects", ("effect", "what it does", "typical size"), rows))

@@ -100,7 +100,7 @@ class Effect(ABC):
         start, and how warm the machine then was differs. Nonlinear coefficients (a time constant, a lead) are always
         one for all sessions.
         """
-        return self.setup_level or self.kind == "reading" or "time" in self.needs
+        return self.setup_level or self.kind == "reading" or "time" in (*self.needs, *self.covariates)
 
     def why_not(self, observations: Observations) -> str | None:
         """Why the effect cannot be looked for in these readings; None if it can."""
@@ -129,10 +129,14 @@ class Effect(ABC):
         """The coefficients; effects with one set a setup, or as many as their shape says, say here how many."""
         return self.coefficients
 
+    def shapes_for(self, observations: Observations) -> tuple[Shape, ...]:
+        """The nonlinear coefficients; effects whose units depend on what was recorded say here which."""
+        return self.shapes
+
     def meanings(self, observations: Observations) -> dict[str, str]:
         """What each coefficient is, by the name under which it is published."""
         linear = {c.name: c.meaning for c in self.coefficients_for(observations)}
-        named = linear | {s.name: s.meaning for s in self.shapes}
+        named = linear | {s.name: s.meaning for s in self.shapes_for(observations)}
         return {f"{self.id}.{name}": meaning for name, meaning in named.items()}
 
     def shape_grid(self, observations: Observations) -> list[tuple[float, ...]]:

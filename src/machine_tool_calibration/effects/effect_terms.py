@@ -66,7 +66,7 @@ def effect_term(
         _coefficient(effect, c, 0.0, not effect.of_session) for c in effect.coefficients_for(observations, shape)
     ]
     if size is not None:
-        for j, coefficient in enumerate(effect.shapes):
+        for j, coefficient in enumerate(effect.shapes_for(observations)):
             if coefficient.discrete:
                 continue
             step = _STEP * shape[j]

@@ -52,6 +52,17 @@ class Observations:
     def __len__(self) -> int:
         return len(self.readings)
 
+    @property
+    def timed(self) -> bool:
+        """Whether the readings' times were recorded."""
+        time = self.readings.columns.get("time")
+        return time is not None and bool(np.isfinite(time).all()) and float(np.ptp(time)) > 0.0
+
+    @property
+    def clock(self) -> Array:
+        """(n,) time of each reading, s; where none was recorded its number, as if they came at equal intervals."""
+        return self.readings.columns["time"] if self.timed else self.readings.row.astype(float)
+
     def span(self, axis: str) -> tuple[float, float]:
         """Lowest and highest position of a linear axis on which functions of its position are scaled, m.
 

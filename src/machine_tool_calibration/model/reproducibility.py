@@ -71,8 +71,7 @@ def reproducibility(observations: Observations) -> tuple[Family, ...]:
     """
     if observations.session.spec.reads_machine:
         return tuple(family for family in _of_direct(observations) if family.shapes.any())
-    time = _time(observations)
-    readings = observations.readings
+    time, readings = observations.clock, observations.readings
     # Readings are in the order of time, in whatever order they are given.
     order = np.argsort(time, kind="stable")
     keys = [readings.setup, readings.repeat]
@@ -86,15 +85,6 @@ def reproducibility(observations: Observations) -> tuple[Family, ...]:
     if not np.array_equal(run, mounting):
         families.append(Family("mounting", mounting, _smooth(time, mounting)))
     return tuple(family for family in families if family.shapes.any())
-
-
-def _time(observations: Observations) -> Array:
-    """Time, or the order of the readings where no time was recorded."""
-    readings = observations.readings
-    time = readings.columns.get("time")
-    if time is None or not np.isfinite(time).all() or np.ptp(time) == 0:
-        return np.arange(len(readings), dtype=float)
-    return time
 
 
 def _numbered(group: IntArray) -> IntArray:
@@ -130,13 +120,13 @@ def _of_direct(observations: Observations) -> Iterator[Family]:
     if len(moved) >= 2:
         readings = observations.readings
         run = groups(readings.setup, readings.repeat)
-        yield Family("run", run, _smooth(_time(observations), run))
+        yield Family("run", run, _smooth(observations.clock, run))
         yield from _rows(observations, moved)
         return
     group = _passes(observations, moved[0]) if moved else observations.run
     group = _numbered(group)
     if int(group.max(initial=-1)) + 1 >= _SEVERAL:
-        yield Family("pass", group, _smooth(_time(observations), group))
+        yield Family("pass", group, _smooth(observations.clock, group))
 
 
 def _rows(observations: Observations, moved: list[int]) -> Iterator[Family]:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from machine_tool_calibration.errors import CalibrationError
 
-__all__ = ["procedure_file"]
+__all__ = ["procedure_file", "shared_file"]
 
 _PACKAGE = "machine_tool_calibration"
 
@@ -29,6 +29,18 @@ def _shares() -> Iterator[Path]:
     for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
         if prefix:
             yield Path(prefix, "share", _PACKAGE)
+
+
+def shared_file(name: str) -> Path:
+    """A file of the package by its path below the package's share folder, such as `config/procedures/tracking_2d.yaml`.
+
+    Raises:
+        CalibrationError: it is not installed.
+    """
+    for share in _shares():
+        if (share / name).is_file():
+            return share / name
+    raise CalibrationError(f"the package's file {name} is not installed")
 
 
 def procedure_file(name: str) -> Path:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -142,13 +142,14 @@ def _covariate(diagnosis: Diagnosis) -> tuple[str, Array]:
     return name, known.get(name, np.arange(len(what), dtype=float))
 
 
-def _acts_through(diagnosis: Diagnosis, known: Iterable[str]) -> list[str]:
+def _acts_through(diagnosis: Diagnosis, known: Collection[str]) -> list[str]:
     """Covariates through which the first accepted effect acts, as it states itself."""
     first = diagnosis.accepted[0] if diagnosis.accepted else None
     effect = next((r.candidate.effect for r in diagnosis.ranked if r.name == first), None)
     if effect is None:
         return []
-    stated = effect.covariates or effect.needs
+    # Where no times were recorded the order of the readings serves.
+    stated = [name if name in known else name.replace("time", "order") for name in effect.covariates or effect.needs]
     # A direction of approach shows as the sign of the step along what the reading senses.
     along = [name for name in known if name.split(" along ")[0] in stated and " along " in name]
     return along or [name for name in known if name in stated]

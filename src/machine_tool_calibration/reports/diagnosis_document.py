@@ -140,10 +140,9 @@ def _parameters(ranked: Finding, change: Consequence | None) -> list[dict[str, A
         }
         for size in ranked.sizes
     ]
-    shapes = ranked.candidate.effect.shapes if ranked.candidate.effect is not None else ()
     out += [
         {"name": f"{name}.{shape.name}", "value": value, "standard_uncertainty": None, "unit": shape.unit}
-        for shape, value in zip(shapes, ranked.shape, strict=False)
+        for shape, value in zip(ranked.candidate.nonlinear, ranked.shape, strict=False)
         if not shape.discrete
     ]
     return out

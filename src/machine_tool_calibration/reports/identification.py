@@ -13,6 +13,7 @@ from machine_tool_calibration.reports.direct_deviations import direct_tables, sc
 from machine_tool_calibration.reports.quantities import (
     decimals,
     fixed,
+    micrometres,
     p_value,
     probability,
     quantity,
@@ -189,7 +190,7 @@ def show_profiles(screen: Console, document: Mapping[str, Any]) -> None:
         for heading in ("block", "ex", "ey", "ez"):
             table.add_column(heading, justify="right")
         for k, row in enumerate(rows):
-            table.add_row(str(k), *("-" if v is None else f"{v * 1e6:.3f}" for v in row))
+            table.add_row(str(k), *(micrometres(v) for v in row))
         screen.print(table)
 
 

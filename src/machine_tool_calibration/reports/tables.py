@@ -73,7 +73,11 @@ def _least(table: TextTable, k: int) -> int:
     longest = max(len(row[k]) for row in table.rows)
     words = (word for row in table.rows for word in row[k].split())
     text = longest if longest <= _UNBROKEN else min(max(len(word) for word in words), _UNBROKEN)
-    return max(text, *(len(word) for word in table.columns[k].split() or [""]), 1)
+    return max(text, *(len(line) for line in _folded(table.columns[k], 1).split("\n")), 1)
+
+
+def _folded(text: str, width: int) -> str:
+    return fill(text, width, break_long_words=False)
 
 
 def _show_part(screen: Console, table: TextTable, used: list[int]) -> None:
@@ -93,7 +97,7 @@ def _show_part(screen: Console, table: TextTable, used: list[int]) -> None:
     # rich cuts columns that must not break where the table is too wide: break headings first, then the longest texts.
     for narrow in (_HEAD, 1):
         if missing() > 0:
-            heads = {k: fill(table.columns[k], max(longest[k], narrow), break_long_words=False) for k in used}
+            heads = {k: _folded(table.columns[k], max(longest[k], narrow)) for k in used}
     lines = {k: max(len(line) for line in heads[k].split("\n")) for k in used}
     widths = _narrowed(
         [max(longest[k], lines[k]) for k in used],

@@ -112,7 +112,7 @@ def in_seconds(found: Diagnosis) -> set[str]:
     effects = {
         f.name
         for f in found.look.findings
-        if f.candidate.effect is not None and any(shape.unit == "s" for shape in f.candidate.effect.shapes)
+        if any("s" in c.unit.split("/") for c in (*f.candidate.nonlinear, *(s.coefficient for s in f.sizes)))
     }
     return effects | {s.covariate for s in found.look.structure if s.covariate == "time" or s.shape.endswith(" s")}
 
@@ -127,7 +127,20 @@ def test_without_times_nothing_is_told_in_seconds() -> None:
     waves = [s for s in found.look.structure if "period" in s.shape]
     assert waves[0].shape.endswith("readings")
     assert float(waves[0].shape.split()[-2]) == pytest.approx(17.0, rel=0.01)
-    assert "linear_drift" in found.excluded and "warmup_x" in found.excluded
+    # The readings count as if they came at equal intervals.
+    (rate,) = found.look.of("linear_drift").sizes
+    assert rate.coefficient.unit == "m"
+    assert [shape.unit for shape in found.look.of("warmup_x").candidate.nonlinear] == ["1"]
+    assert "station_drift" in found.excluded
+
+
+def test_warm_up_without_times_is_found_by_the_order_of_the_readings() -> None:
+    """A run by ISO 230-2, of which no program records the times."""
+    flaws = [FlawSpec(id="warmup_x", amplitude=8e-6, parameters={"tau": 160.0}), FlawSpec(id="backlash_x", size=1.5e-6)]
+    found = diagnose(with_columns(simulated("iso230_2", 23, flaws), without="time"), sets=19)
+    assert found.verdict == "missing_effect"
+    assert set(found.accepted) == {"warmup_x", "backlash_x"}
+    assert not in_seconds(found)
 
 
 def test_an_effect_that_would_leave_the_map_undetermined_is_refused_in_words(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.effects.effect import Coefficient, Effect
+from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape
 from machine_tool_calibration.residuals.pool import Pool
 
 __all__ = ["Candidate", "Shaped", "effect_candidates", "opposites", "shaped_at"]
@@ -42,6 +42,7 @@ class Candidate:
         name: an effect's id, or the name of a structure.
         shapes: one for each set of nonlinear coefficients that is tried.
         effect: the effect; None for a structure without a cause.
+        nonlinear: its nonlinear coefficients.
         equally: number of sets of nonlinear coefficients that are equally probable; more than are tried where the
             others were ruled out beforehand.
     """
@@ -49,6 +50,7 @@ class Candidate:
     name: str
     shapes: tuple[Shaped, ...]
     effect: Effect | None = None
+    nonlinear: tuple[Shape, ...] = ()
     equally: int = 0
 
     @property
@@ -75,7 +77,8 @@ def effect_candidates(pool: Pool, effects: Sequence[Effect]) -> tuple[list[Candi
             continue
         shaped = tuple(s for s in _shaped(pool, effect, reasons) if _acts(pool, s))
         if shaped:
-            found.append(Candidate(effect.id, shaped, effect))
+            acting = next(o for o, reason in zip(pool.observations, reasons, strict=True) if reason is None)
+            found.append(Candidate(effect.id, shaped, effect, effect.shapes_for(acting)))
         else:
             excluded[effect.id] = "no reading depends on it"
     return found, excluded

@@ -154,7 +154,7 @@ def finding_of(
     # Readings without any noise leave nothing.
     rest = max(1.0 - gain / squares, 1e-12) if squares > 0 else 1.0
     taken = basis_of(gram.inner, place).T @ gram.data[place, 0]
-    unknowns = basis.shape[1] + len(candidate.effect.shapes if candidate.effect is not None else ())
+    unknowns = basis.shape[1] + len(candidate.nonlinear)
     return Finding(
         candidate=candidate,
         shape=shaped.shape,

@@ -114,9 +114,7 @@ def _events(observations: Observations, residual: Array) -> list[Candidate]:
 
     Where no time was recorded, the order of the readings serves, and both are counts of readings.
     """
-    name, time = "time", observations.readings.columns.get("time")
-    if time is None or not np.isfinite(time).all() or np.ptp(time) <= 0:
-        name, time = "order", np.arange(len(observations), dtype=float)
+    name, time = "time" if observations.timed else "order", observations.clock
     if len(time) < _ENOUGH:
         return []
     moments = np.quantile(time, (np.arange(_MOMENTS) + 1.0) / (_MOMENTS + 1.0))

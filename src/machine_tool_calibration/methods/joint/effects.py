@@ -118,7 +118,7 @@ def _held(models: Sequence[MethodModel], effect: Effect, shape: tuple[float, ...
             f"the readings do not bound it: the effect is too small in them; held at {shape[k]:.3g} {c.unit}",
             effect.id,
         )
-        for k, c in enumerate(effect.shapes)
+        for k, c in enumerate(effect.shapes_for(models[0].observations))
         if not c.discrete
     )
     return [replace(model, left_out=(*model.left_out, *entries)) for model in models]
