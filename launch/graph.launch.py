@@ -4,7 +4,8 @@ ros2 launch machine_tool_calibration graph.launch.py procedure:=tracking_3d
 ros2 service call /procedure/start std_srvs/srv/Trigger
 ros2 service call /estimator/identify std_srvs/srv/Trigger
 
-`procedure` is the name of one that the package brings, or a YAML file. In a namespace the graph has its own clock.
+`procedure` is the name of one that the package brings, or a YAML file. In a namespace the graph has its own clock. The
+launch ends with the first node that the measurement cannot do without.
 """
 
 import time
@@ -13,11 +14,12 @@ from pathlib import Path
 import yaml
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction, Shutdown
 from launch.logging import launch_config
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
+from machine_tool_calibration.nodes.launching import switches, unknown_arguments
 from machine_tool_calibration.nodes.measurement import site_document
 from machine_tool_calibration.nodes.site import read_site
 from machine_tool_calibration.procedure import read_procedure
@@ -35,11 +37,22 @@ ARGUMENTS = {
     "record": ("true", "whether a recorder runs"),
     "bag": ("", "folder of the recording; empty: recording_<date>_<time>"),
 }
+OPTIONAL = ("estimator", "recorder")  # both can be started again: identify.launch.py
+
+
+def ends(event, context):
+    """What happens when a node ends by itself."""
+    name = event.action.node_name.rpartition("/")[2]
+    if context.is_shutdown:
+        return None
+    if name in OPTIONAL:
+        return LogInfo(msg=f"{name} has ended (status {event.returncode}); the other nodes go on without it")
+    return Shutdown(reason=f"{name} has ended (status {event.returncode}), and nothing can be measured without it")
 
 
 def nodes(context):
     given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
-    is_true = {name: given[name].lower() == "true" for name in ("use_sim_time", "axes", "pointer", "record")}
+    is_true = switches(given, ("use_sim_time", "axes", "pointer", "record"))
     procedure = Path(given["procedure"])
     if not procedure.suffix:
         procedure = Path(get_package_share_directory(PACKAGE), "config", "procedures", f"{procedure}.yaml")
@@ -68,7 +81,8 @@ def nodes(context):
     # /clock is absolute: without this two graphs in one domain would share it
     space = given["namespace"].strip("/")
     remappings = [("/clock", f"/{space}/clock")] if space else []
-    return [
+    unknown = [LogInfo(msg=text) for text in unknown_arguments(context.launch_configurations, ARGUMENTS)]
+    return unknown + [
         Node(
             package=PACKAGE,
             executable=name,
@@ -77,6 +91,7 @@ def nodes(context):
             parameters=[values],
             remappings=remappings,
             output="screen",
+            on_exit=ends,
         )
         for name, values in parameters.items()
         if name not in left_out

@@ -7,9 +7,11 @@ Beside a graph in simulated time, or a replay with a clock: use_sim_time:=true.
 """
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
+
+from machine_tool_calibration.nodes.launching import switches, unknown_arguments
 
 PACKAGE = "machine_tool_calibration"
 ARGUMENTS = {
@@ -20,9 +22,15 @@ ARGUMENTS = {
 }
 
 
+def ends(event, context):
+    """Each goes on without the other, and says so."""
+    name = event.action.node_name.rpartition("/")[2]
+    return None if context.is_shutdown else LogInfo(msg=f"{name} has ended (status {event.returncode})")
+
+
 def nodes(context):
     given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
-    common = {"use_sim_time": given["use_sim_time"].lower() == "true"}
+    common = switches(given, ("use_sim_time",))
     parameters = {
         "estimator": {**common, "model": given["model"]},
         "recorder": {**common, "folder": given["bag"]},
@@ -30,7 +38,8 @@ def nodes(context):
     # a graph in a namespace has its clock there too
     space = given["namespace"].strip("/")
     remappings = [("/clock", f"/{space}/clock")] if space else []
-    return [
+    unknown = [LogInfo(msg=text) for text in unknown_arguments(context.launch_configurations, ARGUMENTS)]
+    return unknown + [
         Node(
             package=PACKAGE,
             executable=name,
@@ -39,6 +48,7 @@ def nodes(context):
             parameters=[values],
             remappings=remappings,
             output="screen",
+            on_exit=ends,
         )
         for name, values in parameters.items()
     ]

@@ -46,6 +46,7 @@ _FIRST = (
     "nodes/test_commands.py",
     "planning/test_what_to_measure.py",
     "nodes/test_probe.py",
+    "nodes/test_hostile.py",
     "methods/joint/test_spread.py",
     "nodes/test_whole.py",
     "methods/rotary_axis/test_arrangements.py",

@@ -84,8 +84,8 @@ def test_run_in_a_namespace_without_recording(tmp_path, bench):
             ["run", "nothing"],
             "mtcal: nothing: no such file, and no procedure of that name; known are direct_iso230_2, probing_cross, ",
         ),
-        (["run", "nothing.yaml"], "mtcal: nothing.yaml: cannot be read: No such file or directory"),
-        (["run", "tracking_2d", "--site", "no.yaml"], "mtcal: no.yaml: cannot be read: No such file or directory"),
+        (["run", "nothing.yaml"], "mtcal: nothing.yaml: no such file"),
+        (["run", "tracking_2d", "--site", "no.yaml"], "mtcal: no.yaml: no such file"),
     ],
 )
 def test_what_is_wrong_is_said_in_one_line(tmp_path, monkeypatch, capsys, arguments, message):

@@ -9,7 +9,8 @@ import pytest
 
 from machine_tool_calibration.nodes.ros.process import default_environment
 
-SETTINGS = ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY", "ROS_LOG_DIR", "ROS_HOME")
+MIDDLEWARE = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE", "RMW_FASTRTPS_USE_QOS_FROM_XML")
+SETTINGS = ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY", "ROS_LOG_DIR", "ROS_HOME", *MIDDLEWARE)
 
 
 @pytest.fixture(autouse=True)
@@ -28,6 +29,18 @@ def test_discovery_stays_on_this_machine_unless_the_user_says_otherwise(monkeypa
     monkeypatch.setenv("ROS_LOCALHOST_ONLY", "0")
     default_environment()
     assert "ROS_AUTOMATIC_DISCOVERY_RANGE" not in os.environ
+
+
+def test_the_middleware_gives_memory_back_unless_it_is_set_up_by_the_user(monkeypatch: pytest.MonkeyPatch) -> None:
+    default_environment()
+    assert "<historyMemoryPolicy>DYNAMIC<" in Path(os.environ[MIDDLEWARE[0]]).read_text()
+    assert os.environ[MIDDLEWARE[2]] == "1"
+    for name in MIDDLEWARE:
+        for other in MIDDLEWARE:
+            monkeypatch.delenv(other, raising=False)
+        monkeypatch.setenv(name, "/home/user/own.xml")
+        default_environment()
+        assert {other: os.environ[other] for other in MIDDLEWARE if other in os.environ} == {name: "/home/user/own.xml"}
 
 
 def test_logs_stay_where_ros_puts_them(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -4,10 +4,11 @@ import ast
 import runpy
 import sys
 from pathlib import Path
-from unittest.mock import MagicMock
+from types import ModuleType, SimpleNamespace
 
 import pytest
 
+from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.measurement import NODES
 from machine_tool_calibration.nodes.site import read_site
 
@@ -27,36 +28,99 @@ def test_launch_files_compile_and_describe_a_launch(file):
             assert all(hasattr(module, alias.name) for alias in node.names)
 
 
+def test_every_node_has_an_executable():
+    scripts = {file.name for file in (LAUNCH.parent / "scripts" / "nodes").iterdir()}
+    assert set(NODES) <= scripts
+
+
+# --- what they do, with records in place of `launch`
+
+
+class Record:
+    """Of an action: its kind and what it was made with."""
+
+    def __init__(self, *arguments, **named):
+        self.arguments, self.named = arguments, named
+
+
+KINDS = ("LaunchDescription", "DeclareLaunchArgument", "LogInfo", "OpaqueFunction", "Shutdown", "Node")
+
+
 @pytest.fixture
-def graph_launch(monkeypatch, tmp_path):
-    """The launch file of the graph, run with stand-ins for `launch`; gives what `nodes` makes of arguments."""
-    parts = ("launch", "launch.actions", "launch.logging", "launch.substitutions", "launch_ros", "launch_ros.actions")
-    for name in parts:
-        monkeypatch.setitem(sys.modules, name, MagicMock())
-    sys.modules["launch.logging"].launch_config.log_dir = str(tmp_path)
-    content = runpy.run_path(str(LAUNCH / "graph.launch.py"))
+def launch(monkeypatch, tmp_path):
+    """Loads a launch file."""
+    (tmp_path / "log").mkdir()
+    made = {kind: type(kind, (Record,), {}) for kind in KINDS}
+    configuration = lambda name: SimpleNamespace(perform=lambda context: context.launch_configurations[name])  # noqa: E731
+    contents = {
+        "launch": {"LaunchDescription": made["LaunchDescription"]},
+        "launch.actions": made,
+        "launch.logging": {"launch_config": SimpleNamespace(log_dir=str(tmp_path / "log"))},
+        "launch.substitutions": {"LaunchConfiguration": configuration},
+        "launch_ros": {},
+        "launch_ros.actions": {"Node": made["Node"]},
+        "ament_index_python": {},
+        "ament_index_python.packages": {"get_package_share_directory": lambda name: str(LAUNCH.parent)},
+    }
+    for name, content in contents.items():
+        module = ModuleType(name)
+        vars(module).update(content)
+        monkeypatch.setitem(sys.modules, name, module)
 
-    def run(**arguments):
-        given = {name: default for name, (default, _) in content["ARGUMENTS"].items()} | arguments
-        configuration = sys.modules["launch.substitutions"].LaunchConfiguration
-        configuration.side_effect = lambda name: MagicMock(perform=lambda _: given[name])
-        content["nodes"](MagicMock())
-        return {call.kwargs["executable"]: call.kwargs for call in sys.modules["launch_ros.actions"].Node.mock_calls}
+    def load(file):
+        return runpy.run_path(str(LAUNCH / file))
 
-    return run
+    return load
 
 
-def test_what_is_simulated_stays_with_the_logs_of_the_launch(graph_launch, monkeypatch, tmp_path):
+def started(found, **given):
+    usual = {name: default for name, (default, _) in found["ARGUMENTS"].items()}
+    return found["nodes"](SimpleNamespace(launch_configurations={**usual, **given}))
+
+
+def test_what_is_simulated_stays_with_the_logs_of_the_launch(launch, monkeypatch, tmp_path):
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(elsewhere))
-    started = graph_launch(procedure=str(LAUNCH.parent / "config/procedures/tracking_2d.yaml"))
-    (parameters,) = started["instrument"]["parameters"]
-    assert parameters["site"] == str(tmp_path / "site.yaml")
+    (node,) = [node for node in started(launch("graph.launch.py")) if node.named["name"] == "instrument"]
+    (parameters,) = node.named["parameters"]
+    assert parameters["site"] == str(tmp_path / "log" / "site.yaml")
     assert read_site(parameters["site"]).machine.chain == "w-C-b-Y-X-Z-t"
     assert not list(elsewhere.iterdir())
 
 
-def test_every_node_has_an_executable():
-    scripts = {file.name for file in (LAUNCH.parent / "scripts" / "nodes").iterdir()}
-    assert set(NODES) <= scripts
+def test_switches_take_what_people_write_and_nothing_else(launch):
+    found = launch("graph.launch.py")
+    for record, count in (("1", 1), ("True", 1), ("on", 1), ("0", 0), ("no", 0)):
+        nodes = started(found, record=record, use_sim_time="1")
+        assert sum(node.named["name"] == "recorder" for node in nodes) == count
+        assert all(node.named["parameters"][0]["use_sim_time"] is True for node in nodes)
+    with pytest.raises(CalibrationError, match="record:=maybe is neither true nor false"):
+        started(found, record="maybe")
+    with pytest.raises(CalibrationError, match="use_sim_time:= is neither"):
+        started(launch("identify.launch.py"), use_sim_time="")
+
+
+def test_an_argument_that_there_is_not_is_said(launch):
+    first, *_ = started(launch("graph.launch.py"), recrod="1")
+    assert first.named["msg"] == "there is no argument 'recrod' (did you mean 'record'?)"
+
+
+@pytest.mark.parametrize(
+    ("file", "name", "ends"),
+    [
+        ("graph.launch.py", "instrument", True),
+        ("graph.launch.py", "procedure", True),
+        ("graph.launch.py", "axis_simulator", True),
+        ("graph.launch.py", "estimator", False),
+        ("graph.launch.py", "recorder", False),
+        ("identify.launch.py", "recorder", False),
+    ],
+)
+def test_a_launch_ends_with_a_node_that_is_needed_and_names_one_that_is_not(launch, file, name, ends):
+    (node,) = [node for node in started(launch(file)) if node.named["name"] == name]
+    event = SimpleNamespace(action=SimpleNamespace(node_name=f"/cell_1/{name}"), returncode=1)
+    done = node.named["on_exit"](event, SimpleNamespace(is_shutdown=False))
+    assert type(done).__name__ == ("Shutdown" if ends else "LogInfo")
+    assert f"{name} has ended (status 1)" in done.named["reason" if ends else "msg"]
+    assert node.named["on_exit"](event, SimpleNamespace(is_shutdown=True)) is None

@@ -96,7 +96,7 @@ def test_other_programs_keep_their_signals():
 
 WRONG = [
     ("procedure", {}, "the parameter procedure must name a procedure's YAML file"),
-    ("axis_simulator", {"site": "/nowhere.yaml"}, "/nowhere.yaml: cannot be read: No such file or directory"),
+    ("axis_simulator", {"site": "/nowhere.yaml"}, "/nowhere.yaml: no such file"),
     ("axis_simulator", {"publish_clock": True}, "parameter publish_clock needs use_sim_time: true"),
     ("axis_simulator", {"speed": -1.0}, "speed"),
     ("instrument", {"driver": "/nowhere.yaml"}, "/nowhere.yaml: no such file"),

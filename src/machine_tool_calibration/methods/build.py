@@ -9,10 +9,11 @@ import numpy as np
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import Rejected
+from machine_tool_calibration.session.catalogue import method_names, method_spec
 from machine_tool_calibration.session.method import load
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["build_model", "rejected_readings", "sharing_variant"]
+__all__ = ["build_model", "model_names", "rejected_readings", "sharing_variant"]
 
 
 class _Method(Protocol):
@@ -26,6 +27,13 @@ class _Method(Protocol):
 
 def _method(session: Session) -> _Method:
     return cast(_Method, load(session.spec.model))
+
+
+def model_names(method: str | None = None) -> tuple[str, ...]:
+    """Names of the models of a method, the default first; of all methods if None."""
+    chosen = method_names() if method is None else (method,)
+    offered = (cast(_Method, load(method_spec(name).model)).MODELS for name in chosen)
+    return tuple(dict.fromkeys(name for names in offered for name in names))
 
 
 def sharing_variant(session: Session, model: str | None) -> str | None:

@@ -13,7 +13,6 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, Quaternion
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
@@ -32,7 +31,8 @@ from machine_tool_calibration.nodes.ros.messages import (
     seconds,
     to_message,
 )
-from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run
+from machine_tool_calibration.nodes.ros.node import GuardedNode
+from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run_process
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.site import Moment, Site, read_site
 from machine_tool_calibration.procedure.motion import AxisLimits, Trajectory, check_command
@@ -41,9 +41,11 @@ from machine_tool_calibration.recording.graph import MACHINE
 __all__ = ["AxisSimulator", "main"]
 
 _HEARTBEAT = 0.2  # s of the wall clock
+_DAY = 86_400.0  # s
+_FARTHEST = 10 * _DAY  # a motion that ends later is a mistake, and simulated time would run out of its 32 bits
 
 
-class AxisSimulator(Node):
+class AxisSimulator(GuardedNode):
     """See the module; parameters are described where they are declared."""
 
     def __init__(self) -> None:
@@ -142,12 +144,18 @@ class AxisSimulator(Node):
         except CalibrationError as error:
             self._set_report(Level.ERROR, f"refused: {error}", state="refused")
             return
-        begin = max(self._now(), stamp)
+        present = self._now()
+        begin = max(present, stamp)
         since = seconds(begin - self._start)
         directions = self._motion.directions(since, self._directions)
         is_moving = any(self._motion.velocity(since).values())
         braking = self._motion.braked(since, self.limits) if is_moving else None
-        self._motion = Trajectory.through(self._motion.position(since), points, self.limits, braking)
+        motion = Trajectory.through(self._motion.position(since), points, self.limits, braking)
+        ends = seconds(begin - present) + motion.end
+        if ends > _FARTHEST:
+            self._set_report(Level.ERROR, f"refused: it would end {ends / _DAY:.0f} days from now", state="refused")
+            return
+        self._motion = motion
         # who measures the table commands it; all others need not hear of it at every target, only now and then
         self._turning = self.site.table_axis.lower() in message.joint_names
         self._directions, self._start = directions, begin
@@ -242,10 +250,10 @@ class AxisSimulator(Node):
         self._status.say(level, text, {**entries, "command": self._command, "epoch": self._epoch})
 
 
-def main(args: list[str] | None = None) -> int:
+def main(args: list[str] | None = None) -> None:
     """Run the node."""
-    return run(AxisSimulator, args, grace=STOP_GRACE)
+    run_process(AxisSimulator, args, grace=STOP_GRACE)
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    main()

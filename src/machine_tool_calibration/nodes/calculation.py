@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -36,6 +36,7 @@ __all__ = [
     "diagnosed",
     "identified",
     "improved",
+    "own_effects",
 ]
 
 
@@ -82,14 +83,22 @@ class Request:
         return collector.session("live readings")
 
     def own(self) -> list[Effect]:
-        """The user's own effects.
+        """The user's own effects: see `own_effects`."""
+        return own_effects(self.files)
 
-        Raises:
-            CalibrationError: a file cannot be read, or an effect is wrong.
-        """
-        from machine_tool_calibration.effects.formula import read_effects  # loads pint, for few
 
-        return [effect for file in self.files for effect in read_effects(Path(file))]
+def own_effects(files: Iterable[str]) -> list[Effect]:
+    """The effects that files describe; empty names are passed over.
+
+    Raises:
+        CalibrationError: a file cannot be read, or an effect is wrong.
+    """
+    named = [Path(file) for file in files if file]
+    if not named:
+        return []
+    from machine_tool_calibration.effects.formula import read_effects  # loads pint, for few
+
+    return [effect for file in named for effect in read_effects(file)]
 
 
 @dataclass(frozen=True)

@@ -7,19 +7,20 @@ calculations run in a thread of their own; readings go on being collected meanwh
 from __future__ import annotations
 
 import json
-import os
-import sys
+import math
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from machine_tool_calibration.effects.catalogue import find_effects
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.methods.build import model_names
 from machine_tool_calibration.nodes.calculation import (
     Diagnosed,
     Identified,
@@ -30,32 +31,39 @@ from machine_tool_calibration.nodes.calculation import (
     diagnosed,
     identified,
     improved,
+    own_effects,
 )
 from machine_tool_calibration.nodes.publications import Publications, in_words
 from machine_tool_calibration.nodes.ros.messages import LATCHED, READINGS, Level, from_message
 from machine_tool_calibration.nodes.ros.names import OwnPublisher, offer
-from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run
+from machine_tool_calibration.nodes.ros.node import GuardedNode
+from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run_process
 from machine_tool_calibration.nodes.ros.services import Answer, Background, Progress
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.reports.quantities import micrometres
+from machine_tool_calibration.session.collect import READING_INDEX
+from machine_tool_calibration.session.parse import parse_description
 
 __all__ = ["Estimator", "main"]
 
 Outcome = TypeVar("Outcome")
 
 _SAME_SESSION = 1_000_000  # ns: rounding of a reading's time
+_MOST = 10_000_000  # readings of a session
 _PERIOD = 0.2  # s between publications of the count of readings
 
 
-class Estimator(Node):
+class Estimator(GuardedNode):
     """See the module; parameters are described where they are declared."""
 
     def __init__(self) -> None:
         super().__init__("estimator")
-        self._declare()
         self._text = ""
+        self._declare()
         self._messages: dict[int, Reading] = {}
         self._origin: int | None = None
+        self._indices: set[int] = set()
+        self._resets = 0
         self.background = Background(self)
         self._last, self._level = "no identification yet", Level.OK
         self._shown: object = None
@@ -78,6 +86,13 @@ class Estimator(Node):
     def _declare(self) -> None:
         declare(
             self,
+            "effects_files",
+            [""],
+            "YAML files with effects of the user's own, by formula; they are looked for beside the catalogue",
+            read_only=False,
+        )
+        declare(
+            self,
             "model",
             "",
             "variant of the method's model, such as free or rigid_body; empty: the method's default",
@@ -88,13 +103,6 @@ class Estimator(Node):
             "effects",
             [""],
             "ids of physical effects in the model; estimator/improve adds those that it finds",
-            read_only=False,
-        )
-        declare(
-            self,
-            "effects_files",
-            [""],
-            "YAML files with effects of the user's own, by formula; they are looked for beside the catalogue",
             read_only=False,
         )
         declare(self, "seed", 1, "of a diagnosis's simulated data sets", low=0, high=2**31 - 1, read_only=False)
@@ -115,22 +123,57 @@ class Estimator(Node):
         """The node ends."""
         self.background.stop()
 
+    def check_parameters(self, wanted: Mapping[str, Any]) -> None:
+        """See `GuardedNode`: the effects must exist, and a method must have the model."""
+        if wanted.get("model"):
+            method = parse_description(self._text, "session").method if self._text else None
+            known = model_names(method)
+            if wanted["model"] not in known:
+                raise CalibrationError(f"unknown model {wanted['model']!r}; known are {', '.join(known)}")
+        if "effects" in wanted or "effects_files" in wanted:
+            effects, files = (
+                wanted[name] if name in wanted else self.get_parameter_or(name).value
+                for name in ("effects", "effects_files")
+            )
+            find_effects([name for name in effects or () if name], own_effects(files or ()))
+
     def _described(self, message: String) -> None:
+        parse_description(message.data, "session")  # refused here, and not at the next request
         self._text = message.data
 
     def _read(self, message: JointState) -> None:
         stamp, names, values = from_message(message.header.stamp), list(message.name), list(message.position)
-        time = values[names.index("time")] if "time" in names else 0.0
-        origin = stamp - round(time * 1e9)  # start of the session that it belongs to: the same for all its readings
-        if self._origin is None or abs(origin - self._origin) > _SAME_SESSION:
-            self._messages.clear()  # another session has begun
+        columns = dict(zip(names, values, strict=True))
+        time, index = columns.get("time", math.nan), columns.get(READING_INDEX, math.nan)
+        if not (math.isnan(index) or (0 <= index < _MOST and index == int(index))):
+            raise CalibrationError(f"{READING_INDEX} is {index:g}")
+        if math.isfinite(time):
+            # start of the session that it belongs to: the same for all its readings
+            origin = stamp - round(time * 1e9)
+            if origin < -_SAME_SESSION:
+                raise CalibrationError(f"its time, {time:g} s, does not suit its stamp")
+            if self._origin is not None and abs(origin - self._origin) > _SAME_SESSION:
+                self.get_logger().info(f"another session has begun; {len(self._messages)} readings forgotten")
+                self._forget()
             self._origin = origin
         self._messages[stamp] = Reading(message.header.frame_id, names, values)
+        if not math.isnan(index):
+            self._indices.add(int(index))
+
+    def _forget(self) -> None:
+        self._messages.clear()
+        self._indices.clear()
+        self._origin = None
+
+    @property
+    def _missing(self) -> int:
+        """Readings of the session that never came, as far as those that came tell."""
+        return max(self._indices) + 1 - len(self._indices) if self._indices else 0
 
     def _reset(self, answer: Answer) -> None:
         answer.send(True, f"{len(self._messages)} readings forgotten")
-        self._messages.clear()
-        self._origin = None
+        self._forget()
+        self._resets += 1
         self._show()
 
     def _offer(
@@ -157,7 +200,7 @@ class Estimator(Node):
             if not self._text:
                 answer.send(False, "no session has been described yet (topic session)")
                 return
-            request = self._request()
+            request, missing = self._request(), self._missing
 
             def finish(outcome: Outcome | str) -> None:
                 if isinstance(outcome, str):
@@ -166,7 +209,7 @@ class Estimator(Node):
                 else:
                     words, content = done(outcome)
                     self._last, self._level = words, Level.OK
-                    answer.send(True, json.dumps(content, allow_nan=False, ensure_ascii=False))
+                    answer.send(True, json.dumps({**content, "missing": missing}, allow_nan=False, ensure_ascii=False))
                 self._show()
 
             self.background.start(
@@ -245,35 +288,30 @@ class Estimator(Node):
         background = self.background
         entries = {
             "readings": len(self._messages),
+            "missing": self._missing,
+            "resets": self._resets,
             "session": "described" if self._text else "unknown",
             "busy": background.busy,
             "step": background.step,
             "progress": f"{background.share:.2f}",
         }
         words = background.doing or self._last
+        if self._missing:
+            first = "the first " if min(self._indices) == self._missing else ""
+            words += f"; {first}{self._missing} of {max(self._indices) + 1} readings are missing"
         if (entries, words) == self._shown:
             return
         self._shown = (entries, words)
         level = Level.OK if background.busy else self._level
+        if self._missing:
+            level = max(level, Level.WARN)
         self._status.say(level, words, entries)
 
 
-def main(args: list[str] | None = None) -> int:
+def main(args: list[str] | None = None) -> None:
     """Run the node."""
-    made: list[Estimator] = []
-
-    def create() -> Estimator:
-        made.append(Estimator())
-        return made[-1]
-
-    status = run(create, args, grace=STOP_GRACE)
-    if made and made[0].background.busy:
-        # All is closed. The interpreter would wait for, or trip over, a calculation that nobody wants any more.
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(status)
-    return status
+    run_process(Estimator, args, grace=STOP_GRACE)
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    main()

@@ -21,7 +21,6 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, String
@@ -45,7 +44,8 @@ from machine_tool_calibration.nodes.ros.messages import (
     to_message,
 )
 from machine_tool_calibration.nodes.ros.names import OwnPublisher, offer
-from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run
+from machine_tool_calibration.nodes.ros.node import GuardedNode
+from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run_process
 from machine_tool_calibration.nodes.ros.services import Answer
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.samples import DriverSource, SimulatedSource, clock_offset
@@ -65,7 +65,7 @@ class _Request:
     since: float
 
 
-class Instrument(Node):
+class Instrument(GuardedNode):
     """See the module; parameters are described where they are declared."""
 
     def __init__(self) -> None:
@@ -220,10 +220,7 @@ class Instrument(Node):
     # --- what the simulated axes and pointer say
 
     def _described(self, message: String) -> None:
-        try:
-            session = parse_description(message.data, "session")
-        except CalibrationError:
-            return
+        session = parse_description(message.data, "session")
         self._setups = [setup.id for setup in session.setups]
         try:
             self._simulated.look_at(make_optics(self._site, session))
@@ -436,10 +433,10 @@ def _refuse(answer: Answer, kind: str, reason: str) -> None:
     answer.send(False, json.dumps({"kind": kind, "reason": reason}))
 
 
-def main(args: list[str] | None = None) -> int:
+def main(args: list[str] | None = None) -> None:
     """Run the node."""
-    return run(Instrument, args, grace=STOP_GRACE)
+    run_process(Instrument, args, grace=STOP_GRACE)
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    main()

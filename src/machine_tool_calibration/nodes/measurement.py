@@ -32,6 +32,7 @@ __all__ = ["NODES", "Measured", "Progress", "Setting", "free_folder", "measure",
 NODES = ("axis_simulator", "rotary_pointer", "instrument", "probe", "estimator", "procedure", "recorder")
 _START = 120.0  # s until all nodes have found each other, on a slow machine
 _IDENTIFY = 600.0
+_GONE = 5.0  # s; discovery forgets a node that was killed after some 20 s, and may blink
 # what takes no time, on a machine that has none: reached only in a failure
 _COLLECT = 60.0
 _CLOSE = 40.0  # longer than the recorder gives itself to close its file
@@ -151,9 +152,15 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
                 _run(operator, total, progress)
                 measured = time.monotonic() - started
                 document = _identify(operator, setting, total, progress) if setting.identify else None
-            except (CalibrationError, KeyboardInterrupt):
-                _save(operator, output)  # what was measured until then
+            except KeyboardInterrupt:
+                _save(operator, output)
                 raise
+            except CalibrationError as error:
+                kept = _save(operator, output)
+                if kept is None:
+                    raise
+                count = len(kept.readings)
+                raise CalibrationError(f"{error}; {count} readings are kept in {output / 'session'}") from error
             progress("closing the recording", total, total)
             graph.stop(["recorder"])
             session = _save(operator, output)
@@ -240,8 +247,14 @@ def _await_ready(operator: Operator, names: Sequence[str]) -> None:
 
 def _run(operator: Operator, total: int, progress: Progress) -> None:
     operator.call("procedure/start", _COLLECT)
+    seen = time.monotonic()
 
     def over() -> bool:
+        nonlocal seen
+        if operator.has_node("procedure"):
+            seen = time.monotonic()
+        elif time.monotonic() - seen > _GONE:  # started elsewhere: its process cannot be watched
+            raise CalibrationError("the procedure has ended in the middle of the measurement")
         status = operator.procedure
         progress(status.message, status.number("captured"), total)
         return status.entries.get("state") in ("finished", "error", "aborted")
@@ -262,7 +275,11 @@ def _identify(operator: Operator, setting: Setting, total: int, progress: Progre
 
     def collected() -> bool:  # the description may come later than the readings
         status = operator.estimator
-        return status.number("readings") >= total and status.entries.get("session") == "described"
+        has = status.number("readings")
+        if status.number("resets") and has < total and (not has or has + status.number("missing") >= total):
+            lost = f"{total - has} of {total} readings are lost"
+            raise CalibrationError(f"estimator/reset was called during the measurement: {lost} to the estimator")
+        return has >= total and status.entries.get("session") == "described"
 
     if not operator.wait(collected, _COLLECT):
         raise CalibrationError(f"the estimator has {operator.estimator.number('readings')} of {total} readings")

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.client import Client
 from rclpy.context import Context
@@ -17,6 +17,7 @@ from std_srvs.srv import Trigger
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.ros.messages import LATCHED, READINGS, values
+from machine_tool_calibration.nodes.ros.node import GuardedNode
 from machine_tool_calibration.nodes.ros.process import default_environment
 
 __all__ = ["Operator", "Status"]
@@ -38,8 +39,9 @@ class Status:
     entries: dict[str, str] = field(default_factory=dict)
 
     def number(self, key: str) -> int:
-        """A count among the values; 0 where it is missing."""
-        return int(self.entries.get(key, "0") or 0)
+        """A count among the values; 0 where it is missing or none."""
+        text = self.entries.get(key, "")
+        return int(text) if re.fullmatch("[0-9]{1,18}", text) else 0
 
 
 class Operator:
@@ -56,7 +58,7 @@ class Operator:
         self._watch = watch
         self._context = Context()
         self._context.init(domain_id=domain)
-        self._node = rclpy.create_node(
+        self._node = GuardedNode(
             f"mtcal_{int(time.monotonic() * 1e3) % 1_000_000}", context=self._context, namespace=namespace or None
         )
         self._executor = EventsExecutor(context=self._context)

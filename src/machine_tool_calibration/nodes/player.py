@@ -7,7 +7,6 @@ subscriber loses nothing at full speed either.
 
 from __future__ import annotations
 
-import sys
 import time
 from collections import deque
 from collections.abc import Iterator
@@ -17,7 +16,6 @@ from pathlib import Path
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
-from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock as ClockMessage
@@ -26,7 +24,8 @@ from std_srvs.srv import Trigger
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.ros.messages import LATCHED, Level, to_message
 from machine_tool_calibration.nodes.ros.names import OwnPublisher, offer
-from machine_tool_calibration.nodes.ros.process import declare, run
+from machine_tool_calibration.nodes.ros.node import GuardedNode
+from machine_tool_calibration.nodes.ros.process import declare, run_process
 from machine_tool_calibration.nodes.ros.services import Answer
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.ros.taps import message_class
@@ -82,7 +81,7 @@ _AT_ONCE = 500  # messages, so that services are answered in between
 _SHOW = 0.2  # s
 _ACKNOWLEDGE = Duration(seconds=2.0)
 _LEAST_DEPTH = 100
-_NEVER = ("/rosout", "/parameter_events", "/diagnostics")
+_NEVER = ("/rosout", "/parameter_events")
 
 
 @dataclass
@@ -109,7 +108,7 @@ class _Outlet:
         self.unacknowledged = 0
 
 
-class Player(Node):
+class Player(GuardedNode):
     """See the module; says on `player/status` where it stands."""
 
     def __init__(self) -> None:
@@ -355,10 +354,10 @@ def _profile(offered: Qos) -> QoSProfile:
     )
 
 
-def main(args: list[str] | None = None) -> int:
+def main(args: list[str] | None = None) -> None:
     """Entry point of the executable `player`."""
-    return run(Player, args)
+    run_process(Player, args)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

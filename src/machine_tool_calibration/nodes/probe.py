@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -36,12 +35,15 @@ from machine_tool_calibration.nodes.ros.messages import (
     from_message,
     nanoseconds,
     now,
+    positions,
     seconds,
+    stamp_among,
     to_message,
     values,
 )
 from machine_tool_calibration.nodes.ros.names import OwnPublisher
-from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run
+from machine_tool_calibration.nodes.ros.node import GuardedNode
+from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run_process
 from machine_tool_calibration.nodes.ros.services import Answer, DeferredService
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.site import Site, read_site
@@ -145,7 +147,7 @@ class _Cycle:
     moment: int
 
 
-class Probe(Node):
+class Probe(GuardedNode):
     """See the module; parameters are described where they are declared."""
 
     def __init__(self) -> None:
@@ -249,6 +251,9 @@ class Probe(Node):
         self._form: float = declare(
             self, "form", 3e-6, "standard deviation of the simulated part's form errors", unit="m", low=0.0, high=0.01
         )
+        self._moves: bool = declare(
+            self, "services_move_axes", True, "whether instrument/capture is carried out; false: it is refused"
+        )
         self._noise_seed: int = declare(
             self, "noise_seed", 0, "makes another run of the same site's noise", low=0, high=2**31
         )
@@ -265,10 +270,7 @@ class Probe(Node):
     # --- what the others say
 
     def _described(self, message: String) -> None:
-        try:
-            description = parse_description(message.data, "session")
-        except CalibrationError:
-            description = None
+        description = parse_description(message.data, "session")
         if isinstance(description, Probing):
             self._part = Part(description)
             self._surface = SimulatedPart(self._site, self._part, self._form, self._pretravel)
@@ -278,7 +280,7 @@ class Probe(Node):
         self._show()
 
     def _moved(self, message: JointState) -> None:
-        self._axes = dict(zip(message.name, message.position, strict=True))
+        self._axes = positions(message)
         stamp = self._axes_stamp = from_message(message.header.stamp)
         if self._answers:
             self._try_to_begin()
@@ -290,21 +292,25 @@ class Probe(Node):
 
     def _axes_status(self, message: DiagnosticArray) -> None:
         entries = values(message)
-        if entries.get("epoch", "") != self._epoch:  # the axes started anew, and simulated time with them
-            self._epoch, self._held, self._floor = entries.get("epoch", ""), 0, 0
-        if entries.get("state") == "arrived":
-            self._held = max(self._held, int(entries["held"]))
-        elif entries.get("state") == "moving":
-            self._held = max(self._held, from_message(message.header.stamp))
+        state, epoch = entries.get("state", ""), entries.get("epoch", "")
+        command = stamp_among(entries, "command") if state in ("arrived", "refused") else 0
+        held = 0
+        if state == "arrived":
+            held = stamp_among(entries, "held")
+        elif state == "moving":
+            held = from_message(message.header.stamp)
+        if epoch != self._epoch:  # the axes started anew, and simulated time with them
+            self._epoch, self._held, self._floor = epoch, 0, 0
+        self._held = max(self._held, held)
         cycle = self._cycle
-        if cycle is None or int(entries.get("command", 0)) != cycle.command:
+        if cycle is None or command != cycle.command:
             return
-        if entries["state"] == "refused":
+        if state == "refused":
             self._cycle = None
             self._refuse(f"axes: {message.status[0].message}")
-        elif entries["state"] == "arrived":
-            self._floor = max(self._floor, int(entries["held"]))
-            self._finish(cycle, int(entries["held"]))
+        elif state == "arrived":
+            self._floor = max(self._floor, held)
+            self._finish(cycle, held)
 
     # --- a touch
 
@@ -313,6 +319,9 @@ class Probe(Node):
         answer.send(True, json.dumps({"datum": "", "stamp": stamp, "start": stamp, "end": stamp, "inputs": {}}))
 
     def _requested(self, answer: Answer) -> None:
+        if not self._moves:
+            answer.send(False, json.dumps({"kind": "other", "reason": "services_move_axes is false"}))
+            return
         # Asked again while a touch is under way: its answer is for all who ask.
         self._answers.append(answer)
         self._try_to_begin()
@@ -457,10 +466,10 @@ class Probe(Node):
             self._sensors[name].publish(message)
 
 
-def main(args: list[str] | None = None) -> int:
+def main(args: list[str] | None = None) -> None:
     """Run the node."""
-    return run(Probe, args, grace=STOP_GRACE)
+    run_process(Probe, args, grace=STOP_GRACE)
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    main()

@@ -1,5 +1,6 @@
-"""Runs a measurement procedure: commands the axes and the pointer, takes readings, and publishes each with the commands
-and the environment that it belongs to.
+"""Runs a measurement procedure: commands the axes and the pointer, takes readings and publishes them.
+
+Each is published with the commands and the environment that it belongs to.
 
 What happens next is decided by `procedure.sequencer`; this node carries messages. It starts, pauses, resumes and aborts
 on request, and states what it waits for. Deadlines run on the wall clock, so that a partner that has died ends in a
@@ -8,7 +9,6 @@ clear state in simulated time too.
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable
 from functools import partial
@@ -17,13 +17,13 @@ from pathlib import Path
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.nodes.answers import event_of
 from machine_tool_calibration.nodes.environment import EnvironmentWatch
 from machine_tool_calibration.nodes.ros.messages import (
     COMMAND,
@@ -34,11 +34,14 @@ from machine_tool_calibration.nodes.ros.messages import (
     duration_message,
     from_message,
     now,
+    positions,
+    stamp_among,
     to_message,
     values,
 )
 from machine_tool_calibration.nodes.ros.names import OwnPublisher, offer
-from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run
+from machine_tool_calibration.nodes.ros.node import GuardedNode
+from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run_process
 from machine_tool_calibration.nodes.ros.services import Answer
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.setups import setup_named, target_message
@@ -49,9 +52,6 @@ from machine_tool_calibration.procedure.events import (
     Aimed,
     Arrived,
     Capture,
-    Captured,
-    CaptureFailed,
-    DatumSet,
     Emit,
     Event,
     Motion,
@@ -70,7 +70,7 @@ _TICK = 0.1  # s of the wall clock
 _LEVELS = {State.ERROR: Level.ERROR, State.ABORTED: Level.WARN, State.PAUSED: Level.WARN}
 
 
-class ProcedureNode(Node):
+class ProcedureNode(GuardedNode):
     """See the module; parameters are described where they are declared."""
 
     def __init__(self) -> None:
@@ -154,9 +154,18 @@ class ProcedureNode(Node):
             low=0.1,
             high=1e5,
         )
+        self._moves: bool = declare(
+            self,
+            "services_move_axes",
+            True,
+            "whether procedure/start and procedure/resume are carried out; false: they are refused",
+        )
         self.sequencer = Sequencer(plan(read_procedure(Path(file))), timing)
         self._setups = [setup.id for setup in self.sequencer.plan.procedure.session.setups]
         self._environment = EnvironmentWatch(self, maximum_age)
+        self._starts_with_clock = False
+        self._resets: int | None = None
+        self._remark = ""
         self._here: dict[str, float] | None = None
         self._motion: Motion | None = None
         self._seen: set[str] = set()
@@ -178,13 +187,14 @@ class ProcedureNode(Node):
         self._joints = self.create_subscription(JointState, "joint_states", self._joint_states, STATE)
         self.create_subscription(JointState, "pointer/state", self._pointer_state, STATE)
         self.create_subscription(DiagnosticArray, "instrument/status", self._instrument_status, LATCHED)
+        self.create_subscription(DiagnosticArray, "estimator/status", self._estimator_status, LATCHED)
         for name, handler in (
             ("start", self._start),
             ("pause", self._pause),
             ("resume", self._resume),
             ("abort", self._abort),
         ):
-            offer(self, "procedure", name, Trigger, partial(_answer, handler))
+            offer(self, "procedure", name, Trigger, partial(_answer_by, handler))
         self.create_timer(_TICK, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._publish_session()
         self._show()
@@ -192,8 +202,13 @@ class ProcedureNode(Node):
     # --- requests of people
 
     def _start(self) -> str:
+        self._require_moves()
         if self.sequencer.state in (State.RUNNING, State.PAUSED, State.ERROR):
             raise CalibrationError(f"the procedure is {self.sequencer.state}; abort it first")
+        self._starts_with_clock = not now(self)
+        if self._starts_with_clock:  # times would count from 1970
+            return "it starts with the first /clock"
+        self._remark = ""
         if self.sequencer.done:  # the readings of the last run must not pass for this one's
             self.destroy_publisher(self._readings)
             self._readings = self.create_publisher(JointState, "reading", READINGS)
@@ -213,35 +228,41 @@ class ProcedureNode(Node):
         return f"paused after {self.sequencer.done} readings"
 
     def _resume(self) -> str:
+        self._require_moves()
         if self.sequencer.state not in (State.PAUSED, State.ERROR):
             raise CalibrationError(f"the procedure is {self.sequencer.state}, neither paused nor in error")
         self._carry_out(self.sequencer.resume(now(self), time.monotonic()))
         return f"resumed at reading {self.sequencer.done}"
 
     def _abort(self) -> str:
+        if self._starts_with_clock:
+            self._starts_with_clock = False
+            return "it does not start"
         if self.sequencer.state not in (State.RUNNING, State.PAUSED, State.ERROR):
             raise CalibrationError(f"the procedure is {self.sequencer.state}; there is nothing to abort")
         self._carry_out(self.sequencer.abort(now(self)))
         return f"aborted after {self.sequencer.done} readings"
 
+    def _require_moves(self) -> None:
+        if not self._moves:
+            raise CalibrationError("services_move_axes is false: no service moves the axes")
+
     # --- what the partners say
 
     def _axes_status(self, message: DiagnosticArray) -> None:
-        self._seen.add("axes")
         entries = values(message)
-        if self._arrival_source != "status" or "state" not in entries:
-            return
-        command = int(entries.get("command", 0))
-        if entries["state"] == "arrived":
-            event: Event = Arrived(command, int(entries["arrived"]), int(entries["held"]), entries.get("epoch", ""))
-        elif entries["state"] == "refused":
-            event = Refused(command, message.status[0].message)
-        else:
-            return
-        self._hear(event)
+        event: Event | None = None
+        if self._arrival_source == "status" and entries.get("state") == "arrived":
+            command, arrived, held = (stamp_among(entries, key) for key in ("command", "arrived", "held"))
+            event = Arrived(command, arrived, held, entries.get("epoch", ""))
+        elif self._arrival_source == "status" and entries.get("state") == "refused":
+            event = Refused(stamp_among(entries, "command"), message.status[0].message)
+        self._seen.add("axes")
+        if event is not None:
+            self._hear(event)
 
     def _joint_states(self, message: JointState) -> None:
-        self._here = dict(zip(message.name, message.position, strict=True))
+        self._here = positions(message)
         motion = self._motion
         if self._arrival_source != "joint_states" or motion is None:
             return
@@ -256,8 +277,10 @@ class ProcedureNode(Node):
             self._hear(Arrived(motion.stamp, stamp, stamp))
 
     def _pointer_state(self, message: JointState) -> None:
+        angles = positions(message)
+        if "azimuth" not in angles:
+            raise CalibrationError("it has no azimuth")
         self._seen.add("pointer")
-        angles = dict(zip(message.name, message.position, strict=True))
         stamp = from_message(message.header.stamp)
         setup = setup_named(message, self._setups)
         self._hear(Aimed(setup, angles["azimuth"], angles.get("elevation", 0.0), stamp))
@@ -268,37 +291,27 @@ class ProcedureNode(Node):
         else:
             self._seen.add("instrument")
 
+    def _estimator_status(self, message: DiagnosticArray) -> None:
+        """An estimator that forgets readings in the middle of a run would only be found out at its end."""
+        resets = int(values(message).get("resets", "0"))
+        before, self._resets = self._resets, resets
+        if before is not None and resets > before and self.sequencer.state in (State.RUNNING, State.PAUSED):
+            self._remark = f"estimator/reset after {self.sequencer.done} readings: the estimator has lost them"
+            self.get_logger().warning(self._remark)
+            self._show()
+
     def _answer(self, token: int, response: Trigger.Response | None, *, is_datum: bool) -> None:
         if response is None:
             return
-        try:
-            document = json.loads(response.message)
-            if not response.success:
-                self._hear(CaptureFailed(token, document["kind"], document["reason"]))
-            elif is_datum:
-                self._hear(DatumSet(token, document["datum"], document["start"], document["inputs"]))
-            else:
-                stamp = document["stamp"]
-                self._hear(
-                    Captured(
-                        token=token,
-                        stamp=stamp,
-                        start=document["start"],
-                        end=document["end"],
-                        displacement=float(document["displacement"]),
-                        datum=document["datum"],
-                        columns=self._environment.at(stamp) | document["environment"],
-                        inputs=document["inputs"],
-                    )
-                )
-        except (ValueError, KeyError, TypeError) as error:
-            reason = f"not an answer of an instrument: {response.message[:80]!r} ({type(error).__name__})"
-            self._hear(CaptureFailed(token, "other", reason))
+        sensed = self._environment.at
+        self._hear(event_of(token, response.success, response.message, is_datum=is_datum, sensed=sensed))
 
     def _hear(self, event: Event) -> None:
         self._carry_out(self.sequencer.handle(event, now(self), time.monotonic()))
 
     def _tick(self) -> None:
+        if self._starts_with_clock and now(self):
+            self._start()
         self._carry_out(self.sequencer.tick(now(self), time.monotonic()))
         self._show()
 
@@ -314,6 +327,7 @@ class ProcedureNode(Node):
                 case Stop():
                     message = JointTrajectory()
                     message.header.stamp = to_message(action.stamp)
+                    message.header.frame_id = MACHINE
                     self._axes.publish(message)
                 case Aim():
                     self._pointer.publish(target_message(action, self._setups))
@@ -339,6 +353,8 @@ class ProcedureNode(Node):
         aims = any(step.aim is not None and step.points for step in self.sequencer.plan.steps[:1])
         needed = ("axes", "pointer", "instrument") if aims else ("axes", "instrument")
         missing = [name for name in needed if name not in self._seen]
+        if not now(self):
+            missing.append("/clock")
         if "instrument" not in missing and not (self._capture.service_is_ready() and self._datum.service_is_ready()):
             missing.append("instrument")
         return ", ".join(missing)
@@ -364,14 +380,16 @@ class ProcedureNode(Node):
         text = sequencer.message
         if waiting and sequencer.state in (State.RUNNING, State.IDLE):
             text = sequencer.reason or f"waiting for {waiting}"
+        if self._remark:
+            text = f"{text}; {self._remark}"
         if (text, entries) == self._shown:
             return
         self._shown = (text, entries)
-        level = _LEVELS.get(sequencer.state, Level.WARN if waiting else Level.OK)
+        level = _LEVELS.get(sequencer.state, Level.WARN if waiting or self._remark else Level.OK)
         self._status.say(level, text, entries)
 
 
-def _answer(handler: Callable[[], str], answer: Answer) -> None:
+def _answer_by(handler: Callable[[], str], answer: Answer) -> None:
     """Answer a request by a function that says what it did or raises what it cannot do."""
     try:
         answer.send(True, handler())
@@ -406,10 +424,10 @@ def _reading(emit: Emit) -> JointState:
     return message
 
 
-def main(args: list[str] | None = None) -> int:
+def main(args: list[str] | None = None) -> None:
     """Run the node."""
-    return run(ProcedureNode, args, grace=STOP_GRACE)
+    run_process(ProcedureNode, args, grace=STOP_GRACE)
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    main()

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.ros.messages import LATCHED, Level, now, status
 from machine_tool_calibration.nodes.ros.names import OwnPublisher, own_names
-from machine_tool_calibration.nodes.ros.process import declare, run, use_sim_time
+from machine_tool_calibration.nodes.ros.node import GuardedNode
+from machine_tool_calibration.nodes.ros.process import declare, run_process, use_sim_time
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.ros.taps import Taken, Tap, Taps
 from machine_tool_calibration.recording.errors import RecordingError
@@ -27,10 +26,10 @@ __all__ = ["Recorder", "main"]
 _TAKE = 0.004  # s
 _DISCOVER = 0.2  # s
 _SHOW = 0.5  # s
-_NEVER = ("/rosout", "/parameter_events", "/clock", "/diagnostics")
+_NEVER = ("/rosout", "/parameter_events", "/clock")
 
 
-class Recorder(Node):
+class Recorder(GuardedNode):
     """Records serialized messages as they come; says on `recorder/status` what it has and what it lacks."""
 
     def __init__(self) -> None:
@@ -189,10 +188,10 @@ class Recorder(Node):
         self._status.say(level, text, overall, topics)
 
 
-def main(args: list[str] | None = None) -> int:
+def main(args: list[str] | None = None) -> None:
     """Entry point of the executable `recorder`."""
-    return run(Recorder, args)
+    run_process(Recorder, args)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -11,17 +11,17 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.instruments.tracking import pointing
 from machine_tool_calibration.nodes.ros.messages import (
     LATCHED,
     STATE,
+    Level,
     nanoseconds,
     now,
     pose_message,
@@ -29,7 +29,9 @@ from machine_tool_calibration.nodes.ros.messages import (
     seconds,
     to_message,
 )
-from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run
+from machine_tool_calibration.nodes.ros.node import GuardedNode
+from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run_process
+from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.setups import SETUP, Target, hear_targets
 from machine_tool_calibration.nodes.site import Beam, Moment, Site, read_site
 from machine_tool_calibration.procedure.motion import AxisLimits, Move, move
@@ -43,7 +45,7 @@ _ANGLES = ("azimuth", "elevation")
 _HEARTBEAT = 0.2  # s of the wall clock: who has just found this node hears where the beam is
 
 
-class RotaryPointer(Node):
+class RotaryPointer(GuardedNode):
     """See the module; parameters are described where they are declared."""
 
     def __init__(self) -> None:
@@ -81,6 +83,9 @@ class RotaryPointer(Node):
         self._motion = Move(rest, rest, 0.0, 0.0)
 
         self._states = self.create_publisher(JointState, "pointer/state", STATE)
+        own = self.create_publisher(DiagnosticArray, "pointer/status", LATCHED)
+        self._status = StatusTopic(self, own, "pointer", hardware_id="simulated pointer")
+        self._shown: object = None
         self._truth = self.create_publisher(PoseStamped, "truth/beam", STATE)
         self.create_subscription(String, "session", self._described, LATCHED)
         hear_targets(self, self._commanded)
@@ -88,11 +93,7 @@ class RotaryPointer(Node):
         self.create_timer(period, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _described(self, message: String) -> None:
-        try:
-            self._session = parse_description(message.data, "session")
-        except CalibrationError as error:
-            self.get_logger().error(str(error))
-            return
+        self._session = parse_description(message.data, "session")
         if self._setup not in self._ids():
             self._setup = ""  # it belonged to another session
         waiting, self._waiting = self._waiting, None
@@ -112,14 +113,16 @@ class RotaryPointer(Node):
         if not setup:  # the session that describes it may be under way
             self._waiting = target
             if self._session is not None:
-                self.get_logger().warning(f"the session has no setup {target.named}; it has {', '.join(ids)}")
+                text = f"the session has no setup {target.named}; it has {', '.join(ids)}"
+                self.get_logger().warning(text, throttle_duration_sec=10.0)
             return
         self._waiting = None
         stamp = target.stamp
         if setup != self._setup:
             self._setup = setup
             self._setup_starts[setup] = max(stamp, now(self))
-        azimuth, elevation = pointing(target.point[None], np.array(self._session.setups[ids.index(setup)].position))  # type: ignore[union-attr]
+        station = np.array(self._session.setups[ids.index(setup)].position)  # type: ignore[union-attr]
+        azimuth, elevation = pointing(target.point[None], station)
         flat = getattr(self._session, "dimension", 3) == 2
         begin = max(stamp, now(self)) if not self._simulated else stamp
         here = self._motion.position(seconds(begin - self._start))
@@ -135,6 +138,17 @@ class RotaryPointer(Node):
         stamp = (self._simulated and self._arrival) or now(self)
         if stamp:
             self._publish(stamp)
+        self._show()
+
+    def _show(self) -> None:
+        """Publish the status where it has changed."""
+        entries = {"state": "pointing" if self._setup else "waiting", "setup": self._setup}
+        if entries == self._shown:
+            return
+        text = "pointing" if self._setup else f"waiting for a {'session' if self._session is None else 'command'}"
+        self._shown = entries
+        level = Level.OK if self._setup else Level.WARN
+        self._status.say(level, text, entries)
 
     def _publish(self, stamp: int) -> None:
         since = seconds(stamp - self._start) if self._simulated is False else self._motion.duration
@@ -173,10 +187,10 @@ class RotaryPointer(Node):
         return self.site.beam(self.site.station(self._session, index), azimuth, elevation, moment)
 
 
-def main(args: list[str] | None = None) -> int:
+def main(args: list[str] | None = None) -> None:
     """Run the node."""
-    return run(RotaryPointer, args, grace=STOP_GRACE)
+    run_process(RotaryPointer, args, grace=STOP_GRACE)
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    main()

@@ -34,6 +34,7 @@ from machine_tool_calibration.procedure.events import (
 from machine_tool_calibration.procedure.motion import move
 from machine_tool_calibration.procedure.plan import Plan, Step, sensing_direction
 from machine_tool_calibration.procedure.progress import Counters, Group, Pending, Phase, State, Timing, Visit
+from machine_tool_calibration.session.collect import READING_INDEX
 from machine_tool_calibration.session.description import Direct, Probing, StationSetup, TrackingInterferometer
 
 __all__ = ["Sequencer"]
@@ -421,6 +422,7 @@ class Sequencer:
         columns["displacement"] = float(value)
         columns |= {name: float(number) for name, number in event.columns.items()}
         columns["datum"] = float(self._datums - 1)
+        columns[READING_INDEX] = float(self.done)
         if step.target is not None:
             name = "point_index" if isinstance(self.plan.procedure.session, Probing) else "target_index"
             columns[name] = float(step.target)

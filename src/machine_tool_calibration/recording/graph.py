@@ -60,6 +60,7 @@ GRAPH_TOPICS = (
     GraphTopic("pointer/command", "geometry_msgs/msg/PointStamped", depth=10),
     GraphTopic("pointer/target", "sensor_msgs/msg/JointState", depth=10),
     GraphTopic("pointer/state", "sensor_msgs/msg/JointState", depth=100),
+    GraphTopic("pointer/status", _STATUS, latched=True),
     GraphTopic("truth/beam", "geometry_msgs/msg/PoseStamped", depth=100),
     GraphTopic("instrument/displacement", "std_msgs/msg/Float64MultiArray", depth=100),
     GraphTopic("instrument/status", _STATUS, latched=True),

@@ -15,7 +15,7 @@ from machine_tool_calibration.recording.graph import LABELS, MACHINE, READING, S
 from machine_tool_calibration.recording.metadata import LATCHED, Qos
 from machine_tool_calibration.recording.reader import BagReader, Message
 from machine_tool_calibration.recording.writer import BagWriter
-from machine_tool_calibration.session.collect import INDEX_COLUMNS, Collector
+from machine_tool_calibration.session.collect import INDEX_COLUMNS, READING_INDEX, Collector
 from machine_tool_calibration.session.description import Place
 from machine_tool_calibration.session.parse import description_yaml, parse_description
 from machine_tool_calibration.session.session import Session
@@ -163,4 +163,5 @@ def reading_columns(session: Session) -> tuple[list[str], np.ndarray]:
             columns[column] = np.array([places.get(str(name), np.nan) for name in unique])[inverse]
     columns |= {name: values for name, values in readings.columns.items() if name not in columns}
     columns["displacement"] = readings.displacement
+    columns[READING_INDEX] = np.arange(len(readings), dtype=np.float64)
     return list(columns), np.column_stack(list(columns.values()))

@@ -13,7 +13,7 @@ from machine_tool_calibration.session.columns import require_columns
 from machine_tool_calibration.session.description import Description, Place
 from machine_tool_calibration.session.session import Session, assemble
 
-__all__ = ["INDEX_COLUMNS", "Collector"]
+__all__ = ["INDEX_COLUMNS", "READING_INDEX", "Collector"]
 
 INDEX_COLUMNS = {
     "setup_index": ("setup", "setups"),
@@ -21,6 +21,11 @@ INDEX_COLUMNS = {
     "point_index": ("point", "workpiece"),
 }
 """Column of a `reading` message, the label that it stands for, and the list in the description that it counts in."""
+
+READING_INDEX = "reading_index"
+"""Column of a `reading` message, from 0: which reading of the session it is. Whoever missed some can tell; the session
+itself does not need it.
+"""
 
 _BLOCK = 4096  # readings
 
@@ -118,6 +123,7 @@ class Collector:
             for name, values in zip(names, table.T, strict=True):
                 columns[name][start : start + len(table)] = values
             start += len(table)
+        columns.pop(READING_INDEX, None)
         return columns
 
     def _labels(self, column: str, values: Array, ids: list[str]) -> np.ndarray:

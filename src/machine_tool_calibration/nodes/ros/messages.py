@@ -14,9 +14,11 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Pose, PoseStamped, Quaternion
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import PointCloud2, PointField
+from sensor_msgs.msg import JointState, PointCloud2, PointField
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.nodes.ros.sound import LAST_SECOND
 
 __all__ = [
     "COMMAND",
@@ -34,10 +36,12 @@ __all__ = [
     "nanoseconds",
     "now",
     "pose_message",
+    "positions",
     "quaternion_along",
     "quaternion_of",
     "rotation_of",
     "seconds",
+    "stamp_among",
     "stamp_now",
     "status",
     "to_message",
@@ -63,6 +67,7 @@ READINGS = _reliable(20000, DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 _GIGA = 1_000_000_000
+_DIGITS = 19  # of a time in ns
 
 
 def from_message(stamp: Time) -> int:
@@ -143,6 +148,24 @@ def status(
 def values(message: DiagnosticArray) -> dict[str, str]:
     """Values of the first entry by key."""
     return {entry.key: entry.value for entry in message.status[0].values} if message.status else {}
+
+
+def stamp_among(entries: Mapping[str, str], key: str) -> int:
+    """A time among a status's values, ns.
+
+    Raises:
+        CalibrationError: it is missing, or no time.
+    """
+    text = entries.get(key, "")
+    if not (text.isascii() and text.isdigit()) or len(text) > _DIGITS or int(text) >= LAST_SECOND * _GIGA:
+        raise CalibrationError(f"{key} is {text[:40]!r}, not a time in ns")
+    return int(text)
+
+
+def positions(message: JointState) -> dict[str, float]:
+    """Positions by name; a joint whose position is not known has none."""
+    pairs = zip(message.name, message.position, strict=True)
+    return {name: place for name, place in pairs if math.isfinite(place)}
 
 
 def quaternion_along(direction: Array) -> Quaternion:

@@ -9,16 +9,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
+from machine_tool_calibration.nodes.ros.node import GuardedNode
 from machine_tool_calibration.nodes.ros.process import declare
 from machine_tool_calibration.nodes.ros.services import Answer, DeferredService
 
 __all__ = ["OwnPublisher", "offer", "own_names"]
 
 
-def own_names(node: Node, kind: str, name: str) -> tuple[str, ...]:
+def own_names(node: GuardedNode, kind: str, name: str) -> tuple[str, ...]:
     """The names of a topic or service of a node, its own first.
 
     Args:
@@ -27,9 +27,7 @@ def own_names(node: Node, kind: str, name: str) -> tuple[str, ...]:
         name: of the topic or service, below the node's.
     """
     if not node.has_parameter("old_names"):
-        declare(
-            node, "old_names", True, "a renamed node also has topics and services of the name that it usually has"
-        )
+        declare(node, "old_names", True, "a renamed node also has topics and services of the name that it usually has")
     own, old = f"~/{name}", f"{kind}/{name}"
     is_renamed = node.resolve_topic_name(own) != node.resolve_topic_name(old)
     return (own, old) if is_renamed and node.get_parameter("old_names").value else (own,)
@@ -38,7 +36,7 @@ def own_names(node: Node, kind: str, name: str) -> tuple[str, ...]:
 class OwnPublisher:
     """Publishes on a topic of the node's own; the arguments are those of `own_names` and of a publisher."""
 
-    def __init__(self, node: Node, kind: str, name: str, message: Any, qos: QoSProfile) -> None:
+    def __init__(self, node: GuardedNode, kind: str, name: str, message: Any, qos: QoSProfile) -> None:
         self._publishers = [node.create_publisher(message, topic, qos) for topic in own_names(node, kind, name)]
 
     def publish(self, message: Any) -> None:
@@ -47,7 +45,7 @@ class OwnPublisher:
             publisher.publish(message)
 
 
-def offer(node: Node, kind: str, name: str, service: Any, handler: Callable[[Answer], None]) -> None:
+def offer(node: GuardedNode, kind: str, name: str, service: Any, handler: Callable[[Answer], None]) -> None:
     """Offer a service of the node's own, with a handler as `DeferredService` takes it."""
     for own in own_names(node, kind, name):
         DeferredService(node, service, own, handler)

@@ -10,27 +10,38 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NoReturn
 
 import rclpy
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
-from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.errors import CalibrationError, did_you_mean
+from machine_tool_calibration.nodes.ros.node import GuardedNode
+from machine_tool_calibration.nodes.shared import shared_file
 from machine_tool_calibration.nodes.usage import usage
 
-__all__ = ["STOP_GRACE", "declare", "default_environment", "post", "run", "use_sim_time"]
+__all__ = [
+    "STOP_GRACE",
+    "declare",
+    "default_environment",
+    "post",
+    "run",
+    "run_process",
+    "say_unknown_parameters",
+    "use_sim_time",
+]
 
 
 def declare(
-    node: Node,
+    node: GuardedNode,
     name: str,
     default: Any,
     description: str,
@@ -67,25 +78,31 @@ def declare(
         elif isinstance(default, int):
             low, high = max(low, -(2**63)), min(high, 2**63 - 1)
             descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
-    value = node.declare_parameter(name, default, descriptor).value
-    if choices and value not in choices:
-        raise CalibrationError(f"parameter {name} is {value!r}, not one of {', '.join(choices)}")
-    return value
+    if choices:
+        node.choices[name] = choices
+    return node.declare_parameter(name, default, descriptor).value
 
 
 STOP_GRACE = 1.8  # s: nodes that have nothing to save end within 2 s, whatever happens
 _SAVE_GRACE = 30.0  # s: others may have a disk to wait for
 _STOPS = {signal.SIGINT, signal.SIGTERM}
 _TICK = 0.1  # s
+# of the middleware, which are the user's
+_OWN_SETTINGS = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE", "RMW_FASTRTPS_USE_QOS_FROM_XML")
 
 
 def default_environment() -> None:
     """Discover on this machine only, unless the user says otherwise: the wheels have no security (SROS2).
 
-    Logs go where they can be written: without that no node starts for a user who has no home.
+    Logs go where they can be written: without that no node starts for a user who has no home. The middleware gives back
+    the memory of large messages (`config/fastdds.xml`), unless the user has settings of his own.
     """
     if "ROS_LOCALHOST_ONLY" not in os.environ:
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    if not any(os.environ.get(name) for name in _OWN_SETTINGS):
+        with suppress(CalibrationError):  # a checkout that was taken apart: nothing but memory depends on it
+            os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(shared_file("config/fastdds.xml"))
+            os.environ["RMW_FASTRTPS_USE_QOS_FROM_XML"] = "1"
     if not os.environ.get("ROS_LOG_DIR") and not os.environ.get("ROS_HOME"):
         logs = Path(os.path.expanduser("~"), ".ros", "log")
         there = next(folder for folder in (logs, *logs.parents) if folder.exists())
@@ -93,7 +110,7 @@ def default_environment() -> None:
             os.environ["ROS_LOG_DIR"] = str(Path(tempfile.gettempdir(), f"ros-log-{os.getuid()}"))
 
 
-def run(create: Callable[[], Node], args: list[str] | None = None, *, grace: float = _SAVE_GRACE) -> int:
+def run(create: Callable[[], GuardedNode], args: list[str] | None = None, *, grace: float = _SAVE_GRACE) -> int:
     """Run a node until SIGINT, SIGTERM or an external shutdown.
 
     Asked for help, it prints what the node is and takes, and starts nothing.
@@ -122,11 +139,12 @@ def run(create: Callable[[], Node], args: list[str] | None = None, *, grace: flo
     threading.Thread(target=_await_stop, args=(stop, grace), name="signals", daemon=True).start()
     # rclpy's own handlers end the context while callbacks run; without them the loop below finishes first
     rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    node: Node | None = None
+    node: GuardedNode | None = None
     executor = None
     status = 0
     try:
         node = create()
+        say_unknown_parameters(node)
         executor = EventsExecutor()
         executor.add_node(node)
         node._post = executor.create_task  # type: ignore[attr-defined]
@@ -149,6 +167,27 @@ def run(create: Callable[[], Node], args: list[str] | None = None, *, grace: flo
         if rclpy.ok():
             rclpy.shutdown()
     return status
+
+
+def run_process(
+    create: Callable[[], GuardedNode], args: list[str] | None = None, *, grace: float = _SAVE_GRACE
+) -> NoReturn:
+    """As `run`, and end the process: what a node had to save is saved, and an interpreter that tidies up, or waits for
+    a calculation that nobody wants any more, could take seconds under load.
+    """
+    status = run(create, args, grace=grace)
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(status)
+
+
+def say_unknown_parameters(node: GuardedNode) -> None:
+    """A parameter that was given and that the node does not have would be passed over without a word."""
+    for name in sorted(node._parameter_overrides):
+        if not node.has_parameter(name):
+            known = sorted(other for other in node._parameters if "." not in other)
+            hint = did_you_mean(name, known) or f"; it has {', '.join(known)}"
+            node.get_logger().warning(f"this node has no parameter {name!r}{hint}")
 
 
 def _asks_for_help(args: list[str]) -> bool:
@@ -176,7 +215,7 @@ def _await_stop(stop: threading.Event, grace: float) -> None:
     os._exit(1)
 
 
-def post(node: Node, function: Callable[[], None]) -> None:
+def post(node: GuardedNode, function: Callable[[], None]) -> None:
     """Have a function called in the node's own thread; may be called from any thread.
 
     An exception in the function is logged: this executor would crash on it.
@@ -191,7 +230,7 @@ def post(node: Node, function: Callable[[], None]) -> None:
     node._post(guarded)  # type: ignore[attr-defined]
 
 
-def use_sim_time(node: Node) -> bool:
+def use_sim_time(node: GuardedNode) -> bool:
     """Whether the node lives in simulated time."""
     parameter: Parameter = node.get_parameter("use_sim_time")
     return bool(parameter.value)

@@ -61,8 +61,10 @@ class DeferredService:
         self.service = node.create_service(kind, name, called)
         now = self.service.send_response
 
-        def later(answer: Answer, header: Any) -> None:
-            if answer.sent:
+        def later(answer: Any, header: Any) -> None:
+            if not isinstance(answer, Answer):  # the response itself, of a handler that failed
+                now(answer, header)
+            elif answer.sent:
                 now(answer.response, header)
             else:
                 answer._send = lambda response: now(response, header)

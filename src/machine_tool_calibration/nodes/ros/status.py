@@ -12,9 +12,9 @@ from typing import Protocol
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 
 from machine_tool_calibration.nodes.ros.messages import NO_HARDWARE, SLOW, Level, now, status, to_message
+from machine_tool_calibration.nodes.ros.node import GuardedNode
 
 __all__ = ["StatusTopic"]
 
@@ -39,7 +39,7 @@ class StatusTopic:
 
     def __init__(
         self,
-        node: Node,
+        node: GuardedNode,
         publisher: _Publisher,
         name: str,
         *,
@@ -49,7 +49,8 @@ class StatusTopic:
         self._node, self._publisher = node, publisher
         self._name, self._hardware = name, hardware_id
         self._clock = clock or (lambda: now(node))
-        self._entries: list[DiagnosticStatus] = []
+        self._said: tuple[Level, str, Mapping[str, object], Sequence[DiagnosticStatus]] | None = None
+        self._ignored = node.ignored_entries
         self._is_dated = True
         self._common = node.create_publisher(DiagnosticArray, "/diagnostics", SLOW)
         node.create_timer(_PERIOD, self._repeat, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -57,7 +58,7 @@ class StatusTopic:
     def say(
         self, level: Level, text: str, entries: Mapping[str, object], more: Sequence[DiagnosticStatus] = ()
     ) -> None:
-        """Publish a status.
+        """Publish a status; the messages that the node has ignored are added.
 
         Args:
             level: how it is.
@@ -65,19 +66,20 @@ class StatusTopic:
             entries: values for programs.
             more: further entries, for the topic of the node's own.
         """
-        self._entries = [status(self._name, level, text, entries, self._hardware), *more]
-        self._publish()
-
-    def _publish(self) -> None:
+        self._said, self._ignored = (level, text, entries, more), self._node.ignored_entries
         self._is_dated = self._clock() > 0
-        self._publisher.publish(self._message(self._entries))
+        self._publisher.publish(self._message([self._own(level, text, entries), *more]))
+
+    def _own(self, level: Level, text: str, entries: Mapping[str, object]) -> DiagnosticStatus:
+        return status(self._name, level, text, {**entries, **self._ignored}, self._hardware)
 
     def _repeat(self) -> None:
-        if not self._entries:
+        if self._said is None:
             return
-        if not self._is_dated and self._clock() > 0:  # simulated time has begun
-            self._publish()
-        own = self._entries[0]
+        is_dated_now = not self._is_dated and self._clock() > 0  # simulated time has begun
+        if is_dated_now or self._ignored != self._node.ignored_entries:
+            self.say(*self._said)
+        own = self._own(*self._said[:3])
         entry = DiagnosticStatus(
             level=own.level,
             name=f"{self._node.get_fully_qualified_name().lstrip('/')}: {own.name}",

@@ -11,6 +11,7 @@ from __future__ import annotations
 import importlib
 import time
 from bisect import bisect_right
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import rclpy
@@ -22,6 +23,7 @@ from rosgraph_msgs.msg import Clock
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.ros.messages import from_message
+from machine_tool_calibration.nodes.ros.sound import require_sound
 from machine_tool_calibration.recording.graph import compatible, request_for
 from machine_tool_calibration.recording.metadata import Qos
 
@@ -209,8 +211,13 @@ class Taps:
     def _hear_clock(self, clock: Tap) -> None:
         ticks: list[Taken] = []
         self._take(clock, ticks)
-        if ticks:
-            new = [(tick.sent, from_message(deserialize_message(tick.data, Clock).clock)) for tick in ticks]
+        new = []
+        for tick in ticks:
+            message = deserialize_message(tick.data, Clock)
+            with suppress(CalibrationError):  # the node's own clock counts them and says so
+                require_sound(message)
+                new.append((tick.sent, from_message(message.clock)))
+        if new:
             self._ticks = sorted([*self._ticks[-_KEPT:], *new])
 
     def close(self) -> None:

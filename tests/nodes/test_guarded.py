@@ -1,0 +1,294 @@
+"""Nodes in this process, without a graph: parameters that cannot be, missing readings, starts that come too early."""
+
+from types import SimpleNamespace
+
+import pytest
+import rclpy
+import yaml
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.exceptions import InvalidParameterValueException
+from rclpy.parameter import Parameter
+from rclpy.serialization import serialize_message
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.nodes import measurement
+from machine_tool_calibration.nodes.axis_simulator import AxisSimulator
+from machine_tool_calibration.nodes.estimator import Estimator
+from machine_tool_calibration.nodes.operator import Status
+from machine_tool_calibration.nodes.probe import Probe
+from machine_tool_calibration.nodes.procedure import ProcedureNode
+from machine_tool_calibration.nodes.ros.messages import Level, status, to_message, values
+from machine_tool_calibration.nodes.ros.process import say_unknown_parameters
+from machine_tool_calibration.nodes.ros.services import Answer, DeferredService
+
+from .conftest import ORIGIN, PROCEDURE
+
+START = round(ORIGIN * 1e9)
+
+
+@pytest.fixture
+def made(tmp_path):
+    """Makes nodes with parameters; all end with the test."""
+    nodes = []
+
+    def make(kind, **parameters):
+        if kind is ProcedureNode:
+            parameters["procedure"] = tmp_path / "procedure.yaml"
+            parameters["procedure"].write_text(yaml.safe_dump(PROCEDURE))
+        given = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
+        rclpy.init(args=["--ros-args", *given])
+        nodes.append(kind())
+        return nodes[-1]
+
+    yield make
+    for node in nodes:
+        node.destroy_node()
+    rclpy.try_shutdown()
+
+
+def hear(node, topic, message):
+    (callback,) = [s.callback for s in node.subscriptions if s.topic_name == f"/{topic}"]
+    callback(serialize_message(message))
+
+
+def shown(node):
+    """What a node's next status says."""
+    said = []
+    node._status._publisher = SimpleNamespace(publish=said.append)
+    node._shown = None
+    node._show()
+    return said[-1].status[0]
+
+
+def reading(index, time=None, displacement=0.0, **more):
+    columns = {"time": float(index if time is None else time), "displacement": displacement, **more}
+    message = JointState(name=list(columns), position=list(columns.values()))
+    message.header.stamp = to_message(START + round(index * 1e9))
+    return message
+
+
+# --- parameters
+
+
+WRONG = [
+    ("model", "rigid", "unknown model 'rigid'; known are "),
+    ("effects", ["backlash_q"], "unknown effect 'backlash_q' (did you mean"),
+    ("effects", ["backlash_x", "backlash_x"], "the effect 'backlash_x' is named twice"),
+    ("effects_files", ["/nowhere.yaml"], "/nowhere.yaml: no such file"),
+    ("magnification", float("nan"), "magnification"),
+    ("magnification", float("inf"), "magnification"),
+    ("sets", 3, "sets"),
+]
+
+
+def test_values_that_cannot_be_are_refused_when_they_are_set(made):
+    node = made(Estimator)
+    before = {name: node.get_parameter(name).value for name, _, _ in WRONG}
+    for name, value, why in WRONG:
+        (answer,) = node.set_parameters([Parameter(name, value=value)])
+        assert not answer.successful, name
+        assert why in answer.reason
+    assert {name: node.get_parameter(name).value for name in before} == before
+    for name, value in (("model", "rigid_body"), ("effects", ["backlash_x"]), ("model", ""), ("effects", [""])):
+        assert node.set_parameters([Parameter(name, value=value)])[0].successful, name
+
+
+def test_a_model_of_another_method_is_refused_once_the_session_is_known(made):
+    node = made(Estimator)
+    assert node.set_parameters([Parameter("model", value="angular")])[0].successful
+    assert node.set_parameters([Parameter("model", value="")])[0].successful
+    hear(node, "session", String(data=yaml.safe_dump({"format": "mtcal-session/1", **PROCEDURE["session"]})))
+    assert not node.ignored
+    (answer,) = node.set_parameters([Parameter("model", value="angular")])
+    assert not answer.successful and answer.reason.endswith("known are free, rigid_body")
+
+
+@pytest.mark.parametrize(("name", "value"), [("effects", "[no_such]"), ("model", "no_such")])
+def test_a_node_does_not_start_with_values_that_cannot_be(made, name, value):
+    with pytest.raises(InvalidParameterValueException, match="no_such"):
+        made(Estimator, **{name: value})
+
+
+def test_a_parameter_that_there_is_not_is_said(made, capfd):
+    node = made(AxisSimulator, sped=1.0)
+    say_unknown_parameters(node)
+    assert "this node has no parameter 'sped' (did you mean 'speed'?)" in capfd.readouterr().err
+
+
+def test_a_fault_in_a_timer_or_a_service_is_logged_and_the_node_goes_on(made, capfd):
+    node = made(AxisSimulator)
+
+    def stumble(*_):
+        raise ZeroDivisionError("an axis without length")
+
+    timer = node.create_timer(1.0, stumble)
+    service = DeferredService(node, Trigger, "walk", stumble).service
+    for _ in range(3):
+        timer.callback()
+        answer = service.callback(Trigger.Request(), Trigger.Response())
+        assert (answer.success, answer.message) == (False, "ZeroDivisionError: an axis without length")
+    said = capfd.readouterr().err
+    for where in ("stumble", "walk"):
+        assert said.count(f"{where}: ZeroDivisionError: an axis without length") == 1
+    assert "in stumble" in said
+
+
+# --- readings that are missing
+
+
+def test_the_estimator_says_which_readings_never_came(made):
+    node = made(Estimator)
+    assert (values_of(shown(node))["missing"], shown(node).level) == ("0", b"\0")
+    for index in (7, 8, 9):
+        hear(node, "reading", reading(index, reading_index=float(index)))
+    entry = shown(node)
+    assert values_of(entry)["missing"] == "7"
+    assert entry.message.endswith("; the first 7 of 10 readings are missing")
+    assert entry.level == bytes([Level.WARN])
+    for index in range(6):
+        hear(node, "reading", reading(index, reading_index=float(index)))
+    assert shown(node).message.endswith("; 1 of 10 readings are missing")
+    hear(node, "reading", reading(6, reading_index=6.0))
+    assert values_of(shown(node))["missing"] == "0" and shown(node).level == b"\0"
+
+
+def test_a_reset_is_counted_and_what_follows_shows_the_gap(made):
+    node = made(Estimator)
+    for index in range(4):
+        hear(node, "reading", reading(index, reading_index=float(index)))
+    answer = Answer(Trigger.Response())
+    node._reset(answer)
+    assert answer.response.message == "4 readings forgotten"
+    hear(node, "reading", reading(4, reading_index=4.0))
+    assert {key: values_of(shown(node))[key] for key in ("readings", "missing", "resets")} == {
+        "readings": "1",
+        "missing": "4",
+        "resets": "1",
+    }
+
+
+def test_a_stray_reading_does_not_cost_those_that_are_there(made):
+    node = made(Estimator)
+    for index in range(4):
+        hear(node, "reading", reading(index, reading_index=float(index)))
+    for stray in (
+        reading(9, time=1e14),
+        reading(9, time=float("inf")),
+        reading(9, time=1e308),
+        reading(9, reading_index=-1.0),
+        reading(9, reading_index=0.5),
+        JointState(name=["time", "displacement"], position=[9.0]),
+    ):
+        hear(node, "reading", stray)
+    assert values_of(shown(node))["readings"] == "4"
+    assert node.ignored == {"reading": 6}
+
+
+def values_of(entry):
+    return values(DiagnosticArray(status=[entry]))
+
+
+# --- the procedure
+
+
+def test_a_procedure_waits_for_the_first_clock(made):
+    node = made(ProcedureNode, use_sim_time="true")
+    assert "/clock" in values_of(shown(node))["waiting_for"]
+    assert node._start() == "it starts with the first /clock"
+    node._tick()
+    assert values_of(shown(node))["state"] == "idle"
+    hear(node, "clock", Clock(clock=to_message(START)))
+    node._tick()
+    assert values_of(shown(node))["state"] == "running"
+    assert node.sequencer.origin == START
+    node._abort()
+
+
+def test_a_start_that_waits_for_the_clock_can_be_aborted(made):
+    node = made(ProcedureNode, use_sim_time="true")
+    node._start()
+    assert node._abort() == "it does not start"
+    hear(node, "clock", Clock(clock=to_message(START)))
+    node._tick()
+    assert values_of(shown(node))["state"] == "idle"
+
+
+def test_services_that_move_axes_can_be_refused(made):
+    node = made(ProcedureNode, services_move_axes="false")
+    for handler in (node._start, node._resume):
+        with pytest.raises(CalibrationError, match="services_move_axes is false"):
+            handler()
+    # not by the same way as the start
+    (answer,) = node.set_parameters([Parameter("services_move_axes", value=True)])
+    assert not answer.successful
+
+
+def test_a_touch_can_be_refused(made):
+    node = made(Probe, services_move_axes="false")
+    answer = Answer(Trigger.Response())
+    node._requested(answer)
+    assert answer.sent and not answer.response.success
+    assert "services_move_axes is false" in answer.response.message
+
+
+def test_a_reset_of_the_estimator_during_a_run_is_said_at_once(made):
+    node = made(ProcedureNode)
+
+    def say(resets):
+        said = status("estimator", Level.OK, "", {"readings": 5, "resets": resets})
+        hear(node, "estimator/status", DiagnosticArray(status=[said]))
+
+    say(1)
+    node._start()
+    assert "reset" not in shown(node).message
+    say(2)
+    entry = shown(node)
+    assert entry.message.endswith("; estimator/reset after 0 readings: the estimator has lost them")
+    assert entry.level == bytes([Level.WARN])
+    node._abort()
+    node._start()
+    assert "reset" not in shown(node).message
+    node._abort()
+
+
+# --- mtcal run
+
+
+class Gone:
+    """An operator that hears no procedure any more."""
+
+    procedure = Status("measuring", {"state": "running", "captured": "40"})
+    readings = ()
+
+    def call(self, service, timeout):
+        return ""
+
+    def has_node(self, name):
+        return False
+
+    def wait(self, until, timeout):
+        while not until():
+            pass
+        return True
+
+
+def test_a_run_whose_procedure_has_gone_ends(monkeypatch):
+    monkeypatch.setattr(measurement, "_GONE", 0.01)
+    with pytest.raises(CalibrationError, match="the procedure has ended in the middle"):
+        measurement._run(Gone(), 128, lambda text, done, total: None)
+
+
+def test_a_run_whose_estimator_was_reset_does_not_wait_for_readings():
+    operator = Gone()
+    operator.estimator = Status("", {"readings": "28", "missing": "100", "resets": "1", "session": "described"})
+    with pytest.raises(CalibrationError, match="100 of 128 readings are lost to the estimator"):
+        measurement._identify(operator, None, 128, lambda text, done, total: None)
+
+
+def test_a_count_that_is_none_is_zero():
+    status = Status("", {"captured": "soon", "total": "9" * 400, "resent": "7"})
+    assert [status.number(name) for name in ("captured", "total", "resent", "stale")] == [0, 0, 7, 0]
