@@ -129,7 +129,7 @@ def test_diagnostics_name_every_node_and_its_device(whole):
 
     whole.operator._node.create_subscription(DiagnosticArray, "/diagnostics", keep, 10)
     names = {f"{name}: {name}" for name in NODES if name not in ("axis_simulator", "rotary_pointer")}
-    names |= {"axis_simulator: axes"}
+    names |= {"axis_simulator: axes", "rotary_pointer: pointer"}
     assert whole.operator.wait(lambda: names <= set(told), PATIENCE), names - set(told)
     assert set(told) == names
     assert told["axis_simulator: axes"].hardware_id == "simulated machine w-C-b-Y-X-Z-t"
