@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from machine_tool_calibration.arrays import groups, rms
+from machine_tool_calibration.arrays import group_ranges, groups, rms
 
 
 def test_groups_are_those_of_unique_columns() -> None:
@@ -28,3 +28,17 @@ def test_many_keys_do_not_overflow() -> None:
 def test_root_mean_square() -> None:
     assert rms(np.array([3.0, -4.0])) == np.sqrt(12.5)
     assert rms(np.empty(0)) == 0.0
+
+
+def test_ranges_of_groups_leave_out_what_is_missing() -> None:
+    random = np.random.default_rng(5)
+    group = random.integers(0, 6, 200)
+    group[group == 3] = 4
+    values = random.standard_normal(200)
+    values[random.integers(0, 200, 40)] = np.nan
+    values[group == 5] = np.nan
+    low, median, high = group_ranges(values, group, 7)
+    for k in (0, 1, 2, 4):
+        own = values[(group == k) & np.isfinite(values)]
+        assert (low[k], median[k], high[k]) == (own.min(), np.median(own), own.max())
+    assert np.isnan([low[k] for k in (3, 5, 6)]).all()

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Array", "BoolArray", "IntArray", "groups", "rms"]
+__all__ = ["Array", "BoolArray", "IntArray", "group_ranges", "groups", "rms"]
 
 Array = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -37,6 +37,26 @@ def groups(*keys: npt.NDArray[Any]) -> IntArray:
 
 def _numbers(key: npt.NDArray[Any]) -> IntArray:
     return np.unique(key, return_inverse=True)[1].reshape(-1)
+
+
+def group_ranges(values: Array, group: IntArray, count: int) -> tuple[Array, Array, Array]:
+    """Smallest value, median and largest value of each group, each (count,); NaN where a group has none.
+
+    Args:
+        values: (n,) NaN counts as missing.
+        group: (n,) number of each value's group, below `count`.
+        count: of groups.
+    """
+    known = ~np.isnan(values)
+    values, group = values[known], group[known]
+    ordered = values[np.lexsort((values, group))]
+    size = np.bincount(group, minlength=count)
+    first, there = np.cumsum(size) - size, size > 0
+    low, median, high = (np.full(count, np.nan) for _ in range(3))
+    start, many = first[there], size[there]
+    low[there], high[there] = ordered[start], ordered[start + many - 1]
+    median[there] = 0.5 * (ordered[start + (many - 1) // 2] + ordered[start + many // 2])
+    return low, median, high
 
 
 def rms(values: Array) -> float:

@@ -29,6 +29,8 @@ def test_people_see_before_and_after(tmp_path: Path, capsys: pytest.CaptureFixtu
     shown = capsys.readouterr()
     assert "RMS compensated" in shown.out and "x.comp" in shown.out
     assert "not determined: EZX" in shown.err
+    reasons = [line.split(": ", 2)[2] for line in shown.err.splitlines() if line.startswith("not determined")]
+    assert len(set(reasons)) == len(reasons)
 
 
 @pytest.mark.usefixtures("found_once")

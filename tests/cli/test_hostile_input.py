@@ -61,9 +61,7 @@ def test_a_session_of_a_link_to_itself(capsys: pytest.CaptureFixture[str], sessi
     assert f"no {file} in this folder" in refused(capsys, "identify", session)
 
 
-def test_numpy_warns_nobody(
-    capsys: pytest.CaptureFixture[str], session: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_numpy_warns_nobody(capsys: pytest.CaptureFixture[str], session: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def overflows(*_: object) -> None:
         warnings.warn("overflow encountered in square", RuntimeWarning, stacklevel=2)
         _ = np.array([1e308]) * 1e308

@@ -339,12 +339,12 @@ GOOD = "X,M\n0,0.001\n100,100.002\n200,200.001\n"
         (
             GOOD,
             {"units": {"x": "mm", "actual_x": "in"}},
-            r"spread 25\.4 times as far as nominal ones along x; are they in mm, not in inches\?$",
+            r"spread 25\.4 times as far as nominal ones along x; are they in mm, not in inches\? \(--trust-units",
         ),
         (
             GOOD,
             {"units": {"x": "m", "actual_x": "mm"}},
-            r"spread 0\.001 times .* a thousand times larger, such as mm, not um\?$",
+            r"spread 0\.001 times .* a thousand times larger, such as mm, not um\? \(--trust-units",
         ),
         (
             "X [mm],M\n0,0\n",

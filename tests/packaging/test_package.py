@@ -24,8 +24,19 @@ NODES = ("axis_simulator", "rotary_pointer", "instrument", "procedure", "estimat
 ROS = re.compile(r"rclpy|ament_index_python|launch|launch_ros|std_srvs|[a-z]+_(msgs|interfaces)")
 # Name of the distribution in package.xml, where it is not python3-<name>; None where rosdep has no key for it.
 ROSDEP = {"mcap": "mcap-ros2-support", "zstandard": "mcap-ros2-support", "lz4": "mcap-ros2-support",
-          "threadpoolctl": None, "pyarrow": None, "pillow": "python3-pil", "pyserial": "python3-serial",
+          "pint": None, "threadpoolctl": None, "pyarrow": None, "pillow": "python3-pil", "pyserial": "python3-serial",
           "pyyaml": "python3-yaml", "rosbags": "python3-rosbags-pip"}  # fmt: skip
+# Keys that rosdep knows: rosdep/python.yaml of ros/rosdistro, and packages of its jazzy/distribution.yaml.
+# Look there before a line is added.
+KNOWN_KEYS = {
+    *(f"python3-{name}" for name in (
+        "click", "ezdxf", "hypothesis", "matplotlib", "numpy", "pandas", "pil", "pydantic", "pyparsing", "pytest",
+        "pytest-timeout", "pytest-xdist", "rich", "rosbags-pip", "scipy", "serial", "yaml")),
+    "mcap-ros2-support",
+    "ament_flake8", "ament_index_python", "ament_pep257", "builtin_interfaces", "diagnostic_msgs", "geometry_msgs",
+    "launch", "launch_ros", "rcl_interfaces", "rclpy", "ros2launch", "rosgraph_msgs", "sensor_msgs", "std_msgs",
+    "std_srvs", "trajectory_msgs", "visualization_msgs",
+}  # fmt: skip
 
 
 def imported(path: Path) -> set[str]:
@@ -81,6 +92,20 @@ def test_rosdep_names_every_requirement() -> None:
     for name in required():
         key = ROSDEP.get(name, f"python3-{name}")
         assert key is None or key in depends(), f"{name} of setup.cfg is missing in package.xml"
+
+
+def test_rosdep_knows_every_key() -> None:
+    named = {element.text for element in described() if element.tag.endswith("depend")}
+    assert named <= KNOWN_KEYS, f"{sorted(named - KNOWN_KEYS)}: not among the keys that were found in rosdistro"
+
+
+def test_package_xml_says_what_a_release_asks_for() -> None:
+    """REP 149: a maintainer with an address, a licence, a website; `ros2 launch` for the launch files."""
+    maintainer = described().find("maintainer")
+    assert maintainer is not None and "@" in maintainer.get("email", "")
+    assert described().findtext("license") == "Apache-2.0"
+    assert (described().findtext("url[@type='website']") or "").startswith("https://")
+    assert {"launch", "launch_ros", "ros2launch"} <= depends()
 
 
 def test_optional_requirements_are_not_needed_to_import_the_command() -> None:

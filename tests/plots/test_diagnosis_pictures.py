@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -10,26 +11,40 @@ import pandas as pd
 import pytest
 
 from machine_tool_calibration.diagnosis.consequence import consequences
-from machine_tool_calibration.diagnosis.improve import improve
+from machine_tool_calibration.diagnosis.improve import Improvement, improve
 from machine_tool_calibration.plots.diagnosis import draw_diagnosis, save_diagnosis
 from machine_tool_calibration.plots.improve import draw_improvement, save_improvement
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
-from ..diagnosed import diagnosed
+from ..diagnosed import SETS, diagnosed
 
-CASES = [
-    ("tracking_2d", FlawSpec(id="backlash_y", size=1.5e-6), "direction of approach of y"),
-    ("rotary_axis", FlawSpec(id="backlash_c", size=1.3e-5), "direction of approach of c"),
-    ("step_diagonal_three_orders", FlawSpec(id="dead_path", size=3.0), "air|humidity"),
-    ("probing_cross", FlawSpec(id="probe_pretravel", amplitude=4e-6), "direction of the surface's normal"),
-    ("iso230_2", FlawSpec(id="backlash_x", size=2e-6), "direction of approach of x"),
-]
+FLAWS = {
+    "tracking_2d": FlawSpec(id="backlash_y", size=1.5e-6),
+    "rotary_axis": FlawSpec(id="backlash_c", size=1.3e-5),
+    "step_diagonal_three_orders": FlawSpec(id="dead_path", size=3.0),
+    "probing_cross": FlawSpec(id="probe_pretravel", amplitude=4e-6),
+    "iso230_2": FlawSpec(id="backlash_x", size=2e-6),
+}
 
 
-@pytest.mark.parametrize(("plan", "flaw", "shows_over"), CASES)
-def test_every_method_has_its_pictures(plan: str, flaw: FlawSpec, shows_over: str) -> None:
-    session = simulate(SimulationSpec(plan=PRESETS[plan], seed=7, effects=(flaw,))).session
-    done = improve(session, sets=19)
+@cache
+def improved(plan: str) -> Improvement:
+    spec = SimulationSpec(plan=PRESETS[plan], seed=7, effects=(FLAWS[plan],))
+    return improve(simulate(spec).session, sets=SETS)
+
+
+@pytest.mark.parametrize(
+    ("plan", "shows_over"),
+    [
+        ("tracking_2d", "direction of approach of y"),
+        ("rotary_axis", "direction of approach of c"),
+        ("step_diagonal_three_orders", "air|humidity"),
+        ("probing_cross", "direction of the surface's normal"),
+        ("iso230_2", "direction of approach of x"),
+    ],
+)
+def test_every_method_has_its_pictures(plan: str, shows_over: str) -> None:
+    done = improved(plan)
     figure = draw_improvement(done)
     fall, before, after = figure.axes[:3]
     residual = fall.lines[0].get_ydata()
@@ -45,14 +60,12 @@ def test_every_method_has_its_pictures(plan: str, flaw: FlawSpec, shows_over: st
     measured = np.concatenate([np.asarray(line.get_ydata()) for line in added.lines[:-1]])
     assert np.sort(measured) == pytest.approx(np.sort(1e6 * found.look.fit.fits[0].residuals))
     assert over.get_ylabel() == "residual, µm"
-    assert found.accepted == (flaw.id,)
+    assert found.accepted == (FLAWS[plan].id,)
     assert re.search(shows_over, over.get_xlabel())
 
 
 def test_files(tmp_path: Path) -> None:
-    spec = SimulationSpec(plan=PRESETS["tracking_2d"], seed=7, effects=(FlawSpec(id="backlash_y", size=1.5e-6),))
-    session = simulate(spec).session
-    done = improve(session, sets=19)
+    done = improved("tracking_2d")
     picture, steps, residuals = save_improvement(done, tmp_path / "a" / "b")
     assert picture.read_bytes().startswith(b"\x89PNG")
     table = pd.read_csv(steps)

@@ -318,12 +318,13 @@ FILE_DEFECTS: list[tuple[str, Callable[[bytes], bytes], str]] = [
     (
         C,
         lambda data: data.replace(b",", b";"),
-        "observations.csv line 1: separated by semicolons; use commas, and a point for decimals",
+        "observations.csv line 1: separated by semicolons, not commas; `mtcal convert FOLDER NEW --separator "
+        "semicolon` reads it",
     ),
     (
         C,
         lambda data: data.replace(b",", b"\t"),
-        "observations.csv line 1: separated by tabs; use commas, and a point for decimals",
+        "observations.csv line 1: separated by tabs, not commas; `mtcal convert FOLDER NEW --separator tab` reads it",
     ),
     (
         C,

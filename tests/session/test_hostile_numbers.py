@@ -44,9 +44,7 @@ def test_a_reading_that_nothing_gives(sound: Session, column: str, value: float)
 
 def test_a_covariate_may_be_in_any_unit(sound: Session) -> None:
     stamps = 1.7e18 + 1e9 * np.arange(len(sound.readings))  # nanoseconds since 1970
-    check_session(
-        sound.with_readings(replace(sound.readings, columns={**sound.readings.columns, "stamp": stamps}))
-    )
+    check_session(sound.with_readings(replace(sound.readings, columns={**sound.readings.columns, "stamp": stamps})))
 
 
 @pytest.mark.parametrize(

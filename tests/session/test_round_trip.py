@@ -110,14 +110,15 @@ def is_identifier(text: str) -> bool:
     return text.isprintable() and text == text.strip() and text not in "BCD" and text.lower() != "nan"
 
 
-finite = st.floats(allow_nan=False, allow_infinity=False)
+# As large and as small as anything of a machine may be, in any unit.
+finite = st.one_of(st.just(0.0), st.floats(1e-100, 1e12), st.floats(-1e12, -1e-100))
 
 
 @settings(max_examples=60, deadline=None)
 @given(
     x=finite,
     position=st.tuples(finite, finite, finite),
-    sigma=st.floats(min_value=5e-324, max_value=1e300),
+    sigma=st.floats(min_value=1e-15, max_value=1e12),
     identifier=st.text(min_size=1, max_size=8).filter(is_identifier),
 )
 def test_any_description_comes_back(

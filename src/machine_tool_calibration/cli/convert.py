@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from machine_tool_calibration.cli.foreign_options import SectionedCommand, foreign_options, is_asked, mapping_from
+from machine_tool_calibration.cli.foreign_options import (
+    SectionedCommand,
+    file_form,
+    foreign_options,
+    is_asked,
+    mapping_from,
+    only_form,
+)
 from machine_tool_calibration.cli.info import topic_names, topic_option
 from machine_tool_calibration.cli.output import console, json_option, note, write_json
 from machine_tool_calibration.errors import CalibrationError
@@ -79,12 +88,12 @@ def _shown(value: Any) -> str:
 
 
 _TABLES = (".csv", ".parquet")
+_ENDING = re.compile(r"\.[A-Za-z]\w{1,4}")  # a folder's name may hold a point too, as a date does
 _TEXTS = (".csv", ".txt", ".tsv", ".dat", ".asc")
 
 
 @click.command("convert", cls=SectionedCommand)
-@click.argument("source", type=click.Path(path_type=Path))
-@click.argument("target", type=click.Path(path_type=Path), required=False)
+@click.argument("paths", metavar="SOURCE… [TARGET]", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option(
     "--to",
     "form",
@@ -94,15 +103,21 @@ _TEXTS = (".csv", ".txt", ".tsv", ".dat", ".asc")
 )
 @click.option("--start", type=click.IntRange(min=0), default=0, help="Bag: when the session began, ns since 1970.")
 @click.option("--namespace", default="", help="Bag: namespace of its topics.")
+@click.option(
+    "--description",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="SOURCE is a table with the columns of observations.csv, in SI units, and this its session.yaml; by default "
+    "the one beside the table.",
+)
 @topic_option
 @json_option
 @foreign_options
 def command(
-    source: Path,
-    target: Path | None,
+    paths: tuple[Path, ...],
     form: str | None,
     start: int,
     namespace: str,
+    description: Path | None,
     topics: tuple[str, ...],
     as_json: bool,
     setup_name: str | None,
@@ -120,10 +135,13 @@ def command(
     mtcal convert bag session
     mtcal convert bag readings.csv
     mtcal convert bag tables --to parquet
+    mtcal convert readings.csv session --description session.yaml     back again
+    mtcal convert session mended --separator semicolon --decimal comma    after a spreadsheet had it
 
     With --table or --mapping, SOURCE is a text table of another program: a part or plate measured on a CMM, targets
-    measured by a laser tracker, readings by ISO 230-2. Nothing is guessed: columns and units are named, and --dry-run
-    shows what would be read.
+    measured by a laser tracker, readings by ISO 230-2. Several of the same form become one session, each with setups of
+    its own. Nothing is guessed: columns and units are named, and --dry-run shows what would be read. What looks like
+    another unit is refused; --trust-units takes it as it is, and so does everything that reads the session.
 
     \b
     A drilled plate on a CMM, with decimal commas:
@@ -142,15 +160,16 @@ def command(
     from machine_tool_calibration.recording.open import is_session_folder
 
     names = topic_names(topics)
-    if not source.exists():
-        raise CalibrationError(f"{source}: no such file or folder")
-    if target is None and not dry_run:
-        raise click.UsageError("Missing argument 'TARGET'.")
-    imported = _imported(source, setup_name, foreign)
-    from_session = imported is None and is_session_folder(source)
+    sources, target = _sources_and_target(paths, dry_run=dry_run)
+    source = sources[0]
+    for path in sources:
+        if not path.exists():
+            raise CalibrationError(f"{path}: no such file or folder")
+    imported = _imported(sources, setup_name, foreign) if is_asked(foreign) else None
+    own = None if imported is not None else _own_table(sources, setup_name, foreign, description)
+    from_session = imported is None and own is None and is_session_folder(source)
     if form is None:
-        end = "" if target is None else target.suffix
-        form = end.lstrip(".") if end in _TABLES else "bag" if from_session else "session"
+        form = _form(target, "bag" if from_session else "session")
     if imported is not None:
         preview = foreign_document(imported)
         if not as_json:
@@ -162,6 +181,8 @@ def command(
         document = {**_written(imported.session, target, form, start, namespace), **preview}
     elif dry_run or target is None:
         raise click.UsageError("--dry-run is for tables of other programs: it needs --table or --mapping")
+    elif own is not None:
+        document = _written(own, target, form, start, namespace)
     elif form in ("csv", "parquet"):
         document = _tables(source, target, form, from_session, names)
     else:
@@ -178,23 +199,64 @@ def command(
         note(f"{topic} was left out: its messages have a type that cannot be read")
 
 
-def _imported(source: Path, setup_name: str | None, foreign: dict[str, Any]) -> Imported | None:
-    """The session of a foreign table, if the command line speaks of one."""
+def _sources_and_target(paths: Sequence[Path], *, dry_run: bool) -> tuple[Sequence[Path], Path | None]:
+    """The last path is the target; a look at what would be read may do without."""
+    if dry_run and (len(paths) == 1 or paths[-1].is_file()):
+        return paths, None
+    if len(paths) == 1:
+        raise click.UsageError("Missing argument 'TARGET'.")
+    return paths[:-1], paths[-1]
+
+
+def _form(target: Path | None, otherwise: str) -> str:
+    """What the target's name says that it becomes."""
+    end = "" if target is None else target.suffix.lower()
+    if end in _TABLES:
+        return end.lstrip(".")
+    if _ENDING.fullmatch(end):
+        raise CalibrationError(
+            f"{target}: nothing is written to {end}; tables end in .csv or .parquet, and for a folder of this name say "
+            "--to session or --to bag"
+        )
+    return otherwise
+
+
+def _imported(sources: Sequence[Path], setup_name: str | None, foreign: dict[str, Any]) -> Imported:
+    """The session of foreign tables."""
+    from machine_tool_calibration.importing import import_table, parse_mapping
+
+    content, name = mapping_from(foreign)
+    return import_table(sources, parse_mapping(content, name), name=setup_name)
+
+
+def _own_table(
+    sources: Sequence[Path], setup_name: str | None, foreign: dict[str, Any], description: Path | None
+) -> Session | None:
+    """The session of a table that is written like observations.csv; None if SOURCE is no such table."""
     from machine_tool_calibration.session.description import DESCRIPTION_FILE, OBSERVATIONS_FILE
 
-    if is_asked(foreign):
-        from machine_tool_calibration.importing import import_table, parse_mapping
-
-        content, name = mapping_from(foreign)
-        return import_table(source, parse_mapping(content, name), name=setup_name)
-    if any(value for value in foreign.values()) or setup_name:
-        raise click.UsageError("options for tables of other programs need --table or --mapping")
+    if len(sources) > 1 or setup_name or not only_form(foreign):
+        raise click.UsageError("several sources and options for tables of other programs need --table or --mapping")
+    source = sources[0]
+    form = file_form(foreign)
     known = (DESCRIPTION_FILE, OBSERVATIONS_FILE)
-    if source.is_file() and source.suffix.lower() in _TEXTS and source.name not in known:
+    is_table = source.is_file() and source.suffix.lower() in (*_TEXTS, ".parquet") and source.name not in known
+    if not (is_table or form or description):
+        return None
+    table = source / OBSERVATIONS_FILE if source.is_dir() else source
+    described = description or table.with_name(DESCRIPTION_FILE)
+    if not described.exists():
         raise CalibrationError(
-            f"{source}: say what this table holds, with --table points, ranges or iso230-2, or with --mapping"
+            f"{source}: say what this table holds, with --table points, ranges or iso230-2, or with --mapping; if it "
+            f"is in SI units with the columns of {OBSERVATIONS_FILE}, with --description {DESCRIPTION_FILE}"
         )
-    return None
+    from machine_tool_calibration.importing.own import read_own_table
+    from machine_tool_calibration.importing.text_table import parse_form
+    from machine_tool_calibration.session.parse import parse_description
+    from machine_tool_calibration.session.text import read_text
+
+    record = parse_description(read_text(described), str(described))
+    return read_own_table(table, record, str(described), parse_form(form))
 
 
 def _opened(source: Path, names: dict[str, str]) -> Session:
@@ -222,14 +284,14 @@ def _save_readings(session: Session, target: Path, form: str) -> None:
     from machine_tool_calibration.session.folder import readings_frame
 
     _check_ending(target, form)
-    file = target if target.suffix == f".{form}" else target / f"observations.{form}"
+    file = target if target.suffix.lower() == f".{form}" else target / f"observations.{form}"
     if file.exists():
         raise CalibrationError(f"{file}: is there already; choose another name")
     save_table(iter([readings_frame(session)]), file)
 
 
 def _check_ending(target: Path, form: str) -> None:
-    if target.suffix in _TABLES and target.suffix != f".{form}":
+    if target.suffix.lower() in _TABLES and target.suffix.lower() != f".{form}":
         raise click.UsageError(f"{target} does not end in .{form}")
 
 
@@ -240,7 +302,7 @@ def _tables(source: Path, target: Path, form: str, from_session: bool, names: di
     _check_ending(target, form)
     if target.exists() and not target.is_dir():
         raise CalibrationError(f"{target}: is there already; choose another name")
-    if from_session or target.suffix == f".{form}":
+    if from_session or target.suffix.lower() == f".{form}":
         session = _opened(source, names)
         _save_readings(session, target, form)
         return {"readings": len(session.readings)}

@@ -11,8 +11,10 @@ import click
 
 from machine_tool_calibration.errors import CalibrationError
 
-__all__ = ["SectionedCommand", "foreign_options", "is_asked", "mapping_from"]
+__all__ = ["SectionedCommand", "file_form", "foreign_options", "is_asked", "mapping_from", "only_form"]
 
+_FORM = ("separator", "encoding", "skip", "skip_after_header", "comment", "missing", "time_format")
+"""Options of how the text of a table is written, but for those that are given in other words."""
 _SECTION = "Tables of other programs"
 
 
@@ -83,6 +85,12 @@ _OPTIONS: Sequence[Callable[[Any], Any]] = (
     _option("--comment", metavar="TEXT", help="Lines that begin with this are left out."),
     _option("--missing", multiple=True, metavar="TEXT", help="Text that stands for no value, beside the empty cell."),
     _option(
+        "--time-format",
+        metavar="FORMAT",
+        help="Of time stamps, such as '%m/%d/%Y %H:%M:%S'; not needed for 2024-05-03 10:15:00, 3.5.2024 10:15:00 and "
+        "times of day.",
+    ),
+    _option(
         "--sign",
         type=click.Choice(["actual-minus-nominal", "nominal-minus-actual"]),
         help="Sign of deviations in the table; actual minus nominal by default.",
@@ -96,6 +104,9 @@ _OPTIONS: Sequence[Callable[[Any], Any]] = (
         help="points: shift and turn the measured points of each setup onto the nominal ones, as a tracker's need.",
     ),
     _option("--axis", type=click.Choice(["x", "y", "z"]), help="iso230-2: the axis that was moved."),
+    _option(
+        "--actual", is_flag=True, help="iso230-2: the columns of the runs hold actual positions instead of deviations."
+    ),
     _option(
         "--senses", type=click.Choice(["x", "y", "z"]), help="iso230-2: the direction read, if not along the axis."
     ),
@@ -111,6 +122,12 @@ _OPTIONS: Sequence[Callable[[Any], Any]] = (
     _option("--station", "stations", multiple=True, metavar="ID=X,Y,Z UNIT", help="ranges: where a station stands."),
     _option("--target", "targets", multiple=True, metavar="ID=X,Y,Z UNIT", help="ranges: a target on a rotary table."),
     _option("--setup", "setup_name", metavar="ID", help="Name of the setup; the file's name by default."),
+    _option(
+        "--trust-units",
+        is_flag=True,
+        help="Take numbers as they are that look like another unit, frame or order; the session says so "
+        "(trust_units: true), and is read and identified without such refusals.",
+    ),
     _option("--chain", metavar="CHAIN", help="The machine, such as w-Y-X-b-Z-t."),
     _option("--uncertainty", metavar="LENGTH", help="Standard uncertainty (k = 1) of one reading, such as 1.5um."),
     _option("--datum", type=click.Choice(["none", "offset", "rigid"]), help="What is unknown of each setup."),
@@ -133,6 +150,19 @@ def foreign_options(function: Any) -> Any:
 def is_asked(given: dict[str, Any]) -> bool:
     """Whether the command line is about a foreign table."""
     return given["table"] is not None or given["mapping"] is not None
+
+
+def only_form(given: dict[str, Any]) -> bool:
+    """Whether nothing is said of a foreign table but how its text is written."""
+    return not any(value for key, value in given.items() if key not in (*_FORM, "decimal", "no_header"))
+
+
+def file_form(given: dict[str, Any]) -> dict[str, Any]:
+    """What the options say of how a table's text is written."""
+    form = {key: given[key] or None for key in _FORM}
+    form["decimal"] = {"comma": ",", "point": "."}.get(given["decimal"] or "")
+    form["header"] = False if given["no_header"] else None
+    return {key: value for key, value in form.items() if value is not None}
 
 
 def mapping_from(given: dict[str, Any]) -> tuple[dict[str, Any], str]:
@@ -162,15 +192,11 @@ def mapping_from(given: dict[str, Any]) -> tuple[dict[str, Any], str]:
     ):
         _update(content, key, _pairs(option, given[option]), path)
     _update(content, "units", _units(given["units"]), path)
-    form = {key: given[key] for key in ("separator", "encoding", "skip", "skip_after_header", "comment")}
-    form["decimal"] = {"comma": ",", "point": "."}.get(given["decimal"] or "")
-    form["header"] = False if given["no_header"] else None
-    form["missing"] = given["missing"] or None
-    _update(content, "file", {key: value for key, value in form.items() if value is not None}, path)
+    _update(content, "file", file_form(given), path)
     for key in ("sign", "axis", "senses"):
         if given[key]:
             content[key] = given[key]
-    content |= {key: True for key in ("align", "transposed") if given[key]}
+    content |= {key: True for key in ("align", "transposed", "actual") if given[key]}
     if given["long"]:
         content["layout"] = "long"
     if given["up"] or given["down"]:
@@ -185,6 +211,7 @@ def mapping_from(given: dict[str, Any]) -> tuple[dict[str, Any], str]:
     session["standard_uncertainty"] = given["uncertainty"]
     session["machine"] = {"chain": given["chain"]} if given["chain"] else None
     session["terms"] = list(given["terms"]) or None
+    session["trust_units"] = given["trust_units"] or None
     _update(content, "session", {key: value for key, value in session.items() if value is not None}, path)
     return content, "command line" if path is None else str(path)
 

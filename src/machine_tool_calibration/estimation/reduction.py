@@ -12,7 +12,7 @@ from functools import cache
 import numpy as np
 import threadpoolctl
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.estimation.elimination import raw_squares, reduced_gram
 from machine_tool_calibration.estimation.problem import Part, Problem
 
@@ -61,7 +61,7 @@ def project(total: Array, squares: Array, half: Array, k: int, names: tuple[str,
 
 
 _THREADS = 2
-# Readings up to which handing chunks to threads takes longer than the chunks.
+# Readings up to which it takes longer to hand chunks to threads, or to sum run by run, than to work on all at once.
 _FEW = 10_000
 _KEPT = 3 << 20
 
@@ -97,6 +97,27 @@ def over_chunks(part: Part, work: Callable[[int, slice], Array]) -> list[Array]:
         return list(_pool(os.getpid(), _THREADS).map(lambda chunk: work(*chunk), chunks))
 
 
+def _gram_without_points(part: Part, theta: Array, local: Array) -> tuple[IntArray, Array]:
+    """Places (k,) of the unknowns that a part sees, and their Gram matrix with the residual, of all rows in one."""
+    places = [part.columns(group) for group in range(len(part.groups))]
+    used = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *places]))
+    columns = np.zeros((len(used) + 1, sum(layout.rows.size for layout in part.groups)))
+    first = 0
+    for group, layout in enumerate(part.groups):
+        slots, n = layout.rows.shape
+        rows = part.rows(group, slice(0, n), theta, local)
+        at, p = np.searchsorted(used, places[group]), len(rows.block)
+        for slot in range(slots):
+            mine = slice(first, first + n)
+            first += n
+            columns[at[len(at) - len(rows.dense) :], mine] = rows.dense[:, slot]
+            # One by one: a block may hold an unknown twice, or one of the dense ones.
+            for place, column in zip(at[layout.place[slot] * p :], rows.block[:, slot], strict=False):
+                columns[place, mine] += column
+            columns[-1, mine] = rows.residual[slot]
+    return used, columns @ columns.T
+
+
 @single_blas()
 def gram(problem: Problem, theta: Array, local: Sequence[Array]) -> tuple[Array, Array]:
     """Reduced Gram matrix of [shared unknowns, residual] over all parts and priors.
@@ -108,6 +129,12 @@ def gram(problem: Problem, theta: Array, local: Sequence[Array]) -> tuple[Array,
     total = np.zeros((m + 1, m + 1))
     squares = np.zeros(m + 1)
     for part, own in zip(problem.parts, local, strict=True):
+        if not part.dimension and part.n_readings <= _FEW:
+            index, value = _gram_without_points(part, theta, own)
+            index = np.append(index, m)
+            total[np.ix_(index, index)] += value
+            squares[index] += np.diag(value)
+            continue
 
         def work(group: int, chunk: slice, part: Part = part, own: Array = own) -> Array:
             rows, place = part.rows(group, chunk, theta, own), part.groups[group].place

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.columns import require_columns
 from machine_tool_calibration.session.description import Direct, Place
 from machine_tool_calibration.session.parse import describe
-from machine_tool_calibration.session.session import Session, assemble
+from machine_tool_calibration.session.session import Session, assemble, distinct_labels
 
 __all__ = ["Imported", "import_table"]
 
@@ -46,22 +47,23 @@ class Imported:
 
 @dataclass(frozen=True)
 class _TablePlace(Place):
-    """Messages name the line of the foreign file."""
+    """Messages name the file and the line."""
 
-    table: TextTable | None = None
+    tables: tuple[TextTable, ...] = ()
     origin: IntArray | None = None
 
     def row(self, row: int) -> str:
-        assert self.table is not None and self.origin is not None
-        return self.table.where(int(self.origin[row]))
+        assert self.origin is not None
+        table, line = (int(number) for number in self.origin[row])
+        return self.tables[table].where(line)
 
 
-def import_table(path: Path, mapping: Mapping, *, name: str | None = None) -> Imported:
-    """Read a foreign table as a session.
+def import_table(path: Path | Sequence[Path], mapping: Mapping, *, name: str | None = None) -> Imported:
+    """Read a foreign table, or several of the same form, as a session.
 
     Args:
-        path: a text file of rows and columns.
-        mapping: what its columns mean, and what the session says beside them.
+        path: a text file of rows and columns; of several, each has setups of its own.
+        mapping: what the columns mean, and what the session says beside them.
         name: id of the setup, where no column names it; by default the file's name without its ending.
 
     Raises:
@@ -69,24 +71,23 @@ def import_table(path: Path, mapping: Mapping, *, name: str | None = None) -> Im
             for the method.
         ModelError: a machine error that is none of the machine's.
     """
-    table = read_text_table(path, mapping.file)
-    columns = Columns(table, mapping)
-    setup = name or path.stem.strip() or "table"
-    rows = {
-        "points": lambda: point_rows(columns, setup),
-        "ranges": lambda: range_rows(columns),
-        "iso230-2": lambda: positioning_rows(columns, setup),
-    }[mapping.table]()
-    described = _described(rows, mapping, table.source)
-    description = describe(described, f"{table.source}: session")
-    place = _TablePlace(f"{table.source}: session", table.source, None, table, rows.row)
-    require_columns(description, [*rows.numbers, *rows.labels], table.source)
+    paths = [path] if isinstance(path, Path) else list(path)
+    read = [Columns(read_text_table(file, mapping.file), mapping) for file in paths]
+    names = [name] if name else distinct_labels([file.stem.strip() or "table" for file in paths])
+    if len(names) < len(paths):
+        raise SessionError(f"{name}: a name for one setup, but each of {len(paths)} tables is a setup of its own")
+    parts = [_ROWS[mapping.table](columns, setup) for columns, setup in zip(read, names, strict=True)]
+    rows, origin = _joined(parts, read)
+    source = str(paths[0]) if len(paths) == 1 else f"{paths[0]} and {len(paths) - 1} more"
+    description = describe(_described(rows, mapping, source), f"{source}: session")
+    place = _TablePlace(f"{source}: session", source, None, tuple(columns.table for columns in read), origin)
+    require_columns(description, [*rows.numbers, *rows.labels], source)
     readings = assemble(description, rows.numbers, rows.labels, place)
-    session = Session(description, readings, source=str(path))
+    session = Session(description, readings, source=source)
     check_session(session, place)
     if isinstance(description, Direct):  # a misspelt error would be met at the identification only
         asked_tables(description.machine.kinematics, description.terms, readings.position())
-    notes = list(rows.notes)
+    notes = [*(f"{columns.table.source}: {text}" for columns in read for text in columns.table.notes), *rows.notes]
     missing = int(np.count_nonzero(~np.isfinite(readings.displacement)))
     if missing:
         notes.append(f"{missing} of {len(readings)} readings are empty cells: kept as missing")
@@ -94,7 +95,54 @@ def import_table(path: Path, mapping: Mapping, *, name: str | None = None) -> Im
         notes.append(
             "no machine errors are named; without terms, as in --term EXX, nothing of the machine is identified"
         )
-    return Imported(session, columns.read, len(table), tuple(notes))
+    return Imported(session, read[0].read, sum(len(columns.table) for columns in read), tuple(notes))
+
+
+_ROWS: dict[str, Callable[[Columns, str], Rows]] = {
+    "points": point_rows,
+    "ranges": lambda columns, setup: range_rows(columns),
+    "iso230-2": positioning_rows,
+}
+
+
+def _joined(parts: Sequence[Rows], read: Sequence[Columns]) -> tuple[Rows, IntArray]:
+    """The rows of several tables one below the other, in the order of time where that was stamped.
+
+    Returns:
+        The rows, and (n, 2) the table and the row in it that each comes from.
+    """
+    lengths = [len(part.row) for part in parts]
+    origin = np.column_stack([np.repeat(np.arange(len(parts)), lengths), np.concatenate([part.row for part in parts])])
+    numbers = {
+        name: np.concatenate(
+            [part.numbers.get(name, np.full(n, np.nan)) for part, n in zip(parts, lengths, strict=True)]
+        )
+        for name in dict.fromkeys(name for part in parts for name in part.numbers)
+    }
+    labels = {
+        name: np.concatenate([part.labels.get(name, np.full(n, "")) for part, n in zip(parts, lengths, strict=True)])
+        for name in dict.fromkeys(name for part in parts for name in part.labels)
+    }
+    setups: dict[str, tuple[str, object]] = {}
+    for part, source in zip(parts, (columns.table.source for columns in read), strict=True):
+        for entry in part.description["setups"]:  # type: ignore[attr-defined]
+            if entry["id"] in setups:
+                first = setups[entry["id"]][0]
+                raise SessionError(f"{source}: setup {entry['id']!r} is in {first} too; a setup is in one file")
+            setups[entry["id"]] = (source, entry)
+    described = {**parts[0].description, "setups": [entry for _, entry in setups.values()]}
+    if "repeats" in described:
+        described["repeats"] = max(part.description["repeats"] for part in parts)  # type: ignore[type-var]
+    notes = tuple(dict.fromkeys(text for part in parts for text in part.notes))
+    if "time" in numbers and any(columns.stamped for columns in read):
+        time = numbers["time"]
+        order = np.argsort(time, kind="stable") if np.isfinite(time).all() else np.arange(len(time))
+        numbers = {name: values[order] for name, values in numbers.items()} | {"time": time[order] - np.nanmin(time)}
+        labels = {name: values[order] for name, values in labels.items()}
+        origin = origin[order]
+    elif len(parts) > 1 and "time" in numbers and not any(columns.has("time") for columns in read):
+        numbers["time"] = np.arange(len(origin), dtype=np.float64)
+    return Rows(numbers, labels, origin[:, 1], described, notes), origin
 
 
 def _described(rows: Rows, mapping: Mapping, source: str) -> dict[str, Any]:

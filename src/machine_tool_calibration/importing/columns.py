@@ -46,11 +46,13 @@ class Columns:
         table: the file's cells.
         mapping: what they mean.
         read: what was read, for the preview: quantity, column, unit.
+        stamped: whether the times that were read are time stamps, not seconds since the start of the session.
     """
 
     table: TextTable
     mapping: TableMapping
     read: dict[str, tuple[str, str]] = field(default_factory=dict)
+    stamped: bool = False
 
     def has(self, role: str) -> bool:
         """Whether a column or a value is named for it."""
@@ -77,6 +79,10 @@ class Columns:
             self.read[role] = ("(the same in every row)", text)
             return np.full(len(self.table), quantity(text, wanted, f"value of {role}"))
         rule = self.mapping.columns[role]
+        if role == "time" and (stamps := self.table.stamps(rule.column, role)) is not None:
+            self.read[role] = (rule.column, "time stamps")
+            self.stamped = True
+            return stamps
         unit = self._unit(role, rule, wanted)
         self.read[role] = (rule.column, unit)
         return self.table.numbers(rule.column, role, unit)
@@ -132,7 +138,13 @@ class Columns:
         units = self.mapping.units
         named = unit_in_name(rule.column)
         given = rule.unit or units.get(role)
-        if given is not None and named is not None and dimension(named) == dimension(given) and named != given:
+        if (
+            given is not None
+            and named is not None
+            and dimension(named) == dimension(given)
+            and named != given
+            and not self.mapping.trusted
+        ):
             raise SessionError(
                 f"{self.table.source}: the column {rule.column!r} says {named}, but {role} is given in {given}"
             )

@@ -114,6 +114,7 @@ class Mapping(Rule):
         transposed: iso230-2: a row for each run instead of a column.
         runs: iso230-2: the columns of the runs in order; absent, every other column, by its name (`1 up`, `1 down`).
         axis: iso230-2: that was moved.
+        actual: iso230-2: the columns of the runs hold actual positions instead of deviations.
         senses: iso230-2: direction that was read, if it is another (straightness).
         stations: position of a tracker's stations, machine frame, such as `A: -350, 50, 0 mm`.
         targets: position of targets on a rotary table, table frame at c = 0.
@@ -134,10 +135,16 @@ class Mapping(Rule):
     transposed: bool = False
     runs: tuple[Run, ...] = ()
     axis: Literal["x", "y", "z"] | None = None
+    actual: bool = False
     senses: Literal["x", "y", "z"] | None = None
     stations: dict[str, str] = {}
     targets: dict[str, str] = {}
     session: dict[str, Any] = {}
+
+    @property
+    def trusted(self) -> bool:
+        """Whether what looks like another unit or another frame is taken as it is."""
+        return self.session.get("trust_units") is True
 
     @field_validator("units")
     @classmethod

@@ -91,7 +91,8 @@ def check_size(measured: Array, nominal: Array, where: str, *, aligned: bool) ->
         for factor, what in _FACTORS:
             if abs(ratio / factor - 1.0) < 0.02:
                 raise SessionError(
-                    f"{where}: measured points spread {ratio:.4g} times as far as nominal ones{along}; {what}?"
+                    f"{where}: measured points spread {ratio:.4g} times as far as nominal ones{along}; {what}? "
+                    "(--trust-units takes them as they are)"
                 )
     whole = good.all(axis=1)
     hint = "are the columns and the order of the points right?"
@@ -103,7 +104,10 @@ def check_size(measured: Array, nominal: Array, where: str, *, aligned: bool) ->
         rest = mirrored @ rotation.T + shift - nominal[whole]
         if np.sqrt(np.mean(rest**2)) < _POOR * extent:
             hint = "they fit once mirrored: one of the two frames is left-handed"
-    raise SessionError(f"{where}: measured points are {spread * 1e3:.4g} mm (RMS) from nominal ones; {hint}")
+    raise SessionError(
+        f"{where}: measured points are {spread * 1e3:.4g} mm (RMS) from nominal ones; {hint} "
+        "(--trust-units takes them as they are)"
+    )
 
 
 def check_deviations(deviation: Array, position: Array, where: str) -> None:
@@ -123,7 +127,7 @@ def check_deviations(deviation: Array, position: Array, where: str) -> None:
     if spread > _POOR * extent > 0.0:
         raise SessionError(
             f"{where}: deviations spread {1e3 * spread:.4g} mm over {1e3 * extent:.4g} mm of travel; "
-            "is their unit right?"
+            "is their unit right? (--trust-units takes them as they are)"
         )
 
 
@@ -231,11 +235,13 @@ def _deviation(columns: Columns, nominal: Array, setups: np.ndarray) -> tuple[Ar
             out = measured - nominal
             for role in given:  # not through the sum, which would round
                 out[:, _AXES.index(role[-1])] = columns.number(role)
+                if columns.mapping.trusted:
+                    continue
                 check_deviations(out[:, _AXES.index(role[-1])], nominal, f"{table.source}, {role}")
             return out, how
     if align:
         measured = _aligned(columns, measured, nominal, setups)
-    for setup in dict.fromkeys(setups.tolist()):
+    for setup in () if columns.mapping.trusted else dict.fromkeys(setups.tolist()):
         mine = setups == setup
         check_size(measured[mine], nominal[mine], f"{table.source}, setup {setup!r}", aligned=align)
     return measured - nominal, how

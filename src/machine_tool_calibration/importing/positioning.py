@@ -42,9 +42,10 @@ def positioning_rows(columns: Columns, name: str) -> Rows:
         position, run, up, deviation, row = _wide(columns)
     else:
         position, run, up, deviation, row = _long(columns)
-    check_deviations(deviation, position, columns.table.source)
+    if not mapping.trusted:
+        check_deviations(deviation, position, columns.table.source)
     sense = mapping.senses or mapping.axis
-    if mapping.sign == "nominal-minus-actual" and not columns.has("actual"):
+    if mapping.sign == "nominal-minus-actual" and not (mapping.actual or columns.has("actual")):
         deviation = -deviation
     n = len(position)
     numbers: dict[str, Array] = {mapping.axis: position, f"dir_{mapping.axis}": np.where(up, 1.0, -1.0), "repeat": run}
@@ -82,7 +83,7 @@ def _wide(columns: Columns) -> Series:
     count = {"up": 0, "down": 0}
     for entry in runs:
         what = f"run {count[entry.direction] + 1} {entry.direction}"
-        unit = columns.unit_of("deviation", entry.column)
+        unit = columns.unit_of("actual" if mapping.actual else "deviation", entry.column)
         columns.read[what] = (entry.column, unit)
         if mapping.transposed:
             at = _row(table, names, entry.column, what)
@@ -90,6 +91,8 @@ def _wide(columns: Columns) -> Series:
             row = np.full(len(position), at)
         else:
             values, row = table.numbers(entry.column, what, unit), np.arange(len(table))
+        if mapping.actual:
+            values = values - position
         order = np.argsort(position, kind="stable")
         if entry.direction == "down":
             order = order[::-1]

@@ -135,7 +135,8 @@ def _station(
     if whole.sum() < 3:
         raise SessionError(f"{where}: {int(whole.sum())} targets with distance and angles; at least 3 are needed")
     rotation, shift = best_motion(points[whole], position[whole])
-    check_size(points[whole] @ rotation.T + shift, position[whole], where, aligned=True)
+    if not columns.mapping.trusted:
+        check_size(points[whole] @ rotation.T + shift, position[whole], where, aligned=True)
     notes.append(
         f"station {name!r} stands at ({', '.join(f'{1e3 * v:.2f}' for v in shift)}) mm: from the points that it saw"
     )

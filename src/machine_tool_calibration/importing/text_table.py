@@ -4,25 +4,29 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.importing.stamps import are_stamps, stamp_seconds
 from machine_tool_calibration.importing.units import si_values
 from machine_tool_calibration.session.text import reject_foreign_encoding
 
-__all__ = ["FileForm", "TextTable", "read_text_table"]
+__all__ = ["FileForm", "TextTable", "parse_form", "read_text_table"]
 
 _LARGEST = 64 << 20  # bytes
 _MOST_COLUMNS = 1000
 _MOST_CELLS = 5_000_000
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 _SEPARATORS = {"comma": ",", "semicolon": ";", "tab": "\t", "bar": "|", "space": r"\s+"}
 
 
@@ -38,6 +42,7 @@ class FileForm(BaseModel):
         header: whether a line names the columns; otherwise they are called 1, 2, 3 …
         comment: lines that begin with this are left out.
         missing: texts that stand for no value, beside the empty cell and nan.
+        time_format: of time stamps, as for `datetime.strptime`, where they say it not by themselves.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -50,6 +55,7 @@ class FileForm(BaseModel):
     header: bool = True
     comment: str | None = Field(default=None, min_length=1)
     missing: tuple[str, ...] = ()
+    time_format: str | None = None
 
 
 @dataclass(frozen=True)
@@ -63,6 +69,7 @@ class TextTable:
         lines: (rows,) line of each row in the file, from 1.
         header_line: of the header; of the first row where there is none.
         form: how numbers are written.
+        notes: lines that were left out and look like rows.
     """
 
     source: str
@@ -71,6 +78,7 @@ class TextTable:
     lines: tuple[int, ...]
     header_line: int
     form: FileForm
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.cells)
@@ -129,7 +137,7 @@ class TextTable:
         if self.form.decimal == ",":
             # a point would be a thousands separator, or the wrong mark: neither is guessed
             plain = text.where(~text.str.contains(".", regex=False), "?").str.replace(",", ".", regex=False)
-        written = plain.str.fullmatch(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?").to_numpy(dtype=bool)
+        written = plain.str.fullmatch(_NUMBER).to_numpy(dtype=bool)
         values = si_values(plain.where(written, "nan").tolist(), unit)
         bad = np.flatnonzero(~np.isfinite(values) & ~missing.to_numpy())
         if len(bad):
@@ -138,12 +146,44 @@ class TextTable:
             raise SessionError(f"{self.source} line {line}: {what}: {self._shown(str(text[row]))} is not a number")
         return values
 
+    def stamps(self, column: str, what: str) -> Array | None:
+        """(rows,) seconds of a column of time stamps, NaN where a cell is empty; None where it holds numbers.
+
+        Raises:
+            SessionError: no such column, or a cell that is no time stamp, with its line.
+        """
+        cells = self.text(column, what)
+        if self.form.time_format is None and not are_stamps(cells):
+            return None
+        values = np.array([stamp_seconds(cell, self.form.time_format) for cell in cells.tolist()])
+        missing = np.isin(np.char.lower(cells), ["", "nan", *(word.lower() for word in self.form.missing)])
+        bad = np.flatnonzero(~np.isfinite(values) & ~missing)
+        if len(bad):
+            raise SessionError(
+                f"{self.where(int(bad[0]))}: column {column!r}: {str(cells[bad[0]])[:40]!r} is no time stamp such as "
+                "2024-05-03 10:15:00; the form of others is said, as in --time-format '%m/%d/%Y %H:%M:%S'"
+            )
+        return values
+
     def _shown(self, text: str) -> str:
         shown = repr(text if len(text) <= 40 else text[:37] + "...")
         other = "," if self.form.decimal == "." else "."
         if other in text and text.replace(other, "", 1).lstrip("+-").isdigit():
             return f"{shown} (decimal {'comma' if other == ',' else 'point'}?)"
         return shown
+
+
+def parse_form(content: dict[str, Any]) -> FileForm:
+    """How a text is written, from the keys of `FileForm`.
+
+    Raises:
+        SessionError: a key or value that it does not have.
+    """
+    try:
+        return FileForm.model_validate(content)
+    except ValidationError as error:
+        defect = error.errors(include_url=False)[0]
+        raise SessionError(f"{defect['loc'][0]}: {defect['msg']}") from None
 
 
 def read_text_table(path: Path, form: FileForm) -> TextTable:
@@ -156,12 +196,13 @@ def read_text_table(path: Path, form: FileForm) -> TextTable:
     source = str(path)
     lines = _lines(path, form)
     numbered = [(number, text) for number, text in enumerate(lines, start=1) if number > form.skip and text.strip()]
+    left_out = []
     if form.comment:
-        numbered = [(number, text) for number, text in numbered if not text.lstrip().startswith(form.comment)]
-    if form.header:
-        numbered = numbered[:1] + numbered[1 + form.skip_after_header :]
-    else:
-        numbered = numbered[form.skip_after_header :]
+        left_out = [entry for entry in numbered if entry[1].lstrip().startswith(form.comment)]
+        numbered = [entry for entry in numbered if not entry[1].lstrip().startswith(form.comment)]
+    begin = 1 if form.header else 0
+    left_out += numbered[begin : begin + form.skip_after_header]
+    numbered = numbered[:begin] + numbered[begin + form.skip_after_header :]
     if len(numbered) < (2 if form.header else 1):
         raise SessionError(f"{source}: no rows{f' after the {form.skip} lines left out' if form.skip else ''}")
     cells, width = _split(source, [text for _, text in numbered], form)
@@ -179,7 +220,20 @@ def read_text_table(path: Path, form: FileForm) -> TextTable:
                 f"{source} line {places[row]}: {width[row]} cells where {'the header' if first else 'another row'} has "
                 f"{count}" + ("; is the separator right?" if count == 1 else "")
             )
-    return TextTable(source, names, cells[first:, :count], tuple(places[first:]), places[0], form)
+    notes = tuple(
+        f"line {number} is left out (comment or skip_after_header) and looks like a row: {text.strip()[:60]}"
+        for number, text in sorted(left_out)
+        if number > places[0] - first and _is_row(text, count, form)
+    )
+    return TextTable(source, names, cells[first:, :count], tuple(places[first:]), places[0], form, notes)
+
+
+def _is_row(text: str, count: int, form: FileForm) -> bool:
+    """Whether a line has as many cells as the table, and numbers in two of them or more."""
+    separator = _SEPARATORS.get(form.separator, form.separator)
+    cells = text.split() if separator == _SEPARATORS["space"] else text.split(separator)
+    numbers = sum(_NUMBER.fullmatch(cell.strip().replace(form.decimal, ".")) is not None for cell in cells)
+    return len(cells) == count and numbers >= 2
 
 
 def _lines(path: Path, form: FileForm) -> list[str]:

@@ -21,6 +21,7 @@ from machine_tool_calibration.session.session import Session
 
 __all__ = ["FittedSessions", "fit_sessions", "joint_models"]
 
+
 @dataclass(frozen=True)
 class FittedSessions:
     """Models of one or several sessions, fitted.

@@ -33,6 +33,7 @@ from machine_tool_calibration.model.result import (
     spread_document,
 )
 from machine_tool_calibration.residuals.outliers import Outlier, set_aside
+from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.session.method import load
 from machine_tool_calibration.session.session import Session
 
@@ -53,18 +54,17 @@ _IMPOSSIBLE = 0.01
 _KNOWN = 5.0
 
 
-def refuse_impossible(session: Session, error_map: ErrorMap, *, allow: bool = False) -> None:
-    """Refuse what was identified from readings that contradict the geometry.
+def refuse_impossible(session: Session, error_map: ErrorMap) -> None:
+    """Refuse what was identified from readings that contradict the geometry, unless the session says `trust_units`.
 
     Args:
         session: the measurement.
         error_map: what was identified.
-        allow: whether it is accepted nevertheless.
 
     Raises:
         ModelError: a position error of centimetres, or a station far from where it is stated to be.
     """
-    if allow:
+    if session.description.trust_units:
         return
     size = np.abs(error_map.error)
     there = np.isfinite(size) & (size > _KNOWN * error_map.uncertainty) & (size > _IMPOSSIBLE)
@@ -201,6 +201,7 @@ class JointResult:
             "parameters": [estimate.document() for estimate in self.parameters],
             "not_determined": self.not_determined,
             "datum": self.common.datum,
+            "suspicious": suspicions([model.observations.session for model in self.common.models], self.labels),
             "error_map": plain(self.error_map.content),
         }
 
@@ -310,7 +311,6 @@ def identify(
     effects: Sequence[str] = (),
     own: Sequence[Effect] = (),
     keep_all: bool = False,
-    allow_impossible: bool = False,
     sets: Sequence[EffectSet] = (),
 ) -> Result:
     """Identify the machine's errors from one session.
@@ -321,7 +321,6 @@ def identify(
         effects: ids of physical effects to add to the model.
         own: the user's own effects, beside the catalogue.
         keep_all: use all readings; otherwise those that stand out of all others are set aside.
-        allow_impossible: accept position errors and places of stations that no machine has.
         sets: of effects that the readings do not distinguish, over which the map is the mean; `effects` is one of them.
 
     Raises:
@@ -337,7 +336,7 @@ def identify(
         sets,
         lambda others: fit_sessions([kept], model=model, effects=others, own=own).error_map,
     )
-    refuse_impossible(session, error_map, allow=allow_impossible)
+    refuse_impossible(session, error_map)
     return Result(
         fit=fit,
         error_map=error_map,

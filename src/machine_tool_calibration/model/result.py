@@ -12,6 +12,7 @@ from machine_tool_calibration.arrays import Array, rms
 from machine_tool_calibration.model.fit import Fit, JointFit
 from machine_tool_calibration.model.model import Kind, NotDetermined, Parameter
 from machine_tool_calibration.model.stated import FamilySize
+from machine_tool_calibration.session.checks.suspicion import suspicions
 
 __all__ = ["EffectSet", "ErrorMap", "Estimate", "Rejected", "Result", "averaged_document", "plain", "spread_document"]
 
@@ -183,6 +184,7 @@ class Result:
             "spread": [spread_document(size) for size in joint.stated.sizes],
             "scatter_factor": joint.stated.scatter,
             "datum": self.fit.model.datum,
+            "suspicious": suspicions([self.fit.model.observations.session]),
             "error_map": plain(self.error_map.content),
         }
 

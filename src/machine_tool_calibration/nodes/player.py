@@ -81,7 +81,7 @@ _AT_ONCE = 500  # messages, so that services are answered in between
 _SHOW = 0.2  # s
 _ACKNOWLEDGE = Duration(seconds=2.0)
 _LEAST_DEPTH = 100
-_NEVER = ("/rosout", "/parameter_events", "/diagnostics")
+_NEVER = ("/rosout", "/parameter_events")
 
 
 @dataclass

@@ -1,5 +1,6 @@
-"""Runs a measurement procedure: commands the axes and the pointer, takes readings, and publishes each with the commands
-and the environment that it belongs to.
+"""Runs a measurement procedure: commands the axes and the pointer, takes readings and publishes them.
+
+Each is published with the commands and the environment that it belongs to.
 
 What happens next is decided by `procedure.sequencer`; this node carries messages. It starts, pauses, resumes and aborts
 on request, and states what it waits for. Deadlines run on the wall clock, so that a partner that has died ends in a
@@ -193,7 +194,7 @@ class ProcedureNode(GuardedNode):
             ("resume", self._resume),
             ("abort", self._abort),
         ):
-            offer(self, "procedure", name, Trigger, partial(_answer, handler))
+            offer(self, "procedure", name, Trigger, partial(_answer_by, handler))
         self.create_timer(_TICK, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._publish_session()
         self._show()
@@ -326,6 +327,7 @@ class ProcedureNode(GuardedNode):
                 case Stop():
                     message = JointTrajectory()
                     message.header.stamp = to_message(action.stamp)
+                    message.header.frame_id = MACHINE
                     self._axes.publish(message)
                 case Aim():
                     self._pointer.publish(target_message(action, self._setups))
@@ -387,7 +389,7 @@ class ProcedureNode(GuardedNode):
         self._status.say(level, text, entries)
 
 
-def _answer(handler: Callable[[], str], answer: Answer) -> None:
+def _answer_by(handler: Callable[[], str], answer: Answer) -> None:
     """Answer a request by a function that says what it did or raises what it cannot do."""
     try:
         answer.send(True, handler())

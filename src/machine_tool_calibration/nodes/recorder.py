@@ -26,7 +26,7 @@ __all__ = ["Recorder", "main"]
 _TAKE = 0.004  # s
 _DISCOVER = 0.2  # s
 _SHOW = 0.5  # s
-_NEVER = ("/rosout", "/parameter_events", "/clock", "/diagnostics")
+_NEVER = ("/rosout", "/parameter_events", "/clock")
 
 
 class Recorder(GuardedNode):

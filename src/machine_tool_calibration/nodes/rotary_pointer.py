@@ -121,7 +121,8 @@ class RotaryPointer(GuardedNode):
         if setup != self._setup:
             self._setup = setup
             self._setup_starts[setup] = max(stamp, now(self))
-        azimuth, elevation = pointing(target.point[None], np.array(self._session.setups[ids.index(setup)].position))  # type: ignore[union-attr]
+        station = np.array(self._session.setups[ids.index(setup)].position)  # type: ignore[union-attr]
+        azimuth, elevation = pointing(target.point[None], station)
         flat = getattr(self._session, "dimension", 3) == 2
         begin = max(stamp, now(self)) if not self._simulated else stamp
         here = self._motion.position(seconds(begin - self._start))

@@ -1,4 +1,4 @@
-"""Files that the package brings: procedures and parameters, wherever it was installed."""
+"""Files that the package brings: procedures and pages on messages, wherever it was installed."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def _shares() -> Iterator[Path]:
 
 
 def shared_file(name: str) -> Path:
-    """A file of the package by its path below the package's share folder, such as `config/procedures/tracking_2d.yaml`.
+    """A file of the package by its path below the package's share folder, such as `msg_docs/estimator.md`.
 
     Raises:
         CalibrationError: it is not installed.

@@ -66,7 +66,7 @@ def _ranking(panel: Axes, diagnosis: Diagnosis, changes: Mapping[str, Consequenc
     panel.barh(place, after, height=0.55, color=colors, label="with it")
     for y, value, p in zip(place, before, table["probability"], strict=True):
         panel.text(value, y, f" {probability(p)}", va="center", fontsize=8, color="0.3")
-    panel.axvline(1e6 * diagnosis.noise.declared, color="0.3", ls=":", label="declared uncertainty")
+    panel.axvline(1e6 * diagnosis.noise.declared, color="0.3", ls=":", label="declared standard uncertainty")
     panel.set_yticks(place, table["effect"], fontsize=8)
     panel.set_xlabel("residual, µm RMS")
     panel.set_title("Candidates; at the end of each bar its probability", fontsize=10)
@@ -115,6 +115,7 @@ def _over(panel: Axes, diagnosis: Diagnosis) -> None:
     band = 2e6 * diagnosis.noise.declared
     panel.axhspan(-band, band, color="0.92", zorder=0, label="declared uncertainty U (k = 2)")
     panel.set_xlabel(label)
+    panel.locator_params(axis="x", nbins=6)
     panel.set_ylabel("residual, µm")
     what = "what the effect acts through" if diagnosis.accepted else "what they follow most"
     panel.set_title(f"Residuals over {what} (lines: means)", fontsize=10)

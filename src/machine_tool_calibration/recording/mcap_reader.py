@@ -24,7 +24,7 @@ from machine_tool_calibration.recording.records import (
 
 __all__ = ["Channels", "McapReader", "Summary"]
 
-_DEFINITIONS = 64 << 20  # bytes of message definitions that are kept
+_DEFINITIONS = 16 << 20  # bytes of message definitions that are kept
 
 
 @dataclass

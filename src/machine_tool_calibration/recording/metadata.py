@@ -8,10 +8,14 @@ from typing import Any
 
 import yaml
 
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.session.yaml_text import load_yaml
+
 __all__ = [
     "LATCHED",
     "RELIABLE",
     "FileSummary",
+    "OfferedQos",
     "Qos",
     "TopicSummary",
     "bag_information",
@@ -23,6 +27,7 @@ __all__ = [
 ]
 
 
+_MOST_QOS = 1 << 20  # characters: thousands of publishers
 FOREVER = 9_223_372_036_854_775_807  # ns
 
 
@@ -106,6 +111,31 @@ def parse_qos(value: Any) -> tuple[Qos, ...]:
     if not isinstance(value, Sequence) or isinstance(value, str):
         return ()
     return tuple(_profile(entry) for entry in value[:1000] if isinstance(entry, Mapping))
+
+
+class OfferedQos:
+    """Reads what the channels of a bag say of their quality of service; up to a measure for them together.
+
+    It is only for people, and for late subscribers when the bag is played: a bag is readable without it.
+    """
+
+    def __init__(self) -> None:
+        """Nothing is read yet."""
+        self._left = _MOST_QOS
+        self._known: dict[str, tuple[Qos, ...]] = {}
+
+    def of(self, channel: Mapping[str, str]) -> tuple[Qos, ...]:
+        """The profiles in a channel's metadata; none where they cannot be understood."""
+        text = channel.get("offered_qos_profiles", "")
+        if text not in self._known:
+            if len(text) > self._left:
+                return ()
+            self._left -= len(text)
+            try:
+                self._known[text] = parse_qos(load_yaml(text, "offered_qos_profiles").value)
+            except SessionError:
+                self._known[text] = ()
+        return self._known[text]
 
 
 def _profile(entry: Mapping[str, Any]) -> Qos:

@@ -14,12 +14,13 @@ from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.recording.cdr import decode, definition_of
 from machine_tool_calibration.recording.errors import RecordingError, UnfinishedError
 from machine_tool_calibration.recording.mcap_reader import McapReader
-from machine_tool_calibration.recording.metadata import Qos, parse_qos
+from machine_tool_calibration.recording.metadata import OfferedQos, Qos
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
 
 __all__ = ["BagReader", "Message", "Topic", "bag_files", "is_bag"]
 
+_LARGEST_METADATA = 2 << 20
 METADATA_FILE = "metadata.yaml"
 
 
@@ -160,7 +161,7 @@ def bag_files(path: Path) -> tuple[Path, ...]:
 
 def _file_names(metadata: Path) -> list[str]:
     try:
-        value = load_yaml(read_text(metadata), str(metadata)).value
+        value = load_yaml(read_text(metadata, _LARGEST_METADATA), str(metadata)).value
     except SessionError as error:
         raise RecordingError(str(error)) from None
     information = value.get("rosbag2_bagfile_information") if isinstance(value, dict) else None
@@ -176,6 +177,8 @@ def _file_names(metadata: Path) -> list[str]:
     names = information.get("relative_file_paths")
     if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
         raise RecordingError(f"{metadata}: relative_file_paths must be a list of files")
+    if len(set(names)) < len(names):
+        raise RecordingError(f"{metadata}: relative_file_paths names a file twice")
     return names
 
 
@@ -199,6 +202,7 @@ def _inside(folder: Path, name: str) -> Path:
 
 def _merge(readers: list[McapReader]) -> dict[str, Topic]:
     topics: dict[str, Topic] = {}
+    offered = OfferedQos()
     for reader in readers:
         known = reader.summary.channels
         for number, channel in known.channels.items():
@@ -215,14 +219,7 @@ def _merge(readers: list[McapReader]) -> dict[str, Topic]:
                 definition=schema.data.decode("utf-8", "replace") if schema else "",
                 schema_encoding=schema.encoding if schema else "",
                 type_hash=channel.metadata.get("topic_type_hash", ""),
-                qos=_qos(channel),
+                qos=offered.of(channel.metadata),
                 messages=count + (before.messages if before else 0),
             )
     return topics
-
-
-def _qos(channel: Channel) -> tuple[Qos, ...]:
-    try:
-        return parse_qos(load_yaml(channel.metadata.get("offered_qos_profiles", ""), channel.topic).value)
-    except SessionError:
-        return ()  # only for people; a bag is readable without it

@@ -12,11 +12,10 @@ from pathlib import Path
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
-from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.recording.errors import RecordingError, UnfinishedError
 from machine_tool_calibration.recording.mcap_file import MAGIC
 from machine_tool_calibration.recording.mcap_reader import Channels
-from machine_tool_calibration.recording.metadata import Qos, parse_qos
+from machine_tool_calibration.recording.metadata import OfferedQos
 from machine_tool_calibration.recording.records import (
     Budget,
     RawMessage,
@@ -28,7 +27,6 @@ from machine_tool_calibration.recording.records import (
     unpack_cut_chunk,
 )
 from machine_tool_calibration.recording.writer import BagWriter
-from machine_tool_calibration.session.yaml_text import load_yaml
 
 __all__ = ["Recovered", "recover"]
 
@@ -76,12 +74,14 @@ def recover(path: Path, output: Path) -> Recovered:
         raise RecordingError(f"{path}: nothing can be saved: no file begins as an MCAP file does")
     problems: list[str] = []
     lost = 0
+    offered, added = OfferedQos(), set[str]()
     with BagWriter(output) as bag:
         for file in files:
             salvage = _Salvage(file)
             for channel, schema, message in salvage.messages():
-                if channel.topic not in {topic.name for topic in bag.topics}:
-                    _add(bag, channel, schema)
+                if channel.topic not in added:
+                    _add(bag, channel, schema, offered)
+                    added.add(channel.topic)
                 bag.write(channel.topic, message.data, message.log_time, message.publish_time, message.sequence)
             problems += salvage.problems
             lost += salvage.lost
@@ -132,23 +132,16 @@ def _has_magic(path: Path) -> bool:
         return False
 
 
-def _add(bag: BagWriter, channel: Channel, schema: Schema | None) -> None:
+def _add(bag: BagWriter, channel: Channel, schema: Schema | None, offered: OfferedQos) -> None:
     bag.add_topic(
         channel.topic,
         schema.name if schema else "",
-        qos=_qos(channel),
+        qos=offered.of(channel.metadata),
         definition=schema.data.decode("utf-8", "replace") if schema else "",
         type_hash=channel.metadata.get("topic_type_hash", ""),
         encoding=channel.message_encoding,
         schema_encoding=schema.encoding if schema else "",
     )
-
-
-def _qos(channel: Channel) -> tuple[Qos, ...]:
-    try:
-        return parse_qos(load_yaml(channel.metadata.get("offered_qos_profiles", ""), channel.topic).value)
-    except SessionError:
-        return ()
 
 
 class _Salvage:

@@ -202,7 +202,7 @@ def save_table(pieces: Iterator[pd.DataFrame], path: Path) -> None:
     part = path.with_name(path.name + ".part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        _parquet(pieces, part) if path.suffix == ".parquet" else _csv(pieces, part)
+        _parquet(pieces, part) if path.suffix.lower() == ".parquet" else _csv(pieces, part)
         part.replace(path)
     except OSError as error:
         raise RecordingError(f"{path}: cannot be written: {error.strerror}") from None

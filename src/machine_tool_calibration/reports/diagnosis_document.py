@@ -22,6 +22,7 @@ from machine_tool_calibration.model.result import plain, spread_document
 from machine_tool_calibration.planning.advice import Advice, Separation, Visibility, alias_groups_of
 from machine_tool_calibration.planning.what_to_measure import what_to_measure
 from machine_tool_calibration.residuals.pool import Pool
+from machine_tool_calibration.session.checks.suspicion import suspicions
 
 __all__ = ["diagnosis_document", "smallest_sizes"]
 
@@ -59,6 +60,7 @@ def diagnosis_document(
         "method": diagnosis.session.method if len(diagnosis.sessions) == 1 else "joint",
         "sessions": [] if diagnosis.labels is None else list(diagnosis.labels),
         "verdict": diagnosis.verdict,
+        "suspicious": suspicions(diagnosis.sessions, diagnosis.labels),
         "accepted": list(diagnosis.accepted),
         "observations": sum(len(session.readings) for session in diagnosis.sessions) + len(diagnosis.outliers),
         "noise": {

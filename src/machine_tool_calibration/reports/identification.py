@@ -157,6 +157,8 @@ def show_result(screen: Console, document: Mapping[str, Any], opened: Iterable[S
         over = (f"{effects} ({chance})" for effects, chance in sets)
         screen.print(f"The map is the mean over effects that these readings do not distinguish: {', '.join(over)}.")
     screen.print(goodness_of_fit(document))
+    for words in document["suspicious"]:
+        screen.print(f"suspicious: {words}")
     for words in reproducibility_words(document["spread"]):
         screen.print(words)
     table = Table(show_header=False, box=None, pad_edge=False)

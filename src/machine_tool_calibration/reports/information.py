@@ -114,6 +114,8 @@ def show_session(out: Console, session: Session, summary: SessionSummary) -> Non
     columns = tuple(_column(column) for column in summary.columns)
     note = "as recorded, shown in the units that people use; an empty field counts as missing"
     show_table(out, TextTable("Columns", ("column", "from", "to", "unit", "missing"), columns, note))
+    for words in summary.suspicious:
+        out.print(f"suspicious: {words}")
     if summary.labels:
         out.print(f"Text columns: {', '.join(summary.labels)}")
 

@@ -35,6 +35,8 @@ __all__ = [
 # What stands where the data leaves no number.
 NOT_DETERMINED = "–"
 _MOST_PLACES = 6
+# Length that is nothing, m, however many figures the computer has of it.
+_NOTHING = 1e-12
 # Probability from which what does not reproduce is shown with a size.
 _SURE = 0.9
 _FAMILIES = {"run": "runs", "mounting": "setups as they were mounted", "pass": "passes over the axis"}
@@ -92,6 +94,8 @@ def micrometres(metres: float | None, *, signed: bool = False) -> str:
     """Length in micrometres (or angle in microradians) without the unit, for a table; a dash if it is not known."""
     if metres is None or not math.isfinite(metres):
         return NOT_DETERMINED
+    if abs(metres) < _NOTHING:
+        return "0"
     return f"{'+' if signed and metres > 0 else ''}{rounded(1e6 * metres)}"
 
 

@@ -22,6 +22,7 @@ from machine_tool_calibration.reports.quantities import (
     sizes_in_words,
 )
 from machine_tool_calibration.residuals.pool import Pool
+from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["mounted_more_than_once", "verdict_words"]
@@ -40,6 +41,7 @@ _SHARED = 0.7
 def verdict_words(diagnosis: Diagnosis, changes: Mapping[str, Consequence], advice: Advice) -> Iterator[str]:
     """Paragraphs: the verdict, every effect found, and what the data does not determine."""
     yield _verdict(diagnosis)
+    yield from (f"Suspicious: {words}" for words in suspicions(diagnosis.sessions, diagnosis.labels))
     for name in diagnosis.accepted:
         yield _found(diagnosis, name, changes.get(name), advice)
     for name, why in diagnosis.refused.items():

@@ -266,7 +266,11 @@ class DirectSetup(Setup):
 
 
 class Description(Record):
-    """What every method says; each adds its `method`, its `setups`, and what else it has to say."""
+    """What every method says; each adds its `method`, its `setups`, and what else it has to say.
+
+    Attributes:
+        trust_units: whether sizes, units and places are taken as they are, however implausible.
+    """
 
     if TYPE_CHECKING:
         method: str
@@ -276,6 +280,7 @@ class Description(Record):
     machine: Machine
     repeats: Annotated[int, Field(ge=1)] = 1
     standard_uncertainty: StandardUncertainty
+    trust_units: bool = False
 
     @model_validator(mode="after")
     def _check_ids(self) -> Any:

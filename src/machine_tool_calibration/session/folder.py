@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.columns import require_columns
-from machine_tool_calibration.session.csv_text import write_csv
 from machine_tool_calibration.session.description import DESCRIPTION_FILE, OBSERVATIONS_FILE, Place
 from machine_tool_calibration.session.parse import description_yaml, parse_description
 from machine_tool_calibration.session.session import Session, assemble
 from machine_tool_calibration.session.table import NUMERIC_COLUMNS, read_table
 from machine_tool_calibration.session.text import read_text
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 __all__ = [
     "description_yaml",
@@ -25,8 +27,6 @@ __all__ = [
     "readings_frame",
     "write_session",
 ]
-
-
 
 
 def read_session(path: Path, *, check: bool = True) -> Session:
@@ -71,6 +71,8 @@ def readings_frame(session: Session) -> pd.DataFrame:
         **readings.labels,
     }
     names = [name for name in _ORDER if name in columns] + [name for name in columns if name not in _ORDER]
+    import pandas as pd  # here, because a small session is read without it
+
     return pd.DataFrame({name: columns[name] for name in names})
 
 
@@ -85,6 +87,8 @@ def write_session(session: Session, folder: Path, *, overwrite: bool = False) ->
     Raises:
         SessionError: a session is already there, or the folder cannot be written.
     """
+    from machine_tool_calibration.session.csv_text import write_csv
+
     folder = Path(folder)
     described, observed = folder / DESCRIPTION_FILE, folder / OBSERVATIONS_FILE
     try:

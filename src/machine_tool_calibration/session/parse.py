@@ -9,7 +9,7 @@ import yaml
 from pydantic import ValidationError
 
 from machine_tool_calibration.errors import SessionError, did_you_mean
-from machine_tool_calibration.session.catalogue import method_names, method_spec
+from machine_tool_calibration.session.catalogue import METHODS, method_names, method_spec
 from machine_tool_calibration.session.description import Description
 from machine_tool_calibration.session.yaml_text import Document, load_yaml
 
@@ -41,7 +41,9 @@ def parse_description(text: str, source: str) -> Description:
 def describe(value: Any, source: str, document: Document | None = None) -> Description:
     """The description from a mapping of keys; errors as for `parse_description`."""
     document = document or Document(value, {})
-    _check_key("method", method_names(), source, document)
+    # Installed packages are searched for methods only where the name is none of ours.
+    ours = tuple(METHODS)
+    _check_key("method", ours if value.get("method") in ours else method_names(), source, document)
     record = method_spec(value["method"]).description
     try:
         return record.model_validate(value)
@@ -66,7 +68,7 @@ def description_yaml(description: Description) -> str:
     """The text of `session.yaml`; numbers are written so that they come back to the last bit."""
     content = description.model_dump(mode="python", exclude_none=True)
     content = {"format": content.pop("format"), "method": content.pop("method"), **content}
-    plain = {key: _plain(value) for key, value in content.items() if value != {} and value != ()}
+    plain = {key: _plain(value) for key, value in content.items() if value != {} and value != () and value is not False}
     # What is 0 and said of no setup needs not be said.
     declared = description.standard_uncertainty.model_dump(exclude_defaults=True)
     plain["standard_uncertainty"] = {key: _plain(value) for key, value in declared.items()}

@@ -142,18 +142,32 @@ def distinct_places(position: Array) -> tuple[IntArray, IntArray]:
     Returns:
         (k,) the first reading at each of the k places, in order, and (n,) the place of each reading.
     """
-    import pandas as pd  # here, because most nodes never need it and it doubles the time in which they start
-
     keys = np.round(position * 1e9).astype(np.int64)
     # A hash of one mixed code for each position; should two places ever mix to the same code, a sort by rows.
     code = keys @ _MIX[: keys.shape[1]]
-    place = np.asarray(pd.factorize(code)[0], dtype=np.int64)
+    place = _numbered(code)
     first = _first(place)
     if not np.array_equal(keys[first][place], keys):
         by_rows = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
-        place = np.asarray(pd.factorize(by_rows)[0], dtype=np.int64)
+        place = _numbered(by_rows)
         first = _first(place)
     return first, place
+
+
+# Values from which hashing saves more than pandas takes to be imported.
+_MANY = 1_000_000
+
+
+def _numbered(code: IntArray) -> IntArray:
+    """Number of each value, in the order in which values come first."""
+    if len(code) > _MANY:
+        import pandas as pd
+
+        return np.asarray(pd.factorize(code)[0], dtype=np.int64)
+    _, first, number = np.unique(code, return_index=True, return_inverse=True)
+    rank = np.empty(len(first), dtype=np.int64)
+    rank[np.argsort(first)] = np.arange(len(first))
+    return rank[number.reshape(-1)]
 
 
 def _first(place: IntArray) -> IntArray:

@@ -9,6 +9,7 @@ import numpy as np
 
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.checks import check_session
+from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.session.columns import needed_columns
 from machine_tool_calibration.session.session import Session
 
@@ -51,6 +52,7 @@ class SessionSummary:
         setups: each setup.
         columns: each numeric column.
         labels: text columns.
+        suspicious: what can be used and a measurement hardly gives.
         problem: why the session cannot be identified as it is; None if nothing is wrong.
     """
 
@@ -63,6 +65,7 @@ class SessionSummary:
     setups: tuple[SetupSummary, ...]
     columns: tuple[ColumnSummary, ...]
     labels: tuple[str, ...]
+    suspicious: tuple[str, ...]
     problem: str | None
 
 
@@ -91,6 +94,7 @@ def summarize(session: Session) -> SessionSummary:
             for name, values in columns.items()
         ),
         labels=tuple(readings.labels),
+        suspicious=tuple(suspicions([session])),
         problem=problem,
     )
 

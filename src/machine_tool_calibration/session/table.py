@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
-import pandas as pd
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import SessionError
@@ -151,7 +150,10 @@ def _header(where: str, text: str) -> tuple[str, ...]:
     if "," not in text:
         for separator, name in ((";", "semicolons"), ("\t", "tabs"), ("|", "bars")):
             if separator in text:
-                raise SessionError(f"{where}: separated by {name}; use commas, and a point for decimals")
+                raise SessionError(
+                    f"{where}: separated by {name}, not commas; `mtcal convert FOLDER NEW --separator "
+                    f"{name.removesuffix('s')}` reads it"
+                )
     try:
         names = tuple(name.strip() for name in next(csv.reader([text], strict=True)))
     except csv.Error as error:
@@ -203,9 +205,8 @@ NUMERIC_COLUMNS = (
 
 _MISSING = ["", "nan", "NaN", "NAN", "Nan"]
 _LONGEST_LABEL = 256
-_EXACT: dict[str, Any] = (
-    {"float_precision": "round_trip"} if tuple(map(int, pd.__version__.split(".")[:2])) < (3, 1) else {}
-)
+# Rows from which pandas is faster, its import included.
+_MANY = 20_000
 
 
 @dataclass(frozen=True)
@@ -230,6 +231,36 @@ def read_table(path: Path) -> Table:
         SessionError: as `scan_csv`, or a field that is not a finite number in a column that must hold them.
     """
     layout = scan_csv(path)
+    read = _by_pandas if layout.rows > _MANY else _by_rows
+    numbers: dict[str, Array] = {}
+    labels: dict[str, np.ndarray] = {}
+    for name, column in read(path, layout):
+        if name not in LABEL_COLUMNS and (values := _numeric(layout, name, column)) is not None:
+            numbers[name] = values
+        else:
+            labels[name] = _label(layout, name, column)
+    return Table(layout, numbers, labels)
+
+
+def _by_rows(path: Path, layout: Layout) -> Iterator[tuple[str, list[str] | Array]]:
+    """The columns of a small file, as text; what is missing is empty."""
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            lines = csv.reader(stream, strict=True, skipinitialspace=True)
+            rows = [row for row in lines if any(field.strip() for field in row) or len(row) > 1][1:]
+    except (csv.Error, OSError) as error:
+        raise SessionError(f"{layout.source}: cannot be read as a table: {error}") from None
+    _check_rows(layout, len(rows))
+    for name, column in zip(layout.columns, zip(*rows, strict=True), strict=True):
+        yield name, _plain(column)
+
+
+def _by_pandas(path: Path, layout: Layout) -> Iterator[tuple[str, list[str] | Array]]:
+    """The same of a large one, in which columns of numbers are numbers already."""
+    import pandas as pd  # here, because small files are read without it
+
+    old = tuple(map(int, pd.__version__.split(".")[:2])) < (3, 1)
+    exact: dict[str, Any] = {"float_precision": "round_trip"} if old else {}
     try:
         frame = pd.read_csv(
             path,
@@ -243,53 +274,59 @@ def read_table(path: Path) -> Table:
             skipinitialspace=True,
             low_memory=False,
             encoding="utf-8",
-            **_EXACT,
+            **exact,
         )
     except (pd.errors.ParserError, pd.errors.EmptyDataError, ValueError, OverflowError) as error:
         raise SessionError(f"{layout.source}: cannot be read as a table: {str(error).splitlines()[0]}") from None
-    if len(frame) != layout.rows:
-        raise SessionError(f"{layout.source}: {len(frame)} rows can be read of {layout.rows} lines; check the quotes")
-    numbers: dict[str, Array] = {}
-    labels: dict[str, np.ndarray] = {}
+    _check_rows(layout, len(frame))
     for name in layout.columns:
         series = frame.pop(name)
-        if name in LABEL_COLUMNS:
-            labels[name] = _label(layout, name, series)
-        elif (values := _numeric(layout, name, series)) is not None:
-            numbers[name] = values
+        if series.dtype.kind in "fiu":
+            yield name, series.to_numpy(dtype=np.float64)
         else:
-            labels[name] = _label(layout, name, series)
-    return Table(layout, numbers, labels)
+            yield name, _plain(series.astype(object).where(series.notna(), "").astype(str))
 
 
-def _numeric(layout: Layout, name: str, series: pd.Series[Any]) -> Array | None:
+def _check_rows(layout: Layout, count: int) -> None:
+    if count != layout.rows:
+        raise SessionError(f"{layout.source}: {count} rows can be read of {layout.rows} lines; check the quotes")
+
+
+def _plain(column: Iterable[str]) -> list[str]:
+    texts = [field.strip() for field in column]
+    return ["" if text in _MISSING else text for text in texts]
+
+
+def _numeric(layout: Layout, name: str, column: list[str] | Array) -> Array | None:
     """The column as numbers, or None for a text column that the user added."""
-    if series.dtype.kind in "fiu":
-        values = series.to_numpy(dtype=np.float64)
-    elif series.isna().all():
-        values = np.full(len(series), np.nan)
-    else:
-        text = series.astype(str).str.strip()
-        missing = series.isna().to_numpy() | text.isin(_MISSING).to_numpy()
-        values = pd.to_numeric(text, errors="coerce").to_numpy(dtype=np.float64)
-        bad = np.flatnonzero(np.isnan(values) & ~missing)
-        if len(bad) and name not in NUMERIC_COLUMNS and len(bad) * 2 > np.count_nonzero(~missing):
+    values = column if isinstance(column, np.ndarray) else np.array([_number(text) for text in column])
+    if not isinstance(column, np.ndarray):
+        bad = [row for row, text in enumerate(column) if text and np.isnan(values[row])]
+        there = sum(map(bool, column))
+        if bad and name not in NUMERIC_COLUMNS and len(bad) * 2 > there:
             return None
-        if len(bad):
-            row = int(bad[0])
-            raise SessionError(f"{layout.where(row)}: {name} is {_shown(text.iloc[row])}, not a number")
+        if bad:
+            raise SessionError(f"{layout.where(bad[0])}: {name} is {_shown(column[bad[0]])}, not a number")
     infinite = np.flatnonzero(np.isinf(values))
     if len(infinite):
         raise SessionError(f"{layout.where(int(infinite[0]))}: {name} is infinite")
     return values
 
 
-def _label(layout: Layout, name: str, series: pd.Series[Any]) -> np.ndarray:
-    text = series.astype(object).where(series.notna(), "").astype(str).str.strip()
-    long = np.flatnonzero((text.str.len() > _LONGEST_LABEL).to_numpy())
+def _number(text: str) -> float:
+    """A number as programs write it; NaN for any other text."""
+    try:
+        return float(text) if text.isascii() and "_" not in text else np.nan
+    except ValueError:
+        return np.nan
+
+
+def _label(layout: Layout, name: str, column: list[str] | Array) -> np.ndarray:
+    texts = np.asarray(column, dtype=np.str_)
+    long = np.flatnonzero(np.char.str_len(texts) > _LONGEST_LABEL)
     if len(long):
         raise SessionError(f"{layout.where(int(long[0]))}: {name} is longer than {_LONGEST_LABEL} characters")
-    return np.asarray(text.to_numpy(), dtype=np.str_)
+    return texts
 
 
 def _shown(text: str) -> str:

@@ -49,7 +49,6 @@ class Drift:
             value = value + amplitude * np.sin(2.0 * np.pi * time / period + phase)
         return value
 
-
     def lagged(self, time: Array, lag: float) -> Array:
         """What follows the quantity with a first-order lag, and was as it at time zero: lag y' = value - y.
 

@@ -208,15 +208,15 @@ class AxisMotion:
             step = (start - nodes[index])[:, None]
             inside = ((start >= nodes[0]) & (start < nodes[-1]))[:, None]
             ends = np.where(start[:, None] < nodes[0], values[0], values[-1])
-            parts = (
+            parts: tuple[Array, ...] = (
                 np.where(inside, cube, 0.0),
                 np.where(inside, square + 3.0 * cube * step, 0.0),
                 np.where(inside, first + (2.0 * square + 3.0 * cube * step) * step, 0.0),
                 np.where(inside, _value(nodes, pieces, start), ends),
             )
-            whole = np.stack(parts)
-            for k, column in enumerate(columns):
-                merged[:, :, column] += whole[:, :, k]
+            for place, column in enumerate(columns):  # of two tables of one name, too
+                for order, part in enumerate(parts):
+                    merged[order, :, column] += part[:, place]
         return breaks, merged
 
     def __call__(self, position: Array) -> Array:

@@ -146,7 +146,7 @@ def test_dxf_ellipse_and_unit(read, drawing):
         ("- {kind: gear}\n", r"features.0: input tag 'gear'"),
         ("- {kind: line, start: [0, 0], end: [0, 0], material: left, count: 2}\n", "start and end are the same"),
         ("- {kind: line, start: [0, 0], end: [9, 0], material: left}\n", "must have either spacing or count"),
-        ("- {kind: file, path: nothing.csv, unit: mm, material: inside, spacing: 1}\n", "nothing.csv: cannot be read"),
+        ("- {kind: file, path: nothing.csv, unit: mm, material: inside, spacing: 1}\n", "nothing.csv: no such file"),
         ("- {kind: file, path: nothing.csv, material: inside, spacing: 1}\n", "does not say its unit"),
         ("- {kind: file, path: part.step, material: inside, spacing: 1}\n", r"read from \.dxf and \.csv"),
         ("- {kind: outline, closed: false, material: inside, spacing: 1, vertices: [[0, 0], [1, 1]]}\n", "no inside"),
@@ -158,10 +158,22 @@ def test_one_line_says_what_is_wrong(read, text, message):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    "text",
+    ["X,Y\n0,0\n60,0\n0,80.5\n", "# a part\nX;Y\n0;0\n60;0\n0;80,5\n", "x; y; note\n0; 0; a\n60; 0; b\n0; 80.5; c\n"],
+)
+def test_csv_outline_of_a_spreadsheet(read, tmp_path, text):
+    (tmp_path / "triangle.csv").write_text(text)
+    points = read("- {kind: file, path: triangle.csv, unit: mm, material: inside, spacing: 20}\n")
+    (tmp_path / "triangle.csv").write_text("x,y\n0,0\n60,0\n0,80.5\n")
+    assert points == read("- {kind: file, path: triangle.csv, unit: mm, material: inside, spacing: 20}\n")
+
+
 def test_csv_defects(read, tmp_path):
     text = "- {kind: file, path: part.csv, unit: mm, material: inside, spacing: 1}\n"
     for content, message in (
         ("a,b\n1,2\n", "column 'x' is missing"),
+        ("x,X,y\n1,1,2\n", "column 'x' stands twice"),
         ("x,y\n1,2\nthree,4\n", "row 2: x and y must be numbers"),
         ("x,y\n1,2\n1,2\n", "needs at least 3 different corners"),
     ):

@@ -163,6 +163,12 @@ def _shapes(nodes: tuple[float, ...], zero: int) -> tuple[tuple[Array, Array], .
     return tuple((covariance, _root(covariance)) for covariance in every)
 
 
+@lru_cache(maxsize=16)
+def _roots(places: tuple[tuple[tuple[float, ...], int], ...]) -> tuple[Array, ...]:
+    """For every shape, the root of the covariance of the angles of all places."""
+    return tuple(block_diag(*(_shapes(*place)[j][1] for place in places)) for j in range(len(_SHAPES)))
+
+
 @dataclass(frozen=True)
 class _Shape:
     """Random functions of one shape, in the directions in which the readings determine their coefficients one by one.
@@ -243,10 +249,9 @@ def normal_posterior(
 
     sizes = np.geomspace(SMALLEST, LARGEST, _SIZES)
     variance = sizes**2
-    found = [_shapes(tuple(at.tolist()), zero) for at, zero in nodes]
-    covariances = [[own[j][0] for own in found] for j in range(len(_SHAPES))]
-    roots = [block_diag(*(own[j][1] for own in found)) for j in range(len(_SHAPES))]
-    shapes = [_shaped(root, (gram + gram.T) / 2, right, variance) for root in roots]
+    places = tuple((tuple(at.tolist()), zero) for at, zero in nodes)
+    covariances = [[_shapes(*place)[j][0] for place in places] for j in range(len(_SHAPES))]
+    shapes = [_shaped(root, (gram + gram.T) / 2, right, variance) for root in _roots(places)]
     logs = np.array([shape.log_likelihood for shape in shapes]) + np.log((1.0 - NONE) / (len(shapes) * _SIZES))
     weights = np.exp(logs - logsumexp(np.append(logs, np.log(NONE))))
 

@@ -6,6 +6,7 @@ farther from them than a ten-thousandth of a millimetre.
 
 from __future__ import annotations
 
+import io
 import itertools
 from collections.abc import Iterator
 from importlib import import_module
@@ -17,6 +18,7 @@ import pandas as pd
 
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.procedure.workpiece.outline import Arc, Contour, Segment, Straight, join
+from machine_tool_calibration.session.text import read_text
 
 __all__ = ["read_csv_outline", "read_dxf_outline"]
 
@@ -28,24 +30,29 @@ def read_csv_outline(file: Path, unit: float, *, closed: bool) -> list[Contour]:
     """Read one outline.
 
     Args:
-        file: with a heading that names the columns x and y.
+        file: with a heading that names the columns x and y; separated by commas or, then also with decimal commas, by
+            semicolons.
         unit: metres per unit of the file.
         closed: whether the last corner is joined to the first.
 
     Raises:
         SessionError: the file cannot be read, or a corner is no pair of numbers; the message names file and row.
     """
+    text = read_text(file, _LARGEST)
+    semicolons = ";" in next((line for line in text.splitlines() if line.strip() and line.lstrip()[0] != "#"), "")
     try:
-        if file.stat().st_size > _LARGEST:
-            raise SessionError(f"{file}: is larger than {_LARGEST >> 20} MB")
-        table = pd.read_csv(file, dtype=str, skipinitialspace=True, comment="#")
-    except OSError as error:
-        raise SessionError(f"{file}: cannot be read: {error.strerror}") from None
-    except (ValueError, UnicodeDecodeError) as error:
+        table = pd.read_csv(
+            io.StringIO(text), sep=";" if semicolons else ",", dtype=str, skipinitialspace=True, comment="#"
+        )
+    except ValueError as error:
         raise SessionError(f"{file}: is no table of comma-separated values: {' '.join(str(error).split())}") from None
+    table.columns = table.columns.str.strip().str.lower()
+    if semicolons:
+        table = table.apply(lambda column: column.str.replace(",", ".", regex=False))
     for name in "xy":
-        if name not in table.columns:
-            raise SessionError(f"{file}: the column {name!r} is missing; an outline has the columns x and y")
+        if list(table.columns).count(name) != 1:
+            missing = "is missing" if name not in table.columns else "stands twice"
+            raise SessionError(f"{file}: the column {name!r} {missing}; an outline has the columns x and y")
     corners = np.column_stack([pd.to_numeric(table[name], errors="coerce").to_numpy(float) for name in "xy"])
     bad = np.flatnonzero(~np.isfinite(corners).all(axis=1))
     if len(bad):

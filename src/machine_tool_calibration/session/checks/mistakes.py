@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, IntArray, group_ranges
 
 __all__ = [
     "Comparison",
@@ -15,7 +15,6 @@ __all__ = [
     "exchanged",
     "exchanged_axes",
     "extent",
-    "groups",
     "per_setup",
     "same",
     "scaled",
@@ -100,31 +99,17 @@ def same(count: int) -> IntArray:
 
 def per_setup(setup: IntArray, values: Array, count: int) -> Array:
     """(count,) median of the absolute values of each setup, NaN where it has none."""
-    import pandas as pd  # here, because the records of the methods load this file and nodes need no more of it
-
-    medians = pd.Series(np.abs(values)).groupby(setup).median()
-    return np.asarray(medians.reindex(range(count)), dtype=np.float64)
+    return group_ranges(np.abs(values), setup, count)[1]
 
 
 def spread(difference: Array, group: IntArray, setup: IntArray, count: int) -> Array:
     """(count,) measured minus predicted by setup, after each group's own zero."""
-    import pandas as pd
-
-    zero = pd.Series(difference).groupby(group).transform("median")
-    return per_setup(setup, difference - np.asarray(zero, dtype=np.float64), count)
-
-
-def groups(*keys: IntArray) -> IntArray:
-    """(n,) number of the combination of keys of each reading."""
-    import pandas as pd
-
-    frame = pd.DataFrame(dict(enumerate(keys)))
-    return np.asarray(frame.groupby(list(frame.columns), sort=False).ngroup(), dtype=np.int64)
+    zero = group_ranges(difference, group, int(group.max(initial=-1)) + 1)[1]
+    return per_setup(setup, difference - zero[group], count)
 
 
 def extent(predicted: Array, group: IntArray) -> float:
-    """Typical half range of the prediction within a group."""
-    import pandas as pd
-
-    grouped = pd.Series(predicted).groupby(group)
-    return float((grouped.max() - grouped.min()).median()) / 2
+    """Typical half range of the prediction within a group; NaN where nothing is predicted."""
+    low, _, high = group_ranges(predicted, group, int(group.max(initial=-1)) + 1)
+    known = np.isfinite(low)
+    return float(np.median((high - low)[known])) / 2 if known.any() else np.nan

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, IntArray, groups
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.checks.mistakes import (
     Comparison,
@@ -15,7 +15,6 @@ from machine_tool_calibration.session.checks.mistakes import (
     exchanged,
     exchanged_axes,
     extent,
-    groups,
     per_setup,
     same,
     scaled,

@@ -31,11 +31,14 @@ _LARGEST_COVARIATE = 1e30  # the user's own column, such as nanoseconds since 19
 
 
 def check_units(session: Session, place: Place) -> None:
-    """Refuse magnitudes that can only be a wrong unit.
+    """Refuse magnitudes that can only be a wrong unit, unless the session says `trust_units`.
 
     Raises:
         SessionError: the file, key or column and row, the value, and the unit that is suspected.
     """
+    session.spec.magnitudes(session, place)
+    if session.description.trust_units:
+        return
     _travel(session, place)
     _positions(session, place)
     _instrument(session, place)
@@ -97,7 +100,6 @@ def _instrument(session: Session, place: Place) -> None:
             reach = max(map(abs, entry.position))
             if reach > _LARGEST_MACHINE:
                 raise SessionError(f"{place.description}: {key}[{index}].position is {reach:g} m; {_MILLIMETRES}")
-    session.spec.magnitudes(session, place)
     sigma = description.standard_uncertainty.displacement
     if sigma > 1e-2:
         raise SessionError(
@@ -115,7 +117,7 @@ def probing_units(session: Session, place: Place) -> None:
         if abs(length - 1.0) > 0.01:
             where = f"{place.description}: workpiece[{index}].normal"
             raise SessionError(f"{where}: the normal of point {point.id!r} has length {length:g}, not 1")
-    if description.probe is not None and description.probe.stylus_diameter > 0.1:
+    if description.probe is not None and description.probe.stylus_diameter > 0.1 and not description.trust_units:
         diameter = description.probe.stylus_diameter
         raise SessionError(f"{place.description}: probe.stylus_diameter is {diameter:g} m; {_MILLIMETRES}")
 
@@ -124,6 +126,8 @@ def diagonal_units(session: Session, place: Place) -> None:
     """Refuse starts and steps of runs that no machine has; errors as for `check_units`."""
     description = session.description
     assert isinstance(description, StepDiagonal)
+    if description.trust_units:
+        return
     for index, run in enumerate(description.setups):
         reach = max(map(abs, run.start))
         if reach > _LARGEST_MACHINE:

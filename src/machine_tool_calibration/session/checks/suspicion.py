@@ -1,0 +1,62 @@
+"""Readings that can be used and that a measurement hardly gives: said beside the result, not refused."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from machine_tool_calibration.session.session import Session
+
+__all__ = ["suspicions"]
+
+_FEW = 8  # readings: the chance that as many differ so little is below 1e-7
+_STILL = 0.1  # share of a reading's standard uncertainty that the readings of a session differ by
+_BESIDE = 0.1  # share of the travel by which a probed part may reach beyond it
+
+
+def suspicions(sessions: Sequence[Session], labels: Sequence[str] | None = None) -> list[str]:
+    """What is suspicious in sessions, in words.
+
+    Readings that are all the same, or differ by less than their own uncertainty makes them differ: not read, or in
+    another unit. Places off the machine's travel.
+
+    Args:
+        sessions: the measurements.
+        labels: their names, where there are several.
+    """
+    named = [""] * len(sessions) if labels is None else [f"{label}: " for label in labels]
+    pairs = zip(named, sessions, strict=True)
+    return [f"{name}{words}" for name, session in pairs for words in (*_still(session), *_beside(session))]
+
+
+def _still(session: Session) -> Iterator[str]:
+    readings = session.readings.displacement[np.isfinite(session.readings.displacement)]
+    if len(readings) < _FEW:
+        return
+    spread, sigma = float(np.ptp(readings)), session.sigma
+    if not readings.any():
+        yield f"all {len(readings)} readings are 0: was the instrument read?"
+    elif spread == 0.0:
+        yield f"all {len(readings)} readings are {readings[0]:g} m: was the instrument read?"
+    elif spread < _STILL * sigma:
+        yield (
+            f"the {len(readings)} readings differ by {spread:.2g} m at most, and each is uncertain by {sigma:.2g} m "
+            "(standard uncertainty): are they in another unit?"
+        )
+
+
+def _beside(session: Session) -> Iterator[str]:
+    for name, (low, high) in session.description.machine.travel.items():
+        values = session.readings.columns.get(name.lower())
+        if values is None:
+            continue
+        over = _BESIDE * (high - low)
+        off = np.flatnonzero((values < low - over) | (values > high + over))
+        if len(off):
+            unit = "m" if name.lower() in "xyz" else "rad"
+            worst = values[off[np.argmax(np.maximum(low - values[off], values[off] - high))]]
+            yield (
+                f"{len(off)} of {len(values)} places are off the travel of {name.upper()}, {low:g} to {high:g} {unit}: "
+                f"{name.lower()} = {worst:g} {unit}"
+            )

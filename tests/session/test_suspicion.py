@@ -1,0 +1,69 @@
+"""Readings that fit and mean nothing are said to be suspicious, in words and in JSON; sound ones are not."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.cli.main import run
+from machine_tool_calibration.diagnosis.diagnose import diagnose
+from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
+from machine_tool_calibration.session.checks.suspicion import suspicions
+from machine_tool_calibration.session.folder import write_session
+from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
+from machine_tool_calibration.simulation.plans import PLANS
+
+
+@pytest.fixture(scope="module")
+def sound() -> Session:
+    return simulate(SimulationSpec(plan=PLANS["direct"](), seed=3)).session
+
+
+def with_readings(session: Session, change: Callable[[np.ndarray], np.ndarray]) -> Session:
+    return session.with_readings(replace(session.readings, displacement=change(session.readings.displacement)))
+
+
+def moved(session: Session) -> Session:
+    columns = {**session.readings.columns, "x": session.readings.columns["x"] + 1.0}
+    return session.with_readings(replace(session.readings, columns=columns))
+
+
+CASES = [
+    (lambda s: with_readings(s, lambda d: 0.0 * d), "all 22 readings are 0: was the instrument read?"),
+    (lambda s: with_readings(s, lambda d: 0.0 * d + 3e-6), "all 22 readings are 3e-06 m: was the instrument read?"),
+    (lambda s: with_readings(s, lambda d: 1e-6 * d), "are they in another unit?"),
+    (moved, "22 of 22 places are off the travel of X, 0 to 0.4 m: x = 1.4 m"),
+]
+
+
+@pytest.mark.parametrize(("damage", "says"), CASES)
+def test_in_words_and_in_json(
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    sound: Session,
+    damage: Callable[[Session], Session],
+    says: str,
+) -> None:
+    write_session(damage(sound), tmp_path / "s")
+    for verb in ("identify", "info"):
+        assert run([verb, str(tmp_path / "s"), "--json"]) == 0
+        document = json.loads(capsys.readouterr().out)
+        assert says in " ".join((document if verb == "identify" else document["measurement"])["suspicious"])
+        assert run([verb, str(tmp_path / "s")]) == 0
+        assert says in " ".join(capsys.readouterr().out.split())
+
+
+def test_a_diagnosis_says_it(sound: Session) -> None:
+    document = diagnosis_document(diagnose([moved(sound)]))
+    assert len(document["suspicious"]) == 1 and "off the travel" in document["suspicious"][0]
+
+
+@pytest.mark.parametrize("preset", sorted(PRESETS))
+def test_sound_sessions_are_not_suspicious(preset: str) -> None:
+    assert suspicions([simulate(SimulationSpec(plan=PRESETS[preset], seed=1)).session]) == []
