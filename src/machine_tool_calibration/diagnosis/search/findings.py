@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import optimize
-from scipy.special import logsumexp, ndtr
+from scipy.special import chndtrinc
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped
@@ -21,6 +20,7 @@ __all__ = ["Finding", "Size", "alias_groups", "basis_of", "finding_of", "smalles
 # Directions of a candidate with less than this share of its squares are the model's.
 _RANK = 1e-6
 _POWER = 0.8
+_STEPS = 60
 # Standard uncertainties by which a size may lie outside what is plausible.
 _MARGIN = 2.0
 
@@ -206,19 +206,19 @@ def smallest_signal(values: Array, along: float, needed: float, power: float = _
     cost = 0.5 * np.log1p(np.outer(s2, values)).sum(axis=1) + np.log(steps)
     share = s2 * along / (1.0 + s2 * along)
 
-    def short(statistic: float) -> float:
-        return needed - float(logsumexp(0.5 * statistic * share - cost))
-
-    top = 4.0 * (needed + float(cost.min()) + 10.0) / max(float(share.max()), 1e-3)
-    if short(0.0) <= 0:
+    if float(np.logaddexp.reduce(-cost)) >= needed:
         return 0.0
-    limit = optimize.brentq(short, 0.0, max(top, 1.0)) if short(max(top, 1.0)) < 0 else top
-
-    def surplus(signal: float) -> float:
-        """How much more often than wanted the square of a normal value around a signal exceeds the limit."""
-        return float(ndtr(signal - np.sqrt(limit)) + ndtr(-signal - np.sqrt(limit))) - power
-
-    return float(optimize.brentq(surplus, 1e-3, np.sqrt(10.0 * limit + 100.0)))
+    limit = max(4.0 * (needed + float(cost.min()) + 10.0) / max(float(share.max()), 1e-3), 1.0)
+    # The logarithm is convex in the statistic and grows: Newton's steps come down to where it is reached.
+    for _ in range(_STEPS):
+        terms = 0.5 * limit * share - cost
+        reached = float(np.logaddexp.reduce(terms))
+        step = (reached - needed) / (0.5 * float(share @ np.exp(terms - reached)))
+        if step <= 1e-9 * limit:
+            break
+        limit -= step
+    # The square of a normal value around the signal exceeds it with this power.
+    return float(np.sqrt(chndtrinc(limit, 1.0, 1.0 - power)))
 
 
 def alias_groups(

@@ -286,15 +286,14 @@ def _without_repeated(columns: _Columns) -> _Columns:
     if not mine or not others:
         return columns
     # Columns of all structures in their own orthonormal directions, side by side.
-    ends = np.cumsum([0, *(bases[k].shape[1] for k in others)])
+    rank = np.array([bases[k].shape[1] for k in others])
+    ends = np.append(0, np.cumsum(rank))
     joined = np.concatenate([gram[:, columns.blocks[k].place] @ bases[k] for k in others], axis=1)
     repeated = np.zeros(len(others), dtype=bool)
     for k in mine:
-        taken = np.sum((bases[k].T @ joined[columns.blocks[k].place]) ** 2, axis=0)
-        for j, o in enumerate(others):
-            rank = bases[o].shape[1]
-            if bases[k].shape[1] >= rank and taken[ends[j] : ends[j + 1]].sum() >= THE_SAME**2 * rank:
-                repeated[j] = True
+        squares = np.sum((bases[k].T @ joined[columns.blocks[k].place]) ** 2, axis=0)
+        taken = np.diff(np.append(0.0, np.cumsum(squares))[ends])
+        repeated |= (bases[k].shape[1] >= rank) & (taken >= THE_SAME**2 * rank)
     gone = {o for j, o in enumerate(others) if repeated[j]}
     kept = [k for k in range(len(columns.blocks)) if k not in gone]
     alive = {columns.blocks[k].candidate for k in kept}
