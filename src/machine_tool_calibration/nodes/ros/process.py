@@ -174,8 +174,8 @@ def run_process(
 ) -> NoReturn:
     """As `run`, and end the process at once.
 
-    What a node had to save is saved, and an interpreter that tidies up, or waits for a calculation that nobody wants any
-    more, could take seconds under load.
+    What a node had to save is saved, and an interpreter that tidies up, or waits for a calculation that nobody wants
+    any more, could take seconds under load.
     """
     status = run(create, args, grace=grace)
     sys.stdout.flush()
