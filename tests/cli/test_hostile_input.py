@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import sys
 import warnings
 from pathlib import Path
@@ -76,4 +77,22 @@ def test_a_terminal_that_lacks_letters(session: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(written, encoding="ascii"))
     assert run(["info", str(session)]) == 0
     sys.stdout.flush()
-    assert b"declared standard uncertainty 0.2 ?m" in written.getvalue()
+    assert b"?m" in written.getvalue()
+
+
+def test_a_plan_of_repeats_without_end(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    procedure = Path(__file__).parents[2] / "config" / "procedures" / "tracking_2d.yaml"
+    text = procedure.read_text(encoding="utf-8")
+    (tmp_path / "p.yaml").write_text(re.sub(r"repeats: \d+", "repeats: 1000000000", text), encoding="utf-8")
+    assert "at most 1000 are planned" in refused(capsys, "plan", tmp_path / "p.yaml")
+
+
+def test_a_recording_that_names_a_file_twice(capsys: pytest.CaptureFixture[str], session: Path, tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    assert run(["convert", str(session), str(bag)]) == 0
+    capsys.readouterr()
+    text = (bag / "metadata.yaml").read_text(encoding="utf-8")
+    name = "  - bag_0.mcap\n"
+    assert name in text
+    (bag / "metadata.yaml").write_text(text.replace(name, 5000 * name, 1), encoding="utf-8")
+    assert "names a file twice" in refused(capsys, "info", bag)

@@ -83,7 +83,7 @@ def test_the_formula_is_found_added_and_fits(
     assert "e_y = b * dir_y * exp(-time / tau)" in page
     assert {p.name for p in (measured.parent / "pictures").iterdir()} == {"creep_y.png", "README.md"}
     assert "times the declared uncertainty" in before
-    assert "creep_y" in diagnosis
+    assert re.match(r"The model lacks [^.]* \(creep_y\)\.", diagnosis)
     assert "creep_y.b" in identified
     assert after.startswith("The model fits within the declared uncertainty")
 
@@ -91,10 +91,6 @@ def test_the_formula_is_found_added_and_fits(
     parameters = {p["name"]: p for p in json.loads(capsys.readouterr().out)["parameters"]}
     for name, truth in (("creep_y.b", 4e-6), ("creep_y.tau", 1500.0)):
         assert abs(parameters[name]["value"] - truth) < 4 * parameters[name]["standard_uncertainty"]
-    assert run([*commands(blocks.sh[1])[1], "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["verdict"] == "missing_effect"
-    assert found["candidates"][0]["effect"] == "creep_y"
 
 
 @pytest.mark.usefixtures("plugin")

@@ -88,12 +88,12 @@ class Report(Protocol):
 @contextmanager
 def progress_bar() -> Iterator[Report]:
     """A progress bar on standard error; nothing where that is not a terminal."""
-    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
     screen = error_console()
     if not screen.is_terminal:
         yield lambda what, share=None: None
         return
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
     columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=screen, transient=True) as shown:
         task = shown.add_task("reading", total=None)

@@ -17,6 +17,8 @@ from machine_tool_calibration.session.yaml_text import Document, load_yaml
 
 __all__ = ["Motion", "Path", "Procedure", "Spread", "first_defect", "parse_procedure", "read_procedure"]
 
+_MOST_REPEATS = 1000
+
 FORMAT = "mtcal-procedure/1"
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -154,6 +156,8 @@ def parse_procedure(text: str, source: str) -> Procedure:
     lines = {path[1:]: line for path, line in document.lines.items() if path[:1] == ("session",)}
     inner = Document({"format": "mtcal-session/1", **content.session}, lines)
     session = describe(inner.value, source, inner)
+    if session.repeats > _MOST_REPEATS:
+        raise SessionError(f"{source}: session.repeats is {session.repeats}; at most {_MOST_REPEATS} are planned")
     spec = method_spec(session.method)
     if content.path is None and not spec.path_from_session:
         raise SessionError(f"{source}: the key 'path' is missing")

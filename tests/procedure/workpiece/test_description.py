@@ -144,6 +144,15 @@ def test_dxf_ellipse_and_unit(read, drawing):
         ("- {kind: pin, centre: [0, 0], count: 4}\n", r"the key 'features.0.diameter' is missing"),
         ("- {kind: pin, centre: [0, 0], diameter: -1, count: 4}\n", r"features.0.diameter: input should be greater"),
         ("- {kind: gear}\n", r"features.0: input tag 'gear'"),
+        ("- {kind: pin, centre: [1e308, 0], diameter: 12, count: 4}\n", r"features.0.centre.0: input should be less"),
+        (
+            "- {kind: pin, centre: [0, 0], diameter: 5e-324, count: 4}\n",
+            r"features.0.diameter: input should be greater",
+        ),
+        (
+            "- {kind: line, start: [0, 0], end: [1e6, 0], material: left, spacing: 1e-6}\n",
+            "an outline of more than 100000 points: is the spacing of 1e-09 m right",
+        ),
         ("- {kind: line, start: [0, 0], end: [0, 0], material: left, count: 2}\n", "start and end are the same"),
         ("- {kind: line, start: [0, 0], end: [9, 0], material: left}\n", "must have either spacing or count"),
         ("- {kind: file, path: nothing.csv, unit: mm, material: inside, spacing: 1}\n", "nothing.csv: no such file"),
@@ -175,6 +184,8 @@ def test_csv_defects(read, tmp_path):
         ("a,b\n1,2\n", "column 'x' is missing"),
         ("x,X,y\n1,1,2\n", "column 'x' stands twice"),
         ("x,y\n1,2\nthree,4\n", "row 2: x and y must be numbers"),
+        ("x,y\n0,0\n1e308,0\n0,1e308\n", "row 2: x and y must be numbers, of 1e\\+06 at most"),
+        ("x,y\n0,0\n1e-300,0\n0,1e-300\n", "needs at least 3 different corners"),
         ("x,y\n1,2\n1,2\n", "needs at least 3 different corners"),
     ):
         (tmp_path / "part.csv").write_text(content)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 from array import array
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any
 
@@ -21,6 +22,10 @@ LAST_SECOND = 2_145_916_800  # 2038-01-01: a stamp's 32 bits end 18 days later, 
 _LARGEST = 1e15  # of any SI value in the graph: far beyond what occurs, and its square is still a number
 _ENTRIES = 100_000  # of one array
 _UNIT = 1e-3  # by which a quaternion's norm may miss 1
+_FEW = 50  # numbers that are looked at faster one by one
+
+_Check = Callable[[Any], str]
+"""What is wrong with a value, after where in it: `.stamp is no time`; empty if nothing is."""
 
 
 def require_sound(message: Any) -> None:
@@ -32,59 +37,95 @@ def require_sound(message: Any) -> None:
         CalibrationError: a stamp that is no time, a number that is not finite or absurdly large, names without values
             or values without names, a rotation that is none, or far more than any message of the graph holds.
     """
-    _require(message, "")
-
-
-def _require(value: Any, where: str) -> None:
-    match value:
-        case float():
-            if not abs(value) <= _LARGEST:
-                raise CalibrationError(f"{where} is {value:g}")
-        case bool() | int() | bytes() | str():
-            pass
-        case Time():
-            if not 0 <= value.sec < LAST_SECOND or value.nanosec > 999_999_999:
-                raise CalibrationError(f"{where} is no time: {value.sec} s and {value.nanosec} ns")
-        case Duration():
-            if value.nanosec > 999_999_999:
-                raise CalibrationError(f"{where} is no duration: {value.sec} s and {value.nanosec} ns")
-        case array() | np.ndarray() | list():
-            _require_all(value, where)
-        case _:
-            for name in _fields(type(value)):
-                _require(getattr(value, name), f"{where}.{name}" if where else name)
-            if isinstance(value, JointState):
-                _require_pairs(value)
-            elif isinstance(value, Quaternion):
-                norm = math.hypot(value.x, value.y, value.z, value.w)
-                if norm and abs(norm - 1.0) > _UNIT:  # all zero: not given
-                    raise CalibrationError(f"{where} is no rotation: its norm is {norm:g}")
-
-
-def _require_all(values: Sequence[Any], where: str) -> None:
-    if len(values) > _ENTRIES:
-        raise CalibrationError(f"{where} has {len(values)} entries")
-    if isinstance(values, list):
-        for index, entry in enumerate(values):
-            _require(entry, f"{where}[{index}]")
-    else:
-        numbers = np.asarray(values)
-        bad = np.flatnonzero(np.abs(numbers) > _LARGEST)
-        if len(bad):
-            raise CalibrationError(f"{where}[{bad[0]}] is {numbers[bad[0]]:g}")
-
-
-def _require_pairs(message: JointState) -> None:
-    names = len(message.name)
-    if len(set(message.name)) < names:
-        raise CalibrationError("a name stands twice")
-    if len(message.position) != names:
-        raise CalibrationError(f"{names} names and {len(message.position)} positions")
-    for field, values in (("velocities", message.velocity), ("efforts", message.effort)):
-        if len(values) not in (0, names):
-            raise CalibrationError(f"{names} names and {len(values)} {field}")
+    fault = _check_of(type(message))(message)
+    if fault:
+        raise CalibrationError(fault.lstrip(". "))
 
 
 @cache
-def _fields(kind: type) -> tuple[str, ...]:
-    return tuple(kind.get_fields_and_field_types())  # type: ignore[attr-defined]
+def _check_of(kind: Any) -> _Check:
+    """The check of a class of messages: only fields in which something can be wrong are looked at."""
+    if kind is Time:
+        return _time
+    if kind is Duration:
+        return _duration
+    fields = kind.get_fields_and_field_types().items()
+    checks = [(name, check) for name, type_ in fields if (check := _check_of_field(type_))]
+    own = {JointState: _pairs, Quaternion: _rotation}.get(kind)
+
+    def check_all(message: Any) -> str:
+        for name, check in checks:
+            fault = check(getattr(message, name))
+            if fault:
+                return f".{name}{fault}"
+        return own(message) if own is not None else ""
+
+    return check_all
+
+
+def _check_of_field(type_: str) -> _Check | None:
+    """The check of a field by its type as messages tell it: `double`, `double[9]`, `sequence<std_msgs/Header>`."""
+    many = re.fullmatch(r"sequence<([^,]+)(?:, \d+)?>|(.+)\[\d+\]", type_)
+    single = type_ if many is None else many[1] or many[2]
+    if "/" in single:
+        return (lambda message: _check_of(type(message))(message)) if many is None else _messages
+    if single in ("double", "float"):
+        return _number if many is None else _numbers
+    return None if many is None else _length
+
+
+def _number(value: float) -> str:
+    return "" if -_LARGEST <= value <= _LARGEST else f" is {value:g}"
+
+
+def _numbers(values: array[float] | np.ndarray | list[float]) -> str:
+    fault = _length(values)
+    if fault:
+        return fault
+    if len(values) <= _FEW:
+        bad = [index for index, value in enumerate(values) if value > _LARGEST or value < -_LARGEST]
+    else:
+        bad = np.flatnonzero(np.abs(np.asarray(values)) > _LARGEST).tolist()
+    return f"[{bad[0]}] is {values[bad[0]]:g}" if bad else ""
+
+
+def _messages(messages: Sequence[Any]) -> str:
+    fault = _length(messages)
+    if fault:
+        return fault
+    for index, message in enumerate(messages):
+        fault = _check_of(type(message))(message)
+        if fault:
+            return f"[{index}]{fault}"
+    return ""
+
+
+def _length(values: Any) -> str:
+    return f" has {len(values)} entries" if len(values) > _ENTRIES else ""
+
+
+def _time(value: Time) -> str:
+    sec, nanosec = value.sec, value.nanosec
+    return "" if 0 <= sec < LAST_SECOND and nanosec < 1_000_000_000 else f" is no time: {sec} s and {nanosec} ns"
+
+
+def _duration(value: Duration) -> str:
+    return "" if value.nanosec < 1_000_000_000 else f" is no duration: {value.sec} s and {value.nanosec} ns"
+
+
+def _rotation(value: Quaternion) -> str:
+    norm = math.hypot(value.x, value.y, value.z, value.w)
+    # all zero: not given
+    return f" is no rotation: its norm is {norm:g}" if norm and abs(norm - 1.0) > _UNIT else ""
+
+
+def _pairs(message: JointState) -> str:
+    names = len(message.name)
+    if len(set(message.name)) < names:
+        return " a name stands twice"
+    if len(message.position) != names:
+        return f" {names} names and {len(message.position)} positions"
+    for field, values in (("velocities", message.velocity), ("efforts", message.effort)):
+        if len(values) not in (0, names):
+            return f" {names} names and {len(values)} {field}"
+    return ""

@@ -11,8 +11,9 @@ from machine_tool_calibration.procedure.workpiece.outline import Arc, Contour, M
 
 __all__ = ["Circle", "Feature", "File", "Line", "Outline", "Points", "Record"]
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+_LARGEST, _SMALLEST = 1e6, 1e-6  # in the unit of the file: a kilometre and a nanometre in mm
+Finite = Annotated[float, Field(ge=-_LARGEST, le=_LARGEST, allow_inf_nan=False)]
+Positive = Annotated[float, Field(ge=_SMALLEST, le=_LARGEST, allow_inf_nan=False)]
 Vector2 = tuple[Finite, Finite]
 
 
@@ -40,7 +41,7 @@ class Line(Record):
     end: Vector2
     material: Literal["left", "right"]
     spacing: Positive | None = None
-    count: Annotated[int, Field(ge=1)] | None = None
+    count: Annotated[int, Field(ge=1, le=100_000)] | None = None
 
     @model_validator(mode="after")
     def _check(self) -> Line:

@@ -13,6 +13,8 @@ from machine_tool_calibration.errors import SessionError
 
 __all__ = ["Arc", "Contour", "Material", "Segment", "Straight", "Touched", "join", "probe_points", "reachable"]
 
+_MOST_POINTS = 100_000
+
 
 @dataclass(frozen=True)
 class Straight:
@@ -206,8 +208,10 @@ def probe_points(contour: Contour, material: Material, spacing: float) -> Touche
         spacing: wanted distance of points between two corners, m; there is one at least.
 
     Raises:
-        SessionError: inside or outside of an open contour.
+        SessionError: inside or outside of an open contour, or points without number.
     """
+    if sum(segment.length for segment in contour.segments) > _MOST_POINTS * spacing:
+        raise SessionError(f"an outline of more than {_MOST_POINTS} points: is the spacing of {spacing:g} m right?")
     if material in ("inside", "outside") and not contour.is_closed:
         raise SessionError(f"an open outline has no {material}: say whether its material is left or right of it")
     side = material

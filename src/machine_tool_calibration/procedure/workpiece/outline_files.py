@@ -24,6 +24,7 @@ __all__ = ["read_csv_outline", "read_dxf_outline"]
 
 
 _LARGEST = 64 << 20
+_FARTHEST = 1e6  # in the unit of the file
 
 
 def read_csv_outline(file: Path, unit: float, *, closed: bool) -> list[Contour]:
@@ -54,12 +55,14 @@ def read_csv_outline(file: Path, unit: float, *, closed: bool) -> list[Contour]:
             missing = "is missing" if name not in table.columns else "stands twice"
             raise SessionError(f"{file}: the column {name!r} {missing}; an outline has the columns x and y")
     corners = np.column_stack([pd.to_numeric(table[name], errors="coerce").to_numpy(float) for name in "xy"])
-    bad = np.flatnonzero(~np.isfinite(corners).all(axis=1))
+    bad = np.flatnonzero(~(np.abs(corners) <= _FARTHEST).all(axis=1))
     if len(bad):
-        raise SessionError(f"{file} row {bad[0] + 1}: x and y must be numbers")
+        raise SessionError(f"{file} row {bad[0] + 1}: x and y must be numbers, of {_FARTHEST:g} at most")
     points = [(float(x) * unit, float(y) * unit) for x, y in corners]
     ends = [*points[1:], points[0]] if closed and points else points[1:]
-    pieces = [Straight(a, b) for a, b in zip(points, ends, strict=False) if a != b]
+    pieces = [
+        Straight(a, b) for a, b in zip(points, ends, strict=False) if np.hypot(b[0] - a[0], b[1] - a[1]) > _SHORTEST
+    ]
     if len(pieces) < (2 if closed else 1):
         raise SessionError(f"{file}: an outline needs at least {3 if closed else 2} different corners")
     return [Contour(tuple(pieces), closed)]
