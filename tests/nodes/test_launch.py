@@ -51,7 +51,10 @@ def launch(monkeypatch, tmp_path):
     """Loads a launch file."""
     (tmp_path / "log").mkdir()
     made = {kind: type(kind, (Record,), {}) for kind in KINDS}
-    configuration = lambda name: SimpleNamespace(perform=lambda context: context.launch_configurations[name])  # noqa: E731
+
+    def configuration(name):
+        return SimpleNamespace(perform=lambda context: context.launch_configurations[name])
+
     contents = {
         "launch": {"LaunchDescription": made["LaunchDescription"]},
         "launch.actions": made,

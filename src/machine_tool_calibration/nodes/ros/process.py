@@ -172,8 +172,10 @@ def run(create: Callable[[], GuardedNode], args: list[str] | None = None, *, gra
 def run_process(
     create: Callable[[], GuardedNode], args: list[str] | None = None, *, grace: float = _SAVE_GRACE
 ) -> NoReturn:
-    """As `run`, and end the process: what a node had to save is saved, and an interpreter that tidies up, or waits for
-    a calculation that nobody wants any more, could take seconds under load.
+    """As `run`, and end the process at once.
+
+    What a node had to save is saved, and an interpreter that tidies up, or waits for a calculation that nobody wants
+    any more, could take seconds under load.
     """
     status = run(create, args, grace=grace)
     sys.stdout.flush()
