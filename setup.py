@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Build of the ament_python package: what setup.cfg cannot say.
 
 The executables of `ros2 run` and `ros2 launch` live in lib/<package>/. A wheel ignores `install_scripts`, so small

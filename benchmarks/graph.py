@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How many targets a second the node graph captures in simulated time, and what each process costs.
 
     python benchmarks/graph.py [--readings 2000] [--without recorder estimator]

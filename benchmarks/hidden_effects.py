@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How often is a hidden effect found, called by its right name, and the map put right?
 
 Simulated sessions of random machines: with nothing hidden (with and without a spread between setups), with one hidden

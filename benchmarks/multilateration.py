@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Multilateration side by side: the solver of `mtcal identify`, plain NumPy, SciPy and, where installed, GTSAM.
 
     python benchmarks/multilateration.py --points 100000

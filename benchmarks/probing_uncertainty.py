@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Uncertainty of the probing self-calibration beside the paper's figures (Section 6: Figs. 18 to 20, Table 2).
 
 The paper does not print the points, so they are assumed (config/workpieces/cross_pocket.yaml). All figures are expanded

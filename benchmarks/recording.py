@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recordings: speed beside rosbags and mcap, an hour of the stream, and recorders killed at random.
 
 python benchmarks/recording.py speed     writing and reading, beside the libraries `rosbags` and `mcap`

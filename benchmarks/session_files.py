@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Session folders with many rows: seconds to write and to read, beside pandas.
 
 python benchmarks/session_files.py -n 1000000

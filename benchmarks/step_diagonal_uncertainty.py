@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Are the stated uncertainties of a step diagonal right, whatever the machine's angular errors?
 
 Simulated sessions of random machines, fitted with the default model: the mean of ((map - truth) / u)^2, which is 1

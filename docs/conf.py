@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The documentation as web pages: the Markdown of this folder, and the reference from docstrings (CONTRIBUTING.md)."""
 
 from machine_tool_calibration import __version__

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Corrects commanded positions by the latched error map of topic `error_map`.
 
     python3 compensate.py --ros-args -r __ns:=/cell_1

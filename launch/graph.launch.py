@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The whole graph of a procedure, of any method, with a simulated machine and instrument, recorded.
 
 ros2 launch machine_tool_calibration graph.launch.py procedure:=tracking_3d

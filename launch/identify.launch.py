@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Only what listens: an estimator and a recorder beside a graph that runs already, or beside a replay.
 
 ros2 launch machine_tool_calibration identify.launch.py namespace:=cell_1

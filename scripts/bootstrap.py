@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
 """From a checkout and a bare Python to a running `mtcal`, in one command.
 
     python3 scripts/bootstrap.py demo [OPTIONS]     install, then `mtcal demo`

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What all tests share: quiet libraries, and a ROS domain that no other test process on this machine uses."""
 
 import atexit

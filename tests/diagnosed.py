@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Diagnoses of simulated sessions that several tests read: each is made once in a process."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Groups of equal entries, and the root mean square."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The error map as a function, from messages of any library."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How long processes wait for a processor, for tests of what must happen in time on a machine that others use too."""
 
 from __future__ import annotations

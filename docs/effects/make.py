@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Make the pictures and the page of this folder again: python docs/effects/make.py."""
 
 from pathlib import Path

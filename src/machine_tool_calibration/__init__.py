@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Calibration of machine tools: geometric errors from displacement readings.
 
 What people need in a notebook is here; everything else is in the folders of the package::

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The errors that reach the user as one clear line, and what a mistyped name may have meant."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """For subscribers: the latched error map as a function of position.
 
 Needs neither rclpy nor the rest of the graph; a message of rclpy, of `rosbags` or of `mcap-ros2-support` will do:

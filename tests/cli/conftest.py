@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A session that several commands improve."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`mtcal compare`: words, tables, JSON, pictures and the readings behind them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the demonstration of each method hides is found by its own measurement."""
 
 from __future__ import annotations

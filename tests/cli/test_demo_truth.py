@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a demonstration says of its map and the truth."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`mtcal export` as it is called."""
 
 from __future__ import annotations

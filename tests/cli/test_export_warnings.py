@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`mtcal export` warns of a model that does not fit, and of a better one that it did not use."""
 
 from __future__ import annotations

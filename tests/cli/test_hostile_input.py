@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Files and streams that nobody means to give: one line, in bounded time, nothing on standard output."""
 
 from __future__ import annotations

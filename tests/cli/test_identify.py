@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`mtcal identify`: for people, for programs, and for what is wrong."""
 
 from __future__ import annotations

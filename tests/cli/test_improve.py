@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`mtcal improve` and `mtcal history` as they are called."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`mtcal improve` keeps what it found whatever happens to its output, and says of its files what is true."""
 
 from __future__ import annotations

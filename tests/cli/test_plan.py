@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`mtcal plan` and `mtcal workpiece`: what is promised is what a simulated measurement then gives."""
 
 from __future__ import annotations

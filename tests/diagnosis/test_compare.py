@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The comparison of a model with its readings: figures against hand counts, statistics, and known faults."""
 
 from __future__ import annotations

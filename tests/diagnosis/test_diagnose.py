@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The verdict on simulated sessions: nothing missing, one effect, two, one that nobody knows, chips."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Diagnosis of plates and axes as workshops measure them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Readings that scatter far more than declared: what does not reproduce, a wrong declaration, or a wrong model."""
 
 from __future__ import annotations

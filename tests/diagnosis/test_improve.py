@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The loop on simulated machines: the hidden effect is added, the error falls, the map comes nearer to the truth."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The page docs/adding_an_effect.md, executed from top to bottom."""
 
 from __future__ import annotations

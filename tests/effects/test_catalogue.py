@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every effect of the catalogue: recovered when put in, zero when not, taken up where the model has room for it.
 
 The sessions come from the simulator, which calculates readings from geometry and shares no formula with the effects.

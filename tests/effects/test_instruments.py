@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which instruments can have an effect: no beam, no dead path."""
 
 from __future__ import annotations

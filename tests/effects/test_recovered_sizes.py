@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Effects with several coefficients: each comes out as it was put in, within its uncertainty."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Thermal expansion away from a fixed point, and what a session does not tell of that point."""
 
 from __future__ import annotations

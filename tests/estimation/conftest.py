@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A small network of points and stations, and the textbook solution of it: one dense system."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Eliminating the points gives what one dense system gives."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every reading has one place, whatever was read of the points."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the solver says of rank, of priors, of functions, and when it gives up."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A part with random functions in its blocks: the same inner products as dense columns of them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tables for controllers: what stands in the files, and that a controller that follows them takes the errors away."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tables of other programs become sessions, and the machine that measured them is found again."""
 
 from __future__ import annotations

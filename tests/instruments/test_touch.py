@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Planned touches: where they begin, which point they are meant for, which triggers count."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Importing the package costs nothing, and a type checker sees what is there all the same."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The whole loop for every method; tables, documents and texts are those of the command line."""
 
 from __future__ import annotations

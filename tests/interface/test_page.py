@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The page docs/python.md, executed from top to bottom; what it says is printed is printed."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Chains as ISO 10791 and the papers write them."""
 
 from __future__ import annotations

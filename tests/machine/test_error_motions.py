@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Lever arms and displacements against the papers' equations, written out by hand."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A measuring method that a package of its own adds, with one line that announces it: circles with a ball bar."""
 
 from __future__ import annotations

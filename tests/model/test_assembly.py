@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Putting models together: what is shared, what is named, and what is refused."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is published of a fit: generalised least squares with what does not reproduce, averaged over its size."""
 
 from __future__ import annotations

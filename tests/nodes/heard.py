@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What running nodes publish and serve, held against msg_docs."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What msg_docs says of the topics, and messages made from its examples."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the graph must measure: the same session from the simulator, without any node."""
 
 from machine_tool_calibration.arrays import Array

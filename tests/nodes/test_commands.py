@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`mtcal run` and `mtcal demo` as a person or a program calls them."""
 
 import json

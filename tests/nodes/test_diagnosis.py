@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The estimator says what the model lacks, adds it, and goes on hearing readings meanwhile."""
 
 import json

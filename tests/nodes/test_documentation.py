@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """msg_docs says what the running nodes do."""
 
 import os

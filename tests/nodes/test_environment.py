@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What processes of nodes set for themselves."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Nodes in this process, without a graph: parameters that cannot be, missing readings, starts that come too early."""
 
 from types import SimpleNamespace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """No message ends a node, whoever sends it: all callbacks in this process, and a running graph that measures on."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The instrument by itself: the stream, stable readings, a broken beam, a real instrument's driver."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Launch files, as far as they can be looked at where `launch` is not installed."""
 
 import ast

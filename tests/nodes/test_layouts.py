@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The files for RViz and Foxglove name topics of the graph, with displays for their types.
 
 That the running nodes have the topics, types and qualities of msg_docs is seen in test_documentation.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The other interferometer methods through the graph: readings are those of the simulator."""
 
 import copy

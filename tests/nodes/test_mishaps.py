@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Nodes that die, start late or start again, and beams that are interrupted, in the middle of a procedure."""
 
 import copy

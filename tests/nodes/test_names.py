@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Topics and services of a node's own follow its name."""
 
 import rclpy

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Replays: what a live graph hears of a bag, when, and that it identifies the same from it."""
 
 from __future__ import annotations

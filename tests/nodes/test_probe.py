@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Probing live: the probe node with the axis simulator and the procedure, in simulated and in real time."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Each node as a process: it stops when asked, refuses what is wrong, and describes its parameters."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Messages that mean nothing are refused before any callback sees them."""
 
 from array import array

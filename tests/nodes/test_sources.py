@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stable windows, simulated samples and the environment of a moment, without ROS."""
 
 from collections import deque

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Messages are dated by the simulated clock of when they were sent, whichever topic a busy machine brings first."""
 
 import pytest

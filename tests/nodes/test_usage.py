@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`--help` of every executable says what it is and takes, and starts nothing."""
 
 import re

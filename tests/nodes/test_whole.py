@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One measurement in simulated time: its readings, topics, map and recording."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The checkers of ROS's own packages, with this project's style; skipped where rosdep has not installed them."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The example of CONTRIBUTING.md works as it stands there."""
 
 import re

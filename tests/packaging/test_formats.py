@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """docs/sessions.md and docs/results.md say what is read and written."""
 
 import json

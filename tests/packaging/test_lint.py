@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Style and types are part of the tests."""
 
 import subprocess

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What an installation consists of, and that what it needs is declared."""
 
 import ast

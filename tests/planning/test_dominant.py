@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What dominates the uncertainty of a map, and remedies that keep their word in the simulator."""
 
 from collections.abc import Callable

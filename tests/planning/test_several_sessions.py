@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What to measure next where several sessions of one machine were diagnosed together."""
 
 from __future__ import annotations

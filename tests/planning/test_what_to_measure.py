@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Proposals, and that they keep their word in the simulator, which knows nothing of them."""
 
 from collections.abc import Callable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pictures of a diagnosis and of the error falling: for every method, and with the numbers that they are of."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The pictures of a map: what is drawn, where, and in which units."""
 
 from __future__ import annotations

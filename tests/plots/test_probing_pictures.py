@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pictures of probing results show what is determined, and mark what is not."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pictures of a rotary axis and of direct deviations: drawn from the document, also where values are null."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Small procedures for tests."""
 
 from machine_tool_calibration.procedure import Plan, parse_procedure, plan

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Axes, pointer and instrument for tests of the sequencer: they delay, repeat, lose and exchange what they say.
 
 What each partner has been told and what it knows of the others travels separately, as the topics of the graph do: so

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A program for the tests: publishes a stream, and a description that is latched, once the recorder listens.
 
 Arguments: namespace, batches, batches per second (0: as they fit), samples per batch, and `clock` if it shall also

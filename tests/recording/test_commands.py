@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """mtcal info, recover and convert, as people and programs meet them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is known of the graph's topics without asking the graph."""
 
 import pytest

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Foxglove's readers (npm: @mcap/core and what decodes ROS 2 messages) agree with ours message by message.
 
 They run where node and the packages are found: in build/mcap_readers, or where MTCAL_NODE_MODULES says.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 from machine_tool_calibration.nodes.player import Pace
 
 SECOND = 1_000_000_000

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bags of others, and bags that are damaged, unfinished or hostile."""
 
 from __future__ import annotations

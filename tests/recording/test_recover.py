@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What was whole is saved, wherever the file was cut or damaged."""
 
 from __future__ import annotations

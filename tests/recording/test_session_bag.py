@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A session goes into a bag and comes back, beside whatever else is in the bag."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bags are what rosbag2 writes: other readers agree on every message and on all that describes it."""
 
 from __future__ import annotations

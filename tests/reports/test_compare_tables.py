@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tables of a comparison: figures that can be read, no columns or lines that say nothing."""
 
 from __future__ import annotations

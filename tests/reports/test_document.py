@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The JSON document of a diagnosis: the contract's keys, honest numbers, and no cause where none is known."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What dominates a map's uncertainty, as people and programs read it."""
 
 import pytest

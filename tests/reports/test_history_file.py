@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The history on disk: comes back as it was, is never half written, and a damaged one is told in one line."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sentences of an identification: how well the model fits, and what shares a reason."""
 
 from machine_tool_calibration.reports.identification import goodness_of_fit, group_by_reason

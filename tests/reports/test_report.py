@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What people read: the verdict in plain words, and tables that hold what they say."""
 
 from __future__ import annotations

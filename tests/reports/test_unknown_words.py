@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Names of unknowns in words."""
 
 from __future__ import annotations

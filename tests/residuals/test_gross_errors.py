@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Gross errors of any size in every method: found, named, not used; sound readings are kept."""
 
 from __future__ import annotations

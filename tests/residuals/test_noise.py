@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Noise from repeats: of readings that repeat each other, and of no others."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Chips beside sound readings: who is blamed."""
 
 from __future__ import annotations

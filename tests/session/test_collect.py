@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Readings that come one by one."""
 
 from __future__ import annotations

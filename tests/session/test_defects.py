@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every defect gives one line that names the file and the row, line or key."""
 
 from __future__ import annotations

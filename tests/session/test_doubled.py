@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A line that stands there twice is no repeat."""
 
 from __future__ import annotations

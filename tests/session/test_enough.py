@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fewer stations, targets or readings than a method needs."""
 
 from __future__ import annotations

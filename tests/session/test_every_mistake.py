@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sessions of every method, damaged in every usual way, are refused in one line that names it; sound ones are not."""
 
 from __future__ import annotations

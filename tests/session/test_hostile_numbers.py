@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Numbers that nothing measured has are refused in one line, where they stand."""
 
 from __future__ import annotations

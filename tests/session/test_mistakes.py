@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Units, senses and exchanged setups that only show against the nominal geometry."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Small files are read without pandas, large ones by it: what comes out is the same."""
 
 from __future__ import annotations

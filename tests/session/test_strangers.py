@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Files from strangers: bounded time and memory, and nothing but a SessionError."""
 
 from __future__ import annotations

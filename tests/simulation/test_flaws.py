@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every flaw changes the readings as RESULT.md's formula says, to first order.
 
 The expected change is computed here from the session's columns alone: g . e for a shift e of the functional point, with

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Each instrument's geometry against cases worked out by hand."""
 
 import numpy as np

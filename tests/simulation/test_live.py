@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One reading at a time gives what a whole session gives."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Lever arms, signs and second order of the virtual machine, against formulas written out by hand."""
 
 import numpy as np

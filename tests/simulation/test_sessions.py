@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whole sessions: what the methods' equations say must come out of the simulated readings."""
 
 import ast

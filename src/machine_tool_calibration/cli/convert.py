@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`mtcal convert`: sessions, recordings and tables into one another, and tables of other programs into sessions."""
 
 from __future__ import annotations

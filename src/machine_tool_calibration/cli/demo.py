@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The whole story: a simulated machine hides an effect; it is measured, found out, and the error falls."""
 
 from __future__ import annotations

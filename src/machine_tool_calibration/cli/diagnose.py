@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`mtcal diagnose`: which physical effect the model lacks."""
 
 from __future__ import annotations

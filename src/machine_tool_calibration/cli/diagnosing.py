@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the verbs that diagnose share: options, the model in use."""
 
 from __future__ import annotations

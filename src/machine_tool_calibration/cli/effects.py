@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`mtcal effects`: the catalogue of physical effects."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`mtcal export`: compensation tables that a controller reads."""
 
 from __future__ import annotations

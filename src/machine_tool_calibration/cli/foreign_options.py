@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The options of `mtcal convert` for tables of other programs, and the mapping that they make."""
 
 from __future__ import annotations

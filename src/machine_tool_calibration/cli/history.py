@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`mtcal history`: the models of a session that were tried."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Identify a machine's errors from one session, or from several of the same machine."""
 
 from __future__ import annotations

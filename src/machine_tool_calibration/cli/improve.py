@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`mtcal improve`: find the missing effects, add them, and watch the error fall."""
 
 from __future__ import annotations

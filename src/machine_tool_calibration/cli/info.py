@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`mtcal info`: what a measurement holds."""
 
 from __future__ import annotations

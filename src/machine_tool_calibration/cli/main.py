@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The command `mtcal`: finds its verbs, runs one, and turns every failure into one line and an exit status.
 
 A verb is a module of this package that defines `command`, or a plugin of the entry-point group

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What `mtcal run` and `mtcal demo` share: options, the progress bar, and what is shown at the end."""
 
 from __future__ import annotations

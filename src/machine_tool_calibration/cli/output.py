@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What every verb of `mtcal` shares: JSON for programs, text for people, one line for an error.
 
 A verb prints for people through `console()`; with `--json` it writes one document with `write_json` and nothing else to

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`mtcal plan`: what a procedure will determine, before it is run."""
 
 from __future__ import annotations

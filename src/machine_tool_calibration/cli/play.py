@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`mtcal play`: a bag's messages, published again."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`mtcal record`: topics to a bag, until Ctrl-C."""
 
 from __future__ import annotations

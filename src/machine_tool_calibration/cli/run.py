@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Run a measurement procedure: start the nodes, measure, record, identify the machine's errors."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`mtcal simulate`: a session of any method from the virtual machine, with the truth beside it."""
 
 from __future__ import annotations

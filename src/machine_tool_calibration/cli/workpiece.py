@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`mtcal workpiece`: points to be probed, from a drawing-like description or an outline."""
 
 from __future__ import annotations

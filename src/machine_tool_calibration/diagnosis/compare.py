@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How well a model fits its readings, and where it fails.
 
 This describes and draws; whether something is missing, and what, is for `diagnose` to say.

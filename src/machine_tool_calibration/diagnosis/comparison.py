@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Records of a comparison: how well a model fits its readings, and where it fails."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which physical effect is missing? Search, accept, and say what cannot be known."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The models of a measurement that were tried: which effects they hold, how well they fit, which one is current."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The loop: diagnose, accept what is found, identify again, and see how far the error fell."""
 
 from __future__ import annotations

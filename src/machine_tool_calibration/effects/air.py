@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The air's refractive index, as far as the instrument did not compensate it."""
 
 from __future__ import annotations

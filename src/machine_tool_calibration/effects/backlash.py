@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Backlash: an axis stops short of its position on the side from which it came."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Drifts in time of the reading and of the stations."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a physical effect states of itself, so that it can be simulated, fitted, ranked, added and drawn."""
 
 from __future__ import annotations

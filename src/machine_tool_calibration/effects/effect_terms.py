@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Effects as terms of a model: linear columns, and nonlinear coefficients found on the way."""
 
 from __future__ import annotations

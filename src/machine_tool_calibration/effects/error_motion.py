@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Error motions and squareness of ISO 230-1 that the chosen model leaves out."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Formulas of a user's own effects: parsed by a small grammar, never evaluated as Python.
 
 Numbers, names, + - * / ** ^, parentheses, and the functions sin, cos, tan, exp, log, sqrt, abs, sign.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A user's own effect by formula, from a YAML file or the command line.
 
 effects:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Thermal growth of what is on the rotary table."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Effects that repeat with an angle: harmonics from the second order on."""
 
 from __future__ import annotations

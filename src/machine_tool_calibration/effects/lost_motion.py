@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Lost motion that is not the same everywhere along its axis: a worn screw, a guideway that binds."""
 
 from __future__ import annotations

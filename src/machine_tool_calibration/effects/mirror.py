@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The flat mirror of a step diagonal off the beam."""
 
 from __future__ import annotations

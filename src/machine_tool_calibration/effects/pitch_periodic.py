@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Periodic error of a ball screw or scale."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Errors of the rotary pointer of an open-loop tracking interferometer."""
 
 from __future__ import annotations

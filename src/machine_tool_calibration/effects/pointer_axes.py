@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Axes of a tracking instrument's pointer that do not intersect, and a beam that misses them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pre-travel of a touch-trigger probe."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Form error of the retroreflector."""
 
 from __future__ import annotations

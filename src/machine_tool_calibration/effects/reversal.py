@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reversal of straightness and of angles: a carriage that steps aside or tilts when it turns back."""
 
 from __future__ import annotations

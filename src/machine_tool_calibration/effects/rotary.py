@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The rotary table as the effects see it."""
 
 from __future__ import annotations

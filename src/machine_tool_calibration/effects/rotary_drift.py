@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Drift of a rotary table's place."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Relative scales: one for all axes, or each axis its own."""
 
 from __future__ import annotations

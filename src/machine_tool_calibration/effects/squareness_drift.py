@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Squareness that does not stay: with time, or with the temperature of the two axes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Thermal expansion of an axis's scale."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Thermal expansion that comes later than what the temperature sensor shows."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Warm-up: an axis creeps to a new place as the machine warms."""
 
 from __future__ import annotations

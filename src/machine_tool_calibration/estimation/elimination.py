@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Elimination of the points: the small matrix from which everything else follows.
 
 Each point has d unknowns of its own, seen by a few readings. With W^1/2 G the columns of these

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Small normal equations under constraints, and what they leave open."""
 
 from __future__ import annotations

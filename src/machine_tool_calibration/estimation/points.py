@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Covariance of the points' own unknowns, in closed form, and their datum.
 
 A network of stations and points that only see each other can be shifted and turned as a whole. The

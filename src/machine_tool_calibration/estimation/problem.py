@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A least-squares problem as the solver sees it, and how its readings lie in memory.
 
 A problem has a vector of shared unknowns and one or more parts (sessions). Each part sees the shared

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The reduced Gram matrix of a whole problem, and what a fitted model leaves of further columns."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A first solution that gross errors do not reach: Huber's estimator by reweighted least squares.
 
 The readings are linearised at some place and the weighted problem is solved again and again, each reading with the

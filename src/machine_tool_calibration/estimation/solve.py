@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Gauss-Newton over the shared unknowns with the points eliminated; steps that prove too long are damped."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How large what does not reproduce is: variance components, and random functions of runs as unknowns of a part.
 
 y = J theta + sum over families f of tau_f U_f a_f + noise, a_f ~ N(0, sigma^2): the columns U_f are smooth functions of

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The machine's position errors in the states in which readings met it: with what effects add to the tables' errors.
 
 A map of most methods is of the machine's tables alone. Backlash, thermal expansion and the like displace the functional

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The Etalon Exchange format, as TwinCAT CNC's volumetric compensation reads it.
 
 Format: Beckhoff, TF5280 TwinCAT 3 CNC Volumetric Compensation: "Etalon Exchange Format", "Units of measure". A block

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The head of every file: sign, units, reference point, squareness, and what is not in it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The ISG CSV format of TwinCAT CNC's volumetric compensation.
 
 Format: Beckhoff, TF5280 TwinCAT 3 CNC Volumetric Compensation: "ISG CSV format", "Units of measure", "List of

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """LinuxCNC's screw compensation: a `.comp` file for each joint, and the lines of the INI file that name them.
 
 Format: LinuxCNC's integrator documentation, INI Configuration, section [JOINT_<num>], COMP_FILE and COMP_FILE_TYPE. At

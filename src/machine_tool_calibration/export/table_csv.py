@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A plain CSV table in SI units: one row for each node, remarks after `#`."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One JSON document in SI units."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tables of other programs (coordinate measuring machines, laser trackers, interferometers) as sessions."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A foreign table and its mapping to a session in memory."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A foreign table's columns by what they are, in SI units."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a foreign table's columns mean: from a mapping file, the command line, or both."""
 
 from __future__ import annotations

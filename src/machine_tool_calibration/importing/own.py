@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The package's own tables of readings as sessions again, also as a spreadsheet leaves them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Nominal and measured coordinates (a part on a CMM, targets of a laser tracker), aligned, as direct deviations."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Distances from the stations of a laser tracker to known targets as interferometer readings.
 
 From ranges alone, which a tracker reads far better than angles; angles serve to find the stations only. Where a tracker

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Time stamps of other programs, to seconds."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A text file of rows and columns as it is: every cell a text, every row with its line in the file."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Refractive index of air."""
 
 from __future__ import annotations

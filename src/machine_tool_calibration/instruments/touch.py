@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A touch of a touch-trigger probe: where it begins, which point it is meant for, and whether it counts.
 
 The stylus sphere stands off the surface, approaches along minus the outward normal, triggers and backs off. Axis

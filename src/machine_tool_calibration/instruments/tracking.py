@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tracking interferometer: what it reads of a target, and where its beam points."""
 
 from __future__ import annotations

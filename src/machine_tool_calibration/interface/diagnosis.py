@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where a model fails, and which physical effect it lacks."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Physical effects: the catalogue, and effects of the user's own by formula."""
 
 from __future__ import annotations

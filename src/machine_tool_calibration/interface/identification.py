@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Identify a machine's errors, and what can be done with the result."""
 
 from __future__ import annotations

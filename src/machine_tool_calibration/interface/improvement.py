@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A model made better step by step, and the error that falls."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measurements: read from files, or simulated."""
 
 from __future__ import annotations

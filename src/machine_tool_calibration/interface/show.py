@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How what the interface returns shows itself: one line, the text of the command line, a notebook, a picture."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A result as tables: the same columns whatever the method, NaN and a flag where the data does not determine a value.
 
 SI units. `u…` are standard uncertainties (k = 1); an expanded uncertainty U (k = 2) is twice as large.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The serial chain of a machine tool, from workpiece to tool (ISO 10791 order)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Error motions and squareness of a serial machine: their displacement of the functional point.
 
 Names are those of ISO 230-1: EXX EYX EZX are the translations and EAX EBX ECX the rotations of the X axis,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One map over several sets of effects that the readings do not distinguish.
 
 Look-alikes explain the same readings and may move the map differently. The published map is then the mean over the sets

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A result as tables for each axis: what a controller compensates, with uncertainty, or why it is not there."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The model of one session, whatever its method."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From one session, or several of one machine, to fitted models: the same for identifying, comparing and diagnosing."""
 
 from __future__ import annotations

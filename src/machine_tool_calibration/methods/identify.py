@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From one session or several to the machine's errors: the one entry for nodes, commands and programs."""
 
 from __future__ import annotations

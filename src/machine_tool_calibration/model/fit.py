@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A model fitted to readings."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From terms to a least-squares problem: the model of one session, and several of them assembled."""
 
 from __future__ import annotations

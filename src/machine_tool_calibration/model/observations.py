@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The readings as every term sees them, whatever the instrument."""
 
 from __future__ import annotations

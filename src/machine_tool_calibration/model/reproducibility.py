@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What does not reproduce: every run and every mounting of an instrument has a smooth function of time of its own.
 
 Repeats within a run show the repeatability, not the reproducibility: on a real machine the runs of an instrument differ

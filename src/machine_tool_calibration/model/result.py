@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The answer of an identification, for people and for programs (contract `mtcal-result/1`)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The machine's error motions as tables and squareness: unknowns of a rigid-body model, with their datum."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is published of a fit: its unknowns with all that does not reproduce in their uncertainty.
 
 A fit by least squares takes all readings for independent. What is published is of the marginal model: every run and

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What an instrument answers (`instrument/datum`, `instrument/capture`), as events of the procedure."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From a stream of samples to one stable reading."""
 
 from __future__ import annotations

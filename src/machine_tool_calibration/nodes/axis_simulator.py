@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The axes of a simulated machine tool.
 
 Takes `trajectory_msgs/JointTrajectory`, moves with limited speed and acceleration, and publishes what encoders show;

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the estimator calculates: from collected messages to the documents that the command line prints as well."""
 
 from __future__ import annotations

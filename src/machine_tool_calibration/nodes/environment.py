@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The environment's topics, kept so that each reading gets what was sensed at its own time."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Collects the readings of a session; on request identifies the machine's errors, and says what the model lacks.
 
 The map, the residuals, the verdict and all documents are latched, so a program that starts later gets them too. The

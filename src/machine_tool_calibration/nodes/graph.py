@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Starts the graph's processes, watches them and ends them: what `ros2 launch` does where it is not installed."""
 
 from __future__ import annotations

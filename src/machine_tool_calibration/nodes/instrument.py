@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The displacement instrument: a laser interferometer, simulated or real.
 
 Publishes the stream of displacements in batches, takes readings on request (`instrument/capture` waits until the path

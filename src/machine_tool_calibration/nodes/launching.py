@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the launch files check before they start anything; `launch` itself is not needed for it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A whole measurement: start the graph, run a procedure, record, identify, end, and say where everything is."""
 
 from __future__ import annotations

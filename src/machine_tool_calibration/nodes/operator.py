@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Operates a running graph from a program: calls its services, hears its states, and gathers what it publishes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a simulated interferometer looks at in each method: a retroreflector on the tool or on the table, or a mirror.
 
 A target is where the light turns round; its path is computed from the true geometry at that moment.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Node `player`: publishes what a bag holds, at its pace or any other.
 
 Messages are published as they are stored, without being decoded. What was latched is latched again, also what stands

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The touch-trigger probe, simulated: takes the place of instrument and pointer in a probing procedure.
 
 On `instrument/capture` the stylus, standing off a point's surface, approaches along minus the outward normal at a set

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Runs a measurement procedure: commands the axes and the pointer, takes readings and publishes them.
 
 Each is published with the commands and the environment that it belongs to.

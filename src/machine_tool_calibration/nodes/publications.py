@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The estimator's latched results: map, tables, residuals, verdict, and the documents behind them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Node `recorder`: writes the graph's topics, or any others, to a bag."""
 
 from __future__ import annotations

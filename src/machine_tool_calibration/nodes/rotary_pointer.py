@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The simulated rotary pointer of an open-loop tracking interferometer.
 
 Points the beam from the *estimated* station at the *commanded* target (Ibaraki et al. 2014, Eq. (1), four quadrants,

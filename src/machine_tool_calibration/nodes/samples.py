@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Samples of the interferometer: of a real instrument, or from the true positions of the simulated axes."""
 
 from __future__ import annotations

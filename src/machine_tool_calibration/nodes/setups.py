@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """At which setup an instrument is to stand, and stands: what messages of the pointer say of it.
 
 Their frame is the machine's, and the setup stands beside the values by its place in the description (`setup_index`). In

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Files that the package brings: procedures and pages on messages, wherever it was installed."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The simulated machine and instrument behind the nodes: one description (YAML), shared by all simulating nodes.
 
 Every quantity is a pure function of what is passed in, so that separate processes see the same world, and a process

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What `--help` of a node's executable prints: from its module and from msg_docs, which tests hold against nodes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Advice on what to measure next."""
 
 from __future__ import annotations

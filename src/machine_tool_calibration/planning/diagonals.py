@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Further runs of a step diagonal: the diagonal that is missing, other orders of the moves, runs off the edges."""
 
 from __future__ import annotations

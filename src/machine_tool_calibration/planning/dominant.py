@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What dominates the uncertainty of a measurement's map, and which further measurement makes it smaller.
 
 Beside the scatter of the readings two things weigh on a map that a fit of the readings alone does not show:

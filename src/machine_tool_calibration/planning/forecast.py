@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a procedure will determine, before it is run: uncertainties, gaps, and the smallest effects to be found."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What an effect's residuals look like: put into perfect data of a perfect machine, and fitted without it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A further measurement that could be made, and what has to be mounted again for it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a user can do to learn more: run backwards, wait for another temperature, mount again, go elsewhere."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Further places of the instrument or the part: another station, another angle of C, further diagonals."""
 
 from __future__ import annotations

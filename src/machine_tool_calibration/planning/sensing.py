@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a measurement senses of effects outside the model's own freedom, before any reading is taken."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What to measure next: to distinguish confounded effects, and to detect what this measurement could not show."""
 
 from __future__ import annotations

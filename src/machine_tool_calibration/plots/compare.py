@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pictures of a model against its readings."""
 
 from __future__ import annotations

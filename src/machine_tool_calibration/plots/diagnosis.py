@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pictures of a diagnosis: candidates, what the best one explains, what the residuals depend on."""
 
 from __future__ import annotations

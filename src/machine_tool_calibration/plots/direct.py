@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pictures of direct deviations: an axis by ISO 230-2, tables of error motions, and a map with arrows."""
 
 from __future__ import annotations

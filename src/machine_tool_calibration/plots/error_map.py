@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A map of position errors: measured against nominal places, errors magnified, as in the papers' figures."""
 
 from __future__ import annotations

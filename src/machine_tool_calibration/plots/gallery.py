@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What each effect's residuals look like: one picture an effect."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pictures of the error falling: its size step by step, and the residuals before and after."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The pictures of a result, whatever the method."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pictures of a probing self-calibration, as in the paper's Figs. 9, 12, 13, 14 and 18, with uncertainties."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Parts of pictures of residuals: against a covariate, and as arrows where they were read."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pictures of a rotary axis: its six error motions (Zhang et al. 2015, Fig. 6) and the arrangement."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Position errors of a step diagonal by every formulation (Ibaraki and Hata 2010, Figs. 7-9)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One look for all pictures: colours that the colour-blind distinguish (Okabe and Ito 2008), sizes, scales."""
 
 from __future__ import annotations

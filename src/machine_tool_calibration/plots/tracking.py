@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pictures of a tracking interferometer's session: the map, the error motions, and where the stations stood."""
 
 from __future__ import annotations

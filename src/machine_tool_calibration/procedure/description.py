@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a procedure's YAML file says: the session to be measured, where to go, and how to move."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a running procedure hears from the instrument and the axes, and what it asks of them.
 
 Times are whole nanoseconds of the graph's clock.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Point-to-point motion with limited speed and acceleration, and commanded trajectories."""
 
 from __future__ import annotations

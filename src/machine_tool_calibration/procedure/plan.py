@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From a procedure to the list of its steps, for every method."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where a running procedure is: its state, its deadlines, what it waits for, and the readings that share a datum."""
 
 from __future__ import annotations

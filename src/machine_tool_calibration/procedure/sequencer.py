@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A procedure while it runs: what to ask next, and which answer belongs to which step.
 
 Nothing here depends on the order in which messages arrive: a motion is known by the stamp of its command, a service

@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recordings: MCAP bags in rosbag2's layout, written and read without ROS."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Serialized messages (CDR) to values and back, with the definitions and type hashes that a bag carries.
 
 The types that come by the thousand are read here by the array; all others by the `rosbags` library. Only the standard

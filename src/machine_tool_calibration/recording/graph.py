@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The topics of a measurement's graph: which there are, and how they are found in a bag, whatever the namespace."""
 
 from __future__ import annotations

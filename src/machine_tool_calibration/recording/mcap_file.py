@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One MCAP file, written chunk by chunk.
 
 The `mcap` library's writer cannot be made to end a chunk, which a recorder must do every second so that a kill costs no

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One MCAP file of ROS 2 messages."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A measurement, whatever form it has: a session folder or a recording."""
 
 from __future__ import annotations

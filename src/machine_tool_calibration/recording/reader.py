@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A bag, from a folder or a single MCAP file, read without ROS."""
 
 from __future__ import annotations

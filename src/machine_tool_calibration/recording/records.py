@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Records and chunks of an MCAP file, read with bounded memory, whatever the file claims."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A valid bag from what a killed recorder left, or from a damaged file."""
 
 from __future__ import annotations

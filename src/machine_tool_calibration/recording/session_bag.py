@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The measurement in a recording, and a session as the recording that its measurement would have left."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Topics of a bag as tables of numbers and text: one row per message, or per sample of a batch."""
 
 from __future__ import annotations

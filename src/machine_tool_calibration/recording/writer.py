@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A bag as rosbag2 writes it: a folder with `metadata.yaml` and MCAP files."""
 
 from __future__ import annotations

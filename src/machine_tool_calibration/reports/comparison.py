@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A comparison in plain words, and for programs: one JSON document, and the readings as columns of a table."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A comparison as tables of text, in micrometres."""
 
 from __future__ import annotations

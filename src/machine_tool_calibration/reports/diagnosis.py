@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A diagnosis for people: in plain words first, then tables; text only, without a terminal's colours."""
 
 from __future__ import annotations

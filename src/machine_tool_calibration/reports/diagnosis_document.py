@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A diagnosis for programs: the contract's JSON document `mtcal-diagnosis/1`."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Deviations that were read directly: the steps of the model, and the figures of ISO 230-2."""
 
 from __future__ import annotations

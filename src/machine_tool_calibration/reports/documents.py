@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Documents for programs: any record in the types of JSON, and the text of it that every parser accepts."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the catalogue says of an effect: as a record, in a table, on a page."""
 
 from __future__ import annotations

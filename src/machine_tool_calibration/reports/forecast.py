@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a procedure will determine, for people."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The file that keeps the models of a measurement: `history.yaml` in a session folder, or beside a recording."""
 
 from __future__ import annotations

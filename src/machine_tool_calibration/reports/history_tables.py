@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The models of a session that were tried, as tables."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What `mtcal identify` tells people: the result document in words, micrometres and microradians."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A model made better: as a document for programs, and for people."""
 
 from __future__ import annotations

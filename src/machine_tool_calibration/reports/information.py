@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a measurement holds: setups, readings and columns of a session, topics of a recording."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Values for people: a quantity with its expanded uncertainty, a probability, a duration.
 
 Every command, table and picture forms its numbers here, so that one quantity looks the same wherever it stands: three

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tables of text: what they hold, and how a terminal shows them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a model's unknowns are, in words: of a setup, of a table of error motions, of an effect."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What residuals can be drawn against: recorded columns, and what follows from the geometry."""
 
 from __future__ import annotations

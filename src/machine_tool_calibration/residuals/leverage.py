@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How much of each reading the model takes for itself."""
 
 from __future__ import annotations

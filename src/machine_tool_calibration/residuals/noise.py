@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is known of the noise of the readings, and whether the model fits within it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Single readings that do not belong to the rest: a chip under the probe, a broken beam, a wrong count.
 
 A start that gross errors do not reach (`estimation/robust.py`) says which readings are suspected. They are held out,

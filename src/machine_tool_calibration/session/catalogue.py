@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The catalogue of measuring methods: built-in ones and those of plugins."""
 
 from __future__ import annotations

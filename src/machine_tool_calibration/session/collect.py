@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Readings that come one by one (live, or from a recording) to a session."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Columns of `observations.csv` without which a method cannot work."""
 
 from __future__ import annotations

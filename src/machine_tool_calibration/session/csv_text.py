@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tables to CSV text by Arrow, whose numbers come back to the last bit; by pandas where there is no Arrow."""
 
 from __future__ import annotations

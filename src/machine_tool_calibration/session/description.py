@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What `session.yaml` says: the machine, the instrument's setups and the declared uncertainty.
 
 One frozen record per measuring method; an unknown key is an error. SI units, angles in radians.

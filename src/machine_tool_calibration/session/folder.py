@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A session folder: `session.yaml` and `observations.csv`, read and written."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the rest of the package knows of a measuring method: one record, which the method's folder holds.
 
 Functions of this room and of rooms below it stand in the record as they are. Those of rooms above it, and what takes

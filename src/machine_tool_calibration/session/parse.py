@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The text of `session.yaml` to a description and back."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A measurement in memory: its description and its readings."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a session holds, in figures."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`observations.csv` to columns of numbers and of text."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A strict reader of YAML: no tags, no duplicate keys, bounded aliases and depth.
 
 PyYAML's parser gives the events; the values are made here, so that nothing but numbers, text, lists and

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The virtual machine tool and the simulator of its measurements.
 
 Readings come from exact geometry: real rotations, true distances, flat mirrors, a sphere on a surface.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A session of laser step diagonals and linear runs with a flat mirror on the spindle."""
 
 from __future__ import annotations

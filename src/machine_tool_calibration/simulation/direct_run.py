@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A session of an instrument that reads deviations directly."""
 
 from __future__ import annotations

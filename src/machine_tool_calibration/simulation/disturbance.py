@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What effects do to a measurement, in terms of geometry; they add up."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Temperatures, pressure and humidity that drift smoothly over the hours of a measurement."""
 
 from __future__ import annotations

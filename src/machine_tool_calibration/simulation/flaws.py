@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every flaw by its id."""
 
 from __future__ import annotations

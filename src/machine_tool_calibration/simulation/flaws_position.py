@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Flaws of the machine's position: backlash, lost motion, reversals, heat, pitch errors, scale, and error motions."""
 
 from __future__ import annotations

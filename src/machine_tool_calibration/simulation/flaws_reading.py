@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Flaws of the instrument, of its place, and of the part: air, dead path, drift, pointer, retroreflector, probe."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Flaws that come slowly: a squareness that drifts, a structure behind its sensor, a table that wanders."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Flaws in no catalogue: what a diagnosis must call unexplained."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The virtual machine and its flaws moment by moment, for simulated nodes.
 
 ::

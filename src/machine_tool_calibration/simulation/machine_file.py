@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """True errors of a machine as a YAML document: tables, squareness, axis average line, or random ones."""
 
 from __future__ import annotations

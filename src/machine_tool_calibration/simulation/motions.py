@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Error motions as smooth functions of one axis's position, random ones, and finite rotations exact to all orders."""
 
 from __future__ import annotations

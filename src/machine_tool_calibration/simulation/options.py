@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A spec from what is said on a command line: presets, plan keys, effects with their parameters."""
 
 from __future__ import annotations

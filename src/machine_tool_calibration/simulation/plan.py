@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What every simulated method offers, and the common part of every plan."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A session of probing a part on the rotary table at several angles of C."""
 
 from __future__ import annotations

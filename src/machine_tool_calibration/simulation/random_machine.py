@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Random machines: smooth errors of stated size from a seed."""
 
 from __future__ import annotations

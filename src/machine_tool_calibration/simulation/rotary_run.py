@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A session on a rotary axis: stations that look at targets on the table (sequential multilateration)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Under which conditions each reading is taken: commands, directions, time, environment."""
 
 from __future__ import annotations

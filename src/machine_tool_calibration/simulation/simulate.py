@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From a spec to a session, with the truth behind it."""
 
 from __future__ import annotations

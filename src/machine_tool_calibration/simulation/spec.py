@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What to simulate: the plan, the machine, the flaws, the noise."""
 
 from __future__ import annotations

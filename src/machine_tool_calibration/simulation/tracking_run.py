@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A session with a tracking interferometer at several stations."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What chance does: simulated data sets in which nothing is missing, and the bounds of Bayes factors."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a whole diagnosis says of sessions whose truth is known."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Evidence of an effect: against a direct integration over its coefficients, the noise and the sizes of spread."""
 
 from __future__ import annotations

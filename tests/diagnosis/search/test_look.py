@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One look at what a model leaves: structures beside effects, and probabilities that belong together."""
 
 from __future__ import annotations

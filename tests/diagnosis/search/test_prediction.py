@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An effect on readings that were left out: a real one predicts them, one that bends around the readings does not."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The driver on a serial port: a pseudo-terminal plays the instrument."""
 
 import os

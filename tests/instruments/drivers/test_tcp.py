@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The driver against a TCP peer on this machine."""
 
 import socket

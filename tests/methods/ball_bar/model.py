@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a ball bar should read: radius deviation against the machine's errors in the plane.
 
 With u the unit vector from the centre to the tool, a displacement e of the tool changes the reading by u.e, an offset c

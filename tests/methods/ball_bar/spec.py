@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Circles with a double ball bar in the XY plane (ISO 230-4), as a record."""
 
 from typing import Annotated, Literal

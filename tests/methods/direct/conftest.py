@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sessions of direct deviations, simulated or written down reading by reading."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The figures of ISO 230-2:2014, against numbers worked out by hand."""
 
 from __future__ import annotations

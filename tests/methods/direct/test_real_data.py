@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Hundreds of holes with more spread than declared, effects in the map, and mistakes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Position errors against the truth: their size is as stated."""
 
 from __future__ import annotations

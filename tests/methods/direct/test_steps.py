@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A drilled plate step by step, and how well what is said of it agrees with how it was made."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A direction that no reading senses has no error and no uncertainty, whatever the model moves there."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Several sessions of one simulated machine."""
 
 from __future__ import annotations

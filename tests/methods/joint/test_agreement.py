@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which session contradicts the others, and in which error motion."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tables between their nodes: how much straight lines miss."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Effects with nonlinear coefficients in several sessions at once."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One map from several sessions: better than each alone, and with the right uncertainty."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Methods in pairs on the machine of the probing self-calibration: one map, the right uncertainty, contradictions."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a fit of several sessions leaves of further columns, against dense least squares."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The readings of one session, divided among several: the machine's unknowns mean the same in each."""
 
 from __future__ import annotations

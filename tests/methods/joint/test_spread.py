@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Small angular errors in fits of several sessions: the machine's, in all sessions and in the map."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Simulated probing sessions, and the truth carried over to the datum of a result."""
 
 from collections.abc import Callable

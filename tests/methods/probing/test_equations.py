@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The columns of the model against the paper's equations, written out anew, and the columns' directions."""
 
 import numpy as np

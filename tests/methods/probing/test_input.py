@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is wrong with a probing session is said in one line."""
 
 import numpy as np

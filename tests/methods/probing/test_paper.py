@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The paper's uncertainty figures (Section 6) with assumed points: the same shape and size, not the same digits."""
 
 from pathlib import Path

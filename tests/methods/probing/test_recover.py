@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Without noise the truth comes back, but for products of errors."""
 
 import numpy as np

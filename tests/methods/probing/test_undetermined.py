@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the touches do not determine is named and null; all the rest comes back."""
 
 import numpy as np

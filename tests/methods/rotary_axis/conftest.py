@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Simulated rotary axes, and the comparison that the open datum allows."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fewer and more stations and targets than the paper's, other axes, and places that are hardly known."""
 
 from __future__ import annotations

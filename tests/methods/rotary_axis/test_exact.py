@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Without noise the six error motions come back from exact geometry."""
 
 from __future__ import annotations

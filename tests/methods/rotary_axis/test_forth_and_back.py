@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Runs that turn forth and back tell time from angle: the usual plan."""
 
 from types import SimpleNamespace

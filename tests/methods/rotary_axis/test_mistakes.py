@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Common mistakes are named in one line; a bad fit alone is no mistake."""
 
 from __future__ import annotations

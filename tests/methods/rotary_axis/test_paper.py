@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Figures of Zhang et al. 2015."""
 
 from __future__ import annotations

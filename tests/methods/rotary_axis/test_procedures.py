@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The procedures that come with the package say what the method needs."""
 
 from pathlib import Path

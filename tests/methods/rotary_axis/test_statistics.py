@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The stated uncertainties are those of the errors."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Step diagonals from exact geometry, and small sessions written down reading by reading."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Angular errors: columns against exact geometry, what the orders of the moves determine, the paper's conclusion."""
 
 import numpy as np

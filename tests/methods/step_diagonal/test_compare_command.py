@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`mtcal compare-formulations`."""
 
 import json

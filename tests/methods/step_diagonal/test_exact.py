@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Against exact geometry, without noise: what each estimator leaves."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The paper's formulations as formulas, in space and in a plane."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The fourth diagonal, nnp, and linear runs off the edges: what they are for, and that nothing stumbles over them."""
 
 import numpy as np

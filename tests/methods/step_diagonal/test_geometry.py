@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Runs, their orders and block positions."""
 
 import numpy as np

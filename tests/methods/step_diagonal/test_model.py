@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The model and its map: datum, figures, what is not determined, effects, bad input."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Small angular errors: the mean over all sizes and shapes, against plain linear algebra with every one of them."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Uncertainties are right, and as small as the readings allow."""
 
 from dataclasses import replace

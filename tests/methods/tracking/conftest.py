@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Simulated sessions of the tracking interferometer, and the truth in the datum of the map."""
 
 from __future__ import annotations

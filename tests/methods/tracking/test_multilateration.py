@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tracking interferometer: exact geometry back to the micrometre's millionth, and the counts of the paper."""
 
 from __future__ import annotations

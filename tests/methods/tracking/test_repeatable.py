@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The same bits in every process, whatever number of threads linear algebra would like to use."""
 
 from __future__ import annotations

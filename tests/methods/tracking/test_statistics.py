@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Many simulated measurements: the stated uncertainties are right, and they are the bound."""
 
 from __future__ import annotations

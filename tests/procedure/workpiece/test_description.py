@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Descriptions of workpieces, CSV and DXF outlines to points."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Segments and contours: points on them, outward normals, what the stylus reaches."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The search for what a model lacks, in the order in which its files are called.
 
 1. `candidates`: columns of every effect of the catalogue; `structure`: those of functions of the covariates.

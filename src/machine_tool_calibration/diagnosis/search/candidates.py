@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Columns of everything that may be missing: effects of the catalogue, and structures without a cause."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What chance does: the same calculation on data sets in which nothing is missing.
 
 They are drawn from the fitted model, with the noise and the spread that are left beside the most probable effects, in

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How probable the readings are with an effect in the model, from inner products alone.
 
 The model's own unknowns were projected off; spread between runs and mountings, and effects that are taken for granted,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One look at what a fitted model leaves: how probable every effect is, what looks alike, what could not be seen."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which effects are missing: the posterior over sets of them.
 
 Sets are compared, not orders: no effect is dropped because it looks like another, and a later one may unseat an

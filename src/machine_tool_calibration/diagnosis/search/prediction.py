@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whether an effect predicts readings that were not used to find it.
 
 Setups, blocks of places, and cycles are left out in turn. An effect that is real makes the readings that were left out

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a diagnosis believes before it sees the readings, and the few numbers by which it decides.
 
 They are the only ones: verdicts, look-alikes and what could have been found are read off the posterior.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Structure in the residuals, whether or not an effect explains it: functions of every covariate."""
 
 from __future__ import annotations

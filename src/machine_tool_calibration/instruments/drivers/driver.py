@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a driver of a displacement instrument is, for the node that publishes its readings."""
 
 from __future__ import annotations

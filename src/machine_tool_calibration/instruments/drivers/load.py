@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A driver from its YAML file."""
 
 from __future__ import annotations

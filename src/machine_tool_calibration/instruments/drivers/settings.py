@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the YAML file of an instrument with an ASCII line protocol says."""
 
 from __future__ import annotations

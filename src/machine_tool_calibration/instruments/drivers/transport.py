@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bytes to and from an instrument: a TCP connection or a serial port."""
 
 from __future__ import annotations

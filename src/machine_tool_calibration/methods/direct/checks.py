@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A session of direct deviations that cannot be what it says."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Positioning of one axis by ISO 230-2:2014: reversal, repeatability, systematic deviation, accuracy.
 
 Clause 3 of the standard: at m positions P_i, each approached n times in the positive direction (up) and n times in the

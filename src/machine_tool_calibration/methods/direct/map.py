@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a fit of direct deviations says: position errors, tables, and the figures of ISO 230-2 runs."""
 
 from __future__ import annotations

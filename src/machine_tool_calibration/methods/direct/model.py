@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Deviations read directly: an ISO 230-2 run, a straightedge, a grid encoder, a part measured on a CMM.
 
 A reading is the deviation (actual minus commanded) of the functional point along a direction g; what the instrument

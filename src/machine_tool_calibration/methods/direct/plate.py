@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A part or plate, step by step: where it lay, one scale, different scales and squareness, curves.
 
 The way in which a drilled plate is looked at: each step is the one before with a few more unknowns, and is worth what

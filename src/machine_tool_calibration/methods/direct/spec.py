@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Deviations that are read directly, as a record."""
 
 from machine_tool_calibration.session.checks.enough import enough_in_a_setup

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whether several sessions of one machine agree; if not, which contradicts the others and in which error motion.
 
 For every session and every unknown of the machine that it shares, the joint model is given a difference between what

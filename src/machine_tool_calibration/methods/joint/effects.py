@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Effects in several sessions at once: the machine's have the same coefficients in all.
 
 Those of an instrument, and of what counts from a session's start, are each session's own; nonlinear ones (a time

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One error map of several sessions, and what its straight lines between nodes may be wrong by."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Models of several sessions of one machine made to speak of the same unknowns.
 
 Every session's model has tables of the machine's error motions at nodes of its own, and only those that it determines

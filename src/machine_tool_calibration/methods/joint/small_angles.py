@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Angular errors that a step diagonal takes for small random functions, as the machine's: shared by all sessions.
 
 A step diagonal by itself has them as unknowns of its own (`step_diagonal.spread`). They are the machine's: by their

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Datum of the probing self-calibration: the paper's eleven conditions, Eqs. (16)(17), where the touches fix them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The uncertainty that a probing measurement will have, before it is made (Section 6 of the paper).
 
 Which points can distinguish workpiece and machine depends on the part and on the angles of C, so it is worth knowing

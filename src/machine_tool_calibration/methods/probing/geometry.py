@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Geometry of a probed workpiece on a rotary table, and the tables of the linear axes, Eqs. (4)(5), for any chain."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The answer of the probing self-calibration: workpiece and its form, linear axes on their grid, and C."""
 
 from __future__ import annotations

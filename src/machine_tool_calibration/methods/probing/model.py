@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Probing self-calibration of a free-form part on a rotary table: workpiece, X, Y and C distinguished.
 
 The same points are touched at several angles of C. The error motions of X and Y are tables, so they stay in a closed

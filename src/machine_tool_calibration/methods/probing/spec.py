@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The probing of a part on a rotary table as a record."""
 
 from machine_tool_calibration.session.checks.enough import enough_probing

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sessions of a rotary axis that contradict their own geometry, and the common mistake that explains it."""
 
 from __future__ import annotations

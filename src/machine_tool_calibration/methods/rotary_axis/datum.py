@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Datum of a rotary axis: its error motions relative to its axis average line (ISO 230-7), and what is left open.
 
 Over a small angle a shift of a station looks like one of the datum and of smooth error motions. What the readings leave

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a fit of a rotary axis says: error motions, errors of the targets, and where the axis average line stands."""
 
 from __future__ import annotations

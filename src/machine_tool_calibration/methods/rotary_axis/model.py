@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rotary axis by sequential multilateration: all six error motions at every angle (Zhang et al. 2015).
 
 One tracker at several stations after another reads the change of distance to targets on the table. A target at p

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The rotary axis by multilateration as a record."""
 
 from machine_tool_calibration.session.checks.enough import enough_rotary

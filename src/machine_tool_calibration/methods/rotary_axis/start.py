@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where stations and targets stand if the table turned without error: the point from which the fit sets out."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From a session to the model of its step diagonals."""
 
 from __future__ import annotations

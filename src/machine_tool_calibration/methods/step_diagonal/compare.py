@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Position errors by every formulation, side by side (Ibaraki and Hata 2010, Table 1 and Figs. 7-9)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Increments of the single moves and the formulations of Ibaraki and Hata 2010: conventional, new, alternative.
 
 All take R, (..., D, d, N): displacements of the single moves for the diagonals ppp, npp, pnp (in a plane pp, np), the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The model of a step diagonal's session: position errors of the axes, tilts of the mirrors, an offset a run."""
 
 from __future__ import annotations

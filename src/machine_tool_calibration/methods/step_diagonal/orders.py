@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Angular errors from different orders of the moves (Ibaraki and Hata 2010, Section 3.3, derived anew).
 
 The same move of one axis at two places differs by angular errors only. With l the beam, d the displacement since the

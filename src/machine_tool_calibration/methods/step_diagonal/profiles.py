@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Position errors along the three axes in the paper's coordinate system, and the figures that are read from them.
 
 The coordinate system is that of Ibaraki and Hata 2010, Eq. (17): every error is zero at the first block position, and

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Angular errors that are small but perhaps not zero: smooth random functions whose size the readings show.
 
 Four of the nine angular errors look like straightness to every order of the moves, and five can only be determined with

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The step diagonal as a record."""
 
 from functools import partial

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a reading of a step diagonal is a sum of: errors of the axes, tilts of the mirrors, rotations of the mirror.
 
 To first order, with l the beam, d the nominal displacement since the start of the run, e the position error and t the

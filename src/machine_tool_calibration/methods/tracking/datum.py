@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What readings between stations and targets cannot fix: a shift and a turn of the whole network."""
 
 from __future__ import annotations

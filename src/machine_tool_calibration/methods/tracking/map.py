@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The error map of a tracking interferometer's session: every target's position error, and the stations."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tracking interferometer: multilateration from several stations (Ibaraki et al. 2014).
 
 `free`: the position of every target is unknown. `rigid_body`: the targets' errors are those of the machine's

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The readings of a tracking interferometer as a part of a least-squares problem.
 
 Unknown are every target's position, every station's rotation centre and its dead path (Ibaraki et al. 2014,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The tracking interferometer as a record."""
 
 from machine_tool_calibration.session.checks.enough import enough_tracking

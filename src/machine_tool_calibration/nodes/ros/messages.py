@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Parts of messages that all nodes need: quality of service, stamps, status, poses, point clouds."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Names that belong to a node: below the node's own name (`~/…`), which a renamed node takes with it.
 
 Earlier releases wrote the kind of node for it: `estimator/status` whatever the estimator was called. For one release a

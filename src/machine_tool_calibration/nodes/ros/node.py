@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The base of every node: it survives any message, and refuses values of parameters that cannot be."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Services whose answer may come later, and one long calculation at a time beside a node's own thread."""
 
 from __future__ import annotations

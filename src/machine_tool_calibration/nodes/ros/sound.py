@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whether a message can mean anything at all: what no node of the graph may be handed."""
 
 from __future__ import annotations

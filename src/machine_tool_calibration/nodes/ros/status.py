@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a node says of itself: latched on a topic of its own, and once a second on `/diagnostics`.
 
 `/diagnostics` follows the convention of `diagnostic_updater` (REP 107): an entry named `<node>: <what>`, again and

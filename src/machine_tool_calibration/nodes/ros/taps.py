@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Subscriptions that hand over serialized messages with their times and numbers.
 
 The executor of this release that is fast enough cannot give a message's times, so nobody spins these

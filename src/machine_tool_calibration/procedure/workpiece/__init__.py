@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Workpieces for probing: from a drawing-like description, a CSV or a DXF outline to points with normals."""
 
 from machine_tool_calibration.procedure.workpiece.description import (

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From a drawing-like description of a workpiece to the points that a session needs.
 
 ::

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a drawing of a workpiece holds: outlines, lines, circles, pins, holes and spheres."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Contours of straight lines and arcs, and the points at which a probe touches them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Outlines from a CSV file of corners or a DXF drawing (by ezdxf, an optional dependency).
 
 Lines, arcs, circles and polylines with bulges are taken exactly; ellipses and splines as polygons that are nowhere

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Points of a workpiece as files: a table, entries for `session.yaml`, or put into a procedure."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Checks that a session is enough for its method and free of what cannot be right."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Readings against nominal geometry: whether a common mistake is the better explanation.
 
 The nominal geometry predicts every reading to about the uncertainty of the stations. Where it does not, and one

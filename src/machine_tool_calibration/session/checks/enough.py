@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stations, targets and readings that a method cannot do without."""
 
 from __future__ import annotations

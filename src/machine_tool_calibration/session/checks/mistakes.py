@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Common mistakes in a session, each with how well the readings would fit if it was made."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Readings against the nominal geometry of their method, only as good as needed to see a mistake."""
 
 from __future__ import annotations
