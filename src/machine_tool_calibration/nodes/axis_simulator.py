@@ -251,10 +251,10 @@ class AxisSimulator(GuardedNode):
         self._status.say(level, text, {**entries, "command": self._command, "epoch": self._epoch})
 
 
-def main(args: list[str] | None = None) -> None:
+def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    run_process(AxisSimulator, args, grace=STOP_GRACE)
+    return run_process(AxisSimulator, args, grace=STOP_GRACE)
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

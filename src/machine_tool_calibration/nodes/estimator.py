@@ -309,10 +309,10 @@ class Estimator(GuardedNode):
         self._status.say(level, words, entries)
 
 
-def main(args: list[str] | None = None) -> None:
+def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    run_process(Estimator, args, grace=STOP_GRACE)
+    return run_process(Estimator, args, grace=STOP_GRACE)
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

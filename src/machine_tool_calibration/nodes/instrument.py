@@ -434,10 +434,10 @@ def _refuse(answer: Answer, kind: str, reason: str) -> None:
     answer.send(False, json.dumps({"kind": kind, "reason": reason}))
 
 
-def main(args: list[str] | None = None) -> None:
+def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    run_process(Instrument, args, grace=STOP_GRACE)
+    return run_process(Instrument, args, grace=STOP_GRACE)
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

@@ -355,10 +355,10 @@ def _profile(offered: Qos) -> QoSProfile:
     )
 
 
-def main(args: list[str] | None = None) -> None:
+def main(args: list[str] | None = None) -> int:
     """Entry point of the executable `player`."""
-    run_process(Player, args)
+    return run_process(Player, args)
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

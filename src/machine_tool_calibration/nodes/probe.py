@@ -467,10 +467,10 @@ class Probe(GuardedNode):
             self._sensors[name].publish(message)
 
 
-def main(args: list[str] | None = None) -> None:
+def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    run_process(Probe, args, grace=STOP_GRACE)
+    return run_process(Probe, args, grace=STOP_GRACE)
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

@@ -425,10 +425,10 @@ def _reading(emit: Emit) -> JointState:
     return message
 
 
-def main(args: list[str] | None = None) -> None:
+def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    run_process(ProcedureNode, args, grace=STOP_GRACE)
+    return run_process(ProcedureNode, args, grace=STOP_GRACE)
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

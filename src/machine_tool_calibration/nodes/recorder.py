@@ -189,10 +189,10 @@ class Recorder(GuardedNode):
         self._status.say(level, text, overall, topics)
 
 
-def main(args: list[str] | None = None) -> None:
+def main(args: list[str] | None = None) -> int:
     """Entry point of the executable `recorder`."""
-    run_process(Recorder, args)
+    return run_process(Recorder, args)
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

@@ -188,10 +188,10 @@ class RotaryPointer(GuardedNode):
         return self.site.beam(self.site.station(self._session, index), azimuth, elevation, moment)
 
 
-def main(args: list[str] | None = None) -> None:
+def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    run_process(RotaryPointer, args, grace=STOP_GRACE)
+    return run_process(RotaryPointer, args, grace=STOP_GRACE)
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NoReturn
+from typing import Any
 
 import rclpy
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
@@ -170,15 +170,17 @@ def run(create: Callable[[], GuardedNode], args: list[str] | None = None, *, gra
     return status
 
 
-def run_process(
-    create: Callable[[], GuardedNode], args: list[str] | None = None, *, grace: float = _SAVE_GRACE
-) -> NoReturn:
-    """As `run`, and end the process at once.
+def run_process(create: Callable[[], GuardedNode], args: list[str] | None = None, *, grace: float = _SAVE_GRACE) -> int:
+    """As `run`, and end the process once a node has run: what it had to save is saved.
 
-    What a node had to save is saved, and an interpreter that tidies up, or waits for a calculation that nobody wants
-    any more, could take seconds under load.
+    An interpreter that tidies up, or waits for a calculation that nobody wants any more, could take seconds under load.
+
+    Returns:
+        Exit status where no node was wanted, but help.
     """
     status = run(create, args, grace=grace)
+    if _asks_for_help(sys.argv[1:] if args is None else args):
+        return status
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(status)
