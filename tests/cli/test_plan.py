@@ -110,7 +110,7 @@ def test_an_outline_into_a_procedure(tmp_path: Path, capsys: pytest.CaptureFixtu
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["nothing.yaml"], "cannot be read"),
+        (["nothing.yaml"], "no such file"),
         (["part.csv", "--spacing", "10"], "does not say its unit"),
         (["part.csv", "--spacing", "-1", "--unit", "mm"], "spacing"),
         (["part.txt", "--spacing", "1", "--unit", "mm"], "outlines are read from .dxf and .csv files"),

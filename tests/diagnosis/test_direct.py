@@ -30,7 +30,7 @@ def plates() -> ModuleType:
 
 def test_scale_then_different_scales_and_squareness(plates: ModuleType, many: Any) -> None:
     both = 0
-    some = many.part(1 / 3)
+    some = many.part(1 / 2)
     for seed in range(some.count):
         session, _ = plates.plate(seed, scales=(4e-5, 2e-5), square=5e-5)
         found = diagnose(session, sets=SETS)

@@ -89,7 +89,7 @@ def test_places_that_differ_without_any_pattern_are_unexplained() -> None:
     text = " ".join(verdict_words(found, consequences(found), what_to_measure(found)))
     assert found.noise.from_repeats is not None
     assert quantity(found.noise.from_repeats, "m") in text
-    assert f"{np.sqrt(found.fits[-1].reduced_chi_square):.1f}" in text
+    assert f"{np.sqrt(found.fits[-1].reduced_chi_square):.3g}" in text
 
 
 def test_a_declared_uncertainty_that_is_too_small_is_no_misfit() -> None:

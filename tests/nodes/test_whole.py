@@ -61,6 +61,7 @@ def whole(tmp_path_factory, ros_domain):
         graph.stop(["estimator"])
         operator = bench.operator(graph)
         heard = hear(operator)
+        assert operator.wait(lambda: operator.recorder.message == "recording", PATIENCE)
         begin(operator)
         ended(operator)
         assert operator.wait(lambda: len(operator.readings) >= 128, PATIENCE)

@@ -37,7 +37,7 @@ def session_bag(tmp_path: Path) -> Path:
 def test_info_of_a_session(capsys: pytest.CaptureFixture[str]) -> None:
     text = ask(capsys, "info", DATA / "rotary_axis")
     assert "rotary axis, machine w-C-b-t" in text
-    assert "216 readings in 55:45, 0 missing, 3 targets; declared standard uncertainty 0.27 µm" in text
+    assert "216 readings in 56 min, 0 missing, 3 targets; declared standard uncertainty 0.270 µm" in text
     document = json.loads(ask(capsys, "info", DATA / "rotary_axis", "--json"))
     assert document["format"] == "mtcal-info/1"
     assert document["kind"] == "session"

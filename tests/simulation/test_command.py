@@ -101,9 +101,9 @@ def test_spec_file_and_options_on_top(tmp_path, capsys):
         (["--method", "direct", "--spread", "0.1"], "spread.slope: 0.1 m is implausible"),
         (["--method", "direct", "--effect", "backlash_x", "--size", "3"], "backlash_x: size 3 m is implausible"),
         (["--method", "direct", "--effect", "backlash_x", "--amplitude", "3"], "backlash_x: amplitude: 3 m is"),
-        (["--method", "direct", "--machine", "nowhere.yaml"], "nowhere.yaml: cannot be read"),
+        (["--method", "direct", "--machine", "nowhere.yaml"], "nowhere.yaml: no such file"),
         ([], "say what to simulate"),
-        (["missing_spec.yaml"], "missing_spec.yaml: cannot be read"),
+        (["missing_spec.yaml"], "missing_spec.yaml: no such file"),
     ],
 )
 def test_wrong_requests_get_one_line(words, said, tmp_path, capsys):

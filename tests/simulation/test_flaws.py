@@ -500,7 +500,7 @@ def test_step_happens_once():
 
 
 def test_unknown_effects_and_parameters_are_refused_in_one_line():
-    with pytest.raises(CalibrationError, match=r"no effect 'backlash_q'.*backlash_x"):
+    with pytest.raises(CalibrationError, match=r"no effect 'backlash_q'.*backlash_"):
         choose_flaw("backlash_q")
     with pytest.raises(CalibrationError, match=r"has no parameter 'leed'; its parameters are: lead"):
         choose_flaw("pitch_periodic_x", parameters={"leed": 1})

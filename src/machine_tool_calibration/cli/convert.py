@@ -214,6 +214,8 @@ def _form(target: Path | None, otherwise: str) -> str:
     end = "" if target is None else target.suffix.lower()
     if end in _TABLES:
         return end.lstrip(".")
+    if end == ".mcap":
+        return "bag"
     if _ENDING.fullmatch(end):
         raise CalibrationError(
             f"{target}: nothing is written to {end}; tables end in .csv or .parquet, and for a folder of this name say "

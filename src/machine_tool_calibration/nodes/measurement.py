@@ -19,6 +19,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.graph import Graph, Program
 from machine_tool_calibration.nodes.operator import Operator
 from machine_tool_calibration.nodes.ros.domain import claimed_domain
+from machine_tool_calibration.nodes.ros.messages import WAITING_FOR_CLOCK
 from machine_tool_calibration.nodes.site import SiteSpec
 from machine_tool_calibration.procedure import Procedure, plan, read_procedure
 from machine_tool_calibration.session.catalogue import method_spec
@@ -237,12 +238,17 @@ def _await_ready(operator: Operator, names: Sequence[str]) -> None:
         status = operator.procedure
         return status.entries.get("state") == "idle" and not status.entries.get("waiting_for", "?")
 
+    def records() -> bool:
+        """Whether the recorder hears all it needs, in simulated time the clock too: later it would miss the start."""
+        return "recorder" not in names or operator.recorder.message not in ("", WAITING_FOR_CLOCK)
+
     def all_there() -> bool:
-        return ready() and all(operator.has_node(name) for name in names)
+        return ready() and records() and all(operator.has_node(name) for name in names)
 
     if not operator.wait(all_there, _START):
         missing = [name for name in names if not operator.has_node(name)]
-        waiting = ", ".join(missing) or operator.procedure.entries.get("waiting_for") or "the procedure"
+        waiting = ", ".join(missing) or operator.procedure.entries.get("waiting_for")
+        waiting = waiting or ("the procedure" if records() else "the recorder")
         raise CalibrationError(f"the graph is not complete after {_START:g} s: no sign of {waiting}")
 
 

@@ -66,6 +66,7 @@ class Operator:
         self._executor.add_node(self._node)
         self.procedure = Status()
         self.estimator = Status()
+        self.recorder = Status()
         self.session = ""
         self.readings: list[JointState] = []
         self.document = ""
@@ -76,6 +77,7 @@ class Operator:
         for topic, kind, keep, qos in (
             ("procedure/status", DiagnosticArray, self._keep_procedure, LATCHED),
             ("estimator/status", DiagnosticArray, self._keep_estimator, LATCHED),
+            ("recorder/status", DiagnosticArray, self._keep_recorder, LATCHED),
             ("session", String, self._keep_session, LATCHED),
             ("reading", JointState, self.readings.append, READINGS),
             ("error_map/result", String, self._keep_document, LATCHED),
@@ -96,6 +98,9 @@ class Operator:
 
     def _keep_estimator(self, message: DiagnosticArray) -> None:
         self.estimator = Status(message.status[0].message, values(message))
+
+    def _keep_recorder(self, message: DiagnosticArray) -> None:
+        self.recorder = Status(message.status[0].message, values(message))
 
     def _keep_session(self, message: String) -> None:
         self.session = message.data

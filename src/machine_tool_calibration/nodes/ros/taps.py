@@ -126,7 +126,8 @@ class Taps:
         )
         self.taps: dict[str, Tap] = {}
         kind = "rosgraph_msgs/msg/Clock"
-        self._clock = Tap(clock, kind, _CLOCK, self._subscribe(clock, kind, _CLOCK)) if clock else None
+        # The present one last; one before it is heard until this one is.
+        self._clocks = [Tap(clock, kind, _CLOCK, self._subscribe(clock, kind, _CLOCK))] if clock else []
         self._ticks: list[tuple[int, int]] = []  # when each was sent, and what it shows
         self._undated: list[Taken] = []
 
@@ -171,15 +172,13 @@ class Taps:
 
     def follow_clock(self) -> None:
         """Ask for every tick, as soon as it is known that all who publish the clock can give that."""
-        if self._clock is None or self._clock.request.reliability == "reliable":
+        if not self._clocks or self._clocks[-1].request.reliability == "reliable":
             return
-        topic, kind = self._clock.topic, self._clock.type
+        topic, kind = self._clocks[-1].topic, self._clocks[-1].type
         offered = [offered_qos(info.qos_profile) for info in self._node.get_publishers_info_by_topic(topic)]
         if offered and all(profile.reliability == "reliable" for profile in offered):
             request = replace(_CLOCK, reliability="reliable")
-            self._hear_clock(self._clock)
-            self._hidden.destroy_subscription(self._clock.subscription)
-            self._clock = Tap(topic, kind, request, self._subscribe(topic, kind, request))
+            self._clocks.append(Tap(topic, kind, request, self._subscribe(topic, kind, request)))
 
     def take(self, *, last: bool = False) -> list[Taken]:
         """What has come, in the order of its coming; in simulated time in that of its sending, as far as it is dated.
@@ -190,13 +189,13 @@ class Taps:
         taken: list[Taken] = []
         for tap in self.taps.values():
             self._take(tap, taken)
-        if self._clock is not None:
-            return self._dated(self._clock, taken, last)
+        if self._clocks:
+            return self._dated(taken, last)
         return sorted(taken, key=lambda message: message.received)
 
-    def _dated(self, clock: Tap, taken: list[Taken], last: bool) -> list[Taken]:
+    def _dated(self, taken: list[Taken], last: bool) -> list[Taken]:
         """Messages with the simulated time at which each was sent, however late they come or are taken."""
-        self._hear_clock(clock)
+        self._hear_clock()
         told, overdue = self._ticks[-1][0] if self._ticks else 0, time.time_ns() - _OVERTAKEN
         ready, waiting = [], []
         for message in (*self._undated, *taken):
@@ -209,9 +208,12 @@ class Taps:
         before = bisect_right(self._ticks, sent, key=lambda tick: tick[0])
         return self._ticks[max(before - 1, 0)][1] if self._ticks else 0
 
-    def _hear_clock(self, clock: Tap) -> None:
+    def _hear_clock(self) -> None:
         ticks: list[Taken] = []
-        self._take(clock, ticks)
+        for clock in self._clocks:
+            self._take(clock, ticks)
+        while len(self._clocks) > 1 and self._clocks[-1].messages:
+            self._hidden.destroy_subscription(self._clocks.pop(0).subscription)
         new = []
         for tick in ticks:
             message = deserialize_message(tick.data, Clock)
