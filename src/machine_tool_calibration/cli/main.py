@@ -38,6 +38,8 @@ SECTIONS = {
     "Find what the model lacks": ("compare", "diagnose", "improve", "history", "effects"),
     "Recordings and exchange": ("record", "play", "recover", "convert", "export"),
 }
+# Verbs that only read and show.
+_LIGHT = ("effects", "history", "info")
 
 
 class OutputClosedError(Exception):
@@ -94,9 +96,13 @@ class Verbs(click.Group):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """The verb that the words begin with; a mistyped one is refused with what it may have meant."""
         name = args[0]
-        hint = did_you_mean(name, self.list_commands(ctx))
-        if hint and not ctx.resilient_parsing and self.get_command(ctx, name) is None:
-            ctx.fail(f"No such command {name!r}{hint}")
+        if name in _LIGHT:
+            # To start the threads of a linear algebra that is not needed takes a tenth of a second.
+            os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+        if name not in self._modules():
+            hint = did_you_mean(name, self.list_commands(ctx))
+            if hint and not ctx.resilient_parsing and self.get_command(ctx, name) is None:
+                ctx.fail(f"No such command {name!r}{hint}")
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
