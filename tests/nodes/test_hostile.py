@@ -20,6 +20,7 @@ from machine_tool_calibration.nodes.instrument import Instrument
 from machine_tool_calibration.nodes.probe import Probe
 from machine_tool_calibration.nodes.procedure import ProcedureNode
 from machine_tool_calibration.nodes.recorder import Recorder
+from machine_tool_calibration.nodes.ros.domain import free_domain
 from machine_tool_calibration.nodes.ros.sound import require_sound
 from machine_tool_calibration.nodes.rotary_pointer import RotaryPointer
 
@@ -62,14 +63,16 @@ def nodes(request, tmp_path_factory):
     arguments = ["--ros-args"]
     for name, value in parameters.items():
         arguments += ["-p", f"{name}:={value}"]
-    rclpy.init(args=arguments)
-    made = {kind: kind() for kind in NODES}
-    yield made
-    for node in made.values():
-        if hasattr(node, "close"):
-            node.close()
-        node.destroy_node()
-    rclpy.shutdown()
+    # in a domain of their own: what they said last must not be taken for a word of the graph below
+    with free_domain(range(1, 102)) as domain:
+        rclpy.init(args=arguments, domain_id=domain)
+        made = {kind: kind() for kind in NODES}
+        yield made
+        for node in made.values():
+            if hasattr(node, "close"):
+                node.close()
+            node.destroy_node()
+        rclpy.shutdown()
 
 
 @pytest.mark.parametrize("kind", NODES)
@@ -106,7 +109,7 @@ def a_large_message_costs_no_lasting_memory(operator, graph):
 
     publisher = operator._node.create_publisher(JointState, "joint_states", _qos(1, latched=False))
     assert operator.wait(publisher.get_subscription_count, PATIENCE)
-    assert operator.wait(lambda: operator.procedure.entries.get("waiting_for") == "", PATIENCE)
+    assert operator.wait(lambda: operator.procedure.entries.get("waiting_for") == "", PATIENCE), operator.procedure
     before = resident()
     large = JointState(position=array("d", bytes(50_000_000)))
     while not operator.procedure.number("ignored"):  # the first ones come before the subscription is matched
@@ -135,16 +138,20 @@ def test_a_graph_measures_on_whatever_else_is_said_on_its_topics(bench):
     a_large_message_costs_no_lasting_memory(operator, graph)
     begin(operator)
     share = len(spoilt) // 100 + 1
+    said = 0
     while spoilt:
-        assert operator.procedure.entries["state"] == "running"
+        said += operator.procedure.entries["state"] == "running"
         for publisher, message in spoilt[:share]:
             publisher.publish(message)
         del spoilt[:share]
         operator.wait(lambda: False, 0.01)
     ended(operator)
+    assert said
     assert operator.wait(lambda: operator.estimator.number("readings") == 128, PATIENCE)
+    assert operator.wait(lambda: len(operator.readings) == 128, PATIENCE)
     table = readings(operator)
-    assert len(operator.readings) == 128
     assert np.abs(since_first(operator, table["displacement"]) - reference(PROCEDURE, SITE)).max() < 1e-9
-    assert operator.procedure.number("ignored") > 50 < operator.estimator.number("ignored")
+    assert operator.wait(
+        lambda: operator.procedure.number("ignored") > 50 < operator.estimator.number("ignored"), PATIENCE
+    )
     graph.check()  # all are alive
