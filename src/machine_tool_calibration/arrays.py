@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Array", "BoolArray", "IntArray", "group_ranges", "groups", "rms"]
+__all__ = ["Array", "BoolArray", "IntArray", "group_ranges", "groups", "in_order_of_appearance", "rms"]
 
 Array = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -38,6 +38,14 @@ def groups(*keys: npt.NDArray[Any]) -> IntArray:
 
 def _numbers(key: npt.NDArray[Any]) -> IntArray:
     return np.unique(key, return_inverse=True)[1].reshape(-1)
+
+
+def in_order_of_appearance(values: IntArray) -> IntArray:
+    """(n,) number of each value, from 0, in the order in which values come first."""
+    _, first, number = np.unique(values, return_index=True, return_inverse=True)
+    rank = np.empty(len(first), dtype=np.int64)
+    rank[np.argsort(first)] = np.arange(len(first))
+    return np.asarray(rank[number.reshape(-1)])
 
 
 def group_ranges(values: Array, group: IntArray, count: int) -> tuple[Array, Array, Array]:

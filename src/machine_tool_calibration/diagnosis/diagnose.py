@@ -42,7 +42,7 @@ _STILL = 1e-6  # m
 def mean_places(fit: Fit) -> tuple[Session, Noise] | None:
     """The session with the mean of the readings of each place, and what its repeats say of the noise.
 
-    A hole that was drilled once and measured five times says of the machine once. Averaged are direct deviations whose
+    A hole that was drilled once and measured five times shows the machine once. Averaged are direct deviations whose
     places differ along at least two axes and by more than their repeats do; the readings of a single axis are the
     machine's own, run after run.
 

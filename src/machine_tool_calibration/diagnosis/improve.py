@@ -246,7 +246,7 @@ def entries(improvement: Improvement, data: str, each: Sequence[str], made: str,
 
 
 def _parts(improvement: Improvement, step: Step, each: Sequence[str]) -> tuple[Part, ...]:
-    """The sessions of a step; none for a single one, of which the entry itself says."""
+    """The sessions of a step; none for a single one, which the entry itself describes."""
     if isinstance(step.result, Result):
         return ()
     aside = improvement.diagnosis.set_aside if step.set_aside else tuple(() for _ in each)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray, groups
+from machine_tool_calibration.arrays import Array, IntArray, groups, in_order_of_appearance
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.columns import needed_columns
 
@@ -78,22 +78,14 @@ def reproducibility(observations: Observations) -> tuple[Family, ...]:
     keys = [readings.setup, readings.repeat]
     if "target" in needed_columns(observations.session.description):
         keys.append(readings.labels["target"])
-    run = _numbered(groups(*keys))
+    run = in_order_of_appearance(groups(*keys))
     mounting = np.empty(len(readings), dtype=np.int64)
     mounting[order] = np.cumsum(np.r_[0, np.diff(readings.setup[order]) != 0])[: len(readings)]
     families = [Family("run", run, _smooth(time, run))]
-    mounting = _numbered(mounting)
+    mounting = in_order_of_appearance(mounting)
     if not np.array_equal(run, mounting):
         families.append(Family("mounting", mounting, _smooth(time, mounting)))
     return tuple(family for family in families if family.shapes.any())
-
-
-def _numbered(group: IntArray) -> IntArray:
-    """Groups numbered in the order of their first readings."""
-    _, first, inverse = np.unique(group, return_index=True, return_inverse=True)
-    place = np.empty(len(first), dtype=np.int64)
-    place[np.argsort(first)] = np.arange(len(first))
-    return np.asarray(place[inverse.reshape(-1)])
 
 
 def _smooth(time: Array, group: IntArray) -> Array:
@@ -125,7 +117,7 @@ def _of_direct(observations: Observations) -> Iterator[Family]:
         yield from _rows(observations, moved)
         return
     group = _passes(observations, moved[0]) if moved else observations.run
-    group = _numbered(group)
+    group = in_order_of_appearance(group)
     if int(group.max(initial=-1)) + 1 >= _SEVERAL:
         yield Family("pass", group, _smooth(observations.clock, group))
 

@@ -7,6 +7,7 @@ import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.client import Client
@@ -75,9 +76,10 @@ class Operator:
         # Before the subscriptions: nodes hear of both in this order, so one whose status came knows the clients.
         self._clients = {name: self._node.create_client(Trigger, name) for name in _SERVICES}
         for topic, kind, keep, qos in (
-            ("procedure/status", DiagnosticArray, self._keep_procedure, LATCHED),
-            ("estimator/status", DiagnosticArray, self._keep_estimator, LATCHED),
-            ("recorder/status", DiagnosticArray, self._keep_recorder, LATCHED),
+            *(
+                (f"{node}/status", DiagnosticArray, partial(self._keep_status, node), LATCHED)
+                for node in ("procedure", "estimator", "recorder")
+            ),
             ("session", String, self._keep_session, LATCHED),
             ("reading", JointState, self.readings.append, READINGS),
             ("error_map/result", String, self._keep_document, LATCHED),
@@ -93,14 +95,8 @@ class Operator:
         self._node.destroy_node()
         self._context.try_shutdown()
 
-    def _keep_procedure(self, message: DiagnosticArray) -> None:
-        self.procedure = Status(message.status[0].message, values(message))
-
-    def _keep_estimator(self, message: DiagnosticArray) -> None:
-        self.estimator = Status(message.status[0].message, values(message))
-
-    def _keep_recorder(self, message: DiagnosticArray) -> None:
-        self.recorder = Status(message.status[0].message, values(message))
+    def _keep_status(self, node: str, message: DiagnosticArray) -> None:
+        setattr(self, node, Status(message.status[0].message, values(message)))
 
     def _keep_session(self, message: String) -> None:
         self.session = message.data

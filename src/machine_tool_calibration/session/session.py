@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, in_order_of_appearance
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.method import MethodSpec
@@ -165,10 +165,7 @@ def _numbered(code: IntArray) -> IntArray:
         import pandas as pd
 
         return np.asarray(pd.factorize(code)[0], dtype=np.int64)
-    _, first, number = np.unique(code, return_index=True, return_inverse=True)
-    rank = np.empty(len(first), dtype=np.int64)
-    rank[np.argsort(first)] = np.arange(len(first))
-    return rank[number.reshape(-1)]
+    return in_order_of_appearance(code)
 
 
 def _first(place: IntArray) -> IntArray:

@@ -55,6 +55,11 @@ class Candidate:
     equally: int = 0
 
     @property
+    def contains(self) -> tuple[str, ...]:
+        """Ids of effects that are a special case of it."""
+        return () if self.effect is None else self.effect.contains
+
+    @property
     def count(self) -> int:
         """Sets of nonlinear coefficients over which the prior is spread."""
         return max(self.equally, len(self.shapes))

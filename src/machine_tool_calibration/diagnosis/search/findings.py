@@ -244,7 +244,7 @@ def alias_groups(
         alike = [
             f
             for f in rest
-            if (not _contains(f, head) and max(_cosine(head, f, gram), _cosine(f, head, gram)) >= ALIKE)
+            if (head.name not in f.candidate.contains and max(_cosine(head, f, gram), _cosine(f, head, gram)) >= ALIKE)
             or (
                 head.probability > LIKELY and found.without(index[f.name], index[head.name]) > LIKELY * head.probability
             )
@@ -254,11 +254,6 @@ def alias_groups(
         names = {f.name for f in alike}
         left = [f for f in rest if f.name not in names]
     return tuple(groups)
-
-
-def _contains(one: Finding, other: Finding) -> bool:
-    effect = one.candidate.effect
-    return effect is not None and other.name in effect.contains
 
 
 def _cosine(one: Finding, other: Finding, gram: Gram) -> float:

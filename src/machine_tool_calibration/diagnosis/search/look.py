@@ -191,6 +191,7 @@ def look_at(
     accepted = _accepted(findings, groups, found, columns) if still else ()
     noise = tuple(noise_of(own) for own in fit.fits)
     structure = _structure(columns, found, chance, (), noise) if still else ()
+    without_cause, expected = _without_cause(columns, found)
     return Look(
         fit=fit,
         noise=noise,
@@ -206,7 +207,8 @@ def look_at(
         sets=_named_sets(columns, found),
         spread=dict(zip(columns.pool.spread[2], found.metric.ratio, strict=True)),
         variance=_variance(columns, found),
-        **_without_cause(columns, found),
+        without_cause=without_cause,
+        expected=expected,
     )
 
 
@@ -242,16 +244,15 @@ def _columns(pool: Pool, candidates: Sequence[Candidate], structures: Sequence[C
 
 def _apart(candidates: Sequence[Candidate]) -> list[frozenset[int]]:
     """Pairs of effects of which one contains the other."""
-    place = {c.name: k for k, c in enumerate(candidates) if c.effect is not None}
-    found = ((k, c.effect.contains) for k, c in enumerate(candidates) if c.effect is not None)
-    return [frozenset((k, place[name])) for k, names in found for name in names if name in place]
+    place = {candidate.name: k for k, candidate in enumerate(candidates)}
+    return [frozenset((k, place[name])) for k, c in enumerate(candidates) for name in c.contains if name in place]
 
 
 def _least(candidate: Candidate, others: Sequence[Candidate]) -> int:
     """Columns from which on an effect is more than those that it contains: fewer would be one of these again."""
     least = 1
     for other in others:
-        if candidate.effect is not None and other.name in candidate.effect.contains:
+        if other.name in candidate.contains:
             own = other.shapes[0].columns
             if np.allclose(candidate.shapes[0].columns[: len(own)], own, atol=1e-12):
                 least = max(least, len(own) + 1)
@@ -313,14 +314,14 @@ def _chance(columns: _Columns, log_odds: Array, found: Posterior, rng: np.random
     return chance_of(columns.gram, columns.before, columns.blocks, odds, tried, variance, sets, rng)
 
 
-def _without_cause(columns: _Columns, found: Posterior) -> dict[str, Array]:
+def _without_cause(columns: _Columns, found: Posterior) -> tuple[Array, Array]:
     """Columns of the structures in the most probable set, and what is expected of their coefficients."""
     stacked, expected = [np.zeros((0, len(columns.pool)))], [np.zeros(0)]
     for k, member in found.best.items():
         if k >= columns.effects:
             stacked.append(columns.candidates[k].shapes[columns.shaped[member.point.block][1]].columns)
             expected.append(columns.blocks[member.point.block].unit * member.point.scale)
-    return {"without_cause": np.concatenate(stacked), "expected": np.concatenate(expected)}
+    return np.concatenate(stacked), np.concatenate(expected)
 
 
 def _variance(columns: _Columns, found: Posterior) -> float:

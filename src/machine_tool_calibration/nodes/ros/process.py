@@ -114,8 +114,6 @@ def default_environment() -> None:
 def run(create: Callable[[], GuardedNode], args: list[str] | None = None, *, grace: float = _SAVE_GRACE) -> int:
     """Run a node until SIGINT, SIGTERM or an external shutdown.
 
-    Asked for help, it prints what the node is and takes, and starts nothing.
-
     A node may have a method `close()`, which is called before it is destroyed, and an attribute `done`, which ends it
     once it is true.
 
@@ -125,10 +123,8 @@ def run(create: Callable[[], GuardedNode], args: list[str] | None = None, *, gra
         grace: a node that has not ended so long after the signal is ended by force, s.
 
     Returns:
-        Exit status: 0 stopped as asked or help given, 1 the node could not start (one line on standard error).
+        Exit status: 0 stopped as asked, 1 the node could not start (one line on standard error).
     """
-    if _asks_for_help(sys.argv[1:] if args is None else args):
-        return _help(sys.modules[create.__module__])
     default_environment()
     stop = threading.Event()
     # A thread waits for the signals: it can end the process even where the middleware holds the main thread.
@@ -173,14 +169,16 @@ def run(create: Callable[[], GuardedNode], args: list[str] | None = None, *, gra
 def run_process(create: Callable[[], GuardedNode], args: list[str] | None = None, *, grace: float = _SAVE_GRACE) -> int:
     """As `run`, and end the process once a node has run: what it had to save is saved.
 
+    Asked for help, it prints what the node is and takes, and starts nothing.
+
     An interpreter that tidies up, or waits for a calculation that nobody wants any more, could take seconds under load.
 
     Returns:
         Exit status where no node was wanted, but help.
     """
-    status = run(create, args, grace=grace)
     if _asks_for_help(sys.argv[1:] if args is None else args):
-        return status
+        return _help(sys.modules[create.__module__])
+    status = run(create, args, grace=grace)
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(status)
