@@ -42,7 +42,7 @@ from machine_tool_calibration.nodes.ros.messages import (
 )
 from machine_tool_calibration.nodes.ros.names import OwnPublisher, offer
 from machine_tool_calibration.nodes.ros.node import GuardedNode
-from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run_process
+from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run_process, use_sim_time
 from machine_tool_calibration.nodes.ros.services import Answer
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.setups import setup_named, target_message
@@ -161,6 +161,7 @@ class ProcedureNode(GuardedNode):
             True,
             "whether procedure/start and procedure/resume are carried out; false: they are refused",
         )
+        self._simulated_time = use_sim_time(self)
         self.sequencer = Sequencer(plan(read_procedure(Path(file))), timing)
         self._setups = [setup.id for setup in self.sequencer.plan.procedure.session.setups]
         self._environment = EnvironmentWatch(self, maximum_age)
@@ -320,6 +321,9 @@ class ProcedureNode(GuardedNode):
 
     def _carry_out(self, actions: list[Action]) -> None:
         state = self.sequencer.state
+        if self._simulated_time:
+            # The axes set off first, and simulated time jumps as they do: a reading belongs to the time before.
+            actions = sorted(actions, key=lambda action: not isinstance(action, Emit))
         for action in actions:
             match action:
                 case Motion():
