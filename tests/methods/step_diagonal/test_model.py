@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.build import build_model
+from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.step_diagonal.build import build
 from machine_tool_calibration.methods.step_diagonal.spec import SPEC
 from machine_tool_calibration.model.fit import fit_models
