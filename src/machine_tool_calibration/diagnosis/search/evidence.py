@@ -250,7 +250,9 @@ class Table:
         return self.log_evidence - self.log_null
 
 
-def table(gram: Gram, blocks: Sequence[Block], tried: Sequence[Metric], candidates: int) -> Table:
+def table(
+    gram: Gram, blocks: Sequence[Block], tried: Sequence[Metric], candidates: int, only: int | None = None
+) -> Table:
     """Evidence of every candidate.
 
     Args:
@@ -258,11 +260,13 @@ def table(gram: Gram, blocks: Sequence[Block], tried: Sequence[Metric], candidat
         blocks: of all candidates.
         tried: metrics, over which the evidence is summed.
         candidates: how many there are.
+        only: the one that is asked for; the others count as absorbed.
     """
     b = len(gram.squares)
     alike: dict[tuple[int, bool], list[int]] = {}
     for k, block in enumerate(blocks):
-        alike.setdefault((len(block.unit), _is_bounded(block)), []).append(k)
+        if only is None or block.candidate == only:
+            alike.setdefault((len(block.unit), _is_bounded(block)), []).append(k)
     data = np.array([metric.data(gram) for metric in tried])
     squares = np.array([metric.squares(gram) for metric in tried])
     points: list[list[tuple[float, float, Point]]] = [[] for _ in range(candidates)]
