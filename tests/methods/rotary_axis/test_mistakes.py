@@ -40,7 +40,6 @@ def _exchanged(values: np.ndarray, one: object, other: object) -> np.ndarray:
     ("change", "message"),
     [
         (_degrees, "the column c looks like degrees"),
-        (_scaled(1e3), "displacement looks like millimetres"),
         (_scaled(-1.0), "opposite sign"),
         (_other_way, "turned the other way"),
     ],

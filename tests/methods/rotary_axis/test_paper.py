@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,6 +16,7 @@ from machine_tool_calibration.simulation.spec import SimulationSpec
 SIDE = 1.0
 
 
+@cache
 def _point_uncertainty(repeats: int) -> np.ndarray:
     """Standard deviation of x, y and z of points measured from four stations one after another, um.
 
