@@ -22,6 +22,7 @@ from machine_tool_calibration.effects.effect import Coefficient
 from machine_tool_calibration.estimation.solve import Solution
 from machine_tool_calibration.estimation.variance_components import (
     DECLARED_WORTH,
+    below,
     factor_of_sum,
     fold,
     log_prior,
@@ -202,7 +203,7 @@ class Metric:
         inner, data = self.inner(gram, columns, slice(None)), self.data(gram)[columns]
         core = inner[:, columns] * np.outer(scale, scale)
         lower = factor_of_sum(core)
-        half = np.linalg.solve(lower, scale[:, None] * np.column_stack([inner, data]))
+        half = below(lower, scale[:, None] * np.column_stack([inner, data]))
         log_prior_ = self.log_prior - float(np.log(np.diag(lower)).sum())
         k = inner.shape[1]
         return Metric(
