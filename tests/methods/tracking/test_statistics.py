@@ -77,7 +77,7 @@ def test_fewer_unknowns_less_uncertainty(simulated):
 def test_parameters_of_effects(effect, size, simulated, many, reproducible):
     """An effect's coefficient within its uncertainty, over runs; the uncertainty is neither too large nor too small."""
     scores = []
-    count = many.part(2.0).count  # each tells of one value only
+    count = many.count
     for seed in range(count):
         made = simulated(2, "open_loop", seed, effects={effect: size})
         result = identify(made.session, effects=[effect])
