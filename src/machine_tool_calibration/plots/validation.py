@@ -7,6 +7,8 @@ from functools import singledispatch
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from machine_tool_calibration.methods.step_diagonal.compare import Comparison
+from machine_tool_calibration.plots.step_diagonal import draw_comparison
 from machine_tool_calibration.plots.style import save
 from machine_tool_calibration.validation.record import Study
 
@@ -24,6 +26,9 @@ def draw(record: Any) -> Figure:
         TypeError: nothing draws records of this kind.
     """
     raise TypeError(f"nothing draws {type(record).__name__}")
+
+
+draw.register(Comparison, draw_comparison)
 
 
 def save_pictures(study: Study, folder: Path) -> list[Path]:
