@@ -51,7 +51,7 @@ def test_promised_uncertainty_and_detectable_size_of_a_tracking_interferometer()
     assert promised.size is not None
     u = np.sqrt(np.mean(np.square(found.result.error_map.uncertainty[:, :2])))
     errors, sizes = [], []
-    for seed in range(20):
+    for seed in range(8):
         plan_ = TrackingPlan(dimension=2, repeats=2)
         spec = SimulationSpec(plan=plan_, seed=seed, effects=(FlawSpec(id="backlash_y", size=promised.size),))
         result = identify(simulate(spec).session, effects=["backlash_y"])

@@ -56,7 +56,7 @@ def test_the_figures_are_those_of_the_residuals(plan: str) -> None:
 @pytest.mark.parametrize("plan", PLANS)
 def test_every_reading_has_a_scatter_of_one_if_the_model_is_right(plan: str) -> None:
     squares, free = [], 0
-    for seed in range(5, 8):
+    for seed in range(5, 7):
         found = compare(simulated(plan, seed))
         squares.append(np.mean(found.studentized[np.isfinite(found.studentized)] ** 2))
         free += found.overall.degrees_of_freedom
@@ -70,7 +70,7 @@ def test_sums_of_residuals_have_the_stated_uncertainty() -> None:
     rng = np.random.default_rng([12, 34])
     weights = None
     scaled, added = [], []
-    for seed in range(200):
+    for seed in range(100):
         session = measured_again(clean, seed)
         fit = fit_models([build_model(session)[0]]).fits[0]
         if weights is None:
@@ -81,8 +81,8 @@ def test_sums_of_residuals_have_the_stated_uncertainty() -> None:
         assert sums.value == pytest.approx(weights @ fit.residuals, abs=1e-4 * sums.uncertainty.min())
         scaled.append(sums.value / sums.uncertainty)
         added.append(sums.added / sums.added_uncertainty)
-    # Relative standard error of a variance from 200 sets is 0.1.
-    assert np.all(np.abs(np.mean(np.square(scaled), axis=0) - 1.0) < 0.3)
+    # To three relative standard errors of a variance from so many sets.
+    assert np.all(np.abs(np.mean(np.square(scaled), axis=0) - 1.0) < 3.0 * np.sqrt(2.0 / len(scaled)))
     np.testing.assert_allclose(scaled, added, rtol=1e-6)
 
 
