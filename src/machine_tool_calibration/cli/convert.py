@@ -20,7 +20,7 @@ from machine_tool_calibration.cli.foreign_options import (
     only_form,
 )
 from machine_tool_calibration.cli.info import topic_names, topic_option
-from machine_tool_calibration.cli.output import console, json_option, note, write_json
+from machine_tool_calibration.cli.output import console, json_option, note, progress_bar, write_json
 from machine_tool_calibration.errors import CalibrationError
 
 if TYPE_CHECKING:
@@ -309,5 +309,6 @@ def _tables(source: Path, target: Path, form: str, from_session: bool, names: di
         session = _opened(source, names)
         _save_readings(session, target, form)
         return {"readings": len(session.readings)}
-    files, skipped = save_tables(BagReader(source), target, form)
+    with progress_bar() as progress:
+        files, skipped = save_tables(BagReader(source), target, form, progress)
     return {"topics": files, "skipped": skipped}
