@@ -13,8 +13,8 @@ import pytest
 
 from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.recording.reader import BagReader
-from machine_tool_calibration.recording.tables import save_tables
 from machine_tool_calibration.recording.session_bag import session_to_bag
+from machine_tool_calibration.recording.tables import save_tables
 from machine_tool_calibration.session.folder import read_session
 
 DATA = Path(__file__).parents[1] / "data"

@@ -97,6 +97,7 @@ class JointResult:
         model_names: variant of each session's model.
         rejected: readings kept out, for each session.
         observations: readings recorded in each session.
+        alone: the map of these models alone, where `error_map` is the mean over several sets of effects.
         averaged: sets of effects over which the map is the mean; empty where it is that of the models alone.
     """
 
@@ -110,6 +111,7 @@ class JointResult:
     model_names: tuple[str, ...]
     rejected: tuple[tuple[Rejected, ...], ...]
     observations: tuple[int, ...]
+    alone: ErrorMap
     averaged: tuple[EffectSet, ...] = ()
 
     @property
@@ -261,6 +263,7 @@ def identify_sessions(
         model_names=fitted.model_names,
         rejected=tuple(rejected),
         observations=tuple(len(session.readings) for session in sessions),
+        alone=fitted.error_map,
         averaged=averaged,
     )
 
@@ -345,5 +348,6 @@ def identify(
         model_name=fitted.model_names[0],
         rejected=rejected,
         observations=len(session.readings),
+        alone=fitted.error_map,
         averaged=averaged,
     )

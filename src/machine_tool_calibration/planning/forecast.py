@@ -356,6 +356,6 @@ def _outside(fit: Fit, candidates: Sequence[Candidate]) -> list[_Screened]:
     largest = (np.abs(columns).max(axis=1) for columns in stacked)
     each = zip(np.split(inner, ends), np.split(seen, ends), largest, strict=True)
     return [
-        _Screened(candidate.name, candidate.count, tuple((block.coefficients, *next(each)) for block in candidate.shapes))
-        for candidate in candidates
+        _Screened(found.name, found.count, tuple((block.coefficients, *next(each)) for block in found.shapes))
+        for found in candidates
     ]
