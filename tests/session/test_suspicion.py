@@ -65,6 +65,40 @@ def test_a_diagnosis_says_it(sound: Session) -> None:
     assert len(document["suspicious"]) == 1 and "off the travel" in document["suspicious"][0]
 
 
+def test_every_verb_that_fits_says_it(capsys: pytest.CaptureFixture[str], tmp_path: Path, sound: Session) -> None:
+    write_session(moved(sound), tmp_path / "s")
+    write_session(sound, tmp_path / "t")
+    one, two = str(tmp_path / "s"), str(tmp_path / "t")
+    verbs = (
+        ("compare", one),
+        ("compare", one, two),
+        ("export", one, "--format", "csv"),
+        ("improve", one, "--no-history"),
+    )
+    for number, (verb, *rest) in enumerate(verbs):
+        for more in ([], ["--json"]):
+            output = [] if verb == "compare" else ["-o", str(tmp_path / f"{number}{len(more)}")]
+            assert run([verb, *rest, *output, *more]) == 0
+            out = " ".join(capsys.readouterr().out.split())
+            label = "s: " if two in rest else ""
+            says = f"{label}22 of 22 places are off the travel of X, 0 to 0.4 m: x = 1.4 m"
+            if more:
+                document = json.loads(out)
+                assert document.get("result", document)["suspicious"] == [says]
+            else:
+                assert f"suspicious: {says}" in out
+
+
+def test_formulations_of_a_step_diagonal_say_it(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    session = simulate(SimulationSpec(plan=PLANS["step_diagonal"](), seed=3)).session
+    write_session(with_readings(session, lambda d: 0.0 * d), tmp_path / "s")
+    says = f"all {len(session.readings)} readings are 0: was the instrument read?"
+    for more in ([], ["--json"]):
+        assert run(["compare-formulations", str(tmp_path / "s"), *more]) == 0
+        out = capsys.readouterr().out
+        assert json.loads(out)["suspicious"] == [says] if more else f"suspicious: {says}" in " ".join(out.split())
+
+
 @pytest.mark.parametrize("preset", sorted(PRESETS))
 def test_sound_sessions_are_not_suspicious(preset: str) -> None:
     assert suspicions([simulate(SimulationSpec(plan=PRESETS[preset], seed=1)).session]) == []

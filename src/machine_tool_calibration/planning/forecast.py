@@ -317,7 +317,7 @@ class _Screened:
         best: Visible | None = None
         for named, inner, seen, largest in self.blocks:
             strength = inner * np.array([max(abs(c.low), abs(c.high)) / 2.0 for c in named]) ** 2
-            for k in np.flatnonzero(seen):
+            for k in np.flatnonzero(seen).tolist():
                 signal = smallest_signal(strength[seen], float(strength[k]), needed + np.log(self.count), _POWER)
                 size = float(signal / np.sqrt(inner[k]))
                 reading = size * float(largest[k])

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.reports.quantities import duration, quantity
-from machine_tool_calibration.reports.tables import TextTable, show_table
+from machine_tool_calibration.reports.tables import TextTable, show_suspicions, show_table
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -115,8 +115,7 @@ def show_session(out: Console, session: Session, summary: SessionSummary) -> Non
     columns = tuple(_column(column) for column in summary.columns)
     note = "as recorded, shown in the units that people use; an empty field counts as missing"
     show_table(out, TextTable("Columns", ("column", "from", "to", "unit", "missing"), columns, note))
-    for words in summary.suspicious:
-        out.print(f"suspicious: {words}")
+    show_suspicions(out, summary.suspicious)
     if summary.labels:
         out.print(f"Text columns: {', '.join(summary.labels)}")
 
