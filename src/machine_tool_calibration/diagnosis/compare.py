@@ -24,8 +24,8 @@ from machine_tool_calibration.diagnosis.comparison import (
 )
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.estimation.reduction import single_blas
-from machine_tool_calibration.methods.fitted import fit_sessions
 from machine_tool_calibration.methods.build import sharing_variant
+from machine_tool_calibration.methods.fitted import fit_sessions
 from machine_tool_calibration.methods.identify import gross_errors
 from machine_tool_calibration.model.fit import Fit, screen
 from machine_tool_calibration.model.result import Result
@@ -159,8 +159,9 @@ def compare_sessions(
     joint = fit_sessions(sessions, labels, model=model, effects=effects, own=own).joint
     # Each by itself, as an identification of several does.
     apart = [_rows(gross_errors(session, sharing_variant(session, model))[0]) for session in sessions]
-    looks = zip(joint.fits, apart, strict=True)
-    return JointComparison(joint, tuple(labels), tuple(_Look(fit).comparison(tuple(effects), rows) for fit, rows in looks))
+    pairs = zip(joint.fits, apart, strict=True)
+    each = tuple(_Look(fit).comparison(tuple(effects), rows) for fit, rows in pairs)
+    return JointComparison(joint, tuple(labels), each)
 
 
 def _rows(found: Sequence[Outlier]) -> tuple[int, ...]:
