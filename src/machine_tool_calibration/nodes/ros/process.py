@@ -223,14 +223,7 @@ def post(node: GuardedNode, function: Callable[[], None]) -> None:
 
     An exception in the function is logged: this executor would crash on it.
     """
-
-    def guarded() -> None:
-        try:
-            function()
-        except Exception as error:
-            node.get_logger().error(f"{type(error).__name__}: {error}")
-
-    node._post(guarded)  # type: ignore[attr-defined]
+    node._post(node.guarded(function))  # type: ignore[attr-defined]
 
 
 def use_sim_time(node: GuardedNode) -> bool:
