@@ -201,7 +201,9 @@ def _asks_for_help(args: list[str]) -> bool:
 def _help(module: ModuleType) -> int:
     name = Path(str(module.__file__)).stem
     try:
-        print(usage(name, str(module.__doc__)))
+        print(usage(name, str(module.__doc__)), flush=True)
+    except BrokenPipeError:  # its reader has seen enough; what is still buffered goes nowhere
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except CalibrationError as error:
         print(f"{name}: {error}", file=sys.stderr)
         return 1
