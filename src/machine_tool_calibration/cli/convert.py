@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -183,11 +184,11 @@ def command(
     elif dry_run or target is None:
         raise click.UsageError("--dry-run is for tables of other programs: it needs --table or --mapping")
     elif own is not None:
-        document = _written(own, target, form, start, namespace)
+        document = _written(_trusted(own, foreign), target, form, start, namespace)
     elif form in ("csv", "parquet"):
         document = _tables(source, target, form, from_session, names)
     else:
-        document = _written(_opened(source, names), target, form, start, namespace)
+        document = _written(_trusted(_opened(source, names), foreign), target, form, start, namespace)
     if as_json:
         write_json({"format": "mtcal-converted/1", "source": source, "target": target, "to": form, **document})
     else:
@@ -267,6 +268,13 @@ def _opened(source: Path, names: dict[str, str]) -> Session:
     from machine_tool_calibration.recording.open import open_measurement
 
     return open_measurement(source, names, check=False)
+
+
+def _trusted(session: Session, foreign: dict[str, Any]) -> Session:
+    """The session, with its sizes taken as they are where that was asked for."""
+    if not foreign["trust_units"]:
+        return session
+    return replace(session, description=session.description.model_copy(update={"trust_units": True}))
 
 
 def _written(session: Session, target: Path, form: str, start: int, namespace: str) -> dict[str, Any]:
