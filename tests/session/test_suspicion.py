@@ -13,7 +13,10 @@ import pytest
 
 from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.diagnosis.diagnose import diagnose
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
+from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.session.session import Session
@@ -102,3 +105,17 @@ def test_formulations_of_a_step_diagonal_say_it(capsys: pytest.CaptureFixture[st
 @pytest.mark.parametrize("preset", sorted(PRESETS))
 def test_sound_sessions_are_not_suspicious(preset: str) -> None:
     assert suspicions([simulate(SimulationSpec(plan=PRESETS[preset], seed=1)).session]) == []
+
+
+def test_a_refusal_of_what_is_implausible_says_how_it_is_taken_as_it_is(sound: Session) -> None:
+    millimetres = with_readings(sound, lambda d: 1e3 * d)
+    far = replace(sound, description=sound.description.model_copy(update={"machine": too_long(sound)}))
+    for session, check in ((millimetres, identify), (far, check_session)):
+        with pytest.raises(CalibrationError, match=r"\(trust_units: true in session.yaml takes it as it is\)$"):
+            check(session)
+        check(replace(session, description=session.description.model_copy(update={"trust_units": True})))
+
+
+def too_long(session: Session) -> object:
+    machine = session.description.machine
+    return machine.model_copy(update={"travel": {**machine.travel, "x": (0.0, 400.0)}})

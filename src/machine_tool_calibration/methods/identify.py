@@ -13,7 +13,7 @@ from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.effects.effect_terms import add_effects
-from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.errors import ModelError, suspected
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.averaging import averaged_map
 from machine_tool_calibration.methods.build import build_model, rejected_readings, sharing_variant
@@ -55,6 +55,7 @@ _IMPOSSIBLE = 0.01
 _KNOWN = 5.0
 
 
+@suspected()
 def refuse_impossible(session: Session, error_map: ErrorMap) -> None:
     """Refuse what was identified from readings that contradict the geometry, unless the session says `trust_units`.
 
