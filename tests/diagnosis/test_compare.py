@@ -9,12 +9,17 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from machine_tool_calibration.diagnosis.compare import compare, residual_sums
+from machine_tool_calibration.diagnosis.compare import compare, compare_sessions, residual_sums
 from machine_tool_calibration.diagnosis.comparison import Comparison
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.identify import build_model, identify
 from machine_tool_calibration.model.fit import fit_models
-from machine_tool_calibration.reports.comparison import comparison_columns, comparison_document, in_words
+from machine_tool_calibration.reports.comparison import (
+    comparison_columns,
+    comparison_document,
+    in_words,
+    joint_in_words,
+)
 from machine_tool_calibration.residuals.covariates import bins, covariates
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, measured_again, simulate
@@ -226,3 +231,12 @@ def test_readings_of_two_directions_at_one_place_are_no_repeats() -> None:
     same = repeat_groups(observations)
     for k in np.unique(same):
         np.testing.assert_allclose(np.ptp(observations.direction[same == k], axis=0), 0.0, atol=1e-9)
+
+
+def test_readings_that_stand_out_are_counted_over_several_sessions() -> None:
+    spec = SimulationSpec(plan=PRESETS["probing_cross"], seed=5, chips=Chips(fraction=0.02))
+    sessions = [simulate(spec).session, simulate(SimulationSpec(plan=PRESETS["probing_cross"], seed=5)).session]
+    found = compare_sessions(sessions, ["first", "second"])
+    count = sum(len(one.outliers) for one in found.sessions)
+    assert count > 1
+    assert f" {count} readings do not belong to the rest" in joint_in_words(found)

@@ -13,7 +13,7 @@ from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.effects.effect_terms import add_effects
-from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.errors import ModelError, suspected
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.averaging import averaged_map
 from machine_tool_calibration.methods.build import build_model, rejected_readings, sharing_variant
@@ -55,6 +55,7 @@ _IMPOSSIBLE = 0.01
 _KNOWN = 5.0
 
 
+@suspected()
 def refuse_impossible(session: Session, error_map: ErrorMap) -> None:
     """Refuse what was identified from readings that contradict the geometry, unless the session says `trust_units`.
 
@@ -97,6 +98,7 @@ class JointResult:
         model_names: variant of each session's model.
         rejected: readings kept out, for each session.
         observations: readings recorded in each session.
+        alone: the map of these models alone, where `error_map` is the mean over several sets of effects.
         averaged: sets of effects over which the map is the mean; empty where it is that of the models alone.
     """
 
@@ -110,6 +112,7 @@ class JointResult:
     model_names: tuple[str, ...]
     rejected: tuple[tuple[Rejected, ...], ...]
     observations: tuple[int, ...]
+    alone: ErrorMap
     averaged: tuple[EffectSet, ...] = ()
 
     @property
@@ -261,6 +264,7 @@ def identify_sessions(
         model_names=fitted.model_names,
         rejected=tuple(rejected),
         observations=tuple(len(session.readings) for session in sessions),
+        alone=fitted.error_map,
         averaged=averaged,
     )
 
@@ -355,5 +359,6 @@ def identify(
         model_name=fitted.model_names[0],
         rejected=rejected,
         observations=len(session.readings),
+        alone=fitted.error_map,
         averaged=averaged,
     )

@@ -304,13 +304,18 @@ class Plan:
         procedure: what was asked for.
         steps: one for each reading.
         limits: speed and acceleration of each axis.
-        duration: time that all moves and waits take, s.
+        ends: time from the start to the end of each step, of its moves and its wait, s.
     """
 
     procedure: Procedure
     steps: tuple[Step, ...]
     limits: Mapping[str, AxisLimits]
-    duration: float
+    ends: tuple[float, ...]
+
+    @property
+    def duration(self) -> float:
+        """Time that all moves and waits take, s."""
+        return self.ends[-1] if self.ends else 0.0
 
 
 def plan(procedure: Procedure) -> Plan:
@@ -325,7 +330,7 @@ def plan(procedure: Procedure) -> Plan:
         raise SessionError(f"procedure {procedure.name}: no procedure makes a {procedure.session.method} session")
     steps = tuple(load(maker)(procedure))
     limits = axis_limits(procedure)
-    return Plan(procedure, steps, limits, _duration(steps, limits, procedure.motion.dwell))
+    return Plan(procedure, steps, limits, _ends(steps, limits, procedure.motion.dwell))
 
 
 def path_steps(procedure: Procedure) -> Iterator[Step]:
@@ -443,12 +448,13 @@ def _beside(procedure: Procedure, target: Mapping[str, float]) -> dict[str, floa
     return place
 
 
-def _duration(steps: tuple[Step, ...], limits: Mapping[str, AxisLimits], dwell: float) -> float:
-    total = 0.0
+def _ends(steps: tuple[Step, ...], limits: Mapping[str, AxisLimits], dwell: float) -> tuple[float, ...]:
+    ends, total = [], 0.0
     here: Position | None = None
     for step in steps:
         for place in (*step.via, step.position):
             total += move(here, place, limits).duration if here is not None else 0.0
             here = place
         total += dwell
-    return total
+        ends.append(total)
+    return tuple(ends)
