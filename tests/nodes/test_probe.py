@@ -8,13 +8,14 @@ pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.nodes.graph import Graph, Program
+from machine_tool_calibration.nodes.graph import Program
 from machine_tool_calibration.session.collect import Collector
 from machine_tool_calibration.session.description import Place
 from machine_tool_calibration.session.parse import parse_description
 from machine_tool_calibration.simulation.probing_run import cam
 
 from .conftest import ORIGIN, PATIENCE, WHOLE, begin, ended
+from .forked import ForkedGraph
 
 TRAVEL = {"x": [-0.13, 0.13], "y": [-0.13, 0.13], "z": [-0.05, 0.05]}
 NODES = [-0.132, -0.066, 0.0, 0.066, 0.132]
@@ -64,7 +65,7 @@ def start(bench, content, world, names=("axis_simulator", "probe", "procedure"),
         "procedure": {"use_sim_time": simulated, "procedure": file, "patience": PATIENCE},
     }
     programs = [Program(name, parameters[name]) for name in names]
-    graph = bench.stack.enter_context(Graph(programs, bench.folder / "log", bench.domain))
+    graph = bench.stack.enter_context(ForkedGraph(programs, bench.folder / "log", bench.domain))
     return graph, bench.operator(graph)
 
 
