@@ -37,12 +37,12 @@ def main() -> None:
     print("up", flush=True)
     end = time.monotonic() + DEADLINE
     while not heard or not matched(heard[-1], node.resolve_topic_name("instrument/displacement")):
-        rclpy.spin_once(node, timeout_sec=0.1)
+        rclpy.spin_once(node, timeout_sec=0.05)
         if time.monotonic() > end:
             raise SystemExit("the recorder did not come")
     print("matched", flush=True)
     clock = node.create_publisher(Clock, "/clock", 10) if "clock" in sys.argv else None
-    time.sleep(1.0 if clock else 0.0)
+    time.sleep(0.5 if clock else 0.0)
     start = time.monotonic()
     for k in range(batches):
         if clock:
