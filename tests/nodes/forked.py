@@ -3,14 +3,13 @@
 
 An import takes a node longer than most tests do. From there on a node is as `python -m` starts it: its own session,
 log, environment, arguments, middleware and exit status. Started as a program this file is the process that forks; its
-argument is the address at which it is asked.
+argument is the name by which it is asked.
 """
 
 import os
 import signal
 import subprocess
 import sys
-import tempfile
 import traceback
 from functools import cache
 from importlib import import_module
@@ -30,7 +29,7 @@ class Forked:
     def __init__(self, command: list[str], environment: dict[str, str], log: Path) -> None:
         self.args = command
         self.returncode: int | None = None
-        self._keeper = Client(address())
+        self._keeper = Client(address(), "AF_UNIX")
         self._keeper.send((command, environment, str(log.absolute()), os.getcwd()))
         self.pid = self._keeper.recv()
 
@@ -66,22 +65,22 @@ class ForkedGraph(Graph):
 @cache
 def address() -> str:
     """Where the process that forks is asked; it ends with this one."""
-    place = tempfile.mkdtemp(prefix="forked")
+    name = f"mtcal-forked-{os.getpid()}"
     process = subprocess.Popen(
-        [sys.executable, __file__, place + "/socket"],
+        [sys.executable, __file__, name],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         env={**os.environ, "PYTHONPATH": os.pathsep.join(entry for entry in sys.path if entry)},
         preexec_fn=end_with_parent,
     )
     assert process.stdout is not None and process.stdout.read(5) == b"ready"
-    return place + "/socket"
+    return "\0" + name  # no file: it goes with the process
 
 
-def serve(place: str) -> None:
-    for name in NODES:
-        import_module(f"machine_tool_calibration.nodes.{name}")
-    with Listener(place, backlog=20) as listener:
+def serve(name: str) -> None:
+    for node in NODES:
+        import_module(f"machine_tool_calibration.nodes.{node}")
+    with Listener("\0" + name, "AF_UNIX", backlog=20) as listener:
         signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # who keeps a node needs no keeper
         os.write(1, b"ready")
         while True:

@@ -141,7 +141,7 @@ def test_ten_thousand_samples_a_second(tmp_path: Path, ros_domain: int) -> None:
 def test_chosen_topics_of_any_quality(tmp_path: Path, ros_domain: int) -> None:
     folder = tmp_path / "bag"
     with recorder(f"folder:={folder}", "topics:=['loose', '/instrument/displacement']") as process:
-        with publisher("/", 200, 500, 1) as sender:
+        with publisher("/", 200, 500, 1, "loose") as sender:
             expect(sender, "sent")
         stop(process)
     bag = BagReader(folder)
