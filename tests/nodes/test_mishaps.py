@@ -16,7 +16,7 @@ from .test_measurement import readings, since_first
 LONG = copy.deepcopy(PROCEDURE)
 LONG["path"]["grid"]["x"]["count"] = LONG["path"]["grid"]["y"]["count"] = 7
 TOTAL = 7 * 7 * 4 * 2
-SOON = {"resend": 0.2, "answer": 1.0}  # s, so that what was lost is soon asked for again, but not before an answer
+SOON = {"resend": 0.2}  # s, so that a command that was lost is soon sent again
 
 
 def reaches(operator, count):

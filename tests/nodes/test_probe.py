@@ -62,7 +62,7 @@ def start(bench, content, world, names=("axis_simulator", "probe", "procedure"),
     parameters = {
         "axis_simulator": common,
         "probe": {**common, "form": FORM, "repeatability": 0.0, **probe},
-        "procedure": {"use_sim_time": simulated, "procedure": file, "patience": PATIENCE, "resend": 0.2, "answer": 1.0},
+        "procedure": {"use_sim_time": simulated, "procedure": file, "patience": PATIENCE, "resend": 0.2},
     }
     programs = [Program(name, parameters[name]) for name in names]
     graph = bench.stack.enter_context(ForkedGraph(programs, bench.folder / "log", bench.domain))
