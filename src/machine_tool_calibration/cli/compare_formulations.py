@@ -35,7 +35,7 @@ _HEADS = {
     "-p",
     "--plot",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="Draw the nine profiles into this file (png, svg, pdf).",
+    help="Draw the profiles into this file (png, svg, pdf).",
 )
 @json_option
 def command(measurement: Path, plot: Path | None, as_json: bool) -> None:

@@ -43,6 +43,7 @@ def measurement_document(
     if session is not None and summary is not None:
         document["measurement"] = {
             **plain(summary),
+            "models": dict(session.spec.models),
             "description": session.description.model_dump(mode="json", exclude_none=True),
         }
     else:
@@ -115,6 +116,9 @@ def show_session(out: Console, session: Session, summary: SessionSummary) -> Non
     columns = tuple(_column(column) for column in summary.columns)
     note = "as recorded, shown in the units that people use; an empty field counts as missing"
     show_table(out, TextTable("Columns", ("column", "from", "to", "unit", "missing"), columns, note))
+    if len(session.spec.models) > 1:
+        models = tuple(session.spec.models.items())
+        show_table(out, TextTable("Models (--model)", ("name", "when"), models))
     for words in summary.suspicious:
         out.print(f"suspicious: {words}")
     if summary.labels:

@@ -48,7 +48,7 @@ from machine_tool_calibration.model.rigid_body import MachineTable
 from machine_tool_calibration.session.description import Probing
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["MODELS", "ProbingModel", "build", "refuse_mistakes"]
+__all__ = ["ProbingModel", "build", "refuse_mistakes"]
 
 
 # Displacement beyond which a touch is looked at, m: no ground surface is off by so much, a casting may be.
@@ -76,9 +76,6 @@ def refuse_mistakes(session: Session, build: Callable[[Session], MethodModel]) -
 def _misfit(session: Session, build: Callable[[Session], MethodModel]) -> float:
     """Median absolute residual over the declared uncertainty."""
     return float(np.median(np.abs(fit_models([build(session)]).fits[0].residuals)) / session.sigma)
-
-
-MODELS = ("rigid_body",)
 
 
 @dataclass(frozen=True)
@@ -133,7 +130,7 @@ class ProbingModel(MethodModel):
         return probing_map(self, fit)
 
 
-def build(session: Session, model: str = MODELS[0]) -> ProbingModel:
+def build(session: Session, model: str = "rigid_body") -> ProbingModel:
     """The model of a probing session.
 
     Args:
