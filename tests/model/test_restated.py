@@ -34,7 +34,7 @@ def test_draws_have_the_published_uncertainty() -> None:
     session = simulate(SimulationSpec(plan=TrackingPlan(dimension=2), seed=2)).session
     fitted = fit_sessions([session])
     rng = np.random.default_rng(1)
-    off = np.array([fitted.map_of(drawn(fitted.joint, rng)).error - fitted.error_map.error for _ in range(100)])
+    off = np.array([fitted.map_of(one).error for one in drawn(fitted.joint, rng, 100)]) - fitted.error_map.error
     ratio = np.sqrt(np.mean(off**2, axis=0)) / fitted.error_map.uncertainty
     assert np.nanmedian(ratio) == pytest.approx(1.0, abs=0.08)
     blocks = np.einsum("sni,snj->nij", off, off)[:, :2, :2] / 100

@@ -20,7 +20,14 @@ from scipy import special
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.budget.contributor import Contributor
 from machine_tool_calibration.budget.patterns import Pattern, pattern
-from machine_tool_calibration.budget.published import Numbers, Quantity, iso_numbers, numbers
+from machine_tool_calibration.budget.published import (
+    Numbers,
+    Quantity,
+    everything,
+    figure_of,
+    iso_numbers,
+    numbers,
+)
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.fitted import FittedSessions
@@ -259,15 +266,11 @@ class _Propagation:
         priors = self.joint.assembly.problem.priors
         self.known = np.zeros(0) if priors is None else priors.sigma
         still = np.zeros(len(self.sigma))
-        mapped = numbers(fitted, self.joint)
-        iso = iso_numbers(fitted, first=len(mapped.value))
-        self.published = Numbers(
-            np.concatenate([mapped.value, iso.value]),
-            np.concatenate([mapped.u, iso.u]),
-            mapped.quantities + iso.quantities,
-        )
-        self.iso = slice(len(mapped.value), len(mapped.value) + len(iso.value))
-        self.repeatability = np.concatenate([np.zeros(len(mapped.value)), np.nan_to_num(iso.u)])
+        self.published = everything(fitted)
+        count = sum(q.count for q in self.published.quantities if figure_of(q.name))
+        self.iso = slice(len(self.published.value) - count, len(self.published.value))
+        self.repeatability = np.zeros(len(self.published.value))
+        self.repeatability[self.iso] = np.nan_to_num(self.published.u[self.iso])
         self.base = self.values(still)
 
     def split(self, shift: Array) -> list[Array]:

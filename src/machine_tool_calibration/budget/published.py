@@ -23,12 +23,23 @@ from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.model.result import ErrorMap
 
-__all__ = ["FIGURES", "POSITION_ERROR", "Numbers", "Quantity", "iso_numbers", "numbers", "unit_of"]
+__all__ = [
+    "FIGURES",
+    "POSITION_ERROR",
+    "Numbers",
+    "Quantity",
+    "everything",
+    "figure_of",
+    "iso_numbers",
+    "numbers",
+    "unit_of",
+]
 
 POSITION_ERROR = "position_error"
 FIGURES = ("B", "B_mean", "R", "E", "M", "A")
 """Figures of ISO 230-2:2014 that are published with an uncertainty."""
 
+_FIGURE = re.compile(rf"({'|'.join(FIGURES)})_[XYZ](?:\..*)?")
 _ANGULAR = re.compile(r"(E[ABC][XYZABC]|[ABC]0[XYZABC])\b.*|[xyz]_angular")
 
 
@@ -42,6 +53,7 @@ class Quantity:
         first: place of its first number in the vector.
         count: of its numbers.
         where: of the k-th number, in words; empty where there is only one.
+        at: (count,) position of each on its axis, m or rad, of an error motion; None of others.
     """
 
     name: str
@@ -49,6 +61,7 @@ class Quantity:
     first: int
     count: int
     where: Callable[[int], str]
+    at: Array | None = None
 
     @property
     def members(self) -> slice:
@@ -95,6 +108,15 @@ class _Entry:
     value: Array
     u: Array
     where: Callable[[int], str]
+    at: Array | None = None
+
+
+def everything(fitted: FittedSessions) -> Numbers:
+    """What is published of sessions: of the fit, then figures of ISO 230-2."""
+    mapped = numbers(fitted, fitted.joint)
+    iso = iso_numbers(fitted, first=len(mapped.value))
+    value, u = np.concatenate([mapped.value, iso.value]), np.concatenate([mapped.u, iso.u])
+    return Numbers(value, u, mapped.quantities + iso.quantities)
 
 
 def numbers(fitted: FittedSessions, joint: JointFit) -> Numbers:
@@ -114,7 +136,7 @@ def numbers(fitted: FittedSessions, joint: JointFit) -> Numbers:
             continue
         seen.add(entry.name)
         kept.append(entry)
-        out.append(Quantity(entry.name, entry.unit, first, len(entry.value), entry.where))
+        out.append(Quantity(entry.name, entry.unit, first, len(entry.value), entry.where, entry.at))
         first += len(entry.value)
     value, u = (np.concatenate([getattr(e, key) for e in kept] or [np.zeros(0)]) for key in ("value", "u"))
     return Numbers(value, np.where(np.isfinite(value), u, np.nan), tuple(out))
@@ -158,6 +180,12 @@ def unit_of(name: str) -> str:
     return "rad" if _ANGULAR.fullmatch(name) else "m"
 
 
+def figure_of(name: str) -> str | None:
+    """Figure of ISO 230-2 that a quantity such as `A_X` or `B_mean_X.second` is; None of others."""
+    match = _FIGURE.fullmatch(name)
+    return match[1] if match else None
+
+
 def _nowhere(k: int) -> str:
     return ""
 
@@ -180,12 +208,17 @@ def _content(content: Mapping[str, Any], nodes: Any = None, name: str = "") -> I
         # What is not determined as a whole is None.
         number, u = (np.asarray(content[k], dtype=np.float64).reshape(-1) for k in (key, f"{key}_u"))
         shown = name if key == "value" else key
-        where: Callable[[int], str] = _nowhere
-        if len(number) > 1:
-            at = content.get("c") if nodes is None and shown in ERROR_MOTIONS else nodes
-            shape = np.shape(value)
-            where = partial(_at, shown, at, shape[1] if len(shape) > 1 else 1)
-        yield _Entry(shown, unit_of(shown), number, u, where)
+        at = content.get("c") if nodes is None and shown in ERROR_MOTIONS else nodes
+        shape = np.shape(value)
+        where = partial(_at, shown, at, shape[1] if len(shape) > 1 else 1) if len(number) > 1 else _nowhere
+        yield _Entry(shown, unit_of(shown), number, u, where, _positions(at, len(number)))
+
+
+def _positions(nodes: Any, count: int) -> Array | None:
+    """Nodes as numbers; None where there are none, or names of setups."""
+    if nodes is None or len(nodes) != count or any(isinstance(node, str) for node in nodes):
+        return None
+    return np.asarray(nodes, dtype=np.float64)
 
 
 def _at(name: str, nodes: Any, width: int, k: int) -> str:
@@ -199,14 +232,23 @@ def _at(name: str, nodes: Any, width: int, k: int) -> str:
 
 
 def _unknowns(joint: JointFit, error_map: ErrorMap) -> Iterator[_Entry]:
-    """Every unknown by its name, as it is published; the nodes of tables are among them."""
+    """The machine's error motions that are unknowns, as tables, then every unknown by its name, as it is published."""
     published = joint.published
     sigma = np.sqrt(np.maximum(np.diag(published.covariance), 0.0))
     good = published.is_determined()
+    nodes: dict[str, list[int]] = {}
+    for k, parameter in enumerate(joint.assembly.parameters):
+        if parameter.kind is Kind.MOTION and parameter.shared:
+            nodes.setdefault(parameter.owner, []).append(k)
+    for owner, index in nodes.items():
+        at = [joint.assembly.parameters[k].at for k in index]
+        table = np.where(good[index], published.theta[index], np.nan)
+        where = partial(_at, owner, at, 1) if len(index) > 1 else _nowhere
+        yield _Entry(owner, unit_of(owner), table, sigma[index], where, _positions(at, len(index)))
     hidden = frozenset().union(*(model.declared for model in joint.assembly.models))
     for k, parameter in enumerate(joint.assembly.parameters):
         if parameter.name in hidden or parameter.kind is Kind.POINTS:
             continue
         value, u = error_map.in_datum.get(parameter.name, (published.theta[k], sigma[k]))
-        value = parameter.reference + value if good[k] else np.nan
-        yield _Entry(parameter.name, parameter.unit, np.array([value]), np.array([u]), _nowhere)
+        number = parameter.reference + value if good[k] else np.nan
+        yield _Entry(parameter.name, parameter.unit, np.array([number]), np.array([u]), _nowhere)

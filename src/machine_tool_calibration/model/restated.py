@@ -8,7 +8,7 @@ whatever is published follows, however it is worked out.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -73,26 +73,28 @@ def changed(joint: JointFit, shifts: Sequence[Array], known: Array | None = None
     return declared(replace(joint, solution=replace(solution, theta=theta + normal.step, local=local), given=None))
 
 
-@single_blas()
-def drawn(joint: JointFit, rng: np.random.Generator) -> JointFit:
-    """The fit with all its unknowns drawn from their joint distribution as it is published.
+def drawn(joint: JointFit, rng: np.random.Generator, count: int) -> Iterator[JointFit]:
+    """The fit with all its unknowns drawn from their joint distribution as it is published, so many times.
 
     Args:
         joint: the fit.
-        rng: of the draw.
+        rng: of the draws.
+        count: of draws.
     """
     stated = joint.stated
     published = stated.solution
+    m = len(published.theta)
     values, vectors = np.linalg.eigh(published.covariance)
-    theta = published.theta + stated.scatter * (vectors * np.sqrt(np.maximum(values, 0.0))) @ rng.standard_normal(
-        len(values)
-    )
-    # A point's own unknowns follow the shared ones, and have the noise of the point's own readings besides.
-    parts = [_ShiftedPart(p, stated.scatter * rng.standard_normal(p.n_readings)) for p in stated.parts]
-    start = np.pad(joint.solution.theta, (0, len(theta) - len(joint.solution.theta)))
-    wide = Problem(parts, len(theta), np.zeros((0, len(theta))), np.zeros(0))
-    local = local_steps(wide, start, joint.solution.local, theta - start)
-    return replace(joint, given=replace(stated, solution=replace(published, theta=theta, local=local)))
+    root = stated.scatter * vectors * np.sqrt(np.maximum(values, 0.0))
+    start = np.pad(joint.solution.theta, (0, m - len(joint.solution.theta)))
+    for _ in range(count):
+        theta = published.theta + root @ rng.standard_normal(m)
+        # A point's own unknowns follow the shared ones, and have the noise of the point's own readings besides.
+        parts = [_ShiftedPart(p, stated.scatter * rng.standard_normal(p.n_readings)) for p in stated.parts]
+        wide = Problem(parts, m, np.zeros((0, m)), np.zeros(0))
+        with single_blas():
+            local = local_steps(wide, start, joint.solution.local, theta - start)
+        yield replace(joint, given=replace(stated, solution=replace(published, theta=theta, local=local)))
 
 
 class _ShiftedPart(Part):

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from machine_tool_calibration.budget.propagate import DRAWS, KNOWN, REPEATABILITY, Budget, Line, Sum
-from machine_tool_calibration.budget.published import FIGURES, POSITION_ERROR, Quantity
+from machine_tool_calibration.budget.published import POSITION_ERROR, Quantity, figure_of
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS
 from machine_tool_calibration.reports.quantities import NOT_DETERMINED, micrometres, quantity, rounded
 from machine_tool_calibration.reports.tables import TextTable, show_table
@@ -38,6 +38,7 @@ _VARIES = {
     "session": "session",
     "never": "none",
 }
+_LEAST_NAMED = 1.0  # %
 # Share, and standard uncertainty of a reading, m, below which a number says no more than that it is small.
 _LEAST_SHARE, _LEAST_READING = 0.001, 1e-9
 
@@ -51,7 +52,7 @@ def default_names(budget: Budget) -> list[str]:
 def _told(q: Quantity) -> bool:
     if q.name == POSITION_ERROR or q.name in SQUARENESS:
         return True
-    return q.name in ERROR_MOTIONS or (q.count == 1 and "_" in q.name and q.name.rpartition("_")[0] in FIGURES)
+    return q.name in ERROR_MOTIONS or figure_of(q.name) is not None
 
 
 def chosen_sums(budget: Budget, names: Sequence[str]) -> list[Sum]:
@@ -179,7 +180,8 @@ def _overview(budget: Budget, sums: Sequence[Sum]) -> TextTable:
     rows = []
     for one in sums:
         order = sorted(range(len(budget.lines)), key=lambda k, one=one: -one.shares[k].share)[:2]  # type: ignore[misc]
-        most = ", ".join(f"{_name(budget.lines[k])} {100.0 * one.shares[k].share:.0f} %" for k in order)
+        shares = [(_name(budget.lines[k]), 100.0 * one.shares[k].share) for k in order]
+        most = ", ".join(f"{name} {share:.0f} %" for name, share in shares if share >= _LEAST_NAMED)
         rows.append(
             (
                 sum_title(one),
