@@ -60,6 +60,15 @@ def test_gross_errors_of_five_percent_are_found(name: str) -> None:
     assert 0.6 < fit.joint.reduced_chi_square < 1.4
 
 
+def test_what_a_doubtful_reading_decided_is_decided_anew() -> None:
+    """Of two repeats the wrong one stayed, and by it sound readings of that place were taken for wrong ones."""
+    plan = PRESETS["step_diagonal"].model_copy(update={"diagonals": ("ppp", "npp", "pnp"), "repeats": 2})
+    wrong, rows = with_gross_errors(simulate(SimulationSpec(plan=plan, seed=34)).session, 0.05, 134)
+    found, _ = find_outliers(wrong, lambda part: build_model(part)[0])
+    assert rows <= {o.row for o in found}
+    assert all(o.ambiguous for o in found if o.row not in rows)
+
+
 @pytest.mark.parametrize("name", PLANS)
 def test_sound_readings_are_kept(name: str) -> None:
     """Also where setups do not reproduce: a slope and a bow of two standard uncertainties in each."""

@@ -37,6 +37,7 @@ SECTIONS = {
     "Identify": ("info", "identify", "budget", "conformity", "compare-formulations"),
     "Find what the model lacks": ("compare", "diagnose", "improve", "history", "effects"),
     "Recordings and exchange": ("record", "play", "recover", "convert", "export"),
+    "Check the software": ("validate",),
 }
 # Verbs that only read and show.
 _LIGHT = ("effects", "history", "info")

@@ -19,15 +19,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.problem import Part
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.estimation.robust import FAR, Reweighted, robust_start, scaled_residuals
 from machine_tool_calibration.estimation.solve import Solution, solve
 from machine_tool_calibration.model.model import MethodModel, assemble
+from machine_tool_calibration.residuals.combinations import wrong_together
 from machine_tool_calibration.residuals.leverage import Reach, reach, taken
-from machine_tool_calibration.session.session import Readings, Session
+from machine_tool_calibration.residuals.neighbours import near_of, places_of, runs_of
+from machine_tool_calibration.session.session import Session
 
 __all__ = ["Outlier", "find_outliers", "set_aside"]
 
@@ -46,7 +48,7 @@ _HELD = 1e-8
 _UNSEEN = 1e-6
 # Fits with other readings held out, and models made anew without those set aside.
 _ROUNDS = 8
-_MODELS = 3
+_MODELS = 8
 # Suspected readings that are judged together; more are judged place by place.
 _TOGETHER = 800
 # Neighbours on one side in a run whose median says whether a deviation lasts, and the share of it that they must have.
@@ -82,12 +84,14 @@ class Outlier:
         studentized: its deviation from what all others predict, over that deviation's standard uncertainty.
         deviation: that deviation, m.
         reason: in words.
+        ambiguous: whether it, or another one that was set aside with it, is wrong.
     """
 
     row: int
     studentized: float
     deviation: float
     reason: str = "it does not belong to the rest"
+    ambiguous: bool = False
 
 
 def find_outliers(session: Session, build: Callable[[Session], MethodModel]) -> tuple[list[Outlier], Session]:
@@ -138,7 +142,9 @@ def _found(session: Session, build: Callable[[Session], MethodModel]) -> list[Ou
             return []
         if not more:
             break
-        found += more
+        # A wrong reading may have been taken for the right one of two, and have decided on others: these anew.
+        undecided = [o for o in more if o.ambiguous]
+        found = [o for o in found if o.ambiguous] + undecided if undecided else found + more
         part = _lost(session, found)
     if len(found) > _MOST * max(int(np.isfinite(session.readings.displacement).sum()), 1):
         return []
@@ -178,8 +184,8 @@ class _Search:
         self.sigma = model.sigma
         self.n = self.part.n_readings
         self.reads_machine = model.observations.session.spec.reads_machine
-        self.run = _runs(model)
-        self.near = _near(self.part, self.readings)
+        self.run = runs_of(model)
+        self.near = near_of(self.part, self.readings)
         self.start = np.zeros(self.problem.size), np.zeros((self.part.dimension, self.part.n_points))
 
     def outliers(self) -> list[Outlier]:
@@ -195,9 +201,44 @@ class _Search:
             tried = np.union1d(tried, others)
             held = np.union1d(held, others)
             seen = self._fit(held)
+        doubtful: dict[int, IntArray] = {}
+        for _ in range(_SWAPS):
+            again, doubtful = self._together(held, seen)
+            if np.array_equal(again, held):
+                break
+            held, seen = again, self._fit(again)
         if not len(held):
             return []
-        return self._named(held, seen)
+        return self._named(held, seen, doubtful)
+
+    def _together(self, held: IntArray, seen: _Judged) -> tuple[IntArray, dict[int, IntArray]]:
+        """Where several readings of a point are held out: those without which the others agree best.
+
+        Returns:
+            The readings to be held out, and for each that may as well be sound all such of its point.
+        """
+        doubtful: dict[int, IntArray] = {}
+        if not self.part.dimension or not np.isfinite(seen.scale):
+            return held, doubtful
+        out = np.zeros(self.n, dtype=bool)
+        out[held] = True
+        theta, local = self.start
+        for group, chunk in seen.part.chunks():
+            where = seen.part.groups[group].rows[:, chunk]
+            several = np.flatnonzero(np.sum((where >= 0) & out[where], axis=0) > 1)
+            if not len(several):
+                continue
+            columns = seen.part.rows(group, chunk, theta, local).local / seen.scale
+            for at in several:
+                there = where[:, at] >= 0
+                mine = where[there, at]
+                residual = seen.residual[mine] / seen.scale
+                found = wrong_together(columns[:, there, at].T, residual, int(out[mine].sum()))
+                if found is not None:
+                    out[mine] = False
+                    out[mine[found.wrong]] = True
+                    doubtful |= {int(k): mine[found.doubtful] for k in mine[found.doubtful]}
+        return np.flatnonzero(out), doubtful
 
     def _start(self) -> tuple[IntArray, _Judged]:
         """Readings that a robust fit suspects, and the fit without them."""
@@ -344,11 +385,11 @@ class _Search:
                 out.append(others[best[saved[best] > _NEARLY * cost]])
         return np.unique(np.concatenate(out))
 
-    def _named(self, held: IntArray, seen: _Judged) -> list[Outlier]:
+    def _named(self, held: IntArray, seen: _Judged, doubtful: dict[int, IntArray]) -> list[Outlier]:
         """What is held out, with what may as well be wrong in its place."""
         rows = self.readings.row
         out: dict[int, Outlier] = {}
-        same = _places(self.readings)
+        same = places_of(self.readings)
         for k, cost, others, saved in self._alternatives(held, seen):
             root = float(np.sqrt(cost)) * float(np.sign(seen.residual[k]) or 1.0)
             deviation = float(seen.residual[k] * self.sigma[k])
@@ -365,8 +406,13 @@ class _Search:
                     words = f"it contradicts {several} {names} and nothing tells which is right"
                 for j in alike:
                     other = words if partner else f"it contradicts row {int(rows[k])} and nothing tells which is right"
-                    out.setdefault(int(j), Outlier(int(rows[j]), root, -deviation, other))
-            out[k] = Outlier(int(rows[k]), root, deviation, words)
+                    out.setdefault(int(j), Outlier(int(rows[j]), root, -deviation, other, ambiguous=True))
+            out[k] = Outlier(int(rows[k]), root, deviation, words, ambiguous=bool(len(alike)))
+        for k, every in doubtful.items():
+            names = ", ".join(str(int(rows[j])) for j in every if j != k)
+            words = f"it, or others of rows {names}, contradict the rest and nothing tells which is right"
+            size = float(seen.residual[k] / seen.scale)
+            out[k] = Outlier(int(rows[k]), size, float(seen.residual[k] * self.sigma[k]), words, ambiguous=True)
         return list(out.values())
 
 
@@ -425,35 +471,6 @@ def _blocks(reached: Reach) -> list[IntArray]:
         order = np.argsort(reached.point, kind="stable")
         return np.split(order, np.flatnonzero(np.diff(reached.point[order])) + 1)
     return np.array_split(np.arange(k), -(-k // _TOGETHER))
-
-
-def _runs(model: MethodModel) -> tuple[IntArray, IntArray]:
-    """Order of the readings run by run, and the run of each in that order."""
-    readings = model.observations.readings
-    others = [readings.labels["target"]] if "target" in readings.labels else []
-    # Deviations of a place along x and along y stand beside each other, and are two runs.
-    others += [np.round(readings.columns[name], 6) for name in ("gx", "gy", "gz") if name in readings.columns]
-    run = groups(readings.repeat, readings.setup, *others)
-    order = np.argsort(run, kind="stable")
-    return order, run[order]
-
-
-def _near(part: Part, readings: Readings) -> IntArray:
-    """(n,) index shared by readings of one point of the model, or of one place where it has none."""
-    if not part.dimension:
-        return _places(readings)
-    out = np.zeros(part.n_readings, dtype=np.int64)
-    for group in part.groups:
-        there = group.rows >= 0
-        out[group.rows[there]] = np.broadcast_to(group.points, group.rows.shape)[there]
-    return out
-
-
-def _places(readings: Readings) -> IntArray:
-    """(n,) index shared by readings that repeat each other, whatever the direction of approach."""
-    places = [np.round(readings.columns[a] * 1e9) for a in ("x", "y", "z", "c") if a in readings.columns]
-    senses = [np.round(readings.columns[a] * 1e6) for a in ("gx", "gy", "gz") if a in readings.columns]
-    return groups(readings.setup, *places, *senses, *readings.labels.values())
 
 
 def _size(deviation: float) -> str:

@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures of papers done anew: what each study hands over is drawn by the function for records of its kind."""
+
+from __future__ import annotations
+
+from functools import singledispatch
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from machine_tool_calibration.methods.step_diagonal.compare import Comparison
+from machine_tool_calibration.plots.step_diagonal import draw_comparison
+from machine_tool_calibration.plots.style import save
+from machine_tool_calibration.validation.record import Study
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["draw", "save_pictures"]
+
+
+@singledispatch
+def draw(record: Any) -> Figure:
+    """The picture of a record.
+
+    Raises:
+        TypeError: nothing draws records of this kind.
+    """
+    raise TypeError(f"nothing draws {type(record).__name__}")
+
+
+draw.register(Comparison, draw_comparison)
+
+
+def save_pictures(study: Study, folder: Path) -> list[Path]:
+    """Draw all pictures of a study into files of a folder; names begin with the study's."""
+    return save({f"{study.id}_{name}": draw(record) for name, record in study.pictures.items()}, folder)

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Several wrong readings of one point: told where the others agree, doubtful where nothing tells."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from machine_tool_calibration.methods.identify import build_model
+from machine_tool_calibration.residuals.combinations import wrong_together
+from machine_tool_calibration.residuals.outliers import find_outliers
+from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
+
+# Four stations read a point in space twice; nothing but the sum of their readings tells of an error in one of them.
+STATIONS = np.array([[0.9, 0.3, 0.3], [-0.3, 0.9, 0.3], [0.3, -0.3, 0.9], [-0.5, -0.7, 0.5]])
+LOCAL = np.concatenate([STATIONS, STATIONS])
+NOISE = np.array([0.4, -0.9, 0.2, 0.5, -0.3, 0.8, -0.6, 0.1])
+
+
+def test_three_of_eight_are_told_from_one_another() -> None:
+    residual = NOISE.copy()
+    residual[[0, 1, 2]] += [170.0, -990.0, 105.0]
+    found = wrong_together(LOCAL, residual, 3)
+    assert found is not None
+    assert found.wrong.tolist() == [0, 1, 2]
+    assert not len(found.doubtful)
+
+
+def test_either_of_two_where_no_third_tells() -> None:
+    residual = NOISE[[0, 1, 2, 4]].copy()
+    residual[3] += 50.0
+    found = wrong_together(LOCAL[[0, 1, 2, 4]], residual, 1)
+    assert found is not None
+    assert found.doubtful.tolist() == [0, 3]
+
+
+def test_one_of_four_stations_read_once_leaves_all_in_doubt() -> None:
+    residual = NOISE[:4].copy()
+    residual[2] += 80.0
+    found = wrong_together(STATIONS, residual, 2)
+    assert found is not None
+    assert found.doubtful.tolist() == [0, 1, 2, 3]
+
+
+def test_sound_readings_are_all_kept() -> None:
+    found = wrong_together(LOCAL, NOISE, 2)
+    assert found is not None
+    assert not len(found.wrong)
+
+
+def test_more_than_may_be_wrong() -> None:
+    residual = NOISE.copy()
+    residual[[0, 1, 2]] += [170.0, -990.0, 105.0]
+    assert wrong_together(LOCAL, residual, 1) is None
+
+
+def test_wrong_readings_that_agree_with_each_other_do_not_win() -> None:
+    """Two stations off so that together they hardly show: the sound repeats beside them do not take their place."""
+    session = simulate(SimulationSpec(plan=PRESETS["tracking_3d"], seed=5)).session
+    readings = session.readings
+    place = np.stack([readings.columns[a] for a in "xyz"])
+    mine = np.flatnonzero((np.abs(place - place[:, [31]]) < 1e-9).all(axis=0))
+    first = [int(mine[readings.setup[mine] == s][0]) for s in range(3)]
+    change = np.zeros(len(readings))
+    change[first] = [76.5e-6, 298e-6, -31.6e-6]
+    wrong = session.with_readings(replace(readings, displacement=readings.displacement + change))
+    found, _ = find_outliers(wrong, lambda part: build_model(part)[0])
+    assert {o.row for o in found} == {int(readings.row[k]) for k in first}

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Papers' figures beside ours: the record, the table, the page, the verb."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from machine_tool_calibration.cli.validate import command
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.reports.validation import study_page, study_table, verdict_of
+from machine_tool_calibration.validation.catalogue import study, study_names
+from machine_tool_calibration.validation.record import Printed, Study
+
+SAME = Printed("length", "Table 1", 1.17e-6, 1.2e-6, "m", 5e-8)
+OTHER = Printed("angle", "Fig. 2", 8.9e-6, 1.2e-5, "rad", 1e-6, "the points are not printed")
+SHOWN = Printed("shape", "Fig. 3", None, 2.0, "1", 0.1)
+MADE = Study("one", "Somebody: Something. Somewhere (2014)", ("The points are on a circle.",), (SAME, OTHER, SHOWN))
+
+
+def test_agreement_within_what_is_allowed() -> None:
+    assert [entry.agrees for entry in MADE.printed] == [True, False, None]
+    assert verdict_of(MADE) == "one: 1 of 2 figures agree"
+    assert [row[5] for row in study_table(MADE).rows] == ["yes", "no", ""]
+
+
+def test_the_page_holds_every_figure_and_assumption() -> None:
+    page = study_page([MADE], ["one_shape.png"])
+    assert page.count("\n| ") == 4
+    for text in ("8.90 µrad", "the points are not printed", "- The points are on a circle.", "(one_shape.png)"):
+        assert text in page
+
+
+def test_an_unknown_study_is_one_line() -> None:
+    with pytest.raises(CalibrationError, match=r"no study 'rotary_axes' \(did you mean 'rotary_axis'"):
+        study("rotary_axes")
+
+
+def test_the_verb_prints_and_writes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr("machine_tool_calibration.validation.catalogue.study", lambda name, progress: MADE)
+    answer = CliRunner().invoke(command, ["one", "--json", "--page", str(tmp_path / "page.md")])
+    assert answer.exit_code == 0, answer.output
+    document = json.loads(answer.stdout)
+    assert document["format"] == "mtcal-validation/1"
+    assert [entry["agrees"] for entry in document["studies"][0]["figures"]] == [True, False, None]
+    assert (tmp_path / "page.md").read_text().startswith("# The papers")
+    assert "rotary_axis" in study_names()
