@@ -39,6 +39,8 @@ _VARIES = {
     "never": "none",
 }
 _LEAST_NAMED = 1.0  # %
+# Degrees of freedom above which k is 2 to three figures.
+_MANY = 1000
 # Share, and standard uncertainty of a reading, m, below which a number says no more than that it is small.
 _LEAST_SHARE, _LEAST_READING = 0.001, 1e-9
 
@@ -173,7 +175,8 @@ def _part(one: Sum, k: int) -> str:
 
 
 def _freedom(value: float) -> str:
-    return f"{'∞' if math.isinf(value) else f'{value:.0f}':>6}"
+    text = "∞" if math.isinf(value) else f"{value:.0f}" if value <= _MANY else f"> {_MANY}"
+    return f"{text:>6}"
 
 
 def _overview(budget: Budget, sums: Sequence[Sum]) -> TextTable:
