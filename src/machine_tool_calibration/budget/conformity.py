@@ -42,7 +42,8 @@ VOLUMETRIC = "volumetric"
 
 # Draws that carry the correlations of the map's values, and of the values with these correlations.
 _SAMPLES, _DRAWS = 150, 10_000
-_CHUNK = 1000
+# Numbers at once, and standard uncertainties beyond which a value cannot be.
+_NUMBERS, _BEYOND = 2_000_000, 6.0
 
 
 @dataclass(frozen=True)
@@ -209,7 +210,7 @@ class _Conformity:
         """
         known = self.numbers.by_name
         if name == VOLUMETRIC:
-            return [self.of(known[POSITION_ERROR], VOLUMETRIC, _longest)] if POSITION_ERROR in known else []
+            return [self.volumetric(known[POSITION_ERROR])] if POSITION_ERROR in known else []
         if name in SQUARENESS:
             return [self.of(known[name], name, None, signed=True)] if name in known else []
         if name in ERROR_MOTIONS:
@@ -243,21 +244,25 @@ class _Conformity:
         """A figure of all numbers of a quantity."""
         return _Figure(name, q.unit, np.arange(q.first, q.first + q.count), work_out, signed)
 
+    def volumetric(self, q: Quantity) -> _Figure:
+        """The largest length of the position error, of those points that can have it.
+
+        A direction that is not measured anywhere is no part of it; a point with a gap leaves it undetermined.
+        """
+        error, u = (values[q.members].reshape(-1, 3) for values in (self.numbers.value, self.u))
+        measured = np.flatnonzero(np.isfinite(error).any(axis=0))
+        length, off = np.linalg.norm(error[:, measured], axis=1), _BEYOND * np.linalg.norm(u[:, measured], axis=1)
+        # False for points with a gap, too, which are to stay.
+        points = np.flatnonzero(~(length + off < np.max(length - off, initial=0.0)))
+        members = q.first + (3 * points[:, None] + measured).reshape(-1)
+        return _Figure(VOLUMETRIC, q.unit, members, partial(_longest, dimension=len(measured)), signed=False)
+
     def verdict(self, figure: _Figure, tolerance: float, rule: str, level: float) -> Verdict:
         """Probability and decision of one figure."""
-        members, values = figure.members, self.numbers.value[figure.members]
-        if figure.name == VOLUMETRIC:
-            # A direction that is not measured anywhere is no part of the volumetric error; a gap makes it unknown.
-            columns = np.isfinite(values.reshape(-1, 3)).any(axis=0)
-            kept = np.tile(columns, len(values) // 3)
-            members, values = members[kept], values[kept]
-            figure = _Figure(figure.name, figure.unit, members, lambda v: _longest(v, int(columns.sum())), signed=False)
-        spread = self.u[members]
+        name, unit, members = figure.name, figure.unit, figure.members
+        values, spread = self.numbers.value[members], self.u[members]
         if not len(values) or not (np.isfinite(values).all() and np.isfinite(spread).all()):
-            value = np.nan
-            return Verdict(
-                figure.name, figure.unit, tolerance, value, np.nan, np.nan, "not determined", self.why(figure.name)
-            )
+            return Verdict(name, unit, tolerance, np.nan, np.nan, np.nan, "not determined", self.why(name))
         if figure.work_out is None:
             value, u = float(values[0]), float(spread[0])
             probability = _normal(value, u, tolerance, signed=figure.signed)
@@ -269,7 +274,7 @@ class _Conformity:
             u = float(high - low) / 4.0
         size = abs(value) if figure.signed else value
         decision = decide(size, tolerance, probability, rule, level)
-        return Verdict(figure.name, figure.unit, tolerance, value, u, probability, decision)
+        return Verdict(name, unit, tolerance, value, u, probability, decision)
 
     def draws(self, members: IntArray, values: Array, u: Array, work_out: Callable[[Array], Array]) -> Array:
         """(draws,) figures of values that are drawn with their joint uncertainty.
@@ -280,8 +285,10 @@ class _Conformity:
         size = np.sqrt(np.mean(off**2, axis=0))
         root = off * np.where(size > 0, u / np.where(size > 0, size, 1.0), 0.0) / np.sqrt(len(off))
         rng = np.random.default_rng(self.seed)
-        parts = [work_out(values + rng.standard_normal((_CHUNK, len(root))) @ root) for _ in range(0, _DRAWS, _CHUNK)]
-        return np.concatenate(parts)
+        chunk = max(min(_DRAWS, _NUMBERS // len(members)), 1)
+        ends = [*range(chunk, _DRAWS, chunk), _DRAWS]
+        counts = np.diff([0, *ends])
+        return np.concatenate([work_out(values + rng.standard_normal((n, len(root))) @ root) for n in counts])
 
     @cached_property
     def samples(self) -> Array:
@@ -339,6 +346,6 @@ def _only(values: Array) -> Array:
     return values[:, 0]
 
 
-def _longest(values: Array, dimension: int = 3) -> Array:
+def _longest(values: Array, dimension: int) -> Array:
     vectors = values.reshape(len(values), -1, dimension)
     return np.asarray(np.sqrt(np.einsum("sni,sni->sn", vectors, vectors)).max(axis=1))
