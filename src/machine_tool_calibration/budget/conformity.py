@@ -2,9 +2,9 @@
 """Whether a machine conforms to a tolerance, and how sure that is (JCGM 106:2012; ISO 14253-1:2017).
 
 The probability of conformity is that of the true value lying within the tolerance, given the measured value and its
-uncertainty and nothing else (JCGM 106, 7.1: a normal distribution about the measured value for what has a sign). The
-largest of many values, or their range, is not normally distributed: there the values are drawn with their joint
-uncertainty, and what is asked for is worked out of every draw.
+uncertainty and nothing else (JCGM 106, 7.1: for a single value a normal distribution about it, or Student's t where a
+budget has few degrees of freedom). The largest of many values, or their range, is distributed otherwise: there the
+values are drawn with their joint uncertainty, and what is asked for is worked out of every draw.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Literal, get_args
 
 import numpy as np
 from scipy import special
@@ -33,10 +32,10 @@ from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARE
 from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.model.restated import drawn
 
-__all__ = ["RULES", "VOLUMETRIC", "Conformity", "Rule", "Verdict", "conformity", "decide", "unit_of_figure"]
+__all__ = ["RULES", "VOLUMETRIC", "Conformity", "Verdict", "conformity", "decide", "unit_of_figure"]
 
-Rule = Literal["guarded", "guarded-acceptance", "guarded-rejection", "simple"]
-RULES: tuple[str, ...] = get_args(Rule)
+RULES = ("guarded", "guarded-acceptance", "guarded-rejection", "simple")
+"""Decision rules (`decide`)."""
 VOLUMETRIC = "volumetric"
 """The volumetric error: the largest length of the position error over the points of the map, in its datum."""
 
@@ -179,20 +178,13 @@ def conformity(
 class _Conformity:
     """Figures, and draws of them that are made once."""
 
-    def __init__(
-        self,
-        fitted: FittedSessions,
-        budget: Budget | None,
-        seed: int,
-        progress: Progress,
-    ) -> None:
-        self.fitted, self.progress, self.seed = fitted, progress, seed
-        self.budget = budget
+    def __init__(self, fitted: FittedSessions, budget: Budget | None, seed: int, progress: Progress) -> None:
+        self.fitted, self.budget, self.seed, self.progress = fitted, budget, seed, progress
         if budget is not None:
-            self.numbers, self.u = budget.numbers, budget.u
+            self.numbers, self.u, self.freedom = budget.numbers, budget.u, budget.degrees_of_freedom
         else:
             self.numbers = everything(fitted)
-            self.u = self.numbers.u
+            self.u, self.freedom = self.numbers.u, np.full(len(self.numbers.u), np.inf)
 
     def verdicts(self, name: str, tolerance: float, rule: str, level: float) -> list[Verdict]:
         """Of one tolerance: one, or one for every run of ISO 230-2."""
@@ -265,10 +257,10 @@ class _Conformity:
             return Verdict(name, unit, tolerance, np.nan, np.nan, np.nan, "not determined", self.why(name))
         if figure.work_out is None:
             value, u = float(values[0]), float(spread[0])
-            probability = _normal(value, u, tolerance, signed=figure.signed)
+            probability = _single(value, u, float(self.freedom[members[0]]), tolerance, signed=figure.signed)
         else:
             value = float(figure.work_out(values[None])[0])
-            drawn_figures = self.draws(members, values, spread, figure.work_out)
+            drawn_figures = self.draws(figure, values, spread)
             probability = float(np.mean(drawn_figures <= tolerance))
             low, high = np.percentile(drawn_figures, [2.275, 97.725])
             u = float(high - low) / 4.0
@@ -276,19 +268,26 @@ class _Conformity:
         decision = decide(size, tolerance, probability, rule, level)
         return Verdict(name, unit, tolerance, value, u, probability, decision)
 
-    def draws(self, members: IntArray, values: Array, u: Array, work_out: Callable[[Array], Array]) -> Array:
+    def draws(self, figure: _Figure, values: Array, u: Array) -> Array:
         """(draws,) figures of values that are drawn with their joint uncertainty.
 
-        The samples carry the correlations; each value's own uncertainty is the one that is published.
+        The samples carry the correlations; each value's own uncertainty is the one that is published. Of few degrees of
+        freedom all values of a draw are off together (a multivariate t-distribution).
         """
-        off = self.samples[:, members]
+        assert figure.work_out is not None
+        off = self.samples[:, figure.members]
+        freedom = float(self.freedom[figure.members[int(np.argmax(u))]])
         size = np.sqrt(np.mean(off**2, axis=0))
         root = off * np.where(size > 0, u / np.where(size > 0, size, 1.0), 0.0) / np.sqrt(len(off))
         rng = np.random.default_rng(self.seed)
-        chunk = max(min(_DRAWS, _NUMBERS // len(members)), 1)
-        ends = [*range(chunk, _DRAWS, chunk), _DRAWS]
-        counts = np.diff([0, *ends])
-        return np.concatenate([work_out(values + rng.standard_normal((n, len(root))) @ root) for n in counts])
+        chunk = max(min(_DRAWS, _NUMBERS // len(values)), 1)
+        out = []
+        for first in range(0, _DRAWS, chunk):
+            z = rng.standard_normal((min(chunk, _DRAWS - first), len(root)))
+            if np.isfinite(freedom):
+                z /= np.sqrt(rng.chisquare(freedom, len(z)) / freedom)[:, None]
+            out.append(figure.work_out(values + z @ root))
+        return np.concatenate(out)
 
     @cached_property
     def samples(self) -> Array:
@@ -324,12 +323,19 @@ class _Conformity:
         return "this measurement and model do not give it"
 
 
-def _normal(value: float, u: float, tolerance: float, *, signed: bool) -> float:
-    """Probability that a normally distributed value is at most the tolerance, or within it on either side of zero."""
+def _single(value: float, u: float, freedom: float, tolerance: float, *, signed: bool) -> float:
+    """Probability that a value is at most the tolerance, or within it on either side of zero.
+
+    Normally distributed, or by Student's t where its uncertainty has few degrees of freedom.
+    """
     if u == 0.0:
         return float((abs(value) if signed else value) <= tolerance)
-    upper = float(special.ndtr((tolerance - value) / u))
-    return upper - float(special.ndtr((-tolerance - value) / u)) if signed else upper
+
+    def below(limit: float) -> float:
+        t = (limit - value) / u
+        return float(special.ndtr(t) if np.isinf(freedom) else special.stdtr(freedom, t))
+
+    return below(tolerance) - below(-tolerance) if signed else below(tolerance)
 
 
 def _range(values: Array) -> Array:

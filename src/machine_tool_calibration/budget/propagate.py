@@ -175,6 +175,11 @@ class Budget:
         total = np.sqrt(np.sum([line.u**2 for line in self.lines], axis=0))
         return np.where(np.isfinite(self.numbers.value), total, np.nan)
 
+    @cached_property
+    def degrees_of_freedom(self) -> Array:
+        """(M,) effective ones of each combined uncertainty, by Welch and Satterthwaite (GUM Eq. (G.2b))."""
+        return _effective(np.array([line.u**2 for line in self.lines]), self.lines)
+
     def largest(self, name: str) -> Sum | None:
         """The number of a quantity of which the combined uncertainty is largest; None if none is determined.
 
@@ -205,11 +210,16 @@ class Budget:
         squares = np.array(parts) ** 2
         total = float(squares.sum())
         shares = tuple(Share(float(p), float(s / total) if total else 0.0) for p, s in zip(parts, squares, strict=True))
-        # Welch and Satterthwaite, GUM Eq. (G.2b).
-        weight = sum(s**2 / line.degrees_of_freedom for s, line in zip(squares, self.lines, strict=True))
-        freedom = total**2 / weight if weight > 0 else np.inf
+        freedom = float(_effective(squares[:, None], self.lines)[0])
         k = 2.0 if np.isinf(freedom) else float(special.stdtrit(freedom, 0.5 + _COVERED / 2.0))
-        return Sum(quantity, index, shares, float(np.sqrt(total)), float(freedom), k, float(stated))
+        return Sum(quantity, index, shares, float(np.sqrt(total)), freedom, k, float(stated))
+
+
+def _effective(squares: Array, lines: Sequence[Line]) -> Array:
+    """(M,) effective degrees of freedom of sums of squares (lines, M); infinite where nothing is said of them."""
+    own = np.array([line.degrees_of_freedom for line in lines])
+    weight = np.sum(squares**2 / own[:, None], axis=0)
+    return np.where(weight > 0, squares.sum(axis=0) ** 2 / np.where(weight > 0, weight, 1.0), np.inf)
 
 
 @single_blas()
@@ -295,7 +305,7 @@ class _Propagation:
             self.progress(own.contributor.name, k / len(self.patterns))
             lines.append(self.line(own))
         if np.nan_to_num(self.from_known).any():
-            lines.append(Line(KNOWN, None, np.nan, self.from_known, "closed form"))
+            lines.append(Line(KNOWN, None, np.nan, self.from_known, "steps" if self.points else "closed form"))
         if self.repeatability.any():
             lines.append(Line(REPEATABILITY, None, np.nan, self.repeatability, "closed form"))
         return Budget(self.published, tuple(lines), self.drawn(draws, again=True) if draws else None)
