@@ -16,7 +16,7 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.fitted import FittedSessions, fit_sessions
 from machine_tool_calibration.model.restated import changed, declared
 from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.simulation import DiagonalPlan, SimulationSpec, TrackingPlan, simulate
+from machine_tool_calibration.simulation import DiagonalPlan, RotaryPlan, SimulationSpec, TrackingPlan, simulate
 
 X = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
 
@@ -256,8 +256,43 @@ def test_of_two_sessions_one_instrument(
         contributor("reading", "reading", instrument="laser_interferometer"),
         contributor("reading", "setup", instrument="cmm"),
         contributor("length", "never"),
+        contributor("reading", "place", instrument="laser_interferometer"),
     ]
     budget = propagate(own, lines)
+    assert exx(budget, 3) == pytest.approx(np.full(5, 0.8 * 2.0))
     assert exx(budget, 0) == pytest.approx(np.full(5, 0.8 * 2.0 / 2.0))
     assert exx(budget, 1) == pytest.approx(np.full(5, 0.2 * 2.0))
     assert exx(budget, 2) == pytest.approx(2.0 * X, abs=1e-9)
+
+
+def test_the_axis_average_line_knows_how_sure_the_stations_are() -> None:
+    """Where the stations are stated to be is a line of the budget, once, and in the draws as well."""
+    own = fit_sessions([simulate(SimulationSpec(plan=RotaryPlan(), seed=1)).session])
+    line = Contributor(name="r", type="B", standard_uncertainty=1e-7, enters="reading", varies="reading")
+    budget = propagate(own, [line], draws=100)
+    assert budget.drawn is not None
+    assert [one.name for one in budget.lines] == ["r", KNOWN]
+    for name in ("X0C", "A0C"):
+        index = budget.numbers.quantity(name).first
+        assert budget.lines[1].u[index] > 0.0
+        # Four standard deviations of the chance of 100 draws.
+        assert budget.drawn.u[index] / budget.u[index] == pytest.approx(1.0, abs=4.0 / np.sqrt(200.0))
+    assert budget.lines[1].u[budget.numbers.quantity("EXC").members] == pytest.approx(np.zeros(18), abs=1e-12)
+
+
+def test_sessions_with_other_numbers_of_repeats(
+    reproducible: None,
+    monkeypatch: pytest.MonkeyPatch,
+    runs: Callable[..., Session],
+    contributor: Callable[..., Contributor],
+) -> None:
+    """A value for each place of a session: as many readings share it as the session has repeats."""
+    own = fit_sessions([runs(runs=2), runs(runs=8)], ["a", "b"])
+    line = contributor("along", "place")
+    steps = propagate(own, [line])
+    monkeypatch.setattr(module, "_MOST_GROUPS", 0)
+    closed = propagate(own, [line])
+    assert (steps.lines[0].how, closed.lines[0].how) == ("steps", "closed form")
+    # Two readings of ten and eight of ten: weights of 0.2 and 0.8.
+    assert exx(steps) == pytest.approx(np.full(5, 2.0 * np.hypot(0.2, 0.8)))
+    assert exx(closed) == pytest.approx(exx(steps))

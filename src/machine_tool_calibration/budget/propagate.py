@@ -334,20 +334,21 @@ class _Propagation:
 
     def closed(self, own: Pattern) -> tuple[Array, str] | None:
         """The same from the covariance of the fit; None where that does not tell it."""
-        ratio = own.size / self.sigma
-        repeats = float(np.bincount(own.group).max())
-        alike = float(np.ptp(ratio)) <= _ALIKE * float(ratio.max())
-        # By the Cauchy-Schwarz inequality what readings share adds to at most so many times what they would do alone.
-        bound = float(ratio.max()) ** 2 * repeats
-        if own.single and not self.points and not alike:
-            squares = repeats * self.mapped(covariance_of(self.joint, self.split(own.size)))
-        elif (own.single and alike) or bound < _NOTHING**2:
-            squares = bound * self.from_readings**2
+        # What readings share adds to at most so many times what they would do alone (Cauchy-Schwarz inequality), and to
+        # just that where they are alike.
+        size = own.size * np.sqrt(np.bincount(own.group)[own.group])
+        ratio = size / self.sigma
+        if own.single and float(np.ptp(ratio)) <= _ALIKE * float(ratio.max()):
+            squares, how = float(ratio.max()) ** 2 * self.from_readings**2, "closed form"
+        elif own.single and not self.points:
+            squares, how = self.mapped(covariance_of(self.joint, self.split(size))), "closed form"
+        elif ratio.max() < _NOTHING:
+            squares, how = float(ratio.max()) ** 2 * self.from_readings**2, "bound"
         else:
             return None
         if self.iso.stop > self.iso.start:
             squares[self.iso] = self.drawn_squares(own, iso_only=True)[self.iso]
-        return squares, "closed form" if own.single else "bound"
+        return squares, how
 
     def signed(self, own: Pattern) -> Array:
         """(n,) one standard deviation of what it does to each reading with the sign of that."""
@@ -370,7 +371,7 @@ class _Propagation:
     @cached_property
     def from_readings(self) -> Array:
         """(M,) standard uncertainty from the declared uncertainty of the readings."""
-        total = self.mapped(self.joint.solution.covariance) + self.fixed
+        total = self.squares(self.joint.solution.covariance)
         return np.sqrt(np.maximum(total - self.from_known**2, 0.0))
 
     @cached_property
@@ -412,6 +413,8 @@ class _Propagation:
                 f"at most {_MOST_NUMBERS // len(self.base)} draws of this measurement"
             )
         base = self.values(np.zeros(len(self.sigma)), again=True) if again else self.base
+        # What no reading and no prior of the fit brings with it.
+        besides = np.sqrt(self.repeatability**2 + np.nan_to_num(self.fixed))
         out = np.empty((draws, len(base)))
         for k in range(draws):
             self.progress("Monte Carlo", k / draws)
@@ -419,6 +422,6 @@ class _Propagation:
             for own in self.patterns:
                 shift += own.change(own.contributor.draw(self.rng, own.count))
             known = self.known * self.rng.standard_normal(len(self.known))
-            noise = self.repeatability * self.rng.standard_normal(len(base))
+            noise = besides * self.rng.standard_normal(len(base))
             out[k] = self.values(shift, known, again=again) - base + noise
         return Drawn(out)
