@@ -42,7 +42,7 @@ def test_those_set_aside_are_shown_and_put_back(hidden, capsys):
     assert run(["identify", str(hidden)]) == 0
     shown = capsys.readouterr().out
     assert "Readings set aside" in shown
-    line = next(line for line in shown.splitlines() if line.startswith("90 "))
+    line = next(line for line in shown.splitlines() if line.split()[:1] == ["90"])
     assert "X " in line and "Y " in line
 
 

@@ -69,7 +69,7 @@ class Provenance:
 
     def document(self) -> dict[str, Any]:
         """As part of a document."""
-        return asdict(self)
+        return {**asdict(self), "effects": list(self.effects), "sessions": [asdict(one) for one in self.sessions]}
 
     def lines(self) -> list[tuple[str, str]]:
         """Names and values for a head of a file, one a line."""
