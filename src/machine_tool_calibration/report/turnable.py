@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import base64
 import gzip
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -24,11 +25,12 @@ _LENGTH, _MOST = 0.08, 20000
 _GRAY = f"rgb({', '.join([str(round(255 * float(NOMINAL)))] * 3)})"
 
 
+@cache
 def library() -> str:
     """plotly.js, compressed and in letters that may stand in a page."""
     from plotly.offline import get_plotlyjs  # type: ignore[import-untyped]
 
-    return base64.b64encode(gzip.compress(get_plotlyjs().encode(), 9, mtime=0)).decode()
+    return base64.b64encode(gzip.compress(get_plotlyjs().encode(), mtime=0)).decode()
 
 
 def turnable(result: Result | JointResult, words: Words) -> dict[str, Any] | None:
