@@ -233,4 +233,4 @@ class _Geometric(JointFit):
         """The solution where the sum of squares is least, with the covariance of the declared uncertainty."""
         parts = tuple(self.assembly.problem.parts)
         none = tuple(np.zeros((0, part.n_readings)) for part in parts)
-        return Stated(parts, self.solution, 1.0, (), None, none, self.solution.chi_square)
+        return Stated(parts, self.solution, 1.0, (), None, none, self.solution.chi_square, np.zeros(0))
