@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from machine_tool_calibration.errors import CalibrationError
     from machine_tool_calibration.interface.diagnosis import Comparison, Diagnosis
     from machine_tool_calibration.interface.effects import Effect, catalogue
+    from machine_tool_calibration.interface.features import Features
     from machine_tool_calibration.interface.identification import Fit, identify
     from machine_tool_calibration.interface.improvement import Improvement, improve, plot_improvement
     from machine_tool_calibration.interface.session import Measurement, load, simulate
@@ -31,6 +32,7 @@ __all__ = [
     "Comparison",
     "Diagnosis",
     "Effect",
+    "Features",
     "Fit",
     "Improvement",
     "Measurement",
@@ -49,6 +51,7 @@ if not TYPE_CHECKING:
         "Comparison": "interface.diagnosis",
         "Diagnosis": "interface.diagnosis",
         "Effect": "interface.effects",
+        "Features": "interface.features",
         "Fit": "interface.identification",
         "Improvement": "interface.improvement",
         "Measurement": "interface.session",

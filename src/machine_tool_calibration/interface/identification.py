@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -14,6 +14,7 @@ import pandas as pd
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
+from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.interface import tables
 from machine_tool_calibration.interface.session import Measurement, Source, load, one_below_the_other
 from machine_tool_calibration.interface.show import Shown, chosen, printed
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from machine_tool_calibration.interface.diagnosis import Comparison, Diagnosis
+    from machine_tool_calibration.interface.features import Features
+    from machine_tool_calibration.methods.probing.propagation import Distribution
 
 __all__ = ["Fit", "identify", "split_effects"]
 
@@ -204,6 +207,47 @@ class Fit(Shown):
             CalibrationError: there is none of that name.
         """
         return chosen(self._figures(), picture)
+
+    def features(
+        self,
+        *,
+        named: Mapping[str, Sequence[str]] | None = None,
+        frame: tuple[str, str] | None = None,
+        distances: Sequence[tuple[str, str]] = (),
+        angles: Sequence[tuple[str, ...]] = (),
+        draws: int = 0,
+        distribution: Distribution = "normal",
+        seed: int = 1,
+    ) -> Features:
+        """Pins, holes, spheres and walls of a probed part, distances and angles between them.
+
+        Args:
+            named: ids of the points of features that the session's points do not name.
+            frame: the feature that has no error, and the one that gives the direction; without, the part as a whole
+                has no shift and no turn.
+            distances: pairs of features.
+            angles: pairs of walls, or three round features: the angle at the second.
+            draws: for a check by Monte Carlo (GUM Supplement 1), at least 100; none if 0.
+            distribution: of the touches' errors in the draws: normal, rectangular or triangular.
+            seed: of the draws.
+
+        Raises:
+            CalibrationError: no probing session, several sessions, no such feature, or features that do not fit.
+        """
+        from machine_tool_calibration.interface.features import Features
+
+        if not isinstance(self.result, Result):
+            raise ModelError("features are those of one probing session; this fit is of several")
+        return Features.of(
+            self.result.fit,
+            named=named,
+            frame=frame,
+            distances=distances,
+            angles=angles,
+            draws=draws,
+            distribution=distribution,
+            seed=seed,
+        )
 
     def compare(self) -> Comparison:
         """Hold the model against the readings of the fit: how well it fits, and where it fails."""

@@ -101,7 +101,7 @@ def features(
         fit: of the session.
         named: ids of the points of features that the session's points do not name.
         frame: the feature, a circle, that has no error; and the one that gives the direction: a circle has no error in
-            Y (in X, where it lies nearer to that axis as seen from the first), a line does not turn.
+            Y (none in X, where the two lie rather along Y), a line does not turn.
         distances: pairs of features: centres, a centre and a line, or two parallel lines (from the first one to the
             middle of the points of the second).
         angles: pairs of lines, or three circles: at the second one, at most half a turn.
@@ -154,7 +154,8 @@ def _own(one: Element) -> list[Quantity]:
         what, units = ("x", "y", "radius"), "mmm"
     else:
         assert isinstance(one, Line)
-        nominal = (float(one.place @ one.normal), float(np.arctan2(one.along[1], one.along[0])))
+        # No negative zero: it would be minus a half turn.
+        nominal = (float(one.place @ one.normal), float(np.arctan2(one.along[1] + 0.0, one.along[0])))
         what, units = ("offset", "direction"), ("m", "rad")  # type: ignore[assignment]
     return [
         Quantity((one.name,), name, unit, float(value), row)

@@ -62,9 +62,11 @@ class Line(Element):
 
     Attributes:
         normal: (2,) outward unit vector.
+        reach: how far its nominal points lie to either side of `place`, m.
     """
 
     normal: Array
+    reach: float
 
     @property
     def along(self) -> Array:
@@ -80,7 +82,7 @@ def elements(
     Args:
         description: points with the names of their features.
         touched: (N,) which of them were touched.
-        named: ids of the points of further features, or of features instead of those of the same name.
+        named: ids of the points of further features; they take part in no other one.
 
     Returns:
         The features, in the order of their points, and of each name that gives none the reason.
@@ -89,16 +91,19 @@ def elements(
         CalibrationError: a point of `named` is unknown or twice in a feature, or what is named there is no feature.
     """
     place = {point.id: k for k, point in enumerate(description.workpiece)}
-    groups: dict[str, list[int]] = {}
-    for k, point in enumerate(description.workpiece):
-        groups.setdefault(point.feature, []).append(k)
-    for name, ids in (named or {}).items():
+    listed = named or {}
+    for name, ids in listed.items():
         for id_ in ids:
             if id_ not in place:
                 raise CalibrationError(f"feature {name}: the workpiece has no point {id_!r}{did_you_mean(id_, place)}")
         if len(set(ids)) < len(ids):
             raise CalibrationError(f"feature {name}: a point stands in it twice")
-        groups[name] = [place[id_] for id_ in ids]
+    taken = {id_ for ids in listed.values() for id_ in ids}
+    groups: dict[str, list[int]] = {}
+    for point in description.workpiece:
+        if point.id not in taken and point.feature not in listed:
+            groups.setdefault(point.feature, []).append(place[point.id])
+    groups |= {name: [place[id_] for id_ in ids] for name, ids in listed.items()}
     position = np.array([point.position for point in description.workpiece])
     normal = np.array([point.normal for point in description.workpiece])
     normal /= np.linalg.norm(normal, axis=1)[:, None]
@@ -107,7 +112,7 @@ def elements(
         try:
             found.append(element(name, np.array(points), position, normal, touched))
         except CalibrationError as error:
-            if name in (named or {}):
+            if name in listed:
                 raise
             refused[name] = str(error).removeprefix(f"feature {name}: ")
     return tuple(found), refused
@@ -149,7 +154,7 @@ def element(name: str, index: IntArray, position: Array, normal: Array, touched:
     rows = np.zeros((size, len(position)))
     rows[:, index[used]] = np.linalg.pinv(design)
     if straight:
-        return Line(name, index[used], middle, rows, across)
+        return Line(name, index[used], middle, rows, across, float(np.abs(t).max()))
     return Circle(name, index[used], centre, rows, abs(signed), signed < 0)
 
 
