@@ -94,7 +94,7 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 def model_options(function: Command) -> Command:
     """Add `--effect`, `--effects-file` and `--model`."""
     for option in (
-        click.option("--model", help="Variant of the method's model, such as free or rigid_body."),
+        click.option("--model", help="Variant of the model, such as free; `mtcal info SESSION` says when which."),
         click.option(
             "--effects-file",
             "files",

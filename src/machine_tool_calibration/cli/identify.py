@@ -28,7 +28,10 @@ __all__ = ["command"]
     "--effect", "effects", metavar="ID", multiple=True, help="Physical effect to add to the model; repeatable."
 )
 @click.option("--effects-file", type=click.Path(path_type=Path), help="YAML file with effects of your own, by formula.")
-@click.option("--model", help="Variant of the method's model, such as free or rigid_body.")
+@click.option(
+    "--model",
+    help="Variant of the model, such as free; `mtcal info SESSION` says when which.",
+)
 @click.option(
     "--from-history",
     is_flag=True,

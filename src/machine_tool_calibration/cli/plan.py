@@ -14,7 +14,10 @@ __all__ = ["command"]
 
 @click.command("plan")
 @click.argument("procedure")
-@click.option("--model", help="Variant of the method's model, such as free or rigid_body.")
+@click.option(
+    "--model",
+    help="Variant of the model, such as free; `mtcal info SESSION` says when which.",
+)
 @click.option("--effects-file", type=click.Path(path_type=Path), help="YAML file with effects of your own, by formula.")
 @click.option(
     "--warming", type=float, default=1.0, show_default=True, help="Change of the air's temperature assumed, K per hour."
@@ -47,9 +50,8 @@ def command(
 
     own = read_effects(effects_file) if effects_file else []
     with progress_bar() as progress:
-        progress("forecasting")
         plan = read_procedure(procedure_file(procedure))
-        found = forecast(plan, model=model, own=own, warming=warming, angular=angular)
+        found = forecast(plan, model=model, own=own, warming=warming, angular=angular, progress=progress)
     if as_json:
         write_json(found.document())
         return

@@ -42,7 +42,11 @@ __all__ = ["command"]
     type=click.Path(path_type=Path),
     help="ROS parameter file for the nodes, such as the package's config/nodes.yaml.",
 )
-@click.option("--model", default="", help="Variant of the method's model, such as free or rigid_body.")
+@click.option(
+    "--model",
+    default="",
+    help="Variant of the model, such as free; `mtcal info SESSION` says when which.",
+)
 @click.option(
     "--effect", "effects", multiple=True, help="Physical effect to add to the model. May be given several times."
 )

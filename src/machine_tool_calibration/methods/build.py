@@ -7,7 +7,7 @@ from typing import Protocol, cast
 
 import numpy as np
 
-from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import Rejected
 from machine_tool_calibration.session.catalogue import method_names, method_spec
@@ -18,23 +18,16 @@ __all__ = ["build_model", "model_names", "rejected_readings", "sharing_variant"]
 
 
 class _Method(Protocol):
-    """What the module of a method offers; the first of its models is the default."""
-
-    MODELS: tuple[str, ...]
+    """What the module of a method offers."""
 
     def build(self, session: Session, model: str) -> MethodModel:
         """The model of a session."""
 
 
-def _method(session: Session) -> _Method:
-    return cast(_Method, load(session.spec.model))
-
-
 def model_names(method: str | None = None) -> tuple[str, ...]:
     """Names of the models of a method, the default first; of all methods if None."""
     chosen = method_names() if method is None else (method,)
-    offered = (cast(_Method, load(method_spec(name).model)).MODELS for name in chosen)
-    return tuple(dict.fromkeys(name for names in offered for name in names))
+    return tuple(dict.fromkeys(variant for name in chosen for variant in method_spec(name).models))
 
 
 def sharing_variant(session: Session, model: str | None) -> str | None:
@@ -45,7 +38,7 @@ def sharing_variant(session: Session, model: str | None) -> str | None:
         model: what was asked for, of the methods that have it; otherwise tables of the machine's errors, which others
             can share.
     """
-    return model if model in _method(session).MODELS else session.spec.shared
+    return model if model in session.spec.models else session.spec.shared
 
 
 def build_model(session: Session, model: str | None = None) -> tuple[MethodModel, str]:
@@ -54,11 +47,12 @@ def build_model(session: Session, model: str | None = None) -> tuple[MethodModel
     Raises:
         ModelError: no such model for this method, or the data does not allow it.
     """
-    method = _method(session)
-    name = model or method.MODELS[0]
-    if name not in method.MODELS:
-        raise ModelError(f"{session.method} has no model {name!r}; known are {', '.join(method.MODELS)}")
-    return method.build(session, name), name
+    models = session.spec.models
+    name = model or next(iter(models))
+    if name not in models:
+        hint = did_you_mean(name, models)
+        raise ModelError(f"{session.method} has no model {name!r}{hint}; known are {', '.join(models)}")
+    return cast(_Method, load(session.spec.model)).build(session, name), name
 
 
 def rejected_readings(session: Session) -> tuple[Rejected, ...]:

@@ -38,7 +38,7 @@ _ASIDE = 0.006
 
 
 def draw_comparison(comparison: Comparison) -> Figure:
-    """Nine panels: error in X, Y, Z (columns) with the motion of X, Y, Z (rows), um against mm.
+    """Panels: error in X, Y, Z (columns) with the motion of X, Y, Z (rows), um against mm; of the axes that moved.
 
     Marks are the errors from all repeats, bars their expanded uncertainty (k = 2), short lines those of each repeat
     alone. The scale is that of the formulations that the mirrors' tilts do not disturb; where the conventional one
@@ -47,11 +47,13 @@ def draw_comparison(comparison: Comparison) -> Figure:
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
-    figure = Figure(figsize=(13, 10), layout="constrained")
-    axes = figure.subplots(3, 3)
-    for motion in range(3):
-        for component in range(3):
-            _panel(axes[motion, component], comparison, motion, component)
+    moved = next(iter(comparison.profiles.values())).moved
+    count = len(moved)
+    figure = Figure(figsize=(4.3 * count, 3.3 * count), layout="constrained")
+    axes = figure.subplots(count, count)
+    for row, motion in enumerate(moved):
+        for column, component in enumerate(moved):
+            _panel(axes[row, column], comparison, motion, component)
     handles, labels = axes[0, 0].get_legend_handles_labels()
     for panel in axes.flat:
         if len(panel.get_legend_handles_labels()[0]) > len(handles):
@@ -104,7 +106,7 @@ def _panel(panel: Axes, comparison: Comparison, motion: int, component: int) -> 
 
 
 def save_comparison(comparison: Comparison, path: Path, **options: Any) -> None:
-    """Write the nine panels to a file; its ending chooses the format (png, svg, pdf).
+    """Write the panels to a file; its ending chooses the format (png, svg, pdf).
 
     Args:
         comparison: what to draw.

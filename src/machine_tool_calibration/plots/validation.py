@@ -7,8 +7,14 @@ from functools import singledispatch
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from machine_tool_calibration.plots.style import save
+import numpy as np
+
+from machine_tool_calibration.methods.step_diagonal.compare import Comparison
+from machine_tool_calibration.plots.rotary_axis import draw_motions
+from machine_tool_calibration.plots.step_diagonal import draw_comparison
+from machine_tool_calibration.plots.style import COLORS, save
 from machine_tool_calibration.validation.record import Study
+from machine_tool_calibration.validation.study_rotary_axis import Repeated
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,6 +30,23 @@ def draw(record: Any) -> Figure:
         TypeError: nothing draws records of this kind.
     """
     raise TypeError(f"nothing draws {type(record).__name__}")
+
+
+draw.register(Comparison, draw_comparison)
+
+
+@draw.register(Repeated)
+def _repeated(record: Repeated) -> Figure:
+    """The six error motions of the first measurement (Fig. 6), and one of them from all (Fig. 7)."""
+    figure = draw_motions(record.content)
+    panel = figure.axes[0]
+    angle = np.degrees(np.asarray(record.content["c"]))
+    for values in record.each:
+        panel.plot(angle, 1e6 * values, ls="", marker="_", ms=8, color="0.3")
+    panel.plot(angle, 1e6 * record.true, color=COLORS[1], lw=1.0, label="simulated axis")
+    panel.plot([], [], ls="", marker="_", color="0.3", label=f"{len(record.each)} measurements")
+    panel.legend(fontsize="small")
+    return figure
 
 
 def save_pictures(study: Study, folder: Path) -> list[Path]:

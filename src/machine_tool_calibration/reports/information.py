@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.reports.quantities import duration, quantity
-from machine_tool_calibration.reports.tables import TextTable, show_table
+from machine_tool_calibration.reports.tables import TextTable, show_suspicions, show_table
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -43,6 +43,7 @@ def measurement_document(
     if session is not None and summary is not None:
         document["measurement"] = {
             **plain(summary),
+            "models": dict(session.spec.models),
             "description": session.description.model_dump(mode="json", exclude_none=True),
         }
     else:
@@ -115,8 +116,10 @@ def show_session(out: Console, session: Session, summary: SessionSummary) -> Non
     columns = tuple(_column(column) for column in summary.columns)
     note = "as recorded, shown in the units that people use; an empty field counts as missing"
     show_table(out, TextTable("Columns", ("column", "from", "to", "unit", "missing"), columns, note))
-    for words in summary.suspicious:
-        out.print(f"suspicious: {words}")
+    if len(session.spec.models) > 1:
+        models = tuple(session.spec.models.items())
+        show_table(out, TextTable("Models (--model)", ("name", "when"), models))
+    show_suspicions(out, summary.suspicious)
     if summary.labels:
         out.print(f"Text columns: {', '.join(summary.labels)}")
 

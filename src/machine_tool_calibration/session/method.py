@@ -7,7 +7,7 @@ long to import, stand as text `module:function` and are loaded when they are ask
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
@@ -38,8 +38,8 @@ class MethodSpec:
         columns: of a description, the columns of observations.csv without which the method cannot work.
         enough: of a session, which of its readings (n,) are there, and the names for messages: raises a SessionError
             if no model of the method can make anything of it.
-        model: module with `MODELS`, the names of its model's variants (the first is the default), and
-            `build(session, variant)`, which gives the model.
+        model: module with `build(session, variant)`, which gives the model.
+        models: names of the model's variants, the default first; for each when it is the right one.
         magnitudes: of a session and the names for messages: raises a SessionError for values of the method's own keys
             and columns that can only be a wrong unit.
         nominal: of a session, a sample of its readings and the names for messages: comparisons with the nominal
@@ -90,6 +90,7 @@ class MethodSpec:
     columns: Callable[[Any], tuple[str, ...]]
     enough: Callable[[Session, BoolArray, Place], None]
     model: str
+    models: Mapping[str, str]
     magnitudes: Callable[[Session, Place], object] = _nothing
     nominal: Callable[[Session, Readings, Place], Iterator[Comparison]] = _nothing
     any_axis: bool = False

@@ -22,8 +22,6 @@ from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.model.rigid_body import MachineTable, map_field
 from machine_tool_calibration.session.session import Session, distinct_places
 
-MODELS = ("circle",)
-
 
 @dataclass(frozen=True)
 class CircleModel(MethodModel):

@@ -30,6 +30,7 @@ SPEC = MethodSpec(
     columns=lambda description: ("setup", "x", "y", "displacement"),
     enough=lambda session, measured, place: enough_in_a_setup(session, measured, place, needed=6),
     model="ball_bar.model",
+    models={"circle": "the only one"},
     instrument="ball_bar",
     words=lambda description: "circles with a ball bar",
     setup_word="circle",

@@ -2,6 +2,7 @@
 """`mtcal compare-formulations`."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.methods.step_diagonal import compare
 from machine_tool_calibration.session.folder import write_session
+from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 
 EXAMPLE = Path(__file__).parents[2] / "data" / "step_diagonal"
 
@@ -55,7 +57,7 @@ def test_json_for_programs_and_the_picture(capsys, tmp_path):
 
 
 def test_what_cannot_be_used_is_said(capsys, tmp_path, exact, without):
-    write_session(without(exact(1, noise=1.0, repeats=2).session, "Z"), tmp_path / "session")
+    write_session(without(exact(1, noise=1.0, blocks=4).session, "Z"), tmp_path / "session")
     assert run(["compare-formulations", str(tmp_path / "session"), "--plot", str(tmp_path / "p.svg")]) == 0
     out = capsys.readouterr().out
     assert "not determined" in out
@@ -67,3 +69,12 @@ def test_another_method_is_one_line(capsys, tmp_path):
     err = capsys.readouterr().err
     assert err.count("\n") == 1
     assert "tracking_interferometer session has no step diagonals" in err
+
+
+def test_diagonals_in_a_plane_show_the_two_axes_that_moved(tmp_path, capsys):
+    plan = PRESETS["step_diagonal"].model_copy(update={"diagonals": ("pp0", "np0"), "linear": ("x", "y"), "repeats": 1})
+    write_session(simulate(SimulationSpec(plan=plan, seed=1)).session, tmp_path / "plane")
+    assert run(["compare-formulations", str(tmp_path / "plane")]) == 0
+    text = capsys.readouterr().out
+    assert "EXY straightness" in text
+    assert not re.search(r"EZZ|EZX|B0Z|not determined", text)

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.methods.step_diagonal.build import MODELS, build
+from machine_tool_calibration.methods.step_diagonal.build import build
+from machine_tool_calibration.methods.step_diagonal.spec import SPEC
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.model import Parameter, Term
 from machine_tool_calibration.session.folder import read_session
@@ -24,7 +26,7 @@ def test_example_session():
     content = document["error_map"]
     for letter in "xyz":
         assert np.shape(content[letter]) == (13, 3) == np.shape(content[f"{letter}_u"])
-    assert document["model"] == "small_angles" == MODELS[0]
+    assert document["model"] == "small_angles" == next(iter(SPEC.models))
     assert 0.7 < document["reduced_chi_square"] < 1.4
     assert set(content["squareness"]) == {"C0Y", "C0Y_u", "B0Z", "B0Z_u", "A0Z", "A0Z_u"}
     assert {p["name"] for p in document["parameters"]} >= {"ppp.tilt_1", "pnp.tilt_2", "EXX(0.01)", "C0Y", "X.offset_1"}
@@ -155,7 +157,7 @@ def test_observations_tell_effects_what_the_mirror_does(exact):
 def test_bad_requests(exact, without):
     session = exact(1).session
     with pytest.raises(ModelError, match="step_diagonal has no model 'best'; known are small_angles"):
-        build(session, "best")
+        build_model(session, "best")
     with pytest.raises(ModelError, match="no reading to identify from"):
         build(without(session, *session.setup_ids))
     with pytest.raises(ModelError, match="too few readings"):

@@ -30,7 +30,7 @@ from machine_tool_calibration.model.rigid_body import MachineTable, table_datum
 from machine_tool_calibration.session.description import Direct
 from machine_tool_calibration.session.session import Readings, Session
 
-__all__ = ["MODELS", "DirectModel", "asked_tables", "build", "build_direct", "nodes_from"]
+__all__ = ["DirectModel", "asked_tables", "build", "build_direct", "nodes_from"]
 
 
 # Nodes of a table where the axis was read at more positions than it has readings to fill.
@@ -102,9 +102,6 @@ def _axes(name: str) -> str:
     return pairs.get(name) or parse_motion(name).axis
 
 
-MODELS = ("rigid_body",)
-
-
 @dataclass(frozen=True)
 class DirectModel(MethodModel):
     """Deviations with the errors that the session names.
@@ -144,7 +141,7 @@ class DirectModel(MethodModel):
         return direct_map(self.observations, self.tables, self.setups, self.terms[len(self.tables) :], self.fixed, fit)
 
 
-def build(session: Session, model: str = MODELS[0]) -> DirectModel:
+def build(session: Session, model: str = "rigid_body") -> DirectModel:
     """The model of a session of direct deviations.
 
     Args:

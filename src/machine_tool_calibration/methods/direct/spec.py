@@ -17,6 +17,9 @@ SPEC = MethodSpec(
     enough=enough_in_a_setup,
     magnitudes=direction_units,
     model="machine_tool_calibration.methods.direct.model",
+    models={
+        "rigid_body": "the only one: the axes are rigid bodies, their errors tables over their positions",
+    },
     mounted=lambda description: "" if description.datum == "none" else "the instrument or part",
     reads_deviations=True,
     reads_machine=True,

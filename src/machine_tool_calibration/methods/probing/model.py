@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.errors import ModelError, suspected
 from machine_tool_calibration.estimation.problem import LinearPart, Part, group_points
 from machine_tool_calibration.methods.probing.datum import (
     LENGTH,
@@ -48,7 +48,7 @@ from machine_tool_calibration.model.rigid_body import MachineTable
 from machine_tool_calibration.session.description import Probing
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["MODELS", "ProbingModel", "build", "refuse_mistakes"]
+__all__ = ["ProbingModel", "build", "refuse_mistakes"]
 
 
 # Displacement beyond which a touch is looked at, m: no ground surface is off by so much, a casting may be.
@@ -70,15 +70,13 @@ def refuse_mistakes(session: Session, build: Callable[[Session], MethodModel]) -
     for factor, unit in ((1e-3, "millimetres"), (1e-6, "micrometres")):
         scaled = session.with_readings(replace(readings, displacement=factor * readings.displacement))
         if _misfit(scaled, build) < _GOOD:
-            raise ModelError(f"{session.source}: displacement looks like {unit}; lengths are in metres")
+            with suspected():
+                raise ModelError(f"{session.source}: displacement looks like {unit}; lengths are in metres")
 
 
 def _misfit(session: Session, build: Callable[[Session], MethodModel]) -> float:
     """Median absolute residual over the declared uncertainty."""
     return float(np.median(np.abs(fit_models([build(session)]).fits[0].residuals)) / session.sigma)
-
-
-MODELS = ("rigid_body",)
 
 
 @dataclass(frozen=True)
@@ -133,7 +131,7 @@ class ProbingModel(MethodModel):
         return probing_map(self, fit)
 
 
-def build(session: Session, model: str = MODELS[0]) -> ProbingModel:
+def build(session: Session, model: str = "rigid_body") -> ProbingModel:
     """The model of a probing session.
 
     Args:

@@ -17,6 +17,9 @@ SPEC = MethodSpec(
     magnitudes=probing_units,
     nominal=nominal_probing,
     model="machine_tool_calibration.methods.probing.model",
+    models={
+        "rigid_body": "the only one: the part has a form of its own, the axes are rigid bodies with tables of errors",
+    },
     instrument="touch_probe",
     rotation_sign=-1,
     setup_word="angle of C",

@@ -53,9 +53,7 @@ from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.session.description import RotaryAxis
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["MODELS", "RotaryAxisModel", "build"]
-
-MODELS = ("free",)
+__all__ = ["RotaryAxisModel", "build"]
 
 # Misfit of a table turning without error above which it is tried whether one with errors fits, m; and median residual
 # of that, over the declared uncertainty, that says that stations and targets were not found.

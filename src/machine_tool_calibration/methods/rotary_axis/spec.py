@@ -15,6 +15,9 @@ SPEC = MethodSpec(
     enough=enough_rotary,
     nominal=nominal_rotary,
     model="machine_tool_calibration.methods.rotary_axis.model",
+    models={
+        "free": "the only one: six error motions at every angle, targets and stations unknown",
+    },
     instrument="laser_tracker",
     setup_word="station",
     mounted=lambda description: "the instrument",

@@ -27,7 +27,7 @@ from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.rigid_body import MachineTable, linear_axis_errors, map_field, table_datum
 from machine_tool_calibration.session.session import Readings, Session
 
-__all__ = ["MODELS", "build", "second_order"]
+__all__ = ["build", "second_order"]
 
 
 def second_order(
@@ -60,15 +60,6 @@ def second_order(
     )
 
 
-MODELS = ("small_angles", "translations", "angular", "angular_one_mirror", "aligned_mirror")
-"""Models of a step diagonal; the first is the default.
-
-`small_angles`: position errors of the axes; angular errors are zero or small smooth random functions, of a size that
-the readings determine as far as they can (`spread`). `translations`: no angular errors. `angular`: those angular errors
-that the orders of the moves determine are free; `angular_one_mirror`: and the mirror was not touched between the orders
-of a diagonal. `aligned_mirror`: no angular errors and no tilts, as the conventional formulation assumes.
-"""
-
 _SMALL = "only its size is determined by the readings (angular_size); it is taken for a small smooth random function"
 _ZERO = "the model takes it to be zero"
 _RANDOM = (
@@ -83,13 +74,11 @@ def build(session: Session, model: str = "small_angles") -> StepDiagonalModel:
     Args:
         session: diagonals and linear runs, in any number, orders and repeats; what they do not determine is found by
             the solver.
-        model: one of `MODELS`.
+        model: a variant of `SPEC.models`.
 
     Raises:
         ModelError: an unknown model, no readings, or a machine without the axes that move.
     """
-    if model not in MODELS:
-        raise ModelError(f"step_diagonal has no model {model!r}; known are {', '.join(MODELS)}")
     description = step_diagonal_of(session)
     runs = runs_of(description)
     readings = session.readings.select(

@@ -72,6 +72,11 @@ class Profiles:
         shaped = [np.where(np.isfinite(e), u, np.nan) for e, u in zip(self.error, self.split(flat), strict=True)]
         return shaped[0], shaped[1], shaped[2]
 
+    @property
+    def moved(self) -> tuple[int, ...]:
+        """Axes that moved: two of them where the diagonals lie in a plane."""
+        return tuple(axis for axis, blocks in enumerate(self.blocks) if len(blocks) > 1)
+
     def split(self, flat: Array) -> tuple[Array, Array, Array]:
         """(M,) values as (N + 1, 3) for each axis."""
         x, y, z = (p.reshape(-1, 3) for p in np.split(flat, np.cumsum([3 * len(b) for b in self.blocks])[:-1]))
@@ -85,21 +90,24 @@ class Profiles:
         return np.asarray(np.abs(rows @ self.loose).max(axis=1) > _LOOSE * scale)
 
     def figures(self) -> list[Figure]:
-        """The figures of the paper's Table 1: positioning, straightness, squareness.
+        """The figures of the paper's Table 1, of the axes that moved: positioning, straightness, squareness.
 
         Straightness is the extent (largest minus smallest) of the deviations from the least-squares line; squareness
         the slope of one axis's least-squares line against the other's, with the sign of ISO 230-1.
         """
         out = []
-        for axis, letter in enumerate("XYZ"):
+        for axis in self.moved:
+            letter = "XYZ"[axis]
             row = self._pick(axis, axis, -1) - self._pick(axis, axis, 0)
             out.append(self._figure(f"E{letter}{letter}", "positioning", row))
-        for axis, letter in enumerate("XYZ"):
-            for component, along in enumerate("XYZ"):
+        for axis in self.moved:
+            for component in self.moved:
                 if component != axis:
-                    out.append(self._figure(f"E{along}{letter}", "straightness", self._extent(component, axis)))
+                    name = f"E{'XYZ'[component]}{'XYZ'[axis]}"
+                    out.append(self._figure(name, "straightness", self._extent(component, axis)))
         for name, (sign, one, other) in _SQUARENESS.items():
-            out.append(self._figure(name, "squareness", sign * (self._slope(*one) + self._slope(*other))))
+            if set(one) <= set(self.moved):
+                out.append(self._figure(name, "squareness", sign * (self._slope(*one) + self._slope(*other))))
         return out
 
     def _first(self, axis: int) -> int:

@@ -19,6 +19,16 @@ SPEC = MethodSpec(
     magnitudes=diagonal_units,
     nominal=nominal_diagonal,
     model="machine_tool_calibration.methods.step_diagonal.build",
+    models={
+        "small_angles": "the default: position errors of the axes; angular errors are zero or small smooth random "
+        "functions, of a size that the readings determine as far as they can",
+        "translations": "the machine has no angular errors, or they are known to be negligible: fewer unknowns",
+        "angular": "every diagonal was run in several orders of the moves: the angular errors that these determine "
+        "are found",
+        "angular_one_mirror": "the same, and the mirror was not touched between the orders of a diagonal",
+        "aligned_mirror": "no angular errors, and mirrors exactly square to their beams, as the conventional "
+        "formulation assumes: only to compare with it",
+    },
     instrument="laser_interferometer",
     setup_word="run",
     mounted=lambda description: "the mirror",

@@ -34,9 +34,7 @@ from machine_tool_calibration.model.rigid_body import (
 from machine_tool_calibration.session.description import TrackingInterferometer
 from machine_tool_calibration.session.session import Session, distinct_places
 
-__all__ = ["MODELS", "TrackingModel", "build"]
-
-MODELS = ("free", "rigid_body")
+__all__ = ["TrackingModel", "build"]
 
 # Stations are set up to this by any means, m. Declared uncertainties below it are not relied on: the readings place a
 # station far better, except for motions that they do not sense.

@@ -28,6 +28,12 @@ SPEC = MethodSpec(
     enough=enough_tracking,
     nominal=nominal_tracking,
     model="machine_tool_calibration.methods.tracking.model",
+    models={
+        "free": "the default: every target has a position of its own, whatever moves the tool; each needs one "
+        "station more than there are dimensions",
+        "rigid_body": "the axes are rigid bodies, their errors tables over their positions: few stations do, other "
+        "sessions can share the tables, and places between the targets are told",
+    },
     instrument="tracking_interferometer",
     words=_words,
     setup_word="station",
