@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from textwrap import fill
 from typing import TYPE_CHECKING
 
@@ -11,7 +12,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.methods.probing.features import Features
 from machine_tool_calibration.methods.probing.shapes import Circle, Line
-from machine_tool_calibration.plots.style import BAND, FOUND, NOMINAL, new_figure, round_down, scale_bar, spaced
+from machine_tool_calibration.plots.style import BAND, COLORS, FOUND, NOMINAL, new_figure, round_down, scale_bar, spaced
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,12 +29,13 @@ _LINE = 100
 _ROUND = np.linspace(0.0, 2.0 * np.pi, 73)
 
 
-def draw_features(found: Features, title: str = "") -> Figure:
+def draw_features(found: Features, title: str = "", beside: Mapping[str, Array] | None = None) -> Figure:
     """Centres and walls where they are, deviations magnified.
 
     Args:
         found: the features.
         title: instead of the frame in words.
+        beside: further deviations (q,) of the same quantities by what they are, shown at the centres.
     """
     place = {(q.of[0], q.what): k for k, q in enumerate(found.quantities) if len(q.of) == 1}
     centres = [one for one in found.elements if isinstance(one, Circle)]
@@ -43,6 +45,8 @@ def draw_features(found: Features, title: str = "") -> Figure:
     ends = [_ends(found, one, index) for one, index in zip(walls, indices[len(centres) :], strict=True)]
     sizes = [np.linalg.norm(found.deviation[index]) + 2 * found.uncertainty[index].max() for index in indices]
     sizes[len(centres) :] = [float(np.abs(off).max() + 2 * u.max()) for _, off, u in ends]
+    for values in (beside or {}).values():
+        sizes += [float(np.linalg.norm(values[index])) for index in indices[: len(centres)]]
     largest = float(np.nanmax(sizes, initial=0.0)) if np.isfinite(sizes).any() else 0.0
     corners = np.array([one.place for one in centres] + [end for places, _, _ in ends for end in places])
     extent = float(np.ptp(corners, axis=0).max()) if len(corners) > 1 else 0.0
@@ -54,6 +58,12 @@ def draw_features(found: Features, title: str = "") -> Figure:
         _draw_centre(panel, one, found, index, scale)
     for wall, (places, off, u) in zip(walls, ends, strict=True):
         _draw_wall(panel, wall, places, off, u, scale)
+    for (what, values), color in zip((beside or {}).items(), COLORS[1:], strict=False):
+        for one, index in zip(centres, indices, strict=False):
+            ends_at = np.array([one.place, one.place + scale * values[index]])
+            panel.plot(*(1e3 * ends_at.T), ls="-", lw=1.0, color=color)
+            panel.plot(*(1e3 * ends_at[1]), marker="o", ms=3, mfc="none", color=color)
+        panel.plot([], [], ls="-", marker="o", ms=3, mfc="none", lw=1.0, color=color, label=what)
     panel.plot([], [], "+", color=NOMINAL, label="nominal")
     panel.plot([], [], "o-", ms=2, lw=1, color=FOUND, label=f"identified, deviations × {spaced(scale)}")
     panel.plot([], [], color=BAND, label="95 % ellipse; walls: ± U (k = 2)")
