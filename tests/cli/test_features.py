@@ -72,7 +72,7 @@ def test_document_table_picture_and_python_say_the_same(
     assert run(asked) == 0
     text = capsys.readouterr().out
     assert text.strip() == found.report().strip()
-    assert "0, the frame" in text and "Not a feature: work: its points lie neither" in text
+    assert "0 (datum)" in text and "Not a feature: work: its points lie neither" in text
 
 
 def _points(file: Path) -> dict[str, list[str]]:
@@ -116,6 +116,13 @@ def test_a_wrong_list_is_one_line(capsys: pytest.CaptureFixture[str], tmp_path: 
 def test_names_that_are_too_few(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["features", str(CROSS), "--distance", "sphere1"]) == 2
     assert "'sphere1' is not 2 names with commas between them" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("asked", [("features", "probing_cross"), ("compare-formulations", "step_diagonal")])
+def test_a_picture_of_no_known_format(capsys: pytest.CaptureFixture[str], asked: tuple[str, str]) -> None:
+    verb, session = asked
+    assert run([verb, str(ROOT / "tests" / "data" / session), "--plot", "picture.foo"]) == 1
+    assert "picture.foo: no picture can be written as .foo; as " in capsys.readouterr().err
 
 
 def test_other_methods_and_several_sessions_have_no_features(capsys: pytest.CaptureFixture[str]) -> None:

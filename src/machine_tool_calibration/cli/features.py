@@ -41,7 +41,9 @@ def _names(*counts: int) -> Callable[[click.Context, click.Parameter, Any], Any]
     help="YAML list of which points make a feature, where the session does not say it.",
 )
 @click.option("--frame", callback=_names(2), metavar="A,B", help="A has no error, B none across: the part's own frame.")
-@click.option("--distance", "distances", callback=_names(2), metavar="A,B", multiple=True, help="Repeatable.")
+@click.option(
+    "--distance", "distances", callback=_names(2), metavar="A,B", multiple=True, help="Of two features; repeatable."
+)
 @click.option(
     "--angle",
     "angles",
@@ -105,6 +107,7 @@ def command(
         show_features(console(), found, drawn)
     if plot is not None:
         from machine_tool_calibration.plots.features import draw_features
+        from machine_tool_calibration.plots.style import save_as
 
-        draw_features(found).savefig(plot, dpi=110)
+        save_as(draw_features(found), plot)
         note_written([plot])

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 __all__ = ["features_document", "features_table", "kind_of", "show_features"]
 
-# Standard uncertainty of what the frame lays down, m and rad: rounding alone.
+# Standard uncertainty of what the datum lays down, m and rad: rounding alone.
 _NOTHING = 1e-12
 
 
@@ -48,7 +48,7 @@ def features_table(found: Features, drawn: MonteCarlo | None = None) -> TextTabl
         row = [", ".join(asked.of), asked.what, _nominal(asked), NOT_DETERMINED]
         interval = ""
         if math.isfinite(deviation):
-            row[3] = "0, the frame" if u < _NOTHING else quantity(deviation, asked.unit, u)
+            row[3] = "0 (datum)" if u < _NOTHING else quantity(deviation, asked.unit, u)
             if drawn is not None and u >= _NOTHING:
                 ends = (fixed(1e6 * (deviation + end[k]), decimals(2e6 * u)) for end in (drawn.low, drawn.high))
                 interval = f"{' to '.join(ends)} µ{asked.unit}"
