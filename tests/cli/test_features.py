@@ -113,9 +113,23 @@ def test_a_wrong_list_is_one_line(capsys: pytest.CaptureFixture[str], tmp_path: 
     assert message in said and said.count("\n") == 1
 
 
-def test_names_that_are_too_few(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["features", str(CROSS), "--distance", "sphere1"]) == 2
-    assert "'sphere1' is not 2 names with commas between them" in capsys.readouterr().err
+def test_a_line_through_centres_by_their_pattern(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["features", str(CROSS), "--through", "across=sphere*", "--json"]) == 0
+    across = json.loads(capsys.readouterr().out)["features"][-1]
+    assert across == {"name": "across", "kind": "line", "points": 16}
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "message"),
+    [
+        ("--distance", "sphere1", "'sphere1' is not 2 names with commas between them"),
+        ("--angle", "a,,b", "'a,,b' is not 2 or 3 names with commas between them"),
+        ("--through", "sphere*", "'sphere*' is not NAME=A,B,…"),
+    ],
+)
+def test_names_that_are_none(capsys: pytest.CaptureFixture[str], option: str, value: str, message: str) -> None:
+    assert run(["features", str(CROSS), option, value]) == 2
+    assert message in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("asked", [("features", "probing_cross"), ("compare-formulations", "step_diagonal")])

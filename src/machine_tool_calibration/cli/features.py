@@ -32,6 +32,17 @@ def _names(*counts: int) -> Callable[[click.Context, click.Parameter, Any], Any]
     return split
 
 
+def _through(context: click.Context, parameter: click.Parameter, value: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
+    """Names by the name of the feature that goes through them."""
+    out = {}
+    for one in value:
+        name, _, names = one.partition("=")
+        if not name.strip() or not names.strip():
+            raise click.BadParameter(f"{one!r} is not NAME=A,B,…", context, parameter)
+        out[name.strip()] = tuple(part.strip() for part in names.split(","))
+    return out
+
+
 @click.command("features")
 @click.argument("session", type=click.Path(path_type=Path))
 @click.option(
@@ -39,6 +50,13 @@ def _names(*counts: int) -> Callable[[click.Context, click.Parameter, Any], Any]
     "listed",
     type=click.Path(path_type=Path, dir_okay=False),
     help="YAML list of which points make a feature, where the session does not say it.",
+)
+@click.option(
+    "--through",
+    callback=_through,
+    metavar="NAME=A,B,…",
+    multiple=True,
+    help="Circle or line through centres, such as pitch=pin*; repeatable.",
 )
 @click.option("--frame", callback=_names(2), metavar="A,B", help="A has no error, B none across: the part's own frame.")
 @click.option(
@@ -68,6 +86,7 @@ def _names(*counts: int) -> Callable[[click.Context, click.Parameter, Any], Any]
 def command(
     session: Path,
     listed: Path | None,
+    through: dict[str, tuple[str, ...]],
     frame: tuple[str, str] | None,
     distances: tuple[tuple[str, str], ...],
     angles: tuple[tuple[str, ...], ...],
@@ -88,6 +107,7 @@ def command(
     \b
     mtcal features measurements/frame --frame pin1,pin11
     mtcal features measurements/frame --distance pin1,pin10 --draws 1000 --plot pins.png
+    mtcal features measurements/frame --through pitch=pin* --distance pitch,pin1
     mtcal features measurements/block --features walls.yaml --angle left,top
     """
     from machine_tool_calibration.methods.identify import identify
@@ -99,7 +119,7 @@ def command(
 
     named = None if listed is None else read_feature_points(listed)
     fit = identify(open_measurement(session), model=model, effects=effects, own=own_effects(files)).fit
-    found = features(fit, named=named, frame=frame, distances=distances, angles=angles)
+    found = features(fit, named=named, centres=through, frame=frame, distances=distances, angles=angles)
     drawn = monte_carlo(fit, found.rows, draws, distribution, seed) if draws else None  # type: ignore[arg-type]
     if as_json:
         write_json(features_document(found, drawn))

@@ -40,6 +40,7 @@ class Features(Shown):
         fit: Fit,
         *,
         named: Mapping[str, Sequence[str]] | None,
+        centres: Mapping[str, Sequence[str]] | None,
         frame: tuple[str, str] | None,
         distances: Sequence[tuple[str, str]],
         angles: Sequence[tuple[str, ...]],
@@ -48,7 +49,7 @@ class Features(Shown):
         seed: int,
     ) -> Features:
         """As `Fit.features` describes it."""
-        found = features(fit, named=named, frame=frame, distances=distances, angles=angles)
+        found = features(fit, named=named, centres=centres, frame=frame, distances=distances, angles=angles)
         return cls(found, monte_carlo(fit, found.rows, draws, distribution, seed) if draws else None)
 
     @property

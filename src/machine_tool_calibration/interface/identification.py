@@ -212,6 +212,7 @@ class Fit(Shown):
         self,
         *,
         named: Mapping[str, Sequence[str]] | None = None,
+        centres: Mapping[str, Sequence[str]] | None = None,
         frame: tuple[str, str] | None = None,
         distances: Sequence[tuple[str, str]] = (),
         angles: Sequence[tuple[str, ...]] = (),
@@ -223,6 +224,8 @@ class Fit(Shown):
 
         Args:
             named: ids of the points of features that the session's points do not name.
+            centres: further features, each the circle or line through the centres of several: names, or patterns such
+                as `pin*`.
             frame: the feature that has no error, and the one that gives the direction; without, the part as a whole
                 has no shift and no turn.
             distances: pairs of features.
@@ -241,6 +244,7 @@ class Fit(Shown):
         return Features.of(
             self.result.fit,
             named=named,
+            centres=centres,
             frame=frame,
             distances=distances,
             angles=angles,

@@ -15,7 +15,7 @@ from machine_tool_calibration.methods.identify import fit_sessions
 from machine_tool_calibration.methods.probing.features import Features, features
 from machine_tool_calibration.methods.probing.map import Responses
 from machine_tool_calibration.methods.probing.propagation import COVERAGE, monte_carlo
-from machine_tool_calibration.methods.probing.shapes import Circle, Line, element
+from machine_tool_calibration.methods.probing.shapes import Circle, Line, element, through
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.procedure.workpiece import Workpiece, workpiece_points
 from machine_tool_calibration.session.session import Session
@@ -99,6 +99,29 @@ def test_material_that_grows_makes_a_hole_smaller_and_a_wall_stand_out() -> None
     np.testing.assert_allclose(wall.rows @ np.ones(3), [1, 0], atol=1e-12)
     # Turned counter-clockwise, what is higher goes towards -x.
     np.testing.assert_allclose(wall.rows @ (-1e-5 * (place[:, 1] - place[:, 1].mean())), [0, 1e-5], atol=1e-15)
+
+
+def test_the_circle_and_the_line_through_centres_by_hand() -> None:
+    def pin(k: int, place: np.ndarray) -> Circle:
+        """Its x is the error of one point, its y that of another one."""
+        rows = np.zeros((3, 8))
+        rows[0, 2 * k] = rows[1, 2 * k + 1] = 1.0
+        return Circle(f"pin{k}", np.array([2 * k, 2 * k + 1]), place, rows, 0.006, False)
+
+    corners = 0.1 * np.array([[1.0, 0], [0, 1], [-1, 0], [0, -1]]) + [0.02, 0.03]
+    pitch = through("pitch", [pin(k, place) for k, place in enumerate(corners)])
+    assert isinstance(pitch, Circle) and not pitch.hole
+    assert (*pitch.place, pitch.radius) == pytest.approx((0.02, 0.03, 0.1))
+    dx, dy = 2 * np.arange(4), 2 * np.arange(4) + 1
+    np.testing.assert_allclose(pitch.rows[0, dx], [0.5, 0, 0.5, 0], atol=1e-12)
+    np.testing.assert_allclose(pitch.rows[2, [*dx, *dy]], np.array([1, 0, -1, 0, 0, 1, 0, -1]) / 4, atol=1e-12)
+    row = through("row", [pin(k, np.array([0.05 * k, 0.01])) for k in range(4)])
+    assert isinstance(row, Line)
+    sense = row.normal[1]
+    np.testing.assert_allclose(row.rows[0, dy], np.full(4, sense / 4), atol=1e-12)
+    np.testing.assert_allclose(row.rows[:, dx], 0.0, atol=1e-12)
+    # The last one 10 um higher than the first over 150 mm: turned counter-clockwise.
+    np.testing.assert_allclose(row.rows[1, dy] @ np.linspace(0, 1e-5, 4), 1e-5 / 0.15, rtol=1e-9)
 
 
 def actual(points: np.ndarray, normal: np.ndarray, nominal: tuple[float, ...]) -> np.ndarray:
@@ -249,6 +272,11 @@ def test_one_angle_determines_no_feature(part: Callable[..., Any]) -> None:
         ({"distances": [("a", "aa")]}, "distance: no feature 'aa' (did you mean 'a'?)"),
         ({"distances": [("a", "a")]}, "distance a,a: their centres coincide"),
         ({"distances": [("top", "side")]}, "distance top,side: the lines are not parallel"),
+        ({"centres": {"p": ["a", "zz"]}}, "feature p: no feature 'zz'; there are a, b, c, d, top, foot, side"),
+        ({"centres": {"a": ["b", "c"]}}, "feature a: there is one of that name already"),
+        ({"centres": {"p": ["a", "t*"]}}, "feature p: top is a line and has no centre"),
+        ({"centres": {"p": ["a", "b", "c", "d"]}}, "feature p: its points lie neither on a circle"),
+        ({"centres": {"p": ["a"]}}, "feature p: its points lie neither on a circle"),
         ({"angles": [("top", "a")]}, "angle top,a: it is between two lines, or at the second of three circles"),
         ({"angles": [("a", "a", "b")]}, "angle a,a,b: the centres of a and a coincide"),
         ({"named": {"e": ["0", "x1"]}}, "feature e: the workpiece has no point 'x1'"),

@@ -11,6 +11,7 @@ squares, too, and lengths are relative to it.
 
 from __future__ import annotations
 
+import fnmatch
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -20,7 +21,7 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError, ModelError, did_you_mean
 from machine_tool_calibration.methods.probing.map import common_motions, points_of_form, responses
 from machine_tool_calibration.methods.probing.model import ProbingModel
-from machine_tool_calibration.methods.probing.shapes import Circle, Element, Line, elements
+from machine_tool_calibration.methods.probing.shapes import Circle, Element, Line, elements, through
 from machine_tool_calibration.model.fit import Fit
 
 __all__ = ["Features", "Quantity", "features"]
@@ -91,6 +92,7 @@ def features(
     fit: Fit,
     *,
     named: Mapping[str, Sequence[str]] | None = None,
+    centres: Mapping[str, Sequence[str]] | None = None,
     frame: tuple[str, str] | None = None,
     distances: Sequence[tuple[str, str]] = (),
     angles: Sequence[tuple[str, ...]] = (),
@@ -100,6 +102,8 @@ def features(
     Args:
         fit: of the session.
         named: ids of the points of features that the session's points do not name.
+        centres: further features, each the circle or line through the centres of several; names, or patterns such as
+            `pin*`.
         frame: the feature, a circle, that has no error; and the one that gives the direction: a circle has no error in
             Y (none in X, where the two lie rather along Y), a line does not turn.
         distances: pairs of features: centres, a centre and a line, or two parallel lines (from the first one to the
@@ -120,7 +124,9 @@ def features(
         why = "; ".join(f"{name}: {text}" for name, text in left_out.items())
         raise CalibrationError(f"no feature: {why}; a list of points (--features) says which belong together")
     known = {one.name: one for one in made}
-    asked = [q for one in made for q in _own(one)]
+    for name, patterns in (centres or {}).items():
+        known[name] = through(name, _round(known, name, patterns))
+    asked = [q for one in known.values() for q in _own(one)]
     asked += [_distance(*(_named(known, name, "distance") for name in pair)) for pair in distances]
     asked += [_angle([_named(known, name, "angle") for name in several]) for several in angles]
     motion = common_motions(model.description, model.length_known)
@@ -138,13 +144,25 @@ def features(
     rows = rows - (rows @ motion) @ np.linalg.pinv(conditions @ motion) @ conditions
     result = found.combine(rows)
     quantities = tuple(Quantity(q.of, q.what, q.unit, q.nominal, row) for q, row in zip(asked, rows, strict=True))
-    return Features(made, quantities, result.value, result.covariance, words, left_out)
+    return Features(tuple(known.values()), quantities, result.value, result.covariance, words, left_out)
 
 
 def _named(known: Mapping[str, Element], name: str, asked: str) -> Element:
     if name not in known:
         raise CalibrationError(f"{asked}: no feature {name!r}{did_you_mean(name, known)}; there are {', '.join(known)}")
     return known[name]
+
+
+def _round(known: Mapping[str, Element], name: str, patterns: Sequence[str]) -> list[Circle]:
+    """The features whose centres a further one goes through."""
+    if name in known:
+        raise CalibrationError(f"feature {name}: there is one of that name already")
+    wanted = [n for p in patterns for n in (fnmatch.filter(known, p) or [_named(known, p, f"feature {name}").name])]
+    found = [known[n] for n in dict.fromkeys(wanted)]
+    for one in found:
+        if not isinstance(one, Circle):
+            raise CalibrationError(f"feature {name}: {one.name} is a line and has no centre")
+    return [one for one in found if isinstance(one, Circle)]
 
 
 def _own(one: Element) -> list[Quantity]:

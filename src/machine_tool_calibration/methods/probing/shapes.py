@@ -9,7 +9,7 @@ for a wall e = offset + t turn, with t the place along it from the middle of its
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.errors import CalibrationError, did_you_mean
 from machine_tool_calibration.session.description import Probing
 
-__all__ = ["Circle", "Element", "Line", "element", "elements"]
+__all__ = ["Circle", "Element", "Line", "element", "elements", "through"]
 
 # How far nominal points may be off their circle or line, m, and normals off theirs: what drawings round.
 _ROUNDED = 1e-6
@@ -156,6 +156,38 @@ def element(name: str, index: IntArray, position: Array, normal: Array, touched:
     if straight:
         return Line(name, index[used], middle, rows, across, float(np.abs(t).max()))
     return Circle(name, index[used], centre, rows, abs(signed), signed < 0)
+
+
+def through(name: str, circles: Sequence[Circle]) -> Element:
+    """The circle or line through the centres of round features: a pitch circle, a row of holes.
+
+    Args:
+        name: of the new feature.
+        circles: of which the centres are used.
+
+    Raises:
+        CalibrationError: the nominal centres lie on neither, or are too few.
+    """
+    centres = np.array([one.place for one in circles])
+    normal = _normals(centres)
+    found = element(name, np.arange(len(circles)), centres, normal, np.ones(len(circles), dtype=bool))
+    moves = np.array([along @ one.rows[:2] for along, one in zip(normal, circles, strict=True)])
+    index = np.concatenate([one.index for one in circles])
+    return replace(found, index=index, rows=found.rows @ moves)
+
+
+def _normals(places: Array) -> Array:
+    """(m, 2) outward unit vectors of the circle through places; of a line all the same one."""
+    middle = places.mean(axis=0)
+    around = places - middle
+    across = np.linalg.svd(around)[2][-1]
+    if np.all(np.abs(around @ across) < _ROUNDED):
+        return np.tile(across, (len(places), 1))
+    # |p|^2 = 2 c . p + constant, exact where the places are.
+    design = np.column_stack([2.0 * around, np.ones(len(places))])
+    centre = np.linalg.lstsq(design, np.sum(around**2, axis=1), rcond=None)[0][:2]
+    outward = around - centre
+    return np.asarray(outward / np.maximum(np.linalg.norm(outward, axis=1), _ROUNDED)[:, None])
 
 
 def _circle(position: Array, normal: Array) -> tuple[Array, float]:
