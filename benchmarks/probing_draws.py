@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Time of a Monte Carlo propagation (GUM Supplement 1) at the size of paper 002's first case study.
+"""Time of a Monte Carlo propagation (GUM Supplement 1) at the size of the probing paper's first case study.
 
 92 points at four angles of C, the errors of all points: processor time of the draws, with their one factorisation, and
 the largest difference of their standard uncertainties from the closed form, over what chance leaves.

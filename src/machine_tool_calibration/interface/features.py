@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -12,9 +11,7 @@ import pandas as pd
 
 from machine_tool_calibration.interface.show import Shown, notebook, printed
 from machine_tool_calibration.methods.probing.features import Features as Found
-from machine_tool_calibration.methods.probing.features import features
-from machine_tool_calibration.methods.probing.propagation import Distribution, MonteCarlo, monte_carlo
-from machine_tool_calibration.model.fit import Fit
+from machine_tool_calibration.methods.probing.propagation import MonteCarlo
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,24 +30,6 @@ class Features(Shown):
 
     found: Found
     drawn: MonteCarlo | None = None
-
-    @classmethod
-    def of(
-        cls,
-        fit: Fit,
-        *,
-        named: Mapping[str, Sequence[str]] | None,
-        centres: Mapping[str, Sequence[str]] | None,
-        frame: tuple[str, str] | None,
-        distances: Sequence[tuple[str, str]],
-        angles: Sequence[tuple[str, ...]],
-        draws: int,
-        distribution: Distribution,
-        seed: int,
-    ) -> Features:
-        """As `Fit.features` describes it."""
-        found = features(fit, named=named, centres=centres, frame=frame, distances=distances, angles=angles)
-        return cls(found, monte_carlo(fit, found.rows, draws, distribution, seed) if draws else None)
 
     @property
     def datum(self) -> str:

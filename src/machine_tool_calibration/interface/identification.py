@@ -238,20 +238,14 @@ class Fit(Shown):
             CalibrationError: no probing session, several sessions, no such feature, or features that do not fit.
         """
         from machine_tool_calibration.interface.features import Features
+        from machine_tool_calibration.methods.probing.features import features
+        from machine_tool_calibration.methods.probing.propagation import monte_carlo
 
         if not isinstance(self.result, Result):
             raise ModelError("features are those of one probing session; this fit is of several")
-        return Features.of(
-            self.result.fit,
-            named=named,
-            centres=centres,
-            frame=frame,
-            distances=distances,
-            angles=angles,
-            draws=draws,
-            distribution=distribution,
-            seed=seed,
-        )
+        fit = self.result.fit
+        found = features(fit, named=named, centres=centres, frame=frame, distances=distances, angles=angles)
+        return Features(found, monte_carlo(fit, found.rows, draws, distribution, seed) if draws else None)
 
     def compare(self) -> Comparison:
         """Hold the model against the readings of the fit: how well it fits, and where it fails."""

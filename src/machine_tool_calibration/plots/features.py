@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Picture of a probed part's features: deviations magnified, with ellipses of uncertainty (paper 002, Fig. 17)."""
+"""Picture of a probed part's features: deviations magnified, with ellipses of uncertainty (the paper's Fig. 17)."""
 
 from __future__ import annotations
 

@@ -4,7 +4,7 @@
 Every quantity is a weighted sum of the errors of the points (`shapes`), so its uncertainty follows from their joint
 covariance, with all that the self-calibration makes common to them: closed form, to first order. A motion of the whole
 workpiece, which is the datum's and not the part's, is taken out by three conditions: one feature has no error, another
-one none across (paper 002, Section 5.2: the first pin and the 11th); without such a frame the whole has no shift and no
+one none across (the paper, Section 5.2: the first pin and the 11th); without such a frame the whole has no shift and no
 turn by least squares, as in `workpiece_form`. Where no length is known, the whole has its nominal size by least
 squares, too, and lengths are relative to it.
 """
@@ -135,7 +135,7 @@ def features(
     whole[:, used] = np.linalg.pinv(motion[used])
     conditions, words = whole, "without the shift and turn of the workpiece as a whole (least squares)"
     if frame is not None:
-        conditions, words = _frame(known, frame, motion)
+        conditions, words = _frame(known, frame)
         conditions = np.concatenate([conditions, whole[3:]])
     if not model.length_known:
         words += "; no length was measured: the workpiece as a whole has its nominal size, lengths are relative to it"
@@ -233,7 +233,7 @@ def _sight(corner: Element, other: Element, of: tuple[str, ...]) -> tuple[float,
     return float(np.arctan2(line[1], line[0])), across @ (other.rows[:2] - corner.rows[:2])
 
 
-def _frame(known: Mapping[str, Element], frame: tuple[str, str], motion: Array) -> tuple[Array, str]:
+def _frame(known: Mapping[str, Element], frame: tuple[str, str]) -> tuple[Array, str]:
     """(3, N) what has no error in a frame of two features, and the frame in words."""
     first, second = (_named(known, name, "frame") for name in frame)
     if not isinstance(first, Circle):
