@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.interface import tables
 from machine_tool_calibration.interface.session import Measurement, Source, load, one_below_the_other
 from machine_tool_calibration.interface.show import Shown, chosen, printed
-from machine_tool_calibration.methods.identify import JointResult, identify_sessions
+from machine_tool_calibration.methods.identify import JointResult, fitted_sessions, identify_sessions
 from machine_tool_calibration.methods.identify import identify as identify_one
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.reports.quantities import quantity, rounded
@@ -26,6 +27,8 @@ from machine_tool_calibration.reports.quantities import quantity, rounded
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from machine_tool_calibration.budget.contributor import Contributor
+    from machine_tool_calibration.interface.budget import Budget, Conformity
     from machine_tool_calibration.interface.diagnosis import Comparison, Diagnosis
     from machine_tool_calibration.interface.features import Features
     from machine_tool_calibration.methods.probing.propagation import Distribution
@@ -281,6 +284,57 @@ class Fit(Shown):
         """
         ids, own = split_effects(effects, self.own)
         return _fitted(self.measurement, self.variant, (*self.effects, *ids), own, self.keep_all)
+
+    def budget(
+        self,
+        contributors: str | Path | Sequence[Contributor | Mapping[str, Any]] | None = None,
+        *,
+        quantities: str | Sequence[str] = (),
+        draws: int = 0,
+        seed: int = 1,
+    ) -> Budget:
+        """Who contributes what to the uncertainty of everything that was identified.
+
+        Args:
+            contributors: a YAML file, or its lines as mappings; those of the instrument to begin with if absent.
+            quantities: names to tell in detail, such as EXX, C0Y or an unknown; the usual ones if absent.
+            draws: of a Monte Carlo check (JCGM 101); 0 without one.
+            seed: of random draws.
+
+        Raises:
+            CalibrationError: the file or a line is wrong, the instrument has no budget to begin with, or a quantity is
+                not published.
+        """
+        from machine_tool_calibration.interface.budget import Budget
+
+        fitted = fitted_sessions(self.result)
+        return Budget.of(fitted, self.measurement.sessions, contributors, quantities, draws, seed)
+
+    def conformity(
+        self,
+        tolerances: Mapping[str, float | str],
+        *,
+        rule: str = "guarded",
+        level: float = 0.95,
+        budget: Budget | None = None,
+        seed: int = 1,
+    ) -> Conformity:
+        """Whether tolerances are kept: pass, fail or undecided with the probability.
+
+        Args:
+            tolerances: by figure, m or rad or a text with its unit: an error motion (its range), a squareness (its
+                absolute value), A, R, E, M, B or B_mean of ISO 230-2 (`A_X` of one axis), or `volumetric`.
+            rule: guarded (ISO 14253-1), guarded-acceptance, guarded-rejection or simple (JCGM 106).
+            level: conformance probability of the rule.
+            budget: whose uncertainties are taken; those of the identification if absent.
+            seed: of random draws.
+
+        Raises:
+            CalibrationError: nothing of that name has a tolerance, a wrong unit, or no such rule.
+        """
+        from machine_tool_calibration.interface.budget import Conformity
+
+        return Conformity.of(fitted_sessions(self.result), tolerances, rule, level, budget, seed)
 
     @cached_property
     def _document(self) -> dict[str, Any]:
