@@ -11,7 +11,9 @@ import pytest
 
 import machine_tool_calibration as mtcal
 from machine_tool_calibration.cli.main import run
+from machine_tool_calibration.diagnosis.history import Entry
 from machine_tool_calibration.plots.features import draw_features
+from machine_tool_calibration.reports.history_file import fingerprint, history_path, update_history
 from machine_tool_calibration.session.folder import read_session
 
 ROOT = Path(__file__).parents[2]
@@ -144,3 +146,35 @@ def test_other_methods_and_several_sessions_have_no_features(capsys: pytest.Capt
     assert "this session is of the method tracking_interferometer" in capsys.readouterr().err
     with pytest.raises(mtcal.CalibrationError, match="of one probing session; this fit is of several"):
         mtcal.identify([CROSS, CROSS]).features()
+
+
+def test_a_missing_effect_is_said_and_the_model_in_use_has_it(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    mtcal.simulate("probing_pins", effects={"probe_pretravel": 3e-6}, seed=2).save(tmp_path / "pins")
+    asked = ["features", str(tmp_path / "pins"), "--frame", "pin1,pin11", "--json"]
+    assert run(asked) == 0
+    out = capsys.readouterr()
+    assert out.err.startswith("warning: The readings scatter")
+    plain = _uncertainty(out.out, "pin5")
+    session = read_session(tmp_path / "pins")
+    better = Entry(
+        number=1, made="2026-01-01T00:00:00", by="mtcal improve", model="rigid_body", effects=("probe_pretravel",),
+        data=fingerprint(session), used=len(session.readings), rms_residual=1e-6, reduced_chi_square=1.0,
+        degrees_of_freedom=500,
+    )  # fmt: skip
+    update_history(history_path(tmp_path / "pins"), lambda history: history.grown([better]))
+    assert run(asked) == 0
+    assert "holds a better model" in capsys.readouterr().err
+    assert run([*asked, "--from-history"]) == 0
+    out = capsys.readouterr()
+    assert not out.err
+    assert _uncertainty(out.out, "pin5") < 0.8 * plain
+    assert run([*asked, "--from-history", "--effect", "probe_pretravel"]) == 2
+
+
+def _uncertainty(document: str, name: str) -> float:
+    """Standard uncertainty of the x of a pin."""
+    quantities = json.loads(document)["quantities"]
+    (found,) = [q["standard_uncertainty"] for q in quantities if q["features"] == [name] and q["quantity"] == "x"]
+    return float(found)

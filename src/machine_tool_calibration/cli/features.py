@@ -9,8 +9,8 @@ from typing import Any
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import model_options, note_written, own_effects
-from machine_tool_calibration.cli.output import console, json_option, write_json
+from machine_tool_calibration.cli.diagnosing import current_model, model_options, note_written, own_effects
+from machine_tool_calibration.cli.output import console, json_option, note, write_json
 
 __all__ = ["command"]
 
@@ -81,6 +81,11 @@ def _through(context: click.Context, parameter: click.Parameter, value: tuple[st
 )
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of the draws.")
 @model_options
+@click.option(
+    "--from-history",
+    is_flag=True,
+    help="Model, effects and outliers as in the session's current model (`mtcal improve`, `mtcal history`).",
+)
 @click.option("-p", "--plot", type=click.Path(path_type=Path, dir_okay=False), help="Draw them into this file.")
 @json_option
 def command(
@@ -96,6 +101,7 @@ def command(
     effects: tuple[str, ...],
     files: tuple[Path, ...],
     model: str | None,
+    from_history: bool,
     plot: Path | None,
     as_json: bool,
 ) -> None:
@@ -110,6 +116,7 @@ def command(
     mtcal features measurements/frame --through pitch=pin* --distance pitch,pin1
     mtcal features measurements/block --features walls.yaml --angle left,top
     """
+    from machine_tool_calibration.cli.export import bad_fit, unused_model
     from machine_tool_calibration.methods.identify import identify
     from machine_tool_calibration.methods.probing.features import features
     from machine_tool_calibration.methods.probing.propagation import monte_carlo
@@ -117,14 +124,27 @@ def command(
     from machine_tool_calibration.reports.features import features_document, show_features
     from machine_tool_calibration.session.feature_points import read_feature_points
 
-    named = None if listed is None else read_feature_points(listed)
-    fit = identify(open_measurement(session), model=model, effects=effects, own=own_effects(files)).fit
+    if from_history and (effects or model):
+        raise click.UsageError("--from-history is without --effect and --model.")
+    named, own = None if listed is None else read_feature_points(listed), own_effects(files)
+    opened = open_measurement(session)
+    if from_history:
+        entry, kept, _ = current_model(opened, session)
+        result = identify(kept, model=entry.model, effects=entry.effects, own=own, keep_all=True)
+        unused = None
+    else:
+        result = identify(opened, model=model, effects=effects, own=own)
+        unused = unused_model(opened, session, effects, result.joint)
+    fit = result.fit
     found = features(fit, named=named, centres=through, frame=frame, distances=distances, angles=angles)
     drawn = monte_carlo(fit, found.rows, draws, distribution, seed) if draws else None  # type: ignore[arg-type]
     if as_json:
         write_json(features_document(found, drawn))
     else:
         show_features(console(), found, drawn)
+    for text in (bad_fit(result.joint, result.error_map.content), unused):
+        if text is not None:
+            note(text)
     if plot is not None:
         from machine_tool_calibration.plots.features import draw_features
         from machine_tool_calibration.plots.style import save_as
