@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from machine_tool_calibration.interface.budget import Budget, Conformity
     from machine_tool_calibration.interface.diagnosis import Comparison, Diagnosis
     from machine_tool_calibration.interface.effects import Effect, catalogue
+    from machine_tool_calibration.interface.features import Features
     from machine_tool_calibration.interface.identification import Fit, identify
     from machine_tool_calibration.interface.improvement import Improvement, improve, plot_improvement
     from machine_tool_calibration.interface.session import Measurement, load, simulate
@@ -34,6 +35,7 @@ __all__ = [
     "Conformity",
     "Diagnosis",
     "Effect",
+    "Features",
     "Fit",
     "Improvement",
     "Measurement",
@@ -54,6 +56,7 @@ if not TYPE_CHECKING:
         "Conformity": "interface.budget",
         "Diagnosis": "interface.diagnosis",
         "Effect": "interface.effects",
+        "Features": "interface.features",
         "Fit": "interface.identification",
         "Improvement": "interface.improvement",
         "Measurement": "interface.session",
