@@ -120,6 +120,15 @@ def test_fanuc_takes_positioning_errors_away_to_its_rounding(machine: AxisTables
         assert np.abs(own.field(commands)[:, j]).max() > 3e-6
 
 
+@pytest.mark.parametrize("low", [0.1, -0.4])
+def test_travel_on_one_side_of_the_reference_point(low: float, machine: AxisTables) -> None:
+    nodes = np.linspace(low, low + 0.3, 4)
+    own = replace(machine, tables=(motion("EXX", nodes, 3e-5 * nodes),), squareness={})
+    files = write_tables("fanuc", own, "cell 1")
+    commands = np.where(np.arange(3) == 0, nodes[:, None], 0.0)
+    assert np.abs(left(own, commands, series_0i(files, commands))[:, 0]).max() <= 0.5e-6 + 1e-9
+
+
 @pytest.mark.parametrize(("form", "controller"), CONTROLLERS)
 def test_the_opposite_sign_makes_errors_larger(
     form: str, controller: Controller, machine: AxisTables, error_map: ErrorMap

@@ -174,9 +174,9 @@ def command(
     _save(folder, files, pictures=(_PICTURE,) if plot else ())
     if plot:
         from machine_tool_calibration.plots.compensation import draw_compensation
-        from machine_tool_calibration.plots.style import save
+        from machine_tool_calibration.plots.style import save_as
 
-        save({picture.stem: draw_compensation(errors, f"{form}: {found.source}")}, folder)
+        save_as(draw_compensation(errors, f"{form}: {found.source}"), picture)
     if as_json:
         write_json(
             {

@@ -8,7 +8,8 @@ Format: Siemens, SINUMERIK 840D sl / 828D, Function Manual Extended Functions, 0
   at the reference point; straight lines between the points; the file `%_N_AX_EEC_INI`, `CHANDATA(1)`, …, `M17`.
 - Section 4.4.3, https://www.easymanua.ls/siemens/sinumerik-series/manual/275710?p=243, ?p=245, ?p=248 and
   https://manual.onestart.ai/manuals/Siemens-SINUMERIK-Series-Function-Manual-5628364?page=249: the parameters of a sag
-  table; beyond its ends the first and the last value hold; which machine data enable it.
+  table; beyond its ends the first and the last value hold (taken to be so of leadscrew tables too); which machine data
+  enable it.
 - SINUMERIK 802D sl, Function Manual 11/2012 (6FC5397-1CP10-5BA0),
   https://www.easymanua.ls/siemens/sinumerik-802d-sl/manual/592298?p=222: the file `%_N_NC_CEC_INI` as a whole.
 - The same manual of the 840D sl, ?p=264: an 828D has eight sag tables of 200 points each.
