@@ -49,13 +49,13 @@ def command(first: Path, second: Path, model: str | None, seed: int, plot: Path 
             progress(f"identifying {label}")
             variant = model if model in session.spec.models else None
             fitted.append(fitted_sessions(identify(session, model=variant)))
-        comparison = compare_fits(fitted[0], fitted[1], seed=seed, progress=progress)
+        comparison = compare_fits(fitted[0], fitted[1], (one, two), seed=seed, progress=progress)
     if as_json:
-        write_json(map_comparison_document(comparison, (one, two)))
+        write_json(map_comparison_document(comparison))
     else:
-        show_map_comparison(console(), comparison, (one, two))
+        show_map_comparison(console(), comparison)
     if plot is not None:
         from machine_tool_calibration.plots.map_comparison import draw_map_comparison
         from machine_tool_calibration.plots.style import save
 
-        note_written(save({plot.stem: draw_map_comparison(comparison, (one, two))}, plot.parent))
+        note_written(save({plot.stem: draw_map_comparison(comparison)}, plot.parent))

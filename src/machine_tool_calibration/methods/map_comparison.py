@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 from scipy import special
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.model.restated import drawn
@@ -61,10 +61,11 @@ class MapComparison:
         points: (n, 3) that both have, m.
         first, second: (n, 3) position errors, m, the common motion taken out of the first; NaN where one of both has
             none.
-        u_first, u_second: (n, 3) standard uncertainties in this datum.
+        u_first, u_second: (n, 3) standard uncertainties of each map without what a common motion may be.
         u: (n, 3) standard uncertainty of the difference.
         motion: what was taken out.
         p_value: of all differences together, with their correlations; None where there are too few draws to tell.
+        labels: names of the maps.
     """
 
     points: Array
@@ -75,6 +76,7 @@ class MapComparison:
     u: Array
     motion: tuple[Motion, ...]
     p_value: float | None
+    labels: tuple[str, str]
 
     @property
     def difference(self) -> Array:
@@ -109,7 +111,12 @@ class MapComparison:
 
 
 def compare_maps(
-    points: Array, first: Array, second: Array, roots: tuple[Array, Array], draws: int | None = None
+    points: Array,
+    first: Array,
+    second: Array,
+    roots: tuple[Array, Array],
+    draws: int | None = None,
+    labels: tuple[str, str] = ("first", "second"),
 ) -> MapComparison:
     """Take the common motion out, and give what is left with its uncertainty.
 
@@ -120,6 +127,7 @@ def compare_maps(
         roots: for each map (k, n, 3) rows of a root of the covariance of its errors: the product of the transposed
             root with itself is the covariance. Both have the same k, and are independent row by row.
         draws: number of random draws that the roots were made of; None where they are exact.
+        labels: names of the maps.
 
     Raises:
         ModelError: nothing to compare.
@@ -154,10 +162,11 @@ def compare_maps(
         u=values[4],
         motion=_motion(moves, scale, a - b, rows[0] - rows[1]),
         p_value=_p_value(difference, both, draws),
+        labels=labels,
     )
 
 
-def _motions(points: Array, there: Array) -> tuple[Array, float]:
+def _motions(points: Array, there: BoolArray) -> tuple[Array, float]:
     """(q, 6) change of the components that are there by a unit of each motion, and the arm by which turns are scaled.
 
     Turns are about the middle of the points, and move the farthest of them by 1.
@@ -170,7 +179,7 @@ def _motions(points: Array, there: Array) -> tuple[Array, float]:
     return field.transpose(0, 2, 1)[there], size
 
 
-def _placed(there: Array, values: Array) -> Array:
+def _placed(there: BoolArray, values: Array) -> Array:
     out = np.full(there.shape, np.nan)
     out[there] = values
     return out
@@ -229,6 +238,7 @@ def map_draws(
 def compare_fits(
     first: FittedSessions,
     second: FittedSessions,
+    labels: tuple[str, str] = ("first", "second"),
     *,
     draws: int = DRAWS,
     seed: int = 1,
@@ -239,6 +249,7 @@ def compare_fits(
     Args:
         first: one measurement.
         second: the other, independent of it.
+        labels: their names.
         draws: by which the uncertainties are carried over to the common datum; each is told to 1 / sqrt(2 draws).
         seed: of the draws.
         progress: is told what is done and which share of it.
@@ -262,6 +273,7 @@ def compare_fits(
         second.error_map.error[pairs[1]],
         (own[0], own[1]),
         draws,
+        labels,
     )
 
 

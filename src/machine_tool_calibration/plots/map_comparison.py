@@ -33,29 +33,25 @@ _SHARE = 0.12
 _STILL = 1e-6  # m
 
 
-def draw_map_comparison(comparison: MapComparison, labels: tuple[str, str] = ("first map", "second map")) -> Figure:
+def draw_map_comparison(comparison: MapComparison) -> Figure:
     """Both maps in their common datum on the left, the normalised differences on the right.
 
     A map that is compared along two axes is drawn as places, errors magnified; along one as profiles with U (k = 2).
-
-    Args:
-        comparison: of two maps.
-        labels: their names.
     """
     from matplotlib.ticker import MaxNLocator
 
     told = np.isfinite(comparison.difference)
     axes = np.flatnonzero(told.any(axis=0))
-    verdict = "agree" if comparison.agree else "contradict each other"
+    verdict = "agree" if comparison.agree else "differ by more than their joint uncertainty"
     together = "" if comparison.p_value is None else f" ({p_value(comparison.p_value)})"
     figure = new_figure(
         12.4, 6.4, f"Maps {verdict}{together}; {comparison.beyond} of {comparison.count} |E_n| exceed 1"
     )
     left, right = figure.subplots(1, 2)
     if len(axes) > 1:
-        _places(left, comparison, (int(axes[0]), int(axes[1])), labels)
+        _places(left, comparison, (int(axes[0]), int(axes[1])))
     else:
-        _profiles(left, comparison, int(axes[0]), labels)
+        _profiles(left, comparison, int(axes[0]))
     number = np.arange(len(comparison.points)) + 1
     right.axhspan(-1.0, 1.0, color=BAND, alpha=0.18, lw=0)
     right.axhline(0.0, color="0.6", lw=0.8)
@@ -71,7 +67,7 @@ def draw_map_comparison(comparison: MapComparison, labels: tuple[str, str] = ("f
     return figure
 
 
-def _places(panel: Axes, comparison: MapComparison, axes: tuple[int, int], labels: tuple[str, str]) -> None:
+def _places(panel: Axes, comparison: MapComparison, axes: tuple[int, int]) -> None:
     from matplotlib.collections import LineCollection
 
     pick = list(axes)
@@ -82,7 +78,7 @@ def _places(panel: Axes, comparison: MapComparison, axes: tuple[int, int], label
     scale = round_down(_SHARE * extent / largest) if largest > 0 and extent > 0 else 1.0
     panel.plot(*nominal.T, "+", color=NOMINAL, ms=8, label="commanded")
     drawn = [nominal]
-    for k, (values, label) in enumerate(zip(both, labels, strict=True)):
+    for k, (values, label) in enumerate(zip(both, comparison.labels, strict=True)):
         found = nominal + scale * values
         panel.add_collection(LineCollection(list(np.stack([nominal, found], axis=1)), colors=COLORS[k], linewidths=0.8))
         panel.plot(*found.T, MARKERS[k], color=COLORS[k], ms=6 - 2 * k, label=label)
@@ -98,13 +94,13 @@ def _places(panel: Axes, comparison: MapComparison, axes: tuple[int, int], label
     panel.legend(frameon=False, fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=3)
 
 
-def _profiles(panel: Axes, comparison: MapComparison, axis: int, labels: tuple[str, str]) -> None:
+def _profiles(panel: Axes, comparison: MapComparison, axis: int) -> None:
     moved = np.ptp(comparison.points, axis=0)
     along = axis if moved[axis] > _STILL else int(np.argmax(moved))
     where: Array = 1e3 * comparison.points[:, along]
     order = np.argsort(where, kind="stable")
     pairs = ((comparison.first, comparison.u_first), (comparison.second, comparison.u_second))
-    for k, ((value, u), label) in enumerate(zip(pairs, labels, strict=True)):
+    for k, ((value, u), label) in enumerate(zip(pairs, comparison.labels, strict=True)):
         panel.errorbar(
             where[order], 1e6 * value[order, axis], 2e6 * u[order, axis],
             fmt=f"{MARKERS[k]}-", color=COLORS[k], ms=5, lw=1.2, capsize=3, label=label,

@@ -7,10 +7,14 @@ from functools import singledispatch
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from machine_tool_calibration.methods.map_comparison import MapComparison
 from machine_tool_calibration.methods.step_diagonal.compare import Comparison
+from machine_tool_calibration.plots.map_comparison import draw_map_comparison
 from machine_tool_calibration.plots.step_diagonal import draw_comparison
 from machine_tool_calibration.plots.style import save
+from machine_tool_calibration.plots.tracking_study import draw_profiles, draw_target_uncertainty
 from machine_tool_calibration.validation.record import Study
+from machine_tool_calibration.validation.study_tracking import Profiles, TargetUncertainty
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -29,6 +33,9 @@ def draw(record: Any) -> Figure:
 
 
 draw.register(Comparison, draw_comparison)
+draw.register(MapComparison, draw_map_comparison)
+draw.register(Profiles, draw_profiles)
+draw.register(TargetUncertainty, draw_target_uncertainty)
 
 
 def save_pictures(study: Study, folder: Path) -> list[Path]:

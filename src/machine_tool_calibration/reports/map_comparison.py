@@ -41,17 +41,12 @@ def comparison_words(comparison: MapComparison) -> str:
     )
 
 
-def map_comparison_table(comparison: MapComparison, labels: tuple[str, str]) -> TextTable:
-    """The differences point by point; of many points those with the largest normalised ones.
-
-    Args:
-        comparison: of two maps.
-        labels: their names.
-    """
+def map_comparison_table(comparison: MapComparison) -> TextTable:
+    """The differences point by point; of many points those with the largest normalised ones."""
     told = np.isfinite(comparison.difference)
     axes = np.flatnonzero(told.any(axis=0))
     order = np.flatnonzero(told.any(axis=1))
-    note = f"± U (k = 2); E_n is the difference over its U; 1 is {labels[0]}, 2 is {labels[1]}"
+    note = f"± U (k = 2); E_n is the difference over its U; 1 is {comparison.labels[0]}, 2 is {comparison.labels[1]}"
     if len(order) > _MOST:
         worst = np.nanmax(np.abs(comparison.normalised[order]), axis=1)
         note += f"; the {_MOST} of {len(order)} points that differ most, all with --json"
@@ -76,9 +71,9 @@ def map_comparison_table(comparison: MapComparison, labels: tuple[str, str]) -> 
     return TextTable("Position errors by both maps", tuple(heads), tuple(rows), note)
 
 
-def show_map_comparison(screen: Console, comparison: MapComparison, labels: tuple[str, str]) -> None:
+def show_map_comparison(screen: Console, comparison: MapComparison) -> None:
     """Print the verdict, the motion between the datums and the table."""
-    show_table(screen, map_comparison_table(comparison, labels))
+    show_table(screen, map_comparison_table(comparison))
     moved = [
         f"{m.name} {quantity(m.value, m.unit, m.u)}"
         for m in comparison.motion
@@ -93,11 +88,11 @@ def show_map_comparison(screen: Console, comparison: MapComparison, labels: tupl
     screen.print(comparison_words(comparison))
 
 
-def map_comparison_document(comparison: MapComparison, labels: tuple[str, str]) -> dict[str, Any]:
+def map_comparison_document(comparison: MapComparison) -> dict[str, Any]:
     """For programs: SI units, standard uncertainties; what is not compared is null."""
     return {
         "format": "mtcal-map-comparison/1",
-        "maps": list(labels),
+        "maps": list(comparison.labels),
         "agree": comparison.agree,
         "p_value": comparison.p_value,
         "compared": comparison.count,

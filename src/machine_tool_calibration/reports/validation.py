@@ -53,5 +53,7 @@ def study_page(studies: Sequence[Study], pictures: Sequence[str] = ()) -> str:
 
 def _row(entry: Printed) -> tuple[str, ...]:
     paper, ours = ("–" if value is None else quantity(value, entry.unit) for value in (entry.paper, entry.ours))
+    if entry.at_most and entry.paper is not None:
+        paper = f"< {paper}"
     within = quantity(entry.within, entry.unit) if entry.agrees is not None else ""
     return (entry.what, entry.where, paper, ours, within, _ANSWERS[entry.agrees], entry.why)
