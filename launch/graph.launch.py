@@ -6,7 +6,7 @@ ros2 service call /procedure/start std_srvs/srv/Trigger
 ros2 service call /estimator/identify std_srvs/srv/Trigger
 
 `procedure` is the name of one that the package brings, or a YAML file. In a namespace the graph has its own clock. The
-launch ends with the first node that the measurement cannot do without.
+launch ends with the first node that the measurement cannot do without, with status 1 if that node failed.
 """
 
 import time
@@ -20,6 +20,7 @@ from launch.logging import launch_config
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
+from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.launching import switches, unknown_arguments
 from machine_tool_calibration.nodes.measurement import site_document
 from machine_tool_calibration.nodes.site import read_site
@@ -48,7 +49,10 @@ def ends(event, context):
         return None
     if name in OPTIONAL:
         return LogInfo(msg=f"{name} has ended (status {event.returncode}); the other nodes go on without it")
-    return Shutdown(reason=f"{name} has ended (status {event.returncode}), and nothing can be measured without it")
+    why = f"{name} has ended (status {event.returncode}), and nothing can be measured without it"
+    if event.returncode:
+        raise CalibrationError(why)  # no action makes `ros2 launch` itself return an error
+    return Shutdown(reason=why)
 
 
 def nodes(context):

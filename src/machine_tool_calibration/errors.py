@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 
-__all__ = ["CalibrationError", "ModelError", "SessionError", "did_you_mean"]
+__all__ = ["CalibrationError", "ModelError", "SessionError", "did_you_mean", "suspected"]
 
 
 class CalibrationError(ValueError):
@@ -19,6 +20,15 @@ class SessionError(CalibrationError):
 
 class ModelError(CalibrationError):
     """A model that the data or the machine does not allow."""
+
+
+@contextmanager
+def suspected() -> Iterator[None]:
+    """What is refused within is implausible, not impossible: the message says how it is taken as it is."""
+    try:
+        yield
+    except CalibrationError as error:
+        raise type(error)(f"{error} (trust_units: true in session.yaml takes it as it is)") from None
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

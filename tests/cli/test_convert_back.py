@@ -148,3 +148,16 @@ def test_a_row_that_is_left_out_is_said(
     (tmp_path / "plate.csv").write_text(text)
     _, err = ask(capsys, "convert", tmp_path / "plate.csv", tmp_path / "s", *POINTS, *more)
     assert (f"line {line} is left out" in err) is (line is not None)
+
+
+def test_any_source_is_taken_as_it_is_where_that_is_asked_for(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, measured: Path
+) -> None:
+    ask(capsys, "convert", measured, tmp_path / "r.csv")
+    ask(capsys, "convert", measured, tmp_path / "bag")
+    for number, source in enumerate((measured, tmp_path / "bag", tmp_path / "r.csv")):
+        described = ["--description", measured / "session.yaml"] if source.suffix else []
+        target = tmp_path / f"s{number}"
+        ask(capsys, "convert", source, target, "--to", "session", "--trust-units", *described)
+        assert read_session(target).description.trust_units
+        assert readings_frame(read_session(target)).equals(readings_frame(read_session(measured)))

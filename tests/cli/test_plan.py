@@ -51,7 +51,7 @@ def test_promised_uncertainty_and_detectable_size_of_a_tracking_interferometer()
     assert promised.size is not None
     u = np.sqrt(np.mean(np.square(found.result.error_map.uncertainty[:, :2])))
     errors, sizes = [], []
-    for seed in range(20):
+    for seed in range(8):
         plan_ = TrackingPlan(dimension=2, repeats=2)
         spec = SimulationSpec(plan=plan_, seed=seed, effects=(FlawSpec(id="backlash_y", size=promised.size),))
         result = identify(simulate(spec).session, effects=["backlash_y"])
@@ -124,3 +124,17 @@ def test_workpieces_that_cannot_be(
     assert run(["workpiece", str(tmp_path / words[0]), *words[1:]]) == 1
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1
+
+
+def test_a_plan_says_how_far_it_is_and_holds_few_columns_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    procedure = read_procedure(ROOT / "config" / "procedures" / "tracking_2d.yaml")
+    told: list[tuple[str, float]] = []
+    whole = forecast(procedure, progress=lambda what, share: told.append((what, share)))
+    shares = [share for _, share in told]
+    assert (np.diff(shares) > -1e-12).all() and shares[0] == 0.0 and 0.8 < shares[-1] < 1.0
+    assert len({what for what, _ in told}) == 4
+    monkeypatch.setattr("machine_tool_calibration.planning.forecast._HELD", 1000)
+    pieces = forecast(procedure)
+    assert [(v.effect, v.coefficient) for v in pieces.visible] == [(v.effect, v.coefficient) for v in whole.visible]
+    assert np.allclose([v.size for v in pieces.visible], [v.size for v in whole.visible], rtol=1e-9)
+    assert (pieces.absorbed, pieces.excluded) == (whole.absorbed, whole.excluded)

@@ -32,9 +32,9 @@ def test_nothing_missing_is_called_adequate(plan: str) -> None:
 
 def test_false_alarms_stay_rare_with_and_without_a_spread_between_setups(many: Any) -> None:
     spreads = (Spread(), Spread(slope=0.4 * SIGMA, bow=0.4 * SIGMA))
-    seeds = range(500, 500 + many.part(1 / 3).count)
+    seeds = range(500, 500 + many.part(1 / 5).count)
     alarms = [look("tracking_2d", seed, spread=one).verdict != "adequate" for one in spreads for seed in seeds]
-    assert sum(alarms) <= many.part(2 / 3).at_most(0.05)
+    assert sum(alarms) <= many.part(2 / 5).at_most(0.05)
 
 
 @pytest.mark.parametrize(
@@ -44,8 +44,6 @@ def test_false_alarms_stay_rare_with_and_without_a_spread_between_setups(many: A
         ("tracking_2d", "pointer_radial_error", 4e-6),
         ("tracking_3d", "thermal_expansion_x", 6e-6),
         ("rotary_axis", "backlash_c", 2e-6),
-        ("step_diagonal", "backlash_y", 3e-6),
-        ("probing_cross", "probe_pretravel", 3e-6),
         ("probing_cam", "workpiece_thermal", 6e-6),
     ],
 )
@@ -55,8 +53,7 @@ def test_a_hidden_effect_is_named_and_the_error_falls(plan: str, effect: str, am
     alike = {effect}.union(*(group for group in found.look.groups if effect in group))
     assert found.accepted[0] in alike
     before, after = (fit.reduced_chi_square for fit in (found.fits[0], found.fits[-1]))
-    if plan != "step_diagonal":  # there free angles take the effect up: the next test
-        assert after < before
+    assert after < before
     assert 0.7 < after < 1.3
 
 
@@ -64,7 +61,9 @@ def test_what_free_angles_took_up_leaves_the_tool_point() -> None:
     hidden = FlawSpec(id="backlash_y", amplitude=3e-6)
     session = simulate(SimulationSpec(plan=PRESETS["step_diagonal"], seed=77, effects=(hidden,))).session
     done = improve(session, seed=77, sets=SETS)
+    assert done.diagnosis.verdict == "missing_effect"
     assert done.diagnosis.accepted == ("backlash_y",)
+    assert 0.7 < done.diagnosis.fits[-1].reduced_chi_square < 1.3
     before, after = (done.residual_volumetric_error(step) for step in (done.steps[0], done.steps[-1]))
     assert before is not None
     assert after is not None
@@ -104,7 +103,7 @@ def test_chips_are_named_by_row_and_nothing_else() -> None:
 
 def test_the_same_seed_gives_the_same_answer_to_the_last_bit() -> None:
     spec = SimulationSpec(plan=PRESETS["tracking_2d"], seed=9, effects=(FlawSpec(id="backlash_x", amplitude=1e-6),))
-    one, two = (diagnose(simulate(spec).session, seed=9) for _ in range(2))
+    one, two = (diagnose(simulate(spec).session, seed=9, sets=SETS) for _ in range(2))
     assert [r.candidate.name for r in one.ranked] == [r.candidate.name for r in two.ranked]
     assert [r.p_value for r in one.ranked] == [r.p_value for r in two.ranked]
 

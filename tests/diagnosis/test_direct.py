@@ -30,7 +30,7 @@ def plates() -> ModuleType:
 
 def test_scale_then_different_scales_and_squareness(plates: ModuleType, many: Any) -> None:
     both = 0
-    some = many.part(1 / 2)
+    some = many.part(0.4)
     for seed in range(some.count):
         session, _ = plates.plate(seed, scales=(4e-5, 2e-5), square=5e-5)
         found = diagnose(session, sets=SETS)
@@ -45,20 +45,20 @@ def test_scale_then_different_scales_and_squareness(plates: ModuleType, many: An
 
 
 def test_one_scale_only(plates: ModuleType, many: Any) -> None:
-    some = many.part(1 / 2)
+    some = many.part(0.3)
     found = [diagnose(plates.plate(seed, scales=(4e-5, 4e-5))[0], sets=SETS).accepted for seed in range(some.count)]
     assert sum(accepted != ("scale",) for accepted in found) <= some.at_most(0.05)
 
 
 @pytest.mark.parametrize("given", [{}, {"declared": 1e-7}, {"declared": 3e-5}, {"repeats": 4, "holes": 120}])
 def test_plates_in_which_nothing_is_missing(plates: ModuleType, given: dict[str, float], many: Any) -> None:
-    some = many.part(1 / 2)
+    some = many.part(0.2)
     verdicts = [diagnose(plates.plate(seed, **given)[0], sets=SETS).verdict for seed in range(some.count)]
     assert sum(verdict not in ("adequate", "outliers") for verdict in verdicts) <= some.at_most(0.05)
 
 
 def test_rows_that_scatter_together_are_no_effect(plates: ModuleType, many: Any) -> None:
-    some = many.part(2 / 3)
+    some = many.part(0.3)
     every = [plates.plate(seed, rows=True, row_scatter=3e-6)[0] for seed in range(some.count)]
     assert sum(bool(diagnose(session, sets=SETS).accepted) for session in every) <= some.at_most(0.05)
 
@@ -92,7 +92,7 @@ def test_far_holes_beside_each_other_are_something_else(plates: ModuleType) -> N
 
 
 def test_axis_with_backlash_and_an_error_of_no_simple_shape(plates: ModuleType) -> None:
-    for seed in range(6):
+    for seed in range(3):
         session = plates.axis(seed, backlash=2e-6, wander=2e-6, scale=2e-5, between=2e-7)
         found = diagnose(session, sets=SETS)
         assert found.verdict == "missing_effect"
@@ -100,6 +100,6 @@ def test_axis_with_backlash_and_an_error_of_no_simple_shape(plates: ModuleType) 
 
 
 def test_passes_that_differ_are_no_drift(plates: ModuleType, many: Any) -> None:
-    some = many.part(1.0)
+    some = many.part(0.5)
     every = [plates.axis(seed, between=5e-7, terms=("EXX",)) for seed in range(some.count)]
     assert sum(bool(diagnose(session, sets=SETS).accepted) for session in every) <= some.at_most(0.05)

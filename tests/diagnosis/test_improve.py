@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.diagnosis.consequence import consequences
 from machine_tool_calibration.diagnosis.improve import Improvement, entries, improve
 from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, simulate
 
@@ -60,6 +61,13 @@ def test_the_hidden_effect_is_added_and_everything_falls() -> None:
     assert after < 2 * last.residual_volumetric_error
     (size,) = last.parameters
     assert abs(size.value - 2e-6) < 4 * size.standard_uncertainty
+
+
+def test_the_map_moves_by_what_the_diagnosis_says() -> None:
+    done, _ = improved(77, 2e-6)
+    assert done.steps[-1].result.averaged
+    (effect,) = done.diagnosis.accepted
+    assert done.steps[-1].map_change == consequences(done.diagnosis)[effect].map_change_rms
 
 
 def test_what_is_left_can_be_compared_between_models() -> None:

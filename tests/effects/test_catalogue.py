@@ -165,10 +165,17 @@ def clean(plan: str) -> Session:
 
 
 @cache
+def quiet(plan: str) -> Session:
+    """With noise, and nothing hidden in it."""
+    return simulate(spec(plan, 19)).session
+
+
+@cache
 def fitted(plan: str) -> Fit:
     return fit_models([build_model(clean(plan))[0]]).fits[0]
 
 
+@cache
 def change(effect: str, plan: str) -> np.ndarray:
     """Readings with the effect minus readings without it, from exact geometry."""
     changed = spec(plan, 7, noise_factor=0.0, effects=(FlawSpec(id=effect, amplitude=3e-6),))
@@ -226,6 +233,7 @@ def test_nonlinear_coefficients_against_finite_differences(name: str) -> None:
     np.testing.assert_allclose(slope, (ahead - behind) / (2 * step), atol=2e-3 * np.abs(slope).max())
 
 
+@cache
 def injected(name: str, plan: str, sigmas: float = 30.0, seed: int = 7) -> Session:
     """A session with the effect so large that it stands out by so many standard uncertainties."""
     strength = float(np.sqrt(screen(fitted(plan), change(name, plan)[None]).gram[0, 0]))
@@ -280,8 +288,7 @@ def _coefficient_of(wanted: np.ndarray, fit: Fit, columns: np.ndarray) -> float:
 def test_nothing_is_found_where_nothing_is(name: str) -> None:
     plan, _ = SHOWN[name]
     effect = catalogue()[name]
-    session = simulate(spec(plan, 19)).session
-    result = identify(session, effects=[name])
+    result = identify(quiet(plan), effects=[name])
     shapes = {f"{name}.{coefficient.name}" for coefficient in effect.shapes}
     sizes = [e for e in result.parameters if e.name.startswith(f"{name}.") and e.name not in shapes]
     assert sizes

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.effects.catalogue import catalogue
@@ -92,6 +93,16 @@ def test_a_wrong_definition_says_what_is_wrong(change: dict[str, object], says: 
     with pytest.raises(ModelError, match=says.replace("(", r"\(")) as caught:
         formula_effect(SETTLING | change)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("formula", ["b **", "b" * 2000, "b * (time + x) * exp(-time / tau)", "b * dir_y"])
+def test_a_wrong_formula_in_a_file_names_the_file_and_the_effect(tmp_path: Path, formula: str) -> None:
+    file = tmp_path / "own.yaml"
+    file.write_text(yaml.safe_dump({"effects": [SETTLING | {"formula": formula}]}))
+    with pytest.raises(ModelError) as caught:
+        read_effects(file)
+    assert str(caught.value).startswith(f"{file}: effect {SETTLING['id']}: ")
+    assert str(caught.value).count(f"effect {SETTLING['id']}") == 1
 
 
 def test_the_example_file_is_read_and_damage_is_told(tmp_path: Path) -> None:

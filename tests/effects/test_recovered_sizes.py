@@ -38,7 +38,7 @@ def test_lost_motion_at_every_position() -> None:
 
 
 def test_expansion_behind_the_sensor_tells_its_time_constant() -> None:
-    points = tuple((float(x), 0.0, 0.0) for x in np.tile(np.linspace(0.0, 0.5, 11), 120))
+    points = tuple((float(x), 0.0, 0.0) for x in np.tile(np.linspace(0.0, 0.5, 11), 60))
     plan = DirectPlan(kind="points", points=points, terms=(), noise=1e-7)
     more = {"machine": {"random": None}, "environment_swing": 4.0}
     truth = {"tau": 900.0, "fixed_point": 0.2}

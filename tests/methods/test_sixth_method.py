@@ -65,7 +65,7 @@ def circles(folder: Path, backlash: float = 0.0, seed: int = 1) -> Path:
     for name, centre in (("left", (0.2, 0.2)), ("right", (0.3, 0.2))):
         offset, length = rng.normal(0.0, 2e-5, 2), rng.normal(0.0, 1e-5)
         for repeat, sense in ((0, 1.0), (1, -1.0)):
-            for angle in sense * np.linspace(0.0, 2.0 * np.pi, 120, endpoint=False) + 0.01:
+            for angle in sense * np.linspace(0.0, 2.0 * np.pi, 80, endpoint=False) + 0.01:
                 x, y = centre[0] + RADIUS * np.cos(angle), centre[1] + RADIUS * np.sin(angle)
                 towards = np.sign([-sense * np.sin(angle), sense * np.cos(angle)])
                 actual = np.array(

@@ -134,7 +134,8 @@ def test_p_value_and_predicted():
 
 def result_of(model):
     fit = fit_models([model]).fits[0]
-    return Result(fit, model.error_map(fit), ("scale",), "line", (), 9)
+    error_map = model.error_map(fit)
+    return Result(fit, error_map, ("scale",), "line", (), 9, error_map)
 
 
 def test_published_value_counts_from_its_reference():

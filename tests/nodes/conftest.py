@@ -20,6 +20,8 @@ from machine_tool_calibration.recording.session_bag import reading_columns
 from machine_tool_calibration.session.parse import description_yaml
 from machine_tool_calibration.session.session import Session
 
+from .forked import ForkedGraph
+
 # s: as long as a slow and busy machine may take for anything that needs no time of its own; reached only in a failure
 PATIENCE = 300.0
 # s: for a whole procedure
@@ -101,7 +103,8 @@ class Bench:
             Program(name, {**parameters[name], **(more or {}).get(name, {})}, PATIENCE if name == "recorder" else 2.0)
             for name in names
         ]
-        return self.stack.enter_context(Graph(programs, self.folder / f"log{self.count}", self.domain, namespace))
+        folder = self.folder / f"log{self.count}"
+        return self.stack.enter_context(ForkedGraph(programs, folder, self.domain, namespace))
 
     def operator(self, graph: Graph | None = None, namespace: str = "") -> Operator:
         space = graph.namespace if graph is not None else namespace

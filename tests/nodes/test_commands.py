@@ -11,19 +11,25 @@ import pytest
 
 from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.nodes import measurement
 from machine_tool_calibration.recording.session_bag import session_from_bag
 from machine_tool_calibration.session.folder import read_session
 
 from .conftest import PROCEDURE, SITE
+from .forked import ForkedGraph
 
 
-def mtcal(*arguments, folder, timeout=900):
-    command = [sys.executable, "-m", "machine_tool_calibration", *map(str, arguments)]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=timeout, env=os.environ)
+@pytest.fixture
+def mtcal(tmp_path, monkeypatch, capfd):
+    """Runs a command in this process and in an empty folder, its nodes forked; gives its status and what it said."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(measurement, "Graph", ForkedGraph)
+    return lambda *arguments: (run([str(word) for word in arguments]), capfd.readouterr())
 
 
-def test_demo_finds_what_is_hidden_and_its_recording_gives_the_same_map(tmp_path):
-    ended = mtcal("demo", "--seed", 3, "--json", folder=tmp_path)
+def test_demo_finds_what_is_hidden_and_its_recording_gives_the_same_map(tmp_path, mtcal):
+    command = [sys.executable, "-m", "machine_tool_calibration", "demo", "--seed", "3", "--json"]
+    ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=900, env=os.environ)
     assert ended.returncode == 0, ended.stderr
     document = json.loads(ended.stdout)
     assert document["format"] == "mtcal-demo/1"
@@ -51,27 +57,17 @@ def test_demo_finds_what_is_hidden_and_its_recording_gives_the_same_map(tmp_path
     assert np.array_equal(maps[0][:, :2], live[:, :2])
 
     # the same again does not overwrite
-    again = mtcal("demo", "--seed", 3, "--json", "--output", document["output"], folder=tmp_path)
-    assert again.returncode == 1
-    assert again.stderr.strip() == f"mtcal: {document['output']}: is there already; choose another output folder"
+    status, again = mtcal("demo", "--seed", 3, "--json", "--output", document["output"])
+    assert status == 1
+    assert again.err.strip() == f"mtcal: {document['output']}: is there already; choose another output folder"
 
 
-def test_run_in_a_namespace_without_recording(tmp_path, bench):
+def test_run_in_a_namespace_without_recording(tmp_path, bench, mtcal):
     procedure, site = bench.write("small.yaml", PROCEDURE), bench.write("site.yaml", SITE)
-    ended = mtcal(
-        "run",
-        procedure,
-        "--site",
-        site,
-        "--no-record",
-        "--namespace",
-        "cell_7",
-        "--model",
-        "rigid_body",
-        folder=tmp_path,
-    )
-    assert ended.returncode == 0, ended.stderr
-    assert "128 readings" in ended.stdout
+    more = ("--no-record", "--namespace", "cell_7", "--model", "rigid_body")
+    status, said = mtcal("run", procedure, "--site", site, *more)
+    assert status == 0, said.err
+    assert "128 readings" in said.out
     output = tmp_path / "mtcal_output" / "small"
     assert read_session(output / "session").readings.displacement.shape == (128,)
     assert json.loads((output / "result.json").read_text())["model"] == "rigid_body"
@@ -89,21 +85,19 @@ def test_run_in_a_namespace_without_recording(tmp_path, bench):
         (["run", "tracking_2d", "--site", "no.yaml"], "mtcal: no.yaml: no such file"),
     ],
 )
-def test_what_is_wrong_is_said_in_one_line(tmp_path, monkeypatch, capsys, arguments, message):
+def test_what_is_wrong_is_said_in_one_line(tmp_path, monkeypatch, capfd, arguments, message):
     monkeypatch.chdir(tmp_path)
     assert run(arguments) == 1
-    said = capsys.readouterr().err
+    said = capfd.readouterr().err
     assert said.startswith(message)
     assert len(said.strip().splitlines()) == 1
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_procedure_that_fails_keeps_what_was_measured(tmp_path, bench):
+def test_a_procedure_that_fails_keeps_what_was_measured(tmp_path, bench, mtcal):
     # the pointer's true direction is wrong by 0.5 degrees: the beam misses the retroreflector
     site = bench.write("site.yaml", {**SITE, "pointer": {"zero_offset": 0.009}})
-    ended = mtcal("run", bench.write("small.yaml", PROCEDURE), "--site", site, folder=tmp_path)
-    assert ended.returncode == 1
-    assert (
-        ended.stderr.strip().splitlines()[-1].startswith("mtcal: the procedure ended: instrument: the beam is beside")
-    )
+    status, said = mtcal("run", bench.write("small.yaml", PROCEDURE), "--site", site)
+    assert status == 1
+    assert said.err.strip().splitlines()[-1].startswith("mtcal: the procedure ended: instrument: the beam is beside")
     assert (tmp_path / "mtcal_output" / "small" / "log" / "instrument.log").exists()

@@ -3,8 +3,6 @@
 
 import json
 import signal
-import subprocess
-import sys
 import time
 
 import pytest
@@ -14,6 +12,7 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.ros.messages import LATCHED
 from machine_tool_calibration.recording.open import open_measurement
@@ -38,11 +37,15 @@ def folder(tmp_path_factory):
     return made
 
 
-def printed(*words):
+@pytest.fixture
+def printed(capfd):
     """What the command line prints, as a document."""
-    command = [sys.executable, "-m", "machine_tool_calibration", *map(str, words), "--json"]
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=900, check=True)
-    return json.loads(ended.stdout)
+
+    def document(*words):
+        assert run([*map(str, words), "--json"]) == 0
+        return json.loads(capfd.readouterr().out)
+
+    return document
 
 
 class Heard:
@@ -65,7 +68,7 @@ def entries(status):
     return {entry.key: entry.value for entry in status.values}
 
 
-def test_the_loop_live_gives_the_documents_of_the_command_line_to_the_last_bit(bench, folder):
+def test_the_loop_live_gives_the_documents_of_the_command_line_to_the_last_bit(bench, folder, printed):
     operator = bench.operator(bench.graph(("estimator",), simulated_time=False))
     feed(operator, open_measurement(folder))
     names = {"diagnosis": DiagnosticArray, "diagnosis__result": String, "comparison__result": String}

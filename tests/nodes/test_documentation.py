@@ -10,13 +10,14 @@ from pathlib import Path
 import pytest
 from sensor_msgs.msg import PointCloud2
 
-from machine_tool_calibration.nodes.graph import Graph, Program
+from machine_tool_calibration.nodes.graph import Program
 from machine_tool_calibration.nodes.ros.messages import LATCHED, columns
 from machine_tool_calibration.recording.graph import GRAPH_TOPICS
 from machine_tool_calibration.recording.open import open_measurement
 from machine_tool_calibration.recording.session_bag import session_to_bag
 
 from .conftest import ORIGIN, PATIENCE
+from .forked import ForkedGraph
 from .heard import check_content, check_ends, check_services, check_topics, hear
 from .pages import FOLDER, PAGES, anchors, message_of, rows, sections
 
@@ -83,7 +84,7 @@ def test_topics_of_the_probe_and_the_player(bench):
         Program("probe", {"use_sim_time": True}),
         Program("player", {"bag": str(bench.folder / "bag"), "paused": True}),
     ]
-    graph = bench.stack.enter_context(Graph(programs, bench.folder / "log", bench.domain))
+    graph = bench.stack.enter_context(ForkedGraph(programs, bench.folder / "log", bench.domain))
     operator = bench.operator(graph)
     heard = hear(operator)
     assert operator.wait(lambda: {"instrument/status", "player/status", "truth/table"} <= set(heard), PATIENCE)

@@ -23,7 +23,7 @@ from machine_tool_calibration.nodes.operator import Status
 from machine_tool_calibration.nodes.probe import Probe
 from machine_tool_calibration.nodes.procedure import ProcedureNode
 from machine_tool_calibration.nodes.ros.messages import Level, status, to_message, values
-from machine_tool_calibration.nodes.ros.process import say_unknown_parameters
+from machine_tool_calibration.nodes.ros.process import post, say_unknown_parameters
 from machine_tool_calibration.nodes.ros.services import Answer, DeferredService
 
 from .conftest import ORIGIN, PROCEDURE
@@ -60,7 +60,7 @@ def shown(node):
     """What a node's next status says."""
     said = []
     node._status._publisher = SimpleNamespace(publish=said.append)
-    node._shown = None
+    node._status._said = None
     node._show()
     return said[-1].status[0]
 
@@ -70,6 +70,37 @@ def reading(index, time=None, displacement=0.0, **more):
     message = JointState(name=list(columns), position=list(columns.values()))
     message.header.stamp = to_message(START + round(index * 1e9))
     return message
+
+
+# --- status and faults
+
+
+def test_a_status_is_said_again_only_where_something_has_changed(made):
+    node = made(Estimator)
+    said = []
+    node._status._publisher = SimpleNamespace(publish=said.append)
+    node._show()
+    assert not said
+    node._level, before = Level.ERROR, node._last  # the same words and values
+    node._show()
+    (entry,) = said[-1].status
+    assert (entry.level, entry.message) == (b"\x02", before)
+    node._show()
+    assert len(said) == 1
+
+
+def test_a_fault_of_posted_work_is_logged_once_with_its_place(made, monkeypatch):
+    node, logged = made(Estimator), []
+    node._post = lambda function: function()
+    monkeypatch.setattr(node, "get_logger", lambda: SimpleNamespace(error=logged.append))
+
+    def work():
+        raise ValueError("no such thing")
+
+    post(node, work)
+    post(node, work)
+    (text,) = logged
+    assert text.startswith("work: ValueError: no such thing\n") and "in work" in text
 
 
 # --- parameters

@@ -16,6 +16,7 @@ from .test_measurement import readings, since_first
 LONG = copy.deepcopy(PROCEDURE)
 LONG["path"]["grid"]["x"]["count"] = LONG["path"]["grid"]["y"]["count"] = 7
 TOTAL = 7 * 7 * 4 * 2
+SOON = {"resend": 0.2}  # s, so that a command that was lost is soon sent again
 
 
 def reaches(operator, count):
@@ -32,7 +33,7 @@ def check(operator):
 
 def test_a_partner_that_starts_late_and_every_partner_killed_and_started_again(bench):
     # a partner may take long to come back where others keep the machine busy
-    graph = bench.graph(procedure=LONG, more={"procedure": {"patience": PATIENCE}})
+    graph = bench.graph(procedure=LONG, more={"procedure": {**SOON, "patience": PATIENCE}})
     graph.stop(["instrument"])
     operator = bench.operator(graph)
     assert operator.wait(lambda: operator.procedure.entries.get("waiting_for") == "instrument", PATIENCE)
@@ -52,7 +53,7 @@ def test_a_partner_that_starts_late_and_every_partner_killed_and_started_again(b
 
 
 def test_a_partner_that_stays_dead_is_an_error_that_can_be_resumed(bench):
-    graph = bench.graph(procedure=LONG, more={"procedure": {"patience": 5.0}})
+    graph = bench.graph(procedure=LONG, more={"procedure": {**SOON, "patience": 2.0}})
     operator = bench.operator(graph)
     begin(operator)
     reaches(operator, 30)
@@ -88,7 +89,7 @@ def test_pause_resume_abort_a_hand_in_the_beam_and_start_again(bench):
     assert operator.wait(lambda: operator.procedure.entries["state"] == "paused", PATIENCE)
     captured = operator.procedure.number("captured")
     assert operator.wait(lambda: len(operator.readings) == captured, PATIENCE)
-    operator.wait(lambda: False, 1.0)
+    operator.wait(lambda: False, 0.3)
     assert operator.procedure.number("captured") == captured == len(operator.readings)
     operator.call("procedure/resume", PATIENCE)
     reaches(operator, captured + 30)

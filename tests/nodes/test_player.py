@@ -20,7 +20,7 @@ from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.nodes.graph import Graph, Program
+from machine_tool_calibration.nodes.graph import Program
 from machine_tool_calibration.nodes.operator import Operator
 from machine_tool_calibration.nodes.ros.messages import LATCHED as LATCHED_QOS
 from machine_tool_calibration.nodes.ros.messages import columns, from_message
@@ -31,6 +31,7 @@ from machine_tool_calibration.recording.session_bag import session_to_bag
 from machine_tool_calibration.recording.writer import BagWriter
 
 from .conftest import PATIENCE
+from .forked import ForkedGraph
 
 SESSION = Path(__file__).parents[1] / "data" / "tracking_2d"
 START = 1_700_000_000_000_000_000
@@ -42,7 +43,7 @@ def play(tmp_path: Path, bench) -> Callable[..., Operator]:
 
     def start(bag: Path, *more: str, **parameters: object) -> Operator:
         programs = [Program(name) for name in more] + [Program("player", {"bag": str(bag), **parameters})]
-        graph = bench.stack.enter_context(Graph(programs, tmp_path / "log", bench.domain))
+        graph = bench.stack.enter_context(ForkedGraph(programs, tmp_path / "log", bench.domain))
         operator = bench.operator(graph)
         operator._watch = graph.check
         return operator

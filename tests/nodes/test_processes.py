@@ -155,11 +155,13 @@ def test_parameter_files_reach_the_nodes_in_a_namespace(bench):
     assert "    speed: 0.5 " in text
     (bench.folder / "nodes.yaml").write_text(text.replace("    speed: 0.5 ", "    speed: 0.123 "))
     program = Program("axis_simulator", {"use_sim_time": True})
-    for namespace in ("", "cell_3"):
-        folder = bench.folder / f"log-{namespace}"
-        graph = bench.stack.enter_context(
-            Graph([program], folder, bench.domain, namespace, bench.folder / "nodes.yaml")
+    graphs = [
+        bench.stack.enter_context(
+            Graph([program], bench.folder / f"log-{namespace}", bench.domain, namespace, bench.folder / "nodes.yaml")
         )
+        for namespace in ("", "cell_3")
+    ]
+    for graph in graphs:
         operator = bench.operator(graph)
         request = GetParameters.Request(names=["speed", "acceleration"])
         values = ask(operator, GetParameters, "axis_simulator/get_parameters", request).values

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`--help` of every executable says what it is and takes, and starts nothing."""
 
+import os
 import re
 from importlib import import_module
 from pathlib import Path
@@ -32,6 +33,14 @@ def test_help_says_what_it_is_and_takes_and_starts_nothing(name, given, capsys, 
     assert all(service in said for service in served)
     assert not list(tmp_path.iterdir())
     assert all(len(line) <= 120 for line in said.splitlines())
+
+
+def test_help_into_a_pipe_that_nobody_reads_any_more(monkeypatch):
+    read, write = os.pipe()
+    os.close(read)
+    with os.fdopen(write, "w") as stream:
+        monkeypatch.setattr("sys.stdout", stream)
+        assert import_module("machine_tool_calibration.nodes.estimator").main(["--help"]) == 0
 
 
 def test_every_topic_is_in_the_table_that_help_is_made_of():

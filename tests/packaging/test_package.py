@@ -8,6 +8,7 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ET
 import zipfile
+from functools import cache
 from importlib.metadata import packages_distributions
 from pathlib import Path
 
@@ -51,6 +52,7 @@ def imported(path: Path) -> set[str]:
     return names - set(sys.stdlib_module_names) - {PACKAGE}
 
 
+@cache
 def all_imported() -> dict[str, Path]:
     paths = [*SOURCE.rglob("*.py"), *(ROOT / "launch").glob("*.py")]
     return {name: path for path in sorted(paths) for name in imported(path)}

@@ -34,7 +34,7 @@ def plane():
 
 @pytest.fixture(scope="module")
 def volume():
-    return identified(3, "rigid_body")
+    return identified(3, "rigid_body", z=(0.0, 0.2, 0.4))
 
 
 def offsets(panel, label):
@@ -102,7 +102,7 @@ def test_a_volume_is_drawn_layer_by_layer(volume):
     _, result = volume
     figure = draw_map(result.document()["error_map"])
     titles = [panel.get_title() for panel in figure.axes if panel.get_title()]
-    assert titles == [f"z = {z} mm" for z in (0, 100, 200, 300, 400)]
+    assert titles == [f"z = {z} mm" for z in (0, 200, 400)]
     assert any(panel.get_ylabel() == "error along z, µm" for panel in figure.axes)
     assert len({t.get_text() for panel in figure.axes for t in panel.texts}) == 1
 

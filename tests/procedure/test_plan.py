@@ -101,7 +101,9 @@ def made(name, **changes):
     import yaml
 
     content = yaml.safe_load((CONFIG / f"{name}.yaml").read_text())
+    content["path"] = {**content.get("path", {}), **changes.pop("path", {})} or None
     content["session"] |= changes
+    content = {key: value for key, value in content.items() if value is not None}
     return plan(parse_procedure(yaml.safe_dump(content), f"{name}.yaml")).steps
 
 
@@ -155,9 +157,22 @@ def test_a_repetition_that_begins_at_the_other_end_turns_back_too():
     assert [step.direction["c"] for step in second] == [-1] * 18 + [1] * 18
 
 
-def test_only_a_rotary_axis_turns_both_ways():
-    with pytest.raises(SessionError, match=r"small.yaml: path.both_ways is for the method rotary_axis; this is tr"):
-        small(TEXT.replace("path:", "path:\n  both_ways: true"))
+@pytest.mark.parametrize("key", ["both_ways: true", "targets: at_every_angle"])
+def test_only_a_rotary_axis_turns_both_ways_and_has_targets(key):
+    name = key.partition(":")[0]
+    with pytest.raises(SessionError, match=f"small.yaml: path.{name} is for the method rotary_axis; this is tr"):
+        small(TEXT.replace("path:", f"path:\n  {key}"))
+
+
+def test_all_targets_at_every_angle_as_in_the_paper():
+    steps = made("rotary_axis", path={"targets": "at_every_angle", "both_ways": True})
+    assert len(steps) == 2 * 4 * 3 * 18
+    assert [step.target for step in steps[:7]] == [0, 1, 2, 0, 1, 2, 0]
+    assert [step.number for step in steps if step.datum] == list(range(0, 432, 108))
+    assert len({step.position["c"] for step in steps[:3]}) == 1 < len({step.position["c"] for step in steps[:4]})
+    # The last angle once from each side, for all targets.
+    assert [step.direction["c"] for step in steps[:108]] == [1] * 54 + [-1] * 54
+    assert [step.number for step in steps[:108] if step.via] == [0, 54]
 
 
 def test_iso_230_2_goes_forth_and_back_with_an_overrun():

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """A program for the tests: publishes a stream, and a description that is latched, once the recorder listens.
 
-Arguments: namespace, batches, batches per second (0: as they fit), samples per batch, and `clock` if it shall also
-publish /clock, which begins at 100 s and advances by a second a batch. Prints a line for each event.
+Arguments: namespace, batches, batches per second (0: as they fit), samples per batch, `clock` if it shall also
+publish /clock, which begins at 100 s and advances by a second a batch, and `loose` if the recorder listens to the
+displacement and to what is published best effort, and not to all that belongs to the graph. Prints a line for each
+event.
 Every sample is its own number, and every batch's first value of `joint_states` is the wall time at which it was sent.
 """
 
@@ -13,6 +15,7 @@ from array import array
 import rclpy
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, Temperature
@@ -36,13 +39,14 @@ def main() -> None:
     node.create_subscription(DiagnosticArray, "recorder/status", heard.append, latched)
     print("up", flush=True)
     end = time.monotonic() + DEADLINE
-    while not heard or not matched(heard[-1], node.resolve_topic_name("instrument/displacement")):
-        rclpy.spin_once(node, timeout_sec=0.1)
+    awaited = (stream, loose) if "loose" in sys.argv else (stream, states, sensor)
+    while not heard or not all(matched(heard[-1], publisher) for publisher in awaited):
+        rclpy.spin_once(node, timeout_sec=0.05)
         if time.monotonic() > end:
             raise SystemExit("the recorder did not come")
     print("matched", flush=True)
     clock = node.create_publisher(Clock, "/clock", 10) if "clock" in sys.argv else None
-    time.sleep(1.0 if clock else 0.0)
+    time.sleep(0.5 if clock else 0.0)
     start = time.monotonic()
     for k in range(batches):
         if clock:
@@ -63,9 +67,10 @@ def main() -> None:
     rclpy.shutdown()
 
 
-def matched(message: DiagnosticArray, topic: str) -> bool:
+def matched(message: DiagnosticArray, publisher: Publisher) -> bool:
+    """Whether publisher and recorder both know of each other."""
     for status in message.status:
-        if status.name == topic:
+        if status.name == publisher.topic_name and publisher.get_subscription_count():
             return any(entry.key == "publishers" and int(entry.value) > 0 for entry in status.values)
     return False
 

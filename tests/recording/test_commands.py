@@ -14,6 +14,7 @@ import pytest
 from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.recording.reader import BagReader
 from machine_tool_calibration.recording.session_bag import session_to_bag
+from machine_tool_calibration.recording.tables import save_tables
 from machine_tool_calibration.session.folder import read_session
 
 DATA = Path(__file__).parents[1] / "data"
@@ -151,3 +152,16 @@ def test_topics_as_tables(
     assert list(samples.columns[2:]) == ["time", "displacement"]
     assert list(read(tmp_path / "tables" / f"text.{form}")["data"]) == ["héllo"]
     assert not list((tmp_path / "tables").glob("*.part"))
+
+
+def test_topics_as_tables_say_how_far_they_are(
+    small_bag: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("machine_tool_calibration.recording.tables._ROWS", 20)
+    told: list[tuple[str, float]] = []
+    save_tables(BagReader(small_bag()), tmp_path / "tables", "csv", lambda what, share: told.append((what, share)))
+    topics = list(dict.fromkeys(what for what, _ in told))
+    assert topics == ["/cell/joint_states", "/instrument/displacement", "/text"]
+    shares = [share for _, share in told]
+    assert shares == sorted(shares) and shares[0] == 0.0 and shares[-1] == 100 / 101
+    assert told[1] == ("/cell/joint_states", 20 / 101)

@@ -44,6 +44,14 @@ def test_a_file_cut_anywhere(small_bag: Callable[..., Path], tmp_path: Path) -> 
     assert most == len(messages)
 
 
+def test_says_how_far_it_is(small_bag: Callable[..., Path], tmp_path: Path) -> None:
+    path = small_bag(messages=300, chunk_bytes=4096, split_bytes=20_000)
+    shares: list[float] = []
+    saved = recover(path, tmp_path / "new", shares.append)
+    assert len(saved.files) > 1 and len(shares) > 20
+    assert shares == sorted(shares) and shares[0] > 0.0 and shares[-1] == 1.0
+
+
 def test_qos_hash_and_definition_survive(small_bag: Callable[..., Path], tmp_path: Path) -> None:
     path = small_bag()
     before = BagReader(path).topics

@@ -210,7 +210,7 @@ def test_smallest_detectable_sizes_are_sizes_that_occur_or_null() -> None:
 
 def test_what_is_in_the_model_already_is_no_candidate() -> None:
     session = simulate(VERDICTS["missing_effect"]).session
-    document = diagnosis_document(diagnose(session, effects=["backlash_y"], sets=199))
+    document = diagnosis_document(diagnose(session, effects=["backlash_y"], sets=19))
     assert document["fit"]["before"]["effects"] == ["backlash_y"]
     assert "backlash_y" not in {c["effect"] for c in document["candidates"]}
     assert document["fit"]["before"]["rms_residual"] < 4e-7

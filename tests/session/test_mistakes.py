@@ -13,9 +13,11 @@ from machine_tool_calibration.session.folder import read_session
 
 
 def message(folder: Path) -> str:
+    """What is said of the defect, without how an implausible size is taken as it is."""
     with pytest.raises(SessionError) as caught:
         read_session(folder)
-    return str(caught.value).replace(str(folder) + "/", "")
+    text = str(caught.value).removesuffix(" (trust_units: true in session.yaml takes it as it is)")
+    return text.replace(str(folder) + "/", "")
 
 
 def scale(folder, column: str, factor: float) -> None:

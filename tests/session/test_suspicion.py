@@ -13,7 +13,10 @@ import pytest
 
 from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.diagnosis.diagnose import diagnose
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
+from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.session.session import Session
@@ -65,6 +68,54 @@ def test_a_diagnosis_says_it(sound: Session) -> None:
     assert len(document["suspicious"]) == 1 and "off the travel" in document["suspicious"][0]
 
 
+def test_every_verb_that_fits_says_it(capsys: pytest.CaptureFixture[str], tmp_path: Path, sound: Session) -> None:
+    write_session(moved(sound), tmp_path / "s")
+    write_session(sound, tmp_path / "t")
+    one, two = str(tmp_path / "s"), str(tmp_path / "t")
+    verbs = (
+        ("compare", one),
+        ("compare", one, two),
+        ("export", one, "--format", "csv"),
+        ("improve", one, "--no-history"),
+    )
+    for number, (verb, *rest) in enumerate(verbs):
+        for more in ([], ["--json"]):
+            output = [] if verb == "compare" else ["-o", str(tmp_path / f"{number}{len(more)}")]
+            assert run([verb, *rest, *output, *more]) == 0
+            out = " ".join(capsys.readouterr().out.split())
+            label = "s: " if two in rest else ""
+            says = f"{label}22 of 22 places are off the travel of X, 0 to 0.4 m: x = 1.4 m"
+            if more:
+                document = json.loads(out)
+                assert document.get("result", document)["suspicious"] == [says]
+            else:
+                assert f"suspicious: {says}" in out
+
+
+def test_formulations_of_a_step_diagonal_say_it(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    session = simulate(SimulationSpec(plan=PLANS["step_diagonal"](), seed=3)).session
+    write_session(with_readings(session, lambda d: 0.0 * d), tmp_path / "s")
+    says = f"all {len(session.readings)} readings are 0: was the instrument read?"
+    for more in ([], ["--json"]):
+        assert run(["compare-formulations", str(tmp_path / "s"), *more]) == 0
+        out = capsys.readouterr().out
+        assert json.loads(out)["suspicious"] == [says] if more else f"suspicious: {says}" in " ".join(out.split())
+
+
 @pytest.mark.parametrize("preset", sorted(PRESETS))
 def test_sound_sessions_are_not_suspicious(preset: str) -> None:
     assert suspicions([simulate(SimulationSpec(plan=PRESETS[preset], seed=1)).session]) == []
+
+
+def test_a_refusal_of_what_is_implausible_says_how_it_is_taken_as_it_is(sound: Session) -> None:
+    millimetres = with_readings(sound, lambda d: 1e3 * d)
+    far = replace(sound, description=sound.description.model_copy(update={"machine": too_long(sound)}))
+    for session, check in ((millimetres, identify), (far, check_session)):
+        with pytest.raises(CalibrationError, match=r"\(trust_units: true in session.yaml takes it as it is\)$"):
+            check(session)
+        check(replace(session, description=session.description.model_copy(update={"trust_units": True})))
+
+
+def too_long(session: Session) -> object:
+    machine = session.description.machine
+    return machine.model_copy(update={"travel": {**machine.travel, "x": (0.0, 400.0)}})

@@ -52,17 +52,21 @@ def command(measurement: Path, plot: Path | None, as_json: bool) -> None:
     """
     from machine_tool_calibration.methods.step_diagonal.compare import compare_formulations
     from machine_tool_calibration.recording.open import open_measurement
+    from machine_tool_calibration.reports.tables import show_suspicions
+    from machine_tool_calibration.session.checks.suspicion import suspicions
 
-    comparison = compare_formulations(open_measurement(measurement))
+    session = open_measurement(measurement)
+    comparison, suspicious = compare_formulations(session), suspicions([session])
     if plot is not None:
         from machine_tool_calibration.plots.step_diagonal import save_comparison
 
         save_comparison(comparison, plot)
         note(f"wrote {plot}")
     if as_json:
-        write_json(_document(comparison))
+        write_json({**_document(comparison), "suspicious": suspicious})
     else:
         _show(comparison)
+        show_suspicions(console(), suspicious)
 
 
 def _document(comparison: Comparison) -> Mapping[str, Any]:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +21,7 @@ from machine_tool_calibration.cli.foreign_options import (
     only_form,
 )
 from machine_tool_calibration.cli.info import topic_names, topic_option
-from machine_tool_calibration.cli.output import console, json_option, note, write_json
+from machine_tool_calibration.cli.output import console, json_option, note, progress_bar, write_json
 from machine_tool_calibration.errors import CalibrationError
 
 if TYPE_CHECKING:
@@ -183,11 +184,11 @@ def command(
     elif dry_run or target is None:
         raise click.UsageError("--dry-run is for tables of other programs: it needs --table or --mapping")
     elif own is not None:
-        document = _written(own, target, form, start, namespace)
+        document = _written(_trusted(own, foreign), target, form, start, namespace)
     elif form in ("csv", "parquet"):
         document = _tables(source, target, form, from_session, names)
     else:
-        document = _written(_opened(source, names), target, form, start, namespace)
+        document = _written(_trusted(_opened(source, names), foreign), target, form, start, namespace)
     if as_json:
         write_json({"format": "mtcal-converted/1", "source": source, "target": target, "to": form, **document})
     else:
@@ -269,6 +270,13 @@ def _opened(source: Path, names: dict[str, str]) -> Session:
     return open_measurement(source, names, check=False)
 
 
+def _trusted(session: Session, foreign: dict[str, Any]) -> Session:
+    """The session, with its sizes taken as they are where that was asked for."""
+    if not foreign["trust_units"]:
+        return session
+    return replace(session, description=session.description.model_copy(update={"trust_units": True}))
+
+
 def _written(session: Session, target: Path, form: str, start: int, namespace: str) -> dict[str, Any]:
     from machine_tool_calibration.recording.session_bag import session_to_bag
     from machine_tool_calibration.session.folder import write_session
@@ -309,5 +317,6 @@ def _tables(source: Path, target: Path, form: str, from_session: bool, names: di
         session = _opened(source, names)
         _save_readings(session, target, form)
         return {"readings": len(session.readings)}
-    files, skipped = save_tables(BagReader(source), target, form)
+    with progress_bar() as progress:
+        files, skipped = save_tables(BagReader(source), target, form, progress)
     return {"topics": files, "skipped": skipped}

@@ -148,6 +148,7 @@ def command(
     from machine_tool_calibration.export import read_tables, write_tables
     from machine_tool_calibration.export.preview import preview
     from machine_tool_calibration.reports.identification import group_by_reason
+    from machine_tool_calibration.reports.tables import show_suspicions
 
     if from_history and (len(measurements) > 1 or effects):
         raise click.UsageError("--from-history is for one session, without --effect.")
@@ -173,6 +174,7 @@ def command(
                 "model": models[0] if len(models) == 1 else list(models),
                 "reduced_chi_square": found.fit.reduced_chi_square,
                 "p_value": found.fit.p_value,
+                "suspicious": found.suspicious,
                 "tables": [table.name for table in tables.tables],
                 "squareness": list(tables.squareness),
                 "not_determined": tables.left_out,
@@ -183,6 +185,7 @@ def command(
         )
     else:
         _show(console(), folder, files, left, absent)
+        show_suspicions(console(), found.suspicious)
         for why, names in group_by_reason((entry.name, entry.why) for entry in tables.left_out):
             note(f"not determined: {names}: {why}")
     for text in found.warnings:
@@ -211,6 +214,7 @@ class _Found:
     source: str
     fit: JointFit
     warnings: tuple[str, ...]
+    suspicious: list[str]
 
 
 def _identified(paths: tuple[Path, ...], chosen: _Chosen, topics: dict[str, str]) -> _Found:
@@ -219,6 +223,7 @@ def _identified(paths: tuple[Path, ...], chosen: _Chosen, topics: dict[str, str]
     from machine_tool_calibration.methods.axis_tables import axis_tables, joint_axis_tables
     from machine_tool_calibration.methods.identify import identify, identify_sessions
     from machine_tool_calibration.recording.open import open_measurement
+    from machine_tool_calibration.session.checks.suspicion import suspicions
 
     sessions = [open_measurement(path, topics) for path in paths]
     source = " + ".join(session.source for session in sessions)
@@ -232,7 +237,8 @@ def _identified(paths: tuple[Path, ...], chosen: _Chosen, topics: dict[str, str]
         for opened, path in zip(sessions, paths, strict=True):
             said.append(unused_model(opened, path, chosen.effects, None, effects_only=True))
         warnings = tuple(text for text in said if text)
-        return _Found(joint_axis_tables(joint), states, joint.model_names, source, joint.fit, warnings)
+        suspicious = suspicions(sessions, session_labels(paths))
+        return _Found(joint_axis_tables(joint), states, joint.model_names, source, joint.fit, warnings, suspicious)
     session, model, effects = sessions[0], chosen.model, chosen.effects
     if chosen.from_history:
         entry, session, _ = current_model(session, paths[0])
@@ -247,7 +253,7 @@ def _identified(paths: tuple[Path, ...], chosen: _Chosen, topics: dict[str, str]
     if not chosen.from_history:
         said.append(unused_model(session, paths[0], effects, fit))
     warnings = tuple(text for text in said if text)
-    return _Found(axis_tables(result), states, (result.model_name,), source, fit, warnings)
+    return _Found(axis_tables(result), states, (result.model_name,), source, fit, warnings, suspicions([session]))
 
 
 def _absent(tables: AxisTables, held: AxisTables, effects: Sequence[str]) -> list[str]:

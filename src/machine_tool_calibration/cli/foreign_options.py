@@ -154,8 +154,8 @@ def is_asked(given: dict[str, Any]) -> bool:
 
 
 def only_form(given: dict[str, Any]) -> bool:
-    """Whether nothing is said of a foreign table but how its text is written."""
-    return not any(value for key, value in given.items() if key not in (*_FORM, "decimal", "no_header"))
+    """Whether nothing is said of a foreign table but how its text is written, and that its sizes are right."""
+    return not any(value for key, value in given.items() if key not in (*_FORM, "decimal", "no_header", "trust_units"))
 
 
 def file_form(given: dict[str, Any]) -> dict[str, Any]:

@@ -50,9 +50,8 @@ def command(
 
     own = read_effects(effects_file) if effects_file else []
     with progress_bar() as progress:
-        progress("forecasting")
         plan = read_procedure(procedure_file(procedure))
-        found = forecast(plan, model=model, own=own, warming=warming, angular=angular)
+        found = forecast(plan, model=model, own=own, warming=warming, angular=angular, progress=progress)
     if as_json:
         write_json(found.document())
         return

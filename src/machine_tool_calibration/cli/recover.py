@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from machine_tool_calibration.cli.output import console, json_option, note, write_json
+from machine_tool_calibration.cli.output import console, json_option, note, progress_bar, write_json
 
 __all__ = ["command"]
 
@@ -31,7 +31,8 @@ def command(bag: Path, output: Path | None, as_json: bool) -> None:
     from machine_tool_calibration.recording.recover import recover
 
     target = output or bag.with_name(f"{bag.stem if bag.suffix == '.mcap' else bag.name}_recovered")
-    saved = recover(bag, target)
+    with progress_bar() as progress:
+        saved = recover(bag, target, lambda share: progress("copying what is whole", share))
     if as_json:
         write_json(
             {

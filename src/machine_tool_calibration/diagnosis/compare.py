@@ -24,6 +24,7 @@ from machine_tool_calibration.diagnosis.comparison import (
 )
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.estimation.reduction import single_blas
+from machine_tool_calibration.methods.build import sharing_variant
 from machine_tool_calibration.methods.fitted import fit_sessions
 from machine_tool_calibration.methods.identify import gross_errors
 from machine_tool_calibration.model.fit import Fit, screen
@@ -31,6 +32,7 @@ from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.residuals.covariates import bins, covariates, rank_covariates, sensed
 from machine_tool_calibration.residuals.leverage import leverage
 from machine_tool_calibration.residuals.noise import FEWEST_REPEATS, Noise, noise_of, same_place
+from machine_tool_calibration.residuals.outliers import Outlier
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["Sums", "compare", "compare_sessions", "residual_sums"]
@@ -125,7 +127,7 @@ def compare(
     outliers: tuple[int, ...] = ()
     if isinstance(subject, Session):
         fit = fit_sessions([subject], model=model, effects=effects, own=own).joint.fits[0]
-        outliers = tuple(sorted(o.row for o in gross_errors(subject, model, effects, own)[0]))
+        outliers = _rows(gross_errors(subject, model, effects, own)[0])
     elif isinstance(subject, Result):
         fit, effects = subject.fit, subject.effects
     else:
@@ -155,7 +157,15 @@ def compare_sessions(
         ModelError: the data does not allow the model.
     """
     joint = fit_sessions(sessions, labels, model=model, effects=effects, own=own).joint
-    return JointComparison(joint, tuple(labels), tuple(compare(fit, effects=effects) for fit in joint.fits))
+    # Each by itself, as an identification of several does.
+    apart = [_rows(gross_errors(session, sharing_variant(session, model))[0]) for session in sessions]
+    pairs = zip(joint.fits, apart, strict=True)
+    each = tuple(_Look(fit).comparison(tuple(effects), rows) for fit, rows in pairs)
+    return JointComparison(joint, tuple(labels), each)
+
+
+def _rows(found: Sequence[Outlier]) -> tuple[int, ...]:
+    return tuple(sorted(outlier.row for outlier in found))
 
 
 class _Look:

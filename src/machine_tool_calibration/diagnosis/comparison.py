@@ -12,6 +12,7 @@ from machine_tool_calibration.arrays import Array, rms
 from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.model.fit import Fit, JointFit
 from machine_tool_calibration.residuals.noise import Noise
+from machine_tool_calibration.session.session import Session
 
 __all__ = ["Approach", "Comparison", "JointComparison", "Overall", "Region", "Share", "Trend"]
 
@@ -209,6 +210,11 @@ class JointComparison:
     def effects(self) -> tuple[str, ...]:
         """Ids of effects in the model."""
         return self.sessions[0].effects
+
+    @property
+    def measured_sessions(self) -> list[Session]:
+        """What was measured, in the order of the labels."""
+        return [one.fit.model.observations.session for one in self.sessions]
 
     @property
     def readings(self) -> int:

@@ -29,7 +29,7 @@ class Step:
         result: of its identification.
         map_rms: RMS length of the position errors at the map's points, m; None where the method maps none.
         map_uncertainty: RMS length of their standard uncertainty, as it is published, m.
-        map_change: RMS length by which they moved against the step before, m.
+        map_change: RMS length by which those of the model alone moved against the step before, as in a diagnosis, m.
         set_aside: rows of the readings that were left out, of all sessions one after the other.
     """
 
@@ -195,7 +195,7 @@ def step_after(before: Step | None, change: str, result: Result | JointResult, a
         result=result,
         map_rms=map_rms(result.error_map.error),
         map_uncertainty=map_rms(result.error_map.uncertainty),
-        map_change=None if before is None else map_change(before.result.error_map, result.error_map),
+        map_change=None if before is None else map_change(before.result.alone, result.alone),
         set_aside=aside,
     )
 

@@ -94,6 +94,12 @@ class FormulaEffect(Effect):
         Raises:
             ModelError: the formula cannot be parsed, is not linear in its coefficients, or its units do not fit.
         """
+        try:
+            self._build(definition)
+        except ModelError as error:
+            raise ModelError(f"effect {definition.id}: {error}") from None
+
+    def _build(self, definition: _Definition) -> None:
         self._definition = definition
         self._expression = parse(definition.formula)
         self.id = definition.id
@@ -110,7 +116,7 @@ class FormulaEffect(Effect):
         own = set(definition.coefficients) | set(definition.shapes) | set(definition.constants) | {"pi"}
         unused = set(definition.coefficients) | set(definition.shapes)
         for name in sorted(unused - self._expression.names):
-            raise ModelError(f"effect {self.id}: the formula does not hold the coefficient {name!r}")
+            raise ModelError(f"the formula does not hold the coefficient {name!r}")
         self._columns = tuple(sorted(self._expression.names - own - {"path", "displacement"}))
         self.needs = self._columns
         self.covariates = tuple(sorted(self._expression.names - own))
@@ -134,10 +140,10 @@ class FormulaEffect(Effect):
                 TypeError,
                 AssertionError,
             ):
-                raise ModelError(f"effect {self.id}: {name} has the unknown unit {unit[:_LONGEST_UNIT]!r}") from None
+                raise ModelError(f"{name} has the unknown unit {unit[:_LONGEST_UNIT]!r}") from None
         unit_of_value = self._expression.unit(units)
         if unit_of_value is not None and unit_of_value.dimensionality != registry().Unit("m").dimensionality:
-            raise ModelError(f"effect {self.id}: the formula gives {unit_of_value:~P}, and not a length")
+            raise ModelError(f"the formula gives {unit_of_value:~P}, and not a length")
 
     def _check_linear(self) -> None:
         """Linear in the coefficients: with all at zero nothing, with all doubled twice as much, with two the sum."""
@@ -151,10 +157,10 @@ class FormulaEffect(Effect):
         mixed = self._expression.evaluate(values | {n: 2.0 + k for k, n in enumerate(names)})
         expected = sum((2.0 + k) * part for k, part in enumerate(each))
         if np.any(np.abs(zero) > 0.0):
-            raise ModelError(f"effect {self.id}: {self._constant_part(names)}")
+            raise ModelError(self._constant_part(names))
         if not np.allclose(mixed, expected, rtol=1e-6, equal_nan=True):
             raise ModelError(
-                f"effect {self.id}: the formula is not linear in {', '.join(names)}; name other unknowns under shapes"
+                f"the formula is not linear in {', '.join(names)}; name other unknowns under shapes"
             )
 
     def _constant_part(self, names: list[str]) -> str:
@@ -194,13 +200,13 @@ class FormulaEffect(Effect):
         return np.asarray(columns * (observations.direction @ axis_unit(self._definition.enters)))
 
 
-def formula_effect(definition: dict[str, Any], source: str = "formula") -> FormulaEffect:
+def formula_effect(definition: dict[str, Any]) -> FormulaEffect:
     """An effect from its definition.
 
     Raises:
         ModelError: something in it is wrong; one line that says what and where.
     """
-    return FormulaEffect(checked_definition(definition, source))
+    return FormulaEffect(checked_definition(definition, "formula"))
 
 
 def checked_definition(definition: dict[str, Any], source: str) -> _Definition:
@@ -231,5 +237,9 @@ def read_effects(path: Path) -> list[Effect]:
     for number, entry in enumerate(content["effects"], start=1):
         if not isinstance(entry, dict):
             raise ModelError(f"{path}: effect {number} is not a definition")
-        out.append(formula_effect(entry, f"{path}: effect {number}"))
+        definition = checked_definition(entry, f"{path}: effect {number}")
+        try:
+            out.append(FormulaEffect(definition))
+        except ModelError as error:
+            raise ModelError(f"{path}: {error}") from None
     return out

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
+from scipy.linalg import lapack
 from scipy.special import logsumexp
 
 from machine_tool_calibration.arrays import Array, IntArray, groups
@@ -26,6 +27,7 @@ __all__ = [
     "Folded",
     "Functions",
     "WidenedPart",
+    "below",
     "components",
     "factor_of_sum",
     "fold",
@@ -98,8 +100,14 @@ def fold(inner: Array, cross: Array, family: IntArray, ratio: tuple[float, ...])
         return Folded(0.0, np.zeros((0, cross.shape[1])))
     s = tau[used]
     lower = factor_of_sum(inner[np.ix_(used, used)] * np.outer(s, s))
-    half = np.linalg.solve(lower, s[:, None] * cross[used])
-    return Folded(2.0 * float(np.log(np.diag(lower)).sum()), np.asarray(half, dtype=np.float64))
+    return Folded(2.0 * float(np.log(np.diag(lower)).sum()), below(lower, s[:, None] * cross[used]))
+
+
+def below(lower: Array, right: Array) -> Array:
+    """(n, k) the inverse of a lower factor (n, n) with a regular diagonal times (n, k): by substitution alone."""
+    if not right.size:
+        return right
+    return np.asarray(lapack.dtrtrs(lower.T, right, lower=0, trans=1)[0], dtype=np.float64)
 
 
 def factor_of_sum(matrix: Array) -> Array:

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.importing.stamps import are_stamps, stamp_seconds
 from machine_tool_calibration.importing.units import si_values
@@ -133,14 +133,13 @@ class TextTable:
             lines: (n,) line of each cell, where they are not those of the rows.
         """
         text = pd.Series(cells, dtype=object)
-        missing = text.str.lower().isin(["", "nan", *(word.lower() for word in self.form.missing)])
         plain = text
         if self.form.decimal == ",":
             # a point would be a thousands separator, or the wrong mark: neither is guessed
             plain = text.where(~text.str.contains(".", regex=False), "?").str.replace(",", ".", regex=False)
         written = plain.str.fullmatch(_NUMBER).to_numpy(dtype=bool)
         values = si_values(plain.where(written, "nan").tolist(), unit)
-        bad = np.flatnonzero(~np.isfinite(values) & ~missing.to_numpy())
+        bad = np.flatnonzero(~np.isfinite(values) & ~self._missing(cells))
         if len(bad):
             row = int(bad[0])
             line = (self.lines if lines is None else lines)[row]
@@ -157,14 +156,17 @@ class TextTable:
         if self.form.time_format is None and not are_stamps(cells):
             return None
         values = np.array([stamp_seconds(cell, self.form.time_format) for cell in cells.tolist()])
-        missing = np.isin(np.char.lower(cells), ["", "nan", *(word.lower() for word in self.form.missing)])
-        bad = np.flatnonzero(~np.isfinite(values) & ~missing)
+        bad = np.flatnonzero(~np.isfinite(values) & ~self._missing(cells))
         if len(bad):
             raise SessionError(
                 f"{self.where(int(bad[0]))}: column {column!r}: {str(cells[bad[0]])[:40]!r} is no time stamp such as "
                 "2024-05-03 10:15:00; the form of others is said, as in --time-format '%m/%d/%Y %H:%M:%S'"
             )
         return values
+
+    def _missing(self, cells: np.ndarray) -> BoolArray:
+        """(n,) whether a cell's text stands for no value."""
+        return np.isin(np.char.lower(cells.astype(str)), ["", "nan", *(word.lower() for word in self.form.missing)])
 
     def _shown(self, text: str) -> str:
         shown = repr(text if len(text) <= 40 else text[:37] + "...")

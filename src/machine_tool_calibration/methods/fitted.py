@@ -17,6 +17,7 @@ from machine_tool_calibration.methods.joint.map import joint_map
 from machine_tool_calibration.methods.joint.model import CommonModels, common_models
 from machine_tool_calibration.methods.joint.small_angles import random_of, settled, stated
 from machine_tool_calibration.model.fit import JointFit, fit_models
+from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.session.session import Session
 
@@ -59,6 +60,7 @@ def fit_sessions(
     model: str | None = None,
     effects: Sequence[str] = (),
     own: Sequence[Effect] = (),
+    built: tuple[MethodModel, str] | None = None,
 ) -> FittedSessions:
     """Fit one session by itself, or several of one machine together.
 
@@ -68,14 +70,17 @@ def fit_sessions(
         model: variant of the methods that have it; for one session, its method must.
         effects: ids of physical effects to add, in every session in which they can act.
         own: the user's own effects, beside the catalogue.
+        built: the model of a single session with these effects in it, and its variant's name, where it was made before.
 
     Raises:
         ModelError: as for `joint_models`; an effect is unknown or cannot act; or there are too few readings.
     """
     found = find_effects(effects, own)
     if len(sessions) == 1:
-        base, name = build_model(sessions[0], model)
-        return FittedSessions(fit_models([add_effects(base, found)]), None, (name,), tuple(effects))
+        if built is None:
+            base, name = build_model(sessions[0], model)
+            built = add_effects(base, found), name
+        return FittedSessions(fit_models([built[0]]), None, (built[1],), tuple(effects))
     common, names = joint_models(sessions, labels or (), model=model, effects=found)
     return FittedSessions(fit_models(common.models, labels, random_of(common.angles)), common, names, tuple(effects))
 

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -13,7 +13,7 @@ from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.effects.effect_terms import add_effects
-from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.errors import ModelError, suspected
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.averaging import averaged_map
 from machine_tool_calibration.methods.build import build_model, rejected_readings, sharing_variant
@@ -56,6 +56,7 @@ _IMPOSSIBLE = 0.01
 _KNOWN = 5.0
 
 
+@suspected()
 def refuse_impossible(session: Session, error_map: ErrorMap) -> None:
     """Refuse what was identified from readings that contradict the geometry, unless the session says `trust_units`.
 
@@ -98,6 +99,7 @@ class JointResult:
         model_names: variant of each session's model.
         rejected: readings kept out, for each session.
         observations: readings recorded in each session.
+        alone: the map of these models alone, where `error_map` is the mean over several sets of effects.
         averaged: sets of effects over which the map is the mean; empty where it is that of the models alone.
     """
 
@@ -111,6 +113,7 @@ class JointResult:
     model_names: tuple[str, ...]
     rejected: tuple[tuple[Rejected, ...], ...]
     observations: tuple[int, ...]
+    alone: ErrorMap
     averaged: tuple[EffectSet, ...] = ()
 
     @property
@@ -242,7 +245,7 @@ def identify_sessions(
     rejected = [rejected_readings(session) for session in sessions]
     if not keep_all:
         # Each by itself: where an effect is missing, all its residuals are large, and none stands out.
-        pairs = [sound(session, sharing_variant(session, model)) for session in sessions]
+        pairs = [sound(s, lambda part: build_model(part, sharing_variant(part, model))[0]) for s in sessions]
         sessions, rejected = [kept for kept, _ in pairs], [gone for _, gone in pairs]
     fitted = fit_sessions(sessions, labels, model=model, effects=effects, own=own)
     joint, common = fitted.joint, fitted.common
@@ -269,6 +272,7 @@ def identify_sessions(
         model_names=fitted.model_names,
         rejected=tuple(rejected),
         observations=tuple(len(session.readings) for session in sessions),
+        alone=fitted.error_map,
         averaged=averaged,
     )
 
@@ -291,24 +295,24 @@ def gross_errors(
 ) -> tuple[list[Outlier], Session]:
     """The readings that do not belong to the rest, the largest first, and the session with these as lost ones.
 
-    Arguments as for `sound`.
-    """
-    present = find_effects(effects, own)
-    return set_aside(session, lambda part: add_effects(build_model(part, model)[0], present))
-
-
-def sound(
-    session: Session, model: str | None, effects: Sequence[str] = (), own: Sequence[Effect] = ()
-) -> tuple[Session, tuple[Rejected, ...]]:
-    """The session with its gross errors as lost readings, and all readings that no fit uses.
-
     Args:
         session: the measurement.
         model: the method's variant.
         effects: ids of effects in the model.
         own: the user's own effects.
     """
-    found, kept = gross_errors(session, model, effects, own)
+    present = find_effects(effects, own)
+    return set_aside(session, lambda part: add_effects(build_model(part, model)[0], present))
+
+
+def sound(session: Session, build: Callable[[Session], MethodModel]) -> tuple[Session, tuple[Rejected, ...]]:
+    """The session with its gross errors as lost readings, and all readings that no fit uses.
+
+    Args:
+        session: the measurement.
+        build: makes the model of a session, with the effects that are in it.
+    """
+    found, kept = set_aside(session, build)
     return kept, rejected_readings(session) + tuple(Rejected(o.row, o.reason) for o in found)
 
 
@@ -336,8 +340,18 @@ def identify(
         ModelError: the data does not allow the model, an effect is unknown or needs what was not recorded, or what is
             identified cannot be.
     """
-    kept, rejected = (session, rejected_readings(session)) if keep_all else sound(session, model, effects, own)
-    fitted = fit_sessions([kept], model=model, effects=effects, own=own)
+    present = find_effects(effects, own)
+    made: list[tuple[Session, tuple[MethodModel, str]]] = []
+
+    def build(part: Session) -> MethodModel:
+        base, name = build_model(part, model)
+        made.append((part, (add_effects(base, present), name)))
+        return made[-1][1][0]
+
+    kept, rejected = (session, rejected_readings(session)) if keep_all else sound(session, build)
+    # Where nothing was set aside the model is that in which it was looked for.
+    built = next((built for part, built in made if part is kept), None)
+    fitted = fit_sessions([kept], model=model, effects=effects, own=own, built=built)
     fit = fitted.joint.fits[0]
     error_map, averaged = averaged_map(
         fitted.error_map,
@@ -353,5 +367,6 @@ def identify(
         model_name=fitted.model_names[0],
         rejected=rejected,
         observations=len(session.readings),
+        alone=fitted.error_map,
         averaged=averaged,
     )

@@ -109,6 +109,7 @@ class Result:
         model_name: free or rigid_body, or the method's own variant.
         rejected: readings that were kept out.
         observations: number of readings recorded.
+        alone: the map of this model alone, where `error_map` is the mean over several.
         averaged: sets of effects over which the map is the mean; empty where it is that of the model alone.
     """
 
@@ -118,6 +119,7 @@ class Result:
     model_name: str
     rejected: tuple[Rejected, ...]
     observations: int
+    alone: ErrorMap
     averaged: tuple[EffectSet, ...] = ()
 
     @property

@@ -67,7 +67,6 @@ class Estimator(GuardedNode):
         self._resets = 0
         self.background = Background(self)
         self._last, self._level = "no identification yet", Level.OK
-        self._shown: object = None
         self._results = Publications(self)
         own = OwnPublisher(self, "estimator", "status", DiagnosticArray, LATCHED)
         self._status = StatusTopic(self, own, "estimator")
@@ -300,13 +299,10 @@ class Estimator(GuardedNode):
         if self._missing:
             first = "the first " if min(self._indices) == self._missing else ""
             words += f"; {first}{self._missing} of {max(self._indices) + 1} readings are missing"
-        if (entries, words) == self._shown:
-            return
-        self._shown = (entries, words)
         level = Level.OK if background.busy else self._level
         if self._missing:
             level = max(level, Level.WARN)
-        self._status.say(level, words, entries)
+        self._status.show(level, words, entries)
 
 
 def main(args: list[str] | None = None) -> int:

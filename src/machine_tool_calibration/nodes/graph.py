@@ -19,7 +19,7 @@ import yaml
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.ros.process import default_environment
 
-__all__ = ["Graph", "Program"]
+__all__ = ["Graph", "Program", "end_with_parent"]
 
 _DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG
 _POLL = 0.02  # s
@@ -93,15 +93,18 @@ class Graph:
         # small matrices and several processes: more threads only get in each other's way
         environment = {**os.environ, "ROS_DOMAIN_ID": str(self._domain), "OMP_NUM_THREADS": "1"}
         environment["PYTHONPATH"] = os.pathsep.join(entry for entry in sys.path if entry)
-        with (self._folder / f"{name}.log").open("ab") as log:
-            self._running[name] = subprocess.Popen(
+        self._running[name] = self._launch(command, environment, self._folder / f"{name}.log")
+
+    def _launch(self, command: list[str], environment: dict[str, str], log: Path) -> subprocess.Popen[bytes]:
+        with log.open("ab") as file:
+            return subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=log,
+                stdout=file,
+                stderr=file,
                 env=environment,
                 start_new_session=True,  # Ctrl+C reaches this process only, which then ends the others in order
-                preexec_fn=_end_with_parent if sys.platform == "linux" else None,
+                preexec_fn=end_with_parent if sys.platform == "linux" else None,
             )
 
     def check(self) -> None:
@@ -153,6 +156,6 @@ class Graph:
         return kept[-1] if kept else "it left no message"
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
     """In the child: end when the starter is killed, so that nothing stays behind."""
     ctypes.CDLL(None).prctl(_DEATH_SIGNAL, signal.SIGTERM)

@@ -82,7 +82,6 @@ class Instrument(GuardedNode):
         self._requests: list[_Request] = []
         self._recent = Recent(2.0 * self._averaging)
         self._environment_stamp = 0
-        self._shown: object = None
         self._setups: list[str] = []
         self._waiting: Target | None = None
         self._pairs = Pairs()
@@ -404,13 +403,9 @@ class Instrument(GuardedNode):
         problem = self.source.problem()
         state = "no signal" if problem else "measuring" if self._datum else "no datum"
         text = problem or self._reason or "measuring"
-        shown = (state, text, self._datum)
-        if shown == self._shown:
-            return
-        self._shown = shown
         level = Level.OK if state == "measuring" else Level.WARN
         entries = {"state": state, "datum": self._datum, "epoch": self._epoch, "driver": self._driver}
-        self._status.say(level, text, entries)
+        self._status.show(level, text, entries)
 
     def _sensed(self, stamp: int) -> dict[str, float]:
         """The environment that this node knows itself; with a real driver the sensors publish it."""

@@ -19,7 +19,6 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.graph import Graph, Program
 from machine_tool_calibration.nodes.operator import Operator
 from machine_tool_calibration.nodes.ros.domain import claimed_domain
-from machine_tool_calibration.nodes.ros.messages import WAITING_FOR_CLOCK
 from machine_tool_calibration.nodes.site import SiteSpec
 from machine_tool_calibration.procedure import Procedure, plan, read_procedure
 from machine_tool_calibration.session.catalogue import method_spec
@@ -240,7 +239,7 @@ def _await_ready(operator: Operator, names: Sequence[str]) -> None:
 
     def records() -> bool:
         """Whether the recorder hears all it needs, in simulated time the clock too: later it would miss the start."""
-        return "recorder" not in names or operator.recorder.message not in ("", WAITING_FOR_CLOCK)
+        return "recorder" not in names or operator.recorder.entries.get("state") == "recording"
 
     def all_there() -> bool:
         return ready() and records() and all(operator.has_node(name) for name in names)

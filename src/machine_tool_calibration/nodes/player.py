@@ -147,7 +147,6 @@ class Player(GuardedNode):
         self._last_clock: int | None = None
         own = OwnPublisher(self, "player", "status", DiagnosticArray, LATCHED)
         self._status = StatusTopic(self, own, "player", clock=time.time_ns)
-        self._shown: object = None
         for name, action in (("pause", self._pause), ("resume", self._resume), ("step", self._step)):
             offer(self, "player", name, Trigger, action)
         self._pace = Pace(self._rate, self._start, time.monotonic_ns(), paused=paused)
@@ -328,11 +327,8 @@ class Player(GuardedNode):
             "messages": self.sent,
             "rate": self._rate,
         }
-        if entries == self._shown:
-            return
-        self._shown = entries
         level = Level.ERROR if self.trouble else Level.OK
-        self._status.say(level, self.trouble or self.state, entries)
+        self._status.show(level, self.trouble or self.state, entries)
 
 
 def _offered(topic: Topic) -> Qos:

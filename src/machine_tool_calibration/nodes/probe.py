@@ -166,7 +166,6 @@ class Probe(GuardedNode):
         self._cycle: _Cycle | None = None
         self._touches = self._missed = self._early = 0
         self._last = ""
-        self._shown: object = None
         self._environment_stamp = 0
         self._floor = 0
         self._random = np.random.default_rng([self._site.spec.seed, 43, self._noise_seed])
@@ -449,13 +448,9 @@ class Probe(GuardedNode):
             problem = "waiting for the axes"
         counters = {"touches": self._touches, "missed": self._missed, "early": self._early}
         text = problem or self._last or "ready"
-        shown = (text, tuple(counters.values()))
-        if shown == self._shown:
-            return
-        self._shown = shown
         level = Level.WARN if problem or self._last else Level.OK
         state = "no signal" if problem else "measuring"
-        self._status.say(level, text, {"state": state, "datum": "", **counters})
+        self._status.show(level, text, {"state": state, "datum": "", **counters})
 
     def _publish_environment(self, stamp: int) -> None:
         self._environment_stamp = stamp

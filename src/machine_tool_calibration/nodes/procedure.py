@@ -171,8 +171,6 @@ class ProcedureNode(GuardedNode):
         self._here: dict[str, float] | None = None
         self._motion: Motion | None = None
         self._seen: set[str] = set()
-        self._shown: object = None
-        self._shown_at = 0.0
 
         self._session = self.create_publisher(String, "session", LATCHED)
         self._readings = self.create_publisher(JointState, "reading", READINGS)
@@ -387,11 +385,8 @@ class ProcedureNode(GuardedNode):
             text = sequencer.reason or f"waiting for {waiting}"
         if self._remark:
             text = f"{text}; {self._remark}"
-        if (text, entries) == self._shown:
-            return
-        self._shown = (text, entries)
         level = _LEVELS.get(sequencer.state, Level.WARN if waiting or self._remark else Level.OK)
-        self._status.say(level, text, entries)
+        self._status.show(level, text, entries)
 
 
 def _answer_by(handler: Callable[[], str], answer: Answer) -> None:

@@ -11,7 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.nodes.ros.messages import LATCHED, WAITING_FOR_CLOCK, Level, now, status
+from machine_tool_calibration.nodes.ros.messages import LATCHED, Level, now, status
 from machine_tool_calibration.nodes.ros.names import OwnPublisher, own_names
 from machine_tool_calibration.nodes.ros.node import GuardedNode
 from machine_tool_calibration.nodes.ros.process import declare, run_process, use_sim_time
@@ -163,12 +163,13 @@ class Recorder(GuardedNode):
         lost = self.lost
         level, text = Level.OK, "recording"
         if self._waiting:
-            level, text = Level.WARN, WAITING_FOR_CLOCK
+            level, text = Level.WARN, "waiting for /clock"
         elif self.trouble:
             level, text = Level.ERROR, self.trouble
         elif lost:
             level, text = Level.WARN, f"recording; {lost} messages were lost"
         overall = {
+            "state": "waiting" if self._waiting else "recording",
             "bag": self.bag.folder.resolve(),
             "topics": len(taps),
             "messages": self.bag.messages,

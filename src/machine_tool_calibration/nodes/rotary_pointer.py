@@ -86,7 +86,6 @@ class RotaryPointer(GuardedNode):
         self._states = self.create_publisher(JointState, "pointer/state", STATE)
         own = self.create_publisher(DiagnosticArray, "pointer/status", LATCHED)
         self._status = StatusTopic(self, own, "pointer", hardware_id="simulated pointer")
-        self._shown: object = None
         self._truth = self.create_publisher(PoseStamped, "truth/beam", STATE)
         self.create_subscription(String, "session", self._described, LATCHED)
         hear_targets(self, self._commanded)
@@ -144,12 +143,9 @@ class RotaryPointer(GuardedNode):
     def _show(self) -> None:
         """Publish the status where it has changed."""
         entries = {"state": "pointing" if self._setup else "waiting", "setup": self._setup}
-        if entries == self._shown:
-            return
         text = "pointing" if self._setup else f"waiting for a {'session' if self._session is None else 'command'}"
-        self._shown = entries
         level = Level.OK if self._setup else Level.WARN
-        self._status.say(level, text, entries)
+        self._status.show(level, text, entries)
 
     def _publish(self, stamp: int) -> None:
         since = seconds(stamp - self._start) if self._simulated is False else self._motion.duration

@@ -17,7 +17,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.nodes.ros.messages import COMMAND, from_message, to_message
+from machine_tool_calibration.nodes.ros.messages import COMMAND, from_message, positions, to_message
 from machine_tool_calibration.procedure.events import Aim
 from machine_tool_calibration.recording.graph import MACHINE
 
@@ -28,7 +28,7 @@ SETUP = "setup_index"
 
 def setup_named(message: JointState, ids: Sequence[str]) -> str:
     """Id of the setup that a message's values belong to; empty where it names none of these."""
-    return _id(dict(zip(message.name, message.position, strict=False)).get(SETUP), message.header.frame_id, ids)
+    return _id(positions(message).get(SETUP), message.header.frame_id, ids)
 
 
 def _id(index: float | None, frame: str, ids: Sequence[str]) -> str:
@@ -76,7 +76,7 @@ def hear_targets(node: Node, heard: Callable[[Target], None]) -> None:
     """Subscribe to commands: `pointer/target`, and `pointer/command` as in earlier releases, which named the setup."""
 
     def target(message: JointState) -> None:
-        values = dict(zip(message.name, message.position, strict=False))
+        values = positions(message)
         if {"x", "y", "z", SETUP} <= set(values):
             point = np.array([values[axis] for axis in "xyz"])
             heard(Target(from_message(message.header.stamp), point, values[SETUP], message.header.frame_id))

@@ -3,18 +3,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
-from machine_tool_calibration.diagnosis.search.candidates import effect_candidates
+from machine_tool_calibration.diagnosis.search.candidates import Candidate, effect_candidates
 from machine_tool_calibration.diagnosis.search.findings import smallest_signal
 from machine_tool_calibration.diagnosis.search.priors import EFFECT
 from machine_tool_calibration.effects.catalogue import catalogue
-from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.effects.effect import Coefficient, Effect
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.instruments.touch import Part
 from machine_tool_calibration.instruments.tracking import pointing
@@ -23,8 +23,7 @@ from machine_tool_calibration.model.fit import Fit, screen
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.planning.dominant import ANGULAR, DRIFT, Dominant, dominant
 from machine_tool_calibration.procedure.description import Procedure
-from machine_tool_calibration.procedure.motion import move
-from machine_tool_calibration.procedure.plan import Plan, Step, plan, sensing_direction
+from machine_tool_calibration.procedure.plan import Step, plan, sensing_direction
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.description import (
@@ -87,7 +86,7 @@ def planned_session(procedure: Procedure, warming: float = 1.0) -> Planned:
     ids = {entry.id: k for k, entry in enumerate(setups)}
     setup = np.array([ids[step.setup] for step in steps])
     repeat = np.array([step.repeat for step in steps])
-    time = _times(made)
+    time = np.array(made.ends)
     columns: dict[str, Array] = {"time": time}
     for axis in sorted({name for step in steps for name in step.position}):
         columns[axis] = np.array([step.position.get(axis, 0.0) for step in steps])
@@ -105,18 +104,6 @@ def planned_session(procedure: Procedure, warming: float = 1.0) -> Planned:
         reading = reading - reading[zero]
     readings = Readings(setup, repeat, reading, columns, labels, np.arange(len(steps)))
     return Planned(Session(description, readings, f"procedure {procedure.name}"), made.duration)
-
-
-def _times(made: Plan) -> Array:
-    """(n,) when each reading is taken: at the end of the wait, s."""
-    out, total, here = [], 0.0, None
-    for step in made.steps:
-        for place in (*step.via, step.position):
-            total += move(here, place, made.limits).duration if here is not None else 0.0
-            here = place
-        total += made.procedure.motion.dwell
-        out.append(total)
-    return np.array(out)
 
 
 _Nominal = tuple[Array, dict[str, Array], dict[str, np.ndarray]]
@@ -198,6 +185,8 @@ def _zeros(description: Description, setup: IntArray, repeat: IntArray, labels: 
 # Share of a column's squared norm that the model must leave for the effect to be seen.
 _SEEN = 1e-4
 _POWER = 0.8
+# Numbers in the columns of effects that are kept in memory at a time.
+_HELD = 20_000_000
 
 
 @dataclass(frozen=True)
@@ -274,6 +263,7 @@ def forecast(
     own: Sequence[Effect] = (),
     warming: float = 1.0,
     angular: float = ANGULAR,
+    progress: Callable[[str, float], object] = lambda what, share: None,
 ) -> Forecast:
     """What a procedure will determine, if its readings scatter as declared and mountings add no spread.
 
@@ -283,48 +273,89 @@ def forecast(
         own: the user's own effects, beside the catalogue.
         warming: change of the air's temperature that is assumed, K per hour.
         angular: root mean square of the machine's angular errors that is assumed for what dominates, rad.
+        progress: told what is being done, and the share that is finished.
 
     Raises:
         SessionError: the procedure cannot be run.
         ModelError: it does not allow the model.
     """
+    progress("planning the steps", 0.0)
     planned = planned_session(procedure, warming)
+    progress("uncertainties", 0.2)
     result = identify(planned.session, model=model, keep_all=True)
-    fit = result.fit
-    candidates, excluded = effect_candidates(Pool(fit.joint), list(catalogue(own).values()))
-    needed = float(np.log(max(len(candidates), 1.0 / EFFECT)))
+    screened, excluded = _screened(result.fit, list(catalogue(own).values()), progress)
+    needed = float(np.log(max(len(screened), 1.0 / EFFECT)))
     visible, absorbed = [], []
-    stacked = [block.columns for candidate in candidates for block in candidate.shapes]
-    each = iter(_outside(fit, stacked))
-    for candidate in candidates:
-        effect = candidate.effect
-        assert effect is not None
-        best: Visible | None = None
-        for block in candidate.shapes:
-            inner, seen = next(each)
-            named = block.coefficients
-            strength = inner * np.array([max(abs(c.low), abs(c.high)) / 2.0 for c in named]) ** 2
-            for k in np.flatnonzero(seen):
-                signal = smallest_signal(strength[seen], float(strength[k]), needed + np.log(candidate.count), _POWER)
-                size = float(signal / np.sqrt(inner[k]))
-                reading = size * float(np.abs(block.columns[k]).max())
-                if best is None or best.reading is None or reading < best.reading:
-                    best = Visible(effect.id, named[k].name, size, named[k].unit, reading)
+    for candidate in screened:
+        best = candidate.smallest(needed)
         if best is None:
-            absorbed.append(effect.id)
+            absorbed.append(candidate.effect)
         else:
             visible.append(best)
+    progress("what dominates", 0.85)
     limits = dominant(planned.session, model=model, angular=angular, drift=DRIFT * abs(warming))
     return Forecast(result, planned.seconds, tuple(visible), tuple(absorbed), excluded, warming, limits)
 
 
-def _outside(fit: Fit, stacked: Sequence[Array]) -> list[tuple[Array, BoolArray]]:
-    """Of each block of (k, n) columns the squared norms outside the model, and which are seen at all.
+@dataclass(frozen=True)
+class _Screened:
+    """What a model leaves of a candidate's columns.
 
-    In one pass: the model is the same for all.
+    Attributes:
+        effect: its id.
+        count: sets of nonlinear coefficients over which its prior is spread.
+        blocks: for each set of nonlinear coefficients the coefficients, and of each one's column the squared norm
+            outside the model, whether that is seen at all, and the largest change of a reading.
     """
-    projected = screen(fit, np.concatenate([np.zeros((0, len(fit.model.observations))), *stacked]))
+
+    effect: str
+    count: int
+    blocks: tuple[tuple[Sequence[Coefficient], Array, BoolArray, Array], ...]
+
+    def smallest(self, needed: float) -> Visible | None:
+        """The coefficient that is seen best, and its smallest size; None if none is seen."""
+        best: Visible | None = None
+        for named, inner, seen, largest in self.blocks:
+            strength = inner * np.array([max(abs(c.low), abs(c.high)) / 2.0 for c in named]) ** 2
+            for k in np.flatnonzero(seen).tolist():
+                signal = smallest_signal(strength[seen], float(strength[k]), needed + np.log(self.count), _POWER)
+                size = float(signal / np.sqrt(inner[k]))
+                reading = size * float(largest[k])
+                if best is None or best.reading is None or reading < best.reading:
+                    best = Visible(self.effect, named[k].name, size, named[k].unit, reading)
+        return best
+
+
+def _screened(
+    fit: Fit, effects: Sequence[Effect], progress: Callable[[str, float], object]
+) -> tuple[list[_Screened], dict[str, str]]:
+    """Every effect that can act, and why the others cannot; as many in one pass as fit into memory."""
+    pool = Pool(fit.joint)
+    found: list[_Screened] = []
+    excluded: dict[str, str] = {}
+    waiting: list[Candidate] = []
+    for number, effect in enumerate(effects, 1):
+        progress("effects that would show", 0.3 + 0.55 * number / len(effects))
+        candidates, without = effect_candidates(pool, [effect])
+        excluded |= without
+        waiting += candidates
+        held = sum(block.columns.size for candidate in waiting for block in candidate.shapes)
+        if waiting and (held > _HELD or number == len(effects)):
+            found += _outside(fit, waiting)
+            waiting = []
+    return found, excluded
+
+
+def _outside(fit: Fit, candidates: Sequence[Candidate]) -> list[_Screened]:
+    """The columns outside the model, in one pass: the model is the same for all."""
+    stacked = [block.columns for candidate in candidates for block in candidate.shapes]
+    projected = screen(fit, np.concatenate(stacked))
     inner = np.diag(projected.gram)[:-1]
     seen = np.asarray(inner > _SEEN * projected.squares[:-1])
-    ends = np.cumsum([len(columns) for columns in stacked])
-    return list(zip(np.split(inner, ends)[:-1], np.split(seen, ends)[:-1], strict=True))
+    ends = np.cumsum([len(columns) for columns in stacked])[:-1]
+    largest = (np.abs(columns).max(axis=1) for columns in stacked)
+    each = zip(np.split(inner, ends), np.split(seen, ends), largest, strict=True)
+    return [
+        _Screened(found.name, found.count, tuple((block.coefficients, *next(each)) for block in found.shapes))
+        for found in candidates
+    ]

@@ -190,7 +190,8 @@ class Sensed:
     def beside(self, names: Sequence[str]) -> Sensed:
         """The same with further effects in the model."""
         every = np.arange(len(self.gram))
-        index = np.concatenate([every[:0], *(every[self.place[n]] for n in names if n in self.place)])
+        places = [every[self.place[name]] for name in names if name in self.place]
+        index = np.concatenate(places) if places else every[:0]
         if not len(index):
             return self
         cross = self.gram[index]

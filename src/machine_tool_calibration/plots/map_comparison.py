@@ -62,7 +62,7 @@ def draw_map_comparison(comparison: MapComparison) -> Figure:
     right.xaxis.set_major_locator(MaxNLocator(integer=True))
     right.set_xlabel("number of the point")
     right.set_ylabel("normalised difference E_n (first less second, over its U)")
-    right.set_title("within the band they agree", fontsize="medium")
+    right.set_title("band: |E_n| ≤ 1", fontsize="medium")
     right.legend(frameon=False, fontsize="small")
     return figure
 

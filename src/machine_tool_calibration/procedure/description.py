@@ -61,6 +61,8 @@ class Path(Record):
         alternate: every second repetition runs the path backwards.
         both_ways: every run of a rotary axis turns back through the same angles, so that time and angle are
             distinguished.
+        targets: of a rotary axis: the axis turns once for each target (`one_by_one`), or every target is read at each
+            angle (`at_every_angle`), for an instrument that finds a target again.
     """
 
     grid: Annotated[dict[str, Spread | tuple[Finite, ...]], Field(min_length=1)] | None = None
@@ -68,6 +70,7 @@ class Path(Record):
     order: Literal["lines", "serpentine"] = "lines"
     alternate: bool = True
     both_ways: bool = False
+    targets: Literal["one_by_one", "at_every_angle"] = "one_by_one"
 
     @model_validator(mode="after")
     def _check(self) -> Path:
@@ -87,7 +90,9 @@ class Path(Record):
 
 
 # a step diagonal's targets follow from the session
-_FROM_SESSION = Path.model_construct(grid=None, points=(), order="lines", alternate=False, both_ways=False)
+_FROM_SESSION = Path.model_construct(
+    grid=None, points=(), order="lines", alternate=False, both_ways=False, targets="one_by_one"
+)
 
 
 class Motion(Record):
@@ -162,8 +167,10 @@ def parse_procedure(text: str, source: str) -> Procedure:
     spec = method_spec(session.method)
     if content.path is None and not spec.path_from_session:
         raise SessionError(f"{source}: the key 'path' is missing")
-    if content.path is not None and content.path.both_ways and not spec.turns_one_axis:
-        raise SessionError(f"{source}: path.both_ways is for the method rotary_axis; this is {session.method}")
+    if content.path is not None and not spec.turns_one_axis:
+        for key, given in (("both_ways", content.path.both_ways), ("targets", content.path.targets != "one_by_one")):
+            if given:
+                raise SessionError(f"{source}: path.{key} is for the method rotary_axis; this is {session.method}")
     return Procedure(
         name=content.name,
         session=session,

@@ -148,7 +148,7 @@ def diagonal_steps(procedure: Procedure) -> Iterator[Step]:
 
 
 def rotary_steps(procedure: Procedure) -> Iterator[Step]:
-    """Station by station, repetition by repetition, target by target, all angles."""
+    """Station by station, repetition by repetition: all angles target by target, or all targets angle by angle."""
     session = procedure.session
     assert isinstance(session, RotaryAxis)
     axis = (session.machine.axis or "C").lower()
@@ -162,8 +162,13 @@ def rotary_steps(procedure: Procedure) -> Iterator[Step]:
             angles = forth[::-1] if back else forth
             if procedure.path.both_ways:
                 angles = [*angles, *angles[::-1]]
-            for target in range(len(session.targets)):
-                runs.append((setup.id, repeat, target, angles, {axis: -1.0 if back else 1.0}))
+            sense = {axis: -1.0 if back else 1.0}
+            marks = range(len(session.targets))
+            if procedure.path.targets == "at_every_angle":
+                places = [angle for angle in angles for _ in marks]
+                runs.append((setup.id, repeat, [*marks] * len(angles), places, sense))
+            else:
+                runs += [(setup.id, repeat, [mark] * len(angles), angles, sense) for mark in marks]
     yield from _steps(procedure, runs, points=True)
 
 
@@ -183,22 +188,24 @@ def direct_steps(procedure: Procedure) -> Iterator[Step]:
 
 def _steps(
     procedure: Procedure,
-    runs: Sequence[tuple[str, int, int | None, Sequence[Mapping[str, float]], Mapping[str, float]]],
+    runs: Sequence[tuple[str, int, Sequence[int] | None, Sequence[Mapping[str, float]], Mapping[str, float]]],
     *,
     points: bool,
     datum_per_run: bool = True,
 ) -> Iterator[Step]:
-    """Steps of runs (setup, repeat, target, positions, sense of the first approach)."""
+    """Steps of runs (setup, repeat, target of each position, positions, sense of the first approach)."""
     number = 0
     last_setup = ""
     before: dict[str, float] = {}
     direction: dict[str, int] = {}
-    for setup, repeat, target, positions, sense in runs:
+    for setup, repeat, targets, positions, sense in runs:
         for place, position in enumerate(positions):
+            target = None if targets is None else targets[place]
             via: tuple[dict[str, float], ...] = ()
             if place == 0:  # from wherever the last run ended: a short move makes the direction certain
                 via = (_beyond(procedure, position, {axis: -sign for axis, sign in sense.items()}),)
-            elif position == positions[place - 1]:  # a turning point is approached from the other side
+            elif position == positions[place - 1] and (targets is None or target == targets[0]):
+                # a turning point is approached from the other side
                 via = (_beyond(procedure, position, direction),)
             for stop in (*via, position):
                 for axis, value in stop.items():
@@ -297,13 +304,18 @@ class Plan:
         procedure: what was asked for.
         steps: one for each reading.
         limits: speed and acceleration of each axis.
-        duration: time that all moves and waits take, s.
+        ends: time from the start to the end of each step, of its moves and its wait, s.
     """
 
     procedure: Procedure
     steps: tuple[Step, ...]
     limits: Mapping[str, AxisLimits]
-    duration: float
+    ends: tuple[float, ...]
+
+    @property
+    def duration(self) -> float:
+        """Time that all moves and waits take, s."""
+        return self.ends[-1] if self.ends else 0.0
 
 
 def plan(procedure: Procedure) -> Plan:
@@ -318,7 +330,7 @@ def plan(procedure: Procedure) -> Plan:
         raise SessionError(f"procedure {procedure.name}: no procedure makes a {procedure.session.method} session")
     steps = tuple(load(maker)(procedure))
     limits = axis_limits(procedure)
-    return Plan(procedure, steps, limits, _duration(steps, limits, procedure.motion.dwell))
+    return Plan(procedure, steps, limits, _ends(steps, limits, procedure.motion.dwell))
 
 
 def path_steps(procedure: Procedure) -> Iterator[Step]:
@@ -436,12 +448,13 @@ def _beside(procedure: Procedure, target: Mapping[str, float]) -> dict[str, floa
     return place
 
 
-def _duration(steps: tuple[Step, ...], limits: Mapping[str, AxisLimits], dwell: float) -> float:
-    total = 0.0
+def _ends(steps: tuple[Step, ...], limits: Mapping[str, AxisLimits], dwell: float) -> tuple[float, ...]:
+    ends, total = [], 0.0
     here: Position | None = None
     for step in steps:
         for place in (*step.via, step.position):
             total += move(here, place, limits).duration if here is not None else 0.0
             here = place
         total += dwell
-    return total
+        ends.append(total)
+    return tuple(ends)

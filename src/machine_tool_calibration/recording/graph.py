@@ -6,11 +6,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from machine_tool_calibration.recording.cdr import JOINT_STATE, TEXT
 from machine_tool_calibration.recording.errors import RecordingError
 from machine_tool_calibration.recording.metadata import Qos
-from machine_tool_calibration.recording.reader import Topic
+
+if TYPE_CHECKING:  # who only names topics reads no bag
+    from machine_tool_calibration.recording.reader import Topic
 
 __all__ = [
     "GRAPH_TOPICS",
@@ -151,7 +153,7 @@ def compatible(request: Qos, offered: Qos) -> bool:
 
 
 SESSION, READING, LABELS = "session", "reading", "reading_labels"
-_TYPES = {SESSION: TEXT, READING: JOINT_STATE}
+_TYPES = {topic.name: topic.type for topic in GRAPH_TOPICS if topic.name in (SESSION, READING)}
 
 
 def find_topics(path: Path, topics: Mapping[str, Topic], names: Mapping[str, str] | None = None) -> dict[str, str]:

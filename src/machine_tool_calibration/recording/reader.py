@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -49,7 +50,7 @@ class Topic:
     qos: tuple[Qos, ...]
     messages: int
 
-    @property
+    @cached_property
     def readable(self) -> bool:
         """Whether its messages can be decoded: a standard type in the form that Jazzy has."""
         known = definition_of(self.type)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import contextlib
 import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -59,12 +59,13 @@ class Recovered:
     problems: tuple[str, ...]
 
 
-def recover(path: Path, output: Path) -> Recovered:
+def recover(path: Path, output: Path, report: Callable[[float], object] = lambda share: None) -> Recovered:
     """Write a new bag with all that is whole in an unfinished or damaged one; the old one is only read.
 
     Args:
         path: a bag folder or an `.mcap` file.
         output: the new bag's folder, which must not exist.
+        report: told the share of the files' bytes that is read, at every record.
 
     Raises:
         RecordingError: nothing can be saved, or the new bag cannot be written.
@@ -76,14 +77,21 @@ def recover(path: Path, output: Path) -> Recovered:
     problems: list[str] = []
     lost = 0
     offered, added = OfferedQos(), set[str]()
+    sizes = [file.stat().st_size for file in files]
     with BagWriter(output) as bag:
-        for file in files:
-            salvage = _Salvage(file)
+        for number, file in enumerate(files):
+            before = sum(sizes[:number])
+
+            def read(end: int, before: int = before) -> None:
+                report((before + end) / sum(sizes))
+
+            salvage = _Salvage(file, read)
             for channel, schema, message in salvage.messages():
                 if channel.topic not in added:
                     _add(bag, channel, schema, offered)
                     added.add(channel.topic)
                 bag.write(channel.topic, message.data, message.log_time, message.publish_time, message.sequence)
+            read(sizes[number])
             problems += salvage.problems
             lost += salvage.lost
         bag.flush()
@@ -148,8 +156,9 @@ def _add(bag: BagWriter, channel: Channel, schema: Schema | None, offered: Offer
 class _Salvage:
     """Reads what is whole in one file; a damaged chunk costs itself, a damaged length the rest of the file."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, read: Callable[[int], object]) -> None:
         self.path = path
+        self._read = read
         self.problems: list[str] = []
         self.lost = 0
         self._channels = Channels(path)
@@ -177,6 +186,7 @@ class _Salvage:
                 for record in records(self.path, stream):
                     yield from self._whole(record, budget)
                     end = record.offset + 9 + record.length
+                    self._read(end)
                     if record.opcode == Opcode.DATA_END:
                         return
         except UnfinishedError:

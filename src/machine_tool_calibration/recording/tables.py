@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -25,12 +25,17 @@ _FEW = 100  # batches of samples that are in one piece anyway
 _DEPTH = 8
 
 
-def tables(bag: BagReader, topic: Topic) -> Iterator[pd.DataFrame]:
+def tables(bag: BagReader, topic: Topic, seen: Callable[[int], object] = lambda _: None) -> Iterator[pd.DataFrame]:
     """A topic's messages in pieces, all with the same columns.
 
     Every row begins with `log_time` and `publish_time` (ns since 1970). A JointState has a column for each name that
     any message has, a Float64MultiArray a row for each sample, with the columns that its layout names; other fields are
     named by their path; lists become JSON text. A name that is taken already gets a number.
+
+    Args:
+        bag: the recording.
+        topic: one of its topics.
+        seen: called with the number of messages read so far, before each piece.
 
     Raises:
         RecordingError: the type cannot be read, or a message is damaged.
@@ -39,9 +44,10 @@ def tables(bag: BagReader, topic: Topic) -> Iterator[pd.DataFrame]:
     rows: list[dict[str, Any]] = []
     few = {JOINT_STATE: _ROWS, NUMBERS: _FEW}.get(topic.type, 0)
     columns = _all_columns(bag, topic) if topic.messages > few else []
-    for message in bag.messages([topic.name]):
+    for number, message in enumerate(bag.messages([topic.name]), 1):
         rows += flatten(bag, message)
         if len(rows) >= _ROWS:
+            seen(number)
             yield _frame(rows, columns)
             rows = []
     if rows or not columns:
@@ -160,13 +166,16 @@ def file_name(topic: str) -> str:
     return ".".join(parts)[:200] or "topic"
 
 
-def save_tables(bag: BagReader, folder: Path, form: str) -> tuple[dict[str, Path], list[str]]:
+def save_tables(
+    bag: BagReader, folder: Path, form: str, report: Callable[[str, float], object] = lambda what, share: None
+) -> tuple[dict[str, Path], list[str]]:
     """Write each topic's table into a folder.
 
     Args:
         bag: the recording.
         folder: must not exist or be empty.
         form: `csv` or `parquet`.
+        report: told the topic and the share of all messages that is written.
 
     Returns:
         The file of each topic, and the topics whose type cannot be read.
@@ -182,6 +191,7 @@ def save_tables(bag: BagReader, folder: Path, form: str) -> tuple[dict[str, Path
         raise RecordingError(f"{folder}: cannot be made: {error.strerror}") from None
     files: dict[str, Path] = {}
     skipped: list[str] = []
+    before = 0  # messages of the topics that are written
     for name, topic in sorted(bag.topics.items()):
         if not topic.readable:
             skipped.append(name)
@@ -189,8 +199,14 @@ def save_tables(bag: BagReader, folder: Path, form: str) -> tuple[dict[str, Path
             path = folder / f"{file_name(name)}.{form}"
             if path in files.values():
                 path = folder / f"{file_name(name)}_{len(files)}.{form}"
-            save_table(tables(bag, topic), path)
+
+            def seen(messages: int, name: str = name, before: int = before) -> None:
+                report(name, (before + messages) / bag.messages_in_all)
+
+            seen(0)
+            save_table(tables(bag, topic, seen), path)
             files[name] = path
+            before += topic.messages
     return files, skipped
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from machine_tool_calibration.diagnosis.comparison import Comparison, JointComparison, Overall
 from machine_tool_calibration.reports.quantities import p_value, quantity, rounded
+from machine_tool_calibration.session.checks.suspicion import suspicions
 
 __all__ = ["comparison_columns", "comparison_document", "in_words", "joint_columns", "joint_document", "joint_in_words"]
 
@@ -36,7 +37,7 @@ def in_words(comparison: Comparison) -> str:
         first = f"the model fits {nearly}within the declared uncertainty ({declared}; {p_value(p)})"
     else:
         first = f"the readings scatter {rounded(ratio)} times the declared uncertainty; {_where(comparison)}"
-    apart = _stand_out(comparison)
+    apart = _stand_out(len(comparison.outliers))
     cause = " What the cause is, `mtcal diagnose` says." if p < _LEVEL else ""
     return f"{first}.{apart} {_repeats(overall, bool(apart))}{cause}"
 
@@ -45,18 +46,19 @@ def joint_in_words(comparison: JointComparison) -> str:
     """Whether the common model fits all sessions, and if not, which it fits worst."""
     joint = comparison.joint
     ratio, p = joint.reduced_chi_square**0.5, joint.p_value
+    apart = _stand_out(sum(len(one.outliers) for one in comparison.sessions))
     if p > _TOO_GOOD:
-        return f"the readings scatter only {rounded(ratio)} times the declared uncertainty, which is too large."
+        return f"the readings scatter only {rounded(ratio)} times the declared uncertainty, which is too large.{apart}"
     if p >= _LEVEL:
         nearly = "nearly " if p < _NEARLY else ""
-        return f"the model fits all sessions {nearly}within the declared uncertainty ({p_value(p)})."
+        return f"the model fits all sessions {nearly}within the declared uncertainty ({p_value(p)}).{apart}"
     label, worst = comparison.parts[0]
     where = "the same in all sessions"
     if worst.reduced_chi_square is not None and worst.reduced_chi_square >= _WORSE**2 * joint.reduced_chi_square:
         times = rounded(worst.reduced_chi_square**0.5)
         where = f"worst is session {label} ({times} times, {worst.share:.0%} of all misfit)"
     return (
-        f"the readings scatter {rounded(ratio)} times the declared uncertainty; {where}. Whether the sessions "
+        f"the readings scatter {rounded(ratio)} times the declared uncertainty; {where}.{apart} Whether the sessions "
         "contradict each other, `mtcal identify` says."
     )
 
@@ -94,8 +96,7 @@ def _repeats(overall: Overall, apart: bool) -> str:
     )
 
 
-def _stand_out(comparison: Comparison) -> str:
-    count = len(comparison.outliers)
+def _stand_out(count: int) -> str:
     if not count:
         return ""
     return f" {count} reading{'s do' if count > 1 else ' does'} not belong to the rest: `mtcal identify` names them."
@@ -112,6 +113,7 @@ def comparison_document(comparison: Comparison) -> dict[str, Any]:
         "method": session.method,
         "effects": list(comparison.effects),
         "summary": in_words(comparison),
+        "suspicious": suspicions([session]),
         "readings": overall.readings,
         "rms_residual": overall.rms,
         "reduced_chi_square": overall.reduced_chi_square,
@@ -168,6 +170,7 @@ def joint_document(comparison: JointComparison) -> dict[str, Any]:
         "method": "joint",
         "effects": list(comparison.effects),
         "summary": joint_in_words(comparison),
+        "suspicious": suspicions(comparison.measured_sessions, comparison.labels),
         "readings": comparison.readings,
         "rms_residual": comparison.rms,
         "reduced_chi_square": joint.reduced_chi_square,

@@ -19,7 +19,8 @@ from machine_tool_calibration.reports.quantities import (
     quantity,
     rounded,
 )
-from machine_tool_calibration.reports.tables import TextTable, show_table
+from machine_tool_calibration.reports.tables import TextTable, show_suspicions, show_table
+from machine_tool_calibration.session.checks.suspicion import suspicions
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -317,9 +318,12 @@ def show_comparison(screen: Console, comparison: Comparison | JointComparison) -
 
     if isinstance(comparison, Comparison):
         words, tables = in_words(comparison), comparison_tables(comparison)
+        suspicious = suspicions([comparison.fit.model.observations.session])
     else:
         words, tables = joint_in_words(comparison), joint_tables(comparison)
+        suspicious = suspicions(comparison.measured_sessions, comparison.labels)
     screen.print(Text(words[0].upper() + words[1:]))
+    show_suspicions(screen, suspicious)
     if comparison.effects:
         screen.print(Text(f"In the model: {', '.join(comparison.effects)}."))
     for table in tables:

@@ -22,7 +22,7 @@ from machine_tool_calibration.reports.quantities import (
     rounded,
     value_and_uncertainties,
 )
-from machine_tool_calibration.reports.tables import TextTable, show_table
+from machine_tool_calibration.reports.tables import TextTable, show_suspicions, show_table
 from machine_tool_calibration.reports.unknowns import unknown_in_words
 
 if TYPE_CHECKING:
@@ -158,8 +158,7 @@ def show_result(screen: Console, document: Mapping[str, Any], opened: Iterable[S
         over = (f"{effects} ({chance})" for effects, chance in sets)
         screen.print(f"The map is the mean over effects that these readings do not distinguish: {', '.join(over)}.")
     screen.print(goodness_of_fit(document))
-    for words in document["suspicious"]:
-        screen.print(f"suspicious: {words}")
+    show_suspicions(screen, document["suspicious"])
     for words in reproducibility_words(document["spread"]):
         screen.print(words)
     table = Table(show_header=False, box=None, pad_edge=False)

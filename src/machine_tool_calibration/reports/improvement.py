@@ -15,7 +15,8 @@ from machine_tool_calibration.reports.quantities import (
     rounded,
     sizes_in_words,
 )
-from machine_tool_calibration.reports.tables import TextTable, show_table
+from machine_tool_calibration.reports.tables import TextTable, show_suspicions, show_table
+from machine_tool_calibration.session.checks.suspicion import suspicions
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -56,6 +57,7 @@ def improvement_document(done: Improvement) -> dict[str, Any]:
 def show_improvement(screen: Console, done: Improvement) -> None:
     """In words first, then a row for every step and before and after side by side."""
     screen.print(_words(done), markup=False)
+    show_suspicions(screen, suspicions(done.diagnosis.sessions, done.diagnosis.labels))
     show_table(screen, _steps(done))
     if len(done.steps) > 1:
         show_table(screen, _side_by_side(done))

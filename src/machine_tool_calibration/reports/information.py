@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.reports.quantities import duration, quantity
-from machine_tool_calibration.reports.tables import TextTable, show_table
+from machine_tool_calibration.reports.tables import TextTable, show_suspicions, show_table
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -119,8 +119,7 @@ def show_session(out: Console, session: Session, summary: SessionSummary) -> Non
     if len(session.spec.models) > 1:
         models = tuple(session.spec.models.items())
         show_table(out, TextTable("Models (--model)", ("name", "when"), models))
-    for words in summary.suspicious:
-        out.print(f"suspicious: {words}")
+    show_suspicions(out, summary.suspicious)
     if summary.labels:
         out.print(f"Text columns: {', '.join(summary.labels)}")
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from textwrap import fill
 from typing import TYPE_CHECKING
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["TextTable", "show_table"]
+__all__ = ["TextTable", "show_suspicions", "show_table"]
 
 # Longest text that a column keeps on one line.
 _UNBROKEN = 24
@@ -39,6 +40,14 @@ class TextTable:
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     note: str = ""
+
+
+def show_suspicions(screen: Console, suspicious: Iterable[str]) -> None:
+    """Print what is suspicious in the sessions that were read (`suspicions`), a line each."""
+    from rich.text import Text
+
+    for words in suspicious:
+        screen.print(Text(f"suspicious: {words}"))
 
 
 def show_table(screen: Console, table: TextTable) -> None:

@@ -8,13 +8,13 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, groups
 from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
 from machine_tool_calibration.simulation.environment import Environment
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.motions import motion_names
 from machine_tool_calibration.simulation.plan import Finite, Measurement, Plan, Positive, Vector3, since_first
-from machine_tool_calibration.simulation.scene import Scene, blocks, last_direction, ordered_times
+from machine_tool_calibration.simulation.scene import Scene, last_direction, ordered_times
 from machine_tool_calibration.simulation.sensors import aim, distance
 
 __all__ = ["RotaryPlan", "plan_rotary"]
@@ -38,6 +38,7 @@ class RotaryPlan(Plan):
         angles: commanded angles, rad; 18 steps of 20 degrees if absent.
         both_ways: each run goes back through the same angles, so that what drifts with time is not taken for an
             error of the angle, and backlash shows.
+        at_every_angle: every target is read at each angle, as in the paper; otherwise the axis turns once for each.
         station_uncertainty: standard deviation of the stated stations per coordinate, m.
         target_uncertainty: likewise of the stated targets.
         hidden: target id -> (from, to): angles at which it cannot be seen, rad.
@@ -49,6 +50,7 @@ class RotaryPlan(Plan):
     stations: Annotated[tuple[Vector3, ...], Field(min_length=1)] | None = None
     angles: Annotated[tuple[Finite, ...], Field(min_length=1, max_length=100_000)] | None = None
     both_ways: bool = True
+    at_every_angle: bool = False
     station_uncertainty: Annotated[float, Field(ge=0)] = 2e-4
     target_uncertainty: Annotated[float, Field(ge=0)] = 5e-5
     hidden: dict[str, tuple[Finite, Finite]] = Field(default_factory=dict)
@@ -99,22 +101,23 @@ def _about(p: tuple[float, float, float], axis: str) -> Vector3:
 
 
 def plan_rotary(plan: RotaryPlan, environment: Environment, rng: np.random.Generator) -> Measurement:
-    """The measurement of a plan: station by station, repeat by repeat, target by target, all angles."""
+    """The measurement of a plan: station by station, repeat by repeat; all angles for each target, or the reverse."""
     names = list(plan.marks())
     stated = np.array([plan.marks()[name] for name in names], float)
     station = plan.places()
     estimate = station + plan.station_uncertainty * rng.normal(size=station.shape)
     target = stated + plan.target_uncertainty * rng.normal(size=stated.shape)
     turns = plan.turns()
-    shape = (len(station), plan.repeats, len(names), len(turns))
-    setup, repeat, label, step = (index.ravel() for index in np.indices(shape))
+    inner = (len(turns), len(names)) if plan.at_every_angle else (len(names), len(turns))
+    setup, repeat, *within = (index.ravel() for index in np.indices((len(station), plan.repeats, *inner)))
+    label, step = reversed(within) if plan.at_every_angle else within
     keep = np.ones(len(setup), bool)
     for name, (low, high) in plan.hidden.items():
         keep &= ~((label == names.index(name)) & (turns[step] >= low) & (turns[step] <= high))
     time = ordered_times(setup, plan.interval, plan.pause)[keep]
     setup, repeat, label, step = setup[keep], repeat[keep], label[keep], step[keep]
     angle = turns[step]
-    run = blocks(setup, repeat, label)
+    run = groups(setup, repeat, label)
     direction = plan.senses()[step]
     scene = Scene(time, setup, repeat, np.zeros((len(time), 3)), angle, {plan.axis: direction}, environment(time),
                   label, plan.axis, rates=environment.rate(time), lagged=environment.behind(time))

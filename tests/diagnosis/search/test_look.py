@@ -105,7 +105,7 @@ def test_detectable_sizes_are_found_that_often(many: Any) -> None:
         specs = [SimulationSpec(plan=PRESETS["tracking_2d"], seed=2000 + k, effects=(flaw,)) for k in range(runs)]
         return sum("backlash_y" in looked(simulate(spec).session).accepted for spec in specs)
 
-    full, half = many.count, many.part(0.5).count
+    full, half = many.part(0.6).count, many.part(0.3).count
     low, high = binom.interval(0.998, full, 0.8)
     assert low <= found(1.0, full) <= high
     assert found(0.5, half) < half / 2

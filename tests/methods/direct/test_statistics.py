@@ -44,11 +44,10 @@ def _judged(direct: SimpleNamespace, kind: str, runs: int, **plan: Any) -> tuple
     ],
 )
 def test_lines_over_many_runs(direct: SimpleNamespace, kind: str, plan: dict[str, Any], many: Any) -> None:
-    more = many.part(2.0)
-    normalised, ratio, chi = _judged(direct, kind, more.count, **plan)
-    assert normalised == pytest.approx(1.0, abs=more.off(0.1))
-    assert ratio < 1.0 + more.off(0.1)
-    assert chi == pytest.approx(1.0, abs=more.off(0.05))
+    normalised, ratio, chi = _judged(direct, kind, many.count, **plan)
+    assert normalised == pytest.approx(1.0, abs=many.off(0.1))
+    assert ratio < 1.0 + many.off(0.1)
+    assert chi == pytest.approx(1.0, abs=many.off(0.05))
 
 
 def test_grid_over_some_runs(direct: SimpleNamespace, many: Any) -> None:

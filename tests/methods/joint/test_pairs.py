@@ -86,8 +86,7 @@ def test_one_map_with_the_right_uncertainty(one: str, other: str, many: Any) -> 
     assert wrong <= 1 + some.count // 25
 
 
-@pytest.mark.parametrize("other", ["space", "plane"])
-@pytest.mark.parametrize("motion", ["EXX", "EYX", "EXY", "EYY"])
+@pytest.mark.parametrize(("other", "motion"), [("space", "EXX"), ("space", "EXY"), ("plane", "EYX"), ("plane", "EYY")])
 def test_probing_and_tracking_that_contradict_each_other(other: str, motion: str) -> None:
     sessions = [_measured("probing", 3).session, _measured(other, 3, **{motion: BOW}).session]
     agreement = identify_sessions(sessions, ["probing", other]).agreement

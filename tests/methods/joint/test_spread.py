@@ -57,8 +57,6 @@ def _errors(result: JointResult, simulated: Simulated) -> tuple[np.ndarray, np.n
         # errors the uncertainties are somewhat too large, as those of a step diagonal alone (0.72); a tracker tells the
         # angles.
         ("run", 0.0, 0.75, 0.049),
-        ("grid", 0.0, 0.94, 0.049),
-        ("run", 5e-6, 0.79, 0.11),
         ("grid", 5e-6, 0.96, 0.08),
         ("tracker", 5e-6, 1.01, 0.051),
     ],
@@ -130,10 +128,9 @@ def test_a_grid_plate_contradicts_step_diagonals_in_positioning(several: SimpleN
     assert motion in {found[0].motion, *found[0].alike}
 
 
-@pytest.mark.parametrize("motion", ["EYX", "EXY"])
-def test_in_straightness_it_cannot_and_says_so(several: SimpleNamespace, motion: str) -> None:
+def test_in_straightness_it_cannot_and_says_so(several: SimpleNamespace) -> None:
     """A mirror that turns looks like straightness: the difference is taken for angles of 4 um over the step's arm."""
-    result = _with_a_bow(several, motion)
+    result = _with_a_bow(several, "EYX")
     assert not result.agreement.contradictions
     assert result.angles is not None and result.angles.size > 8e-6
     assert "may be taken for angular errors" in result.agreement.statement

@@ -51,7 +51,6 @@ def _ratio(rotary: SimpleNamespace, runs: int, axis: str = "C", **plan: object) 
     ("axis", "plan"),
     [
         ("C", {"stations": STATIONS[:3]}),
-        ("C", {"stations": (*STATIONS[:2], STATIONS[3])}),
         ("C", {"stations": STATIONS, "targets": TARGETS}),
         ("C", {"targets": {name: TARGETS[name] for name in "PQKR"}, "hidden": {"P": (1.0, 1.8)}}),
         ("A", {}),
@@ -92,7 +91,7 @@ def test_targets_on_a_line_say_how_little_they_know(rotary: SimpleNamespace) -> 
 
 def test_one_station_after_another_sees_a_machine_that_does_not_repeat(rotary: SimpleNamespace, many: Any) -> None:
     one, four = [], []
-    some = many.part(0.4)
+    some = many.part(0.2)
     for repeats, into in ((1, one), (4, four)):
         for seed in range(some.count):
             simulated = rotary.measured(seed, repeats=repeats, repeatability=1e-6)
@@ -104,15 +103,15 @@ def test_one_station_after_another_sees_a_machine_that_does_not_repeat(rotary: S
     assert np.sqrt(np.mean(np.square(one)) / np.mean(np.square(four))) == pytest.approx(2.0, rel=some.off(0.035))
 
 
-@pytest.mark.parametrize(("stations", "targets"), [(0.01, 0.01), (0.1, 0.02), (0.2, 0.05)])
+@pytest.mark.parametrize(("stations", "targets"), [(0.01, 0.01), (0.2, 0.05)])
 def test_places_known_roughly(rotary: SimpleNamespace, stations: float, targets: float) -> None:
-    for seed in range(4):
+    for seed in range(2):
         session = rotary.measured(seed, station_uncertainty=stations, target_uncertainty=targets).session
         assert identify(session).fit.joint.reduced_chi_square < 1.6
 
 
 def test_readings_of_other_places(rotary: SimpleNamespace) -> None:
-    session: Session = rotary.measured(1).session
+    session: Session = rotary.measured(1, angles=tuple(np.radians(np.arange(0.0, 360.0, 40.0)))).session
     shuffled = np.random.default_rng(5).permutation(session.readings.displacement)
     lost = session.with_readings(replace(session.readings, displacement=shuffled))
     with pytest.raises(ModelError, match="state the stations to a decimetre") as caught:
@@ -122,7 +121,7 @@ def test_readings_of_other_places(rotary: SimpleNamespace) -> None:
 
 def test_axis_average_line_in_the_machine(rotary: SimpleNamespace, many: Any) -> None:
     normalised = []
-    some = many.part(0.4)
+    some = many.part(0.2)
     for axis, seed in itertools.product("ABC", range(some.count)):
         along = "ABC".index(axis)
         across, other = "XYZ"[(along + 1) % 3], "ABC"[(along + 2) % 3]

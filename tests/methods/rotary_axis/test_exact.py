@@ -38,7 +38,7 @@ def test_published_motions_are_in_the_stated_datum(rotary: SimpleNamespace) -> N
 
 def test_axis_average_line_within_what_the_stations_allow(rotary: SimpleNamespace, many: Any) -> None:
     ratios = []
-    more = many.part(1.5)
+    more = many.part(0.8)
     for seed in range(more.count):
         machine = {"random": {"line_position": 3e-4, "line_orientation": 3e-4}}
         simulated = rotary.measured(seed, machine)
@@ -75,7 +75,7 @@ def test_stations_stated_wrong_by_centimetres_do_no_harm(rotary: SimpleNamespace
     assert np.abs(difference[3:]).max() < 1e-8
 
 
-@pytest.mark.parametrize(("about", "degrees"), [("X", 45.0), ("Y", 90.0), ("X", 30.0)])
+@pytest.mark.parametrize(("about", "degrees"), [("X", 45.0), ("Y", 90.0)])
 def test_a_table_that_stands_tilted_in_the_machine(rotary: SimpleNamespace, about: str, degrees: float) -> None:
     simulated = rotary.measured(4, noise_factor=0.0, station_uncertainty=1e-4)
     turn = np.zeros(3)

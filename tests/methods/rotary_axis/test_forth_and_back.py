@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs that turn forth and back tell time from angle: the usual plan."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -37,17 +35,3 @@ def test_backlash_is_told_and_the_map_is_the_mean_of_both_directions() -> None:
     # Half the play on each side: their mean is where the axis stands without it.
     assert np.abs(moved).max() < 2e-9
     assert np.abs(told).max() < 2e-9
-
-
-def test_uncertainties_are_right(rotary: SimpleNamespace) -> None:
-    squares = []
-    for seed in range(12):
-        simulated = rotary.measured(500 + seed, both_ways=True)
-        content = identify(simulated.session).error_map.content
-        angles = np.asarray(content["c"])
-        value, uncertainty = rotary.found(content)
-        error = rotary.without_datum(value, angles) - rotary.without_datum(
-            rotary.true_motions(simulated, angles), angles
-        )
-        squares.append(np.mean(error**2 / uncertainty**2))
-    assert 0.9 < np.mean(squares) < 1.1

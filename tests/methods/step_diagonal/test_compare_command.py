@@ -57,7 +57,7 @@ def test_json_for_programs_and_the_picture(capsys, tmp_path):
 
 
 def test_what_cannot_be_used_is_said(capsys, tmp_path, exact, without):
-    write_session(without(exact(1, noise=1.0, repeats=2).session, "Z"), tmp_path / "session")
+    write_session(without(exact(1, noise=1.0, blocks=4).session, "Z"), tmp_path / "session")
     assert run(["compare-formulations", str(tmp_path / "session"), "--plot", str(tmp_path / "p.svg")]) == 0
     out = capsys.readouterr().out
     assert "not determined" in out

@@ -75,7 +75,7 @@ def test_they_tell_angular_errors_from_straightness(exact, truth):
     error, stated = {}, {}
     for name, plan in plans.items():
         squares, variances = [], []
-        for seed in range(6):
+        for seed in range(4):
             simulated = exact(seed, noise=1.0, angular=1e-5, **{"step": (0.05, 0.05, 0.05), **plan})
             found = profiles(simulated.session, "small_angles")
             squares.append(np.mean((found.value - truth(simulated, found.blocks)) ** 2))

@@ -118,7 +118,7 @@ def test_parameters_are_those_of_the_map(exact):
 
 @pytest.mark.parametrize("angular", [0.0, 1.5e-5])
 def test_what_the_readings_tell_of_the_size(exact, angular):
-    found = [build(exact(seed, noise=1.0, angular=angular, repeats=2).session).spread.posterior for seed in range(8)]
+    found = [build(exact(seed, noise=1.0, angular=angular, repeats=2).session).spread.posterior for seed in range(4)]
     if angular:
         # The largest angle of a random function is 1.7 times its root mean square over the travel, on the average.
         assert 4.5e-6 < np.median([p.size for p in found]) < 1.8e-5

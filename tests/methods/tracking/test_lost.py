@@ -100,11 +100,11 @@ def test_a_station_that_is_all_but_lost(left, pointing, simulated, truth, edit):
 
 
 @pytest.mark.parametrize("pointing", ["open_loop", "tracking"])
-@pytest.mark.parametrize("station_error", [1.2e-5, 1e-4, 1e-3])
+@pytest.mark.parametrize("station_error", [1.2e-5, 1e-3])
 def test_all_targets_in_one_plane_of_space(pointing, station_error, simulated, truth):
     """Station B lies in that plane; how far outside, nothing says but what was declared. The map is right."""
     squares = []
-    for seed in range(12):
+    for seed in range(6):
         made = simulated(3, pointing, seed, z=(0.0,), station_uncertainty=station_error)
         result = identify(made.session)
         assert determined(result).all()
@@ -115,16 +115,16 @@ def test_all_targets_in_one_plane_of_space(pointing, station_error, simulated, t
     assert 0.5 < np.mean(squares) < 1.6
 
 
-def test_stations_nearly_on_a_line(simulated, truth):
+def test_stations_nearly_on_a_line(simulated, truth, many):
     """Weak across the line, and said so."""
     line = ((-0.5, -0.5, 0.0), (0.0, -0.502, 0.0), (0.4, -0.499, 0.0), (0.9, -0.5, 0.0))
     squares = []
-    for seed in range(40):
+    for seed in range(many.count):
         made = simulated(2, "open_loop", seed, stations=line)
         result = identify(made.session)
         assert determined(result).all()
         squares.append(normalised(result, truth(made), slice(None)))
-    assert 0.8 < np.mean(squares) < 1.25
+    assert np.mean(squares) == pytest.approx(1.0, abs=many.off(0.1))
     around = identify(simulated(2, "open_loop").session)
     assert result.error_map.uncertainty[:, :2].max() > 1.5 * around.error_map.uncertainty[:, :2].max()
 

@@ -73,11 +73,11 @@ def test_fewer_unknowns_less_uncertainty(simulated):
     assert np.mean(rigid.error_map.uncertainty**2) < 0.5 * np.mean(free.error_map.uncertainty**2)
 
 
-@pytest.mark.parametrize(("effect", "size"), [("backlash_x", 2e-6), ("linear_drift", 1e-9), ("dead_path", 0.3)])
+@pytest.mark.parametrize(("effect", "size"), [("backlash_x", 2e-6), ("dead_path", 0.3)])
 def test_parameters_of_effects(effect, size, simulated, many, reproducible):
     """An effect's coefficient within its uncertainty, over runs; the uncertainty is neither too large nor too small."""
     scores = []
-    count = many.part(2.0).count  # each tells of one value only
+    count = many.count
     for seed in range(count):
         made = simulated(2, "open_loop", seed, effects={effect: size})
         result = identify(made.session, effects=[effect])
@@ -90,7 +90,8 @@ def test_parameters_of_effects(effect, size, simulated, many, reproducible):
 
 def test_a_missing_tenth_costs_uncertainty_but_no_honesty(simulated, truth, many):
     squares, wider = [], []
-    for seed in range(many.count):
+    some = many.part(0.5)
+    for seed in range(some.count):
         made = simulated(2, "open_loop", seed, missing=0.1)
         result = identify(made.session)
         good = np.isfinite(result.error_map.content["position_error"]).all(axis=1)
@@ -98,5 +99,5 @@ def test_a_missing_tenth_costs_uncertainty_but_no_honesty(simulated, truth, many
         squares.append(np.mean((error / result.error_map.content["position_error_u"][good]) ** 2))
         whole = identify(simulated(2, "open_loop", seed).session)
         wider.append(result.error_map.uncertainty[good, :2].mean() / whole.error_map.uncertainty[good, :2].mean())
-    assert np.mean(squares) == pytest.approx(1.0, abs=many.off(0.1))
+    assert np.mean(squares) == pytest.approx(1.0, abs=some.off(0.1))
     assert min(wider) > 1.0

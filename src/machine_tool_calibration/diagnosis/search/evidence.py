@@ -22,6 +22,7 @@ from machine_tool_calibration.effects.effect import Coefficient
 from machine_tool_calibration.estimation.solve import Solution
 from machine_tool_calibration.estimation.variance_components import (
     DECLARED_WORTH,
+    below,
     factor_of_sum,
     fold,
     log_prior,
@@ -202,7 +203,7 @@ class Metric:
         inner, data = self.inner(gram, columns, slice(None)), self.data(gram)[columns]
         core = inner[:, columns] * np.outer(scale, scale)
         lower = factor_of_sum(core)
-        half = np.linalg.solve(lower, scale[:, None] * np.column_stack([inner, data]))
+        half = below(lower, scale[:, None] * np.column_stack([inner, data]))
         log_prior_ = self.log_prior - float(np.log(np.diag(lower)).sum())
         k = inner.shape[1]
         return Metric(
@@ -250,7 +251,9 @@ class Table:
         return self.log_evidence - self.log_null
 
 
-def table(gram: Gram, blocks: Sequence[Block], tried: Sequence[Metric], candidates: int) -> Table:
+def table(
+    gram: Gram, blocks: Sequence[Block], tried: Sequence[Metric], candidates: int, only: int | None = None
+) -> Table:
     """Evidence of every candidate.
 
     Args:
@@ -258,11 +261,13 @@ def table(gram: Gram, blocks: Sequence[Block], tried: Sequence[Metric], candidat
         blocks: of all candidates.
         tried: metrics, over which the evidence is summed.
         candidates: how many there are.
+        only: the one that is asked for; the others count as absorbed.
     """
     b = len(gram.squares)
     alike: dict[tuple[int, bool], list[int]] = {}
     for k, block in enumerate(blocks):
-        alike.setdefault((len(block.unit), _is_bounded(block)), []).append(k)
+        if only is None or block.candidate == only:
+            alike.setdefault((len(block.unit), _is_bounded(block)), []).append(k)
     data = np.array([metric.data(gram) for metric in tried])
     squares = np.array([metric.squares(gram) for metric in tried])
     points: list[list[tuple[float, float, Point]]] = [[] for _ in range(candidates)]

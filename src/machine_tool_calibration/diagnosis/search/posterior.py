@@ -161,7 +161,7 @@ class _Search:
         """Every member of a set at the point that is best beside the others."""
         for k in list(members):
             others = {j: m for j, m in members.items() if j != k}
-            beside = table(self.gram, self.blocks, self.metrics_beside(others), len(self.log_odds))
+            beside = table(self.gram, self.blocks, self.metrics_beside(others), len(self.log_odds), only=k)
             # Of the set alone: what rules out signs of the others was judged beside this member.
             self.keep_beside(others, k, beside)
             members = self.found[frozenset(members)][1]

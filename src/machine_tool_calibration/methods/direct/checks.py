@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.errors import ModelError, suspected
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.observations import Observations
@@ -47,9 +47,13 @@ def refuse_mistakes(session: Session, build: Callable[[Session], MethodModel]) -
     Raises:
         ModelError: the mistake.
     """
-    readings = session.readings
     model = build(session)
-    seen = model.observations
+    with suspected():
+        _refuse(session, model, build)
+
+
+def _refuse(session: Session, model: MethodModel, build: Callable[[Session], MethodModel]) -> None:
+    readings, seen = session.readings, model.observations
     extent = float(np.ptp(seen.position, axis=0).max())
     if extent == 0.0 or len(seen) < 8:
         return

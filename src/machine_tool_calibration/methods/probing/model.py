@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.errors import ModelError, suspected
 from machine_tool_calibration.estimation.problem import LinearPart, Part, group_points
 from machine_tool_calibration.methods.probing.datum import (
     LENGTH,
@@ -70,7 +70,8 @@ def refuse_mistakes(session: Session, build: Callable[[Session], MethodModel]) -
     for factor, unit in ((1e-3, "millimetres"), (1e-6, "micrometres")):
         scaled = session.with_readings(replace(readings, displacement=factor * readings.displacement))
         if _misfit(scaled, build) < _GOOD:
-            raise ModelError(f"{session.source}: displacement looks like {unit}; lengths are in metres")
+            with suspected():
+                raise ModelError(f"{session.source}: displacement looks like {unit}; lengths are in metres")
 
 
 def _misfit(session: Session, build: Callable[[Session], MethodModel]) -> float:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.errors import ModelError, suspected
 from machine_tool_calibration.methods.rotary_axis.geometry import TableReadings, table_readings
 from machine_tool_calibration.methods.rotary_axis.start import Start, aligned, find_start
 from machine_tool_calibration.session.description import RotaryAxis
@@ -92,7 +92,8 @@ def refuse_mistake(session: Session, misfit: Callable[[Session], float], now: fl
         if value < best:
             best, what = value, suspicion.what
     if what:
-        raise ModelError(f"{session.source}: the readings do not fit at all, but {what}: then they would")
+        with suspected():
+            raise ModelError(f"{session.source}: the readings do not fit at all, but {what}: then they would")
 
 
 def _column(readings: Readings, name: str, values: np.ndarray) -> Readings:

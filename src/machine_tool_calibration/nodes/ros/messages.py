@@ -28,7 +28,6 @@ __all__ = [
     "READINGS",
     "SLOW",
     "STATE",
-    "WAITING_FOR_CLOCK",
     "Level",
     "cloud",
     "columns",
@@ -66,9 +65,6 @@ SLOW = _reliable(10)
 LATCHED = _reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)
 # kept for those who come late: an estimator or recorder that (re)starts in the middle gets every reading
 READINGS = _reliable(20000, DurabilityPolicy.TRANSIENT_LOCAL)
-
-WAITING_FOR_CLOCK = "waiting for /clock"
-"""What a recorder says until it can date what it hears."""
 
 
 _GIGA = 1_000_000_000

@@ -76,14 +76,18 @@ class GuardedNode(Node):
         self, timer_period_sec: float, callback: Callable[[], None], *arguments: Any, **more: Any
     ) -> Timer:
         """As of any node; an exception does not end the node."""
+        return super().create_timer(timer_period_sec, self.guarded(callback), *arguments, **more)
 
-        def guarded() -> None:
+    def guarded(self, callback: Callable[[], None]) -> Callable[[], None]:
+        """A function that calls another and does not raise; a fault is logged once."""
+
+        def call() -> None:
             try:
                 callback()
             except Exception as error:
-                self._fail(getattr(callback, "__name__", "timer"), error)
+                self._fail(getattr(callback, "__name__", "a callback"), error)
 
-        return super().create_timer(timer_period_sec, guarded, *arguments, **more)
+        return call
 
     def create_service(  # type: ignore[override]
         self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **more: Any

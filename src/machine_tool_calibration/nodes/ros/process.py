@@ -201,7 +201,9 @@ def _asks_for_help(args: list[str]) -> bool:
 def _help(module: ModuleType) -> int:
     name = Path(str(module.__file__)).stem
     try:
-        print(usage(name, str(module.__doc__)))
+        print(usage(name, str(module.__doc__)), flush=True)
+    except BrokenPipeError:  # its reader has seen enough; what is still buffered goes nowhere
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except CalibrationError as error:
         print(f"{name}: {error}", file=sys.stderr)
         return 1
@@ -223,14 +225,7 @@ def post(node: GuardedNode, function: Callable[[], None]) -> None:
 
     An exception in the function is logged: this executor would crash on it.
     """
-
-    def guarded() -> None:
-        try:
-            function()
-        except Exception as error:
-            node.get_logger().error(f"{type(error).__name__}: {error}")
-
-    node._post(guarded)  # type: ignore[attr-defined]
+    node._post(node.guarded(function))  # type: ignore[attr-defined]
 
 
 def use_sim_time(node: GuardedNode) -> bool:

@@ -71,6 +71,11 @@ class StatusTopic:
         self._is_dated = self._clock() > 0
         self._publisher.publish(self._message([self._own(level, text, entries), *more]))
 
+    def show(self, level: Level, text: str, entries: Mapping[str, object]) -> None:
+        """As `say`, where anything has changed since it was said last."""
+        if self._said != (level, text, entries, ()):
+            self.say(level, text, entries)
+
     def _own(self, level: Level, text: str, entries: Mapping[str, object]) -> DiagnosticStatus:
         return status(self._name, level, text, {**entries, **self._ignored}, self._hardware)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.errors import SessionError, suspected
 from machine_tool_calibration.session.checks.consistency import check_consistency
 from machine_tool_calibration.session.checks.enough import check_enough
 from machine_tool_calibration.session.checks.units import check_sizes, check_units
@@ -43,7 +43,8 @@ def check_session(session: Session, place: Place | None = None) -> None:
     check_units(session, place)
     check_enough(session, place)
     if not session.description.trust_units:
-        check_consistency(session, place)
+        with suspected():
+            check_consistency(session, place)
 
 
 def _check_missing(session: Session, place: Place) -> None:

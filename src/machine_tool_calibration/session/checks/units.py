@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.errors import SessionError, suspected
 from machine_tool_calibration.session.description import (
     LARGEST,
     SMALLEST,
@@ -40,12 +40,13 @@ def check_units(session: Session, place: Place) -> None:
     session.spec.magnitudes(session, place)
     if session.description.trust_units:
         return
-    _travel(session, place)
-    _positions(session, place)
-    _instrument(session, place)
-    _angles(session, place)
-    _displacement(session, place)
-    _environment(session, place)
+    with suspected():
+        _travel(session, place)
+        _positions(session, place)
+        _instrument(session, place)
+        _angles(session, place)
+        _displacement(session, place)
+        _environment(session, place)
 
 
 def check_sizes(session: Session, place: Place) -> None:
@@ -120,9 +121,11 @@ def probing_units(session: Session, place: Place) -> None:
             raise SessionError(f"{where}: the normal of point {point.id!r} has length {length:g}, not 1")
     if description.probe is not None and description.probe.stylus_diameter > 0.1 and not description.trust_units:
         diameter = description.probe.stylus_diameter
-        raise SessionError(f"{place.description}: probe.stylus_diameter is {diameter:g} m; {_MILLIMETRES}")
+        with suspected():
+            raise SessionError(f"{place.description}: probe.stylus_diameter is {diameter:g} m; {_MILLIMETRES}")
 
 
+@suspected()
 def diagonal_units(session: Session, place: Place) -> None:
     """Refuse starts and steps of runs that no machine has; errors as for `check_units`."""
     description = session.description
