@@ -108,6 +108,15 @@ def test_budget_takes_the_place_of_the_identification(
     assert one(found).u == pytest.approx(0.8e-6, rel=0.05)
 
 
+def test_few_degrees_of_freedom(runs: Callable[..., Session], contributor: Callable[..., Contributor]) -> None:
+    """Student's t in place of the normal distribution, for what is drawn as well."""
+    fitted = fit_sessions([runs(np.tile(20e-6 * np.array([0.0, 0.1, 0.2, 0.3, 0.4]), 4))])
+    budget = propagate(fitted, [contributor("length", "never", degrees_of_freedom=2.0)])
+    found = conformity(fitted, {"EXX": 9.6e-6, "A_X": 1e-6}, budget=budget)
+    assert found.verdicts[0].probability == pytest.approx(stats.t.cdf(2.0, 2.0), abs=0.02)
+    assert stats.norm.cdf(2.0) - stats.t.cdf(2.0, 2.0) > 0.05
+
+
 def test_not_determined_never_passes(fitted: FittedSessions) -> None:
     found = conformity(fitted, {"EXX": 1.0, "C0Y": 1.0, "EAX": 1.0, "A": 1.0}, rule="simple")
     assert [verdict.decision for verdict in found.verdicts][1:3] == ["not determined", "not determined"]

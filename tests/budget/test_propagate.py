@@ -16,7 +16,7 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.fitted import FittedSessions, fit_sessions
 from machine_tool_calibration.model.restated import changed, declared
 from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.simulation import DiagonalPlan, SimulationSpec, TrackingPlan, simulate
+from machine_tool_calibration.simulation import DiagonalPlan, RotaryPlan, SimulationSpec, TrackingPlan, simulate
 
 X = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
 
@@ -46,11 +46,11 @@ def test_runs_along_an_axis(
 ) -> None:
     """The mean of four runs: what the runs share stays, what each has for itself is halved, a length error is a slope.
 
-    What every reading has for itself in proportion to its length is not what the fit weighs it by: that is drawn.
+    What every reading has for itself in proportion to its length is not what the fit weighs it by, and exact all the
+    same.
     """
     budget = propagate(fitted, [contributor(enters, varies)])
-    exact = varies != "reading" or enters == "reading"
-    assert exx(budget) == pytest.approx(np.broadcast_to(expected, 5), rel=1e-6 if exact else 0.25, abs=1e-9)
+    assert exx(budget) == pytest.approx(np.broadcast_to(expected, 5), rel=1e-6, abs=1e-9)
     assert budget.lines[0].reading == pytest.approx(2e-6 * (0.4 if enters == "length" else 1.0))
 
 
@@ -243,3 +243,56 @@ def test_what_is_not_there(fitted: FittedSessions, contributor: Callable[..., Co
         propagate(fitted, [contributor("reading", "run", instrument="laser_tracker")])
     with pytest.raises(ModelError, match="do not fit into memory; at most"):
         propagate(fitted, [contributor("reading", "run")], draws=10**8)
+
+
+def test_of_two_sessions_one_instrument(
+    reproducible: None, runs: Callable[..., Session], contributor: Callable[..., Contributor]
+) -> None:
+    """EXX is the mean weighted by the declared uncertainties, 1 µm and 2 µm: four fifths of it are the first one's."""
+    first = runs(instrument="laser_interferometer")
+    second = runs(instrument="cmm", standard_uncertainty={"displacement": 2e-6})
+    own = fit_sessions([first, second], ["a", "b"])
+    lines = [
+        contributor("reading", "reading", instrument="laser_interferometer"),
+        contributor("reading", "setup", instrument="cmm"),
+        contributor("length", "never"),
+        contributor("reading", "place", instrument="laser_interferometer"),
+    ]
+    budget = propagate(own, lines)
+    assert exx(budget, 3) == pytest.approx(np.full(5, 0.8 * 2.0))
+    assert exx(budget, 0) == pytest.approx(np.full(5, 0.8 * 2.0 / 2.0))
+    assert exx(budget, 1) == pytest.approx(np.full(5, 0.2 * 2.0))
+    assert exx(budget, 2) == pytest.approx(2.0 * X, abs=1e-9)
+
+
+def test_the_axis_average_line_knows_how_sure_the_stations_are() -> None:
+    """Where the stations are stated to be is a line of the budget, once, and in the draws as well."""
+    own = fit_sessions([simulate(SimulationSpec(plan=RotaryPlan(), seed=1)).session])
+    line = Contributor(name="r", type="B", standard_uncertainty=1e-7, enters="reading", varies="reading")
+    budget = propagate(own, [line], draws=100)
+    assert budget.drawn is not None
+    assert [one.name for one in budget.lines] == ["r", KNOWN]
+    for name in ("X0C", "A0C"):
+        index = budget.numbers.quantity(name).first
+        assert budget.lines[1].u[index] > 0.0
+        # Four standard deviations of the chance of 100 draws.
+        assert budget.drawn.u[index] / budget.u[index] == pytest.approx(1.0, abs=4.0 / np.sqrt(200.0))
+    assert budget.lines[1].u[budget.numbers.quantity("EXC").members] == pytest.approx(np.zeros(18), abs=1e-12)
+
+
+def test_sessions_with_other_numbers_of_repeats(
+    reproducible: None,
+    monkeypatch: pytest.MonkeyPatch,
+    runs: Callable[..., Session],
+    contributor: Callable[..., Contributor],
+) -> None:
+    """A value for each place of a session: as many readings share it as the session has repeats."""
+    own = fit_sessions([runs(runs=2), runs(runs=8)], ["a", "b"])
+    line = contributor("along", "place")
+    steps = propagate(own, [line])
+    monkeypatch.setattr(module, "_MOST_GROUPS", 0)
+    closed = propagate(own, [line])
+    assert (steps.lines[0].how, closed.lines[0].how) == ("steps", "closed form")
+    # Two readings of ten and eight of ten: weights of 0.2 and 0.8.
+    assert exx(steps) == pytest.approx(np.full(5, 2.0 * np.hypot(0.2, 0.8)))
+    assert exx(closed) == pytest.approx(exx(steps))

@@ -8,7 +8,8 @@ from functools import partial
 import numpy as np
 import pytest
 
-from machine_tool_calibration.validation import study_step_diagonal, study_tracking
+from machine_tool_calibration.plots.validation import draw
+from machine_tool_calibration.validation import study_probing, study_step_diagonal, study_tracking
 from machine_tool_calibration.validation.record import Printed, Study
 
 
@@ -50,3 +51,51 @@ def test_the_datum_of_an_origin_and_an_axis() -> None:
     assert np.abs(study_tracking.in_origin_datum(points, moved)).max() < 1e-18
     stretched = moved + 1e-5 * points
     assert study_tracking.in_origin_datum(points, stretched)[2] == pytest.approx([1e-6, 1e-6])
+
+
+@pytest.fixture(scope="module")
+def probing() -> Study:
+    return study_probing.study(lambda what, share: None)
+
+
+def test_what_no_datum_moves_agrees_with_the_paper_on_probing(probing: Study) -> None:
+    agreeing = {printed.what for printed in probing.printed if printed.agrees}
+    assert agreeing >= {"largest U of X and Y, at Y = ±110 mm", *(f"U of ECC at C = {c}°" for c in (75, 130, 210))}
+    share, bare = (entry(probing, what).ours for what in ("share of the grid", "largest U of X and Y without spheres"))
+    assert share is not None and share > 0.75
+    assert bare is not None and bare > 1.3 * 28e-6
+
+
+def test_more_angles_and_spheres_lessen_the_uncertainty_of_the_part(probing: Study) -> None:
+    for name in ("in the datum", "without shift, turn and growth"):
+        two, three, four = (
+            printed.ours or 0.0
+            for printed in probing.printed
+            if printed.what.startswith(f"largest U of the part, {name}")
+        )
+        assert two > 1.3 * three > 1.3 * four > 1e-6
+    more = [printed.ours for printed in probing.printed if printed.where == "Fig. 19"]
+    assert len(more) == 2 and all(u is not None and 0.0 < u < 4e-6 for u in more)
+
+
+def test_the_origin_at_one_node_is_behind_the_centre_of_c(probing: Study) -> None:
+    """Another origin shifts the centre of rotation by |1 - R(C)|, whatever the touches are."""
+    chord = np.abs(1 - np.exp(1j * np.radians([75, 130, 210])))
+    for axis in "XY":
+        ours = [p.ours or 0.0 for p in probing.printed if p.what.startswith(f"U of E{axis}C at")]
+        per_chord = np.array(ours) / chord
+        np.testing.assert_allclose(per_chord, per_chord.mean(), rtol=0.1)
+
+
+def test_pins_are_found_within_their_uncertainty(probing: Study) -> None:
+    raw, found, most = (
+        entry(probing, f"largest error of a pin, {what}").ours or 0.0
+        for what in ("touches at C", "self-calibrated", "in 95 %")
+    )
+    assert found < most < 2e-6 < raw
+
+
+def test_the_pictures_of_the_probing_paper(probing: Study) -> None:
+    panels = {name: len(draw(record).axes) for name, record in probing.pictures.items()}
+    # A panel and its scale of colours each.
+    assert panels == {"part": 8, "form": 8, "axes": 4, "pins": 1}

@@ -2,9 +2,9 @@
 """Whether a machine conforms to a tolerance, and how sure that is (JCGM 106:2012; ISO 14253-1:2017).
 
 The probability of conformity is that of the true value lying within the tolerance, given the measured value and its
-uncertainty and nothing else (JCGM 106, 7.1: a normal distribution about the measured value for what has a sign). The
-largest of many values, or their range, is not normally distributed: there the values are drawn with their joint
-uncertainty, and what is asked for is worked out of every draw.
+uncertainty and nothing else (JCGM 106, 7.1: for a single value a normal distribution about it, or Student's t where a
+budget has few degrees of freedom). The largest of many values, or their range, is distributed otherwise: there the
+values are drawn with their joint uncertainty, and what is asked for is worked out of every draw.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Literal, get_args
 
 import numpy as np
 from scipy import special
@@ -33,16 +32,17 @@ from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARE
 from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.model.restated import drawn
 
-__all__ = ["RULES", "VOLUMETRIC", "Conformity", "Rule", "Verdict", "conformity", "decide", "unit_of_figure"]
+__all__ = ["RULES", "VOLUMETRIC", "Conformity", "Verdict", "conformity", "decide", "unit_of_figure"]
 
-Rule = Literal["guarded", "guarded-acceptance", "guarded-rejection", "simple"]
-RULES: tuple[str, ...] = get_args(Rule)
+RULES = ("guarded", "guarded-acceptance", "guarded-rejection", "simple")
+"""Decision rules (`decide`)."""
 VOLUMETRIC = "volumetric"
 """The volumetric error: the largest length of the position error over the points of the map, in its datum."""
 
 # Draws that carry the correlations of the map's values, and of the values with these correlations.
 _SAMPLES, _DRAWS = 150, 10_000
-_CHUNK = 1000
+# Numbers at once, and standard uncertainties beyond which a value cannot be.
+_NUMBERS, _BEYOND = 2_000_000, 6.0
 
 
 @dataclass(frozen=True)
@@ -178,20 +178,13 @@ def conformity(
 class _Conformity:
     """Figures, and draws of them that are made once."""
 
-    def __init__(
-        self,
-        fitted: FittedSessions,
-        budget: Budget | None,
-        seed: int,
-        progress: Progress,
-    ) -> None:
-        self.fitted, self.progress, self.seed = fitted, progress, seed
-        self.budget = budget
+    def __init__(self, fitted: FittedSessions, budget: Budget | None, seed: int, progress: Progress) -> None:
+        self.fitted, self.budget, self.seed, self.progress = fitted, budget, seed, progress
         if budget is not None:
-            self.numbers, self.u = budget.numbers, budget.u
+            self.numbers, self.u, self.freedom = budget.numbers, budget.u, budget.degrees_of_freedom
         else:
             self.numbers = everything(fitted)
-            self.u = self.numbers.u
+            self.u, self.freedom = self.numbers.u, np.full(len(self.numbers.u), np.inf)
 
     def verdicts(self, name: str, tolerance: float, rule: str, level: float) -> list[Verdict]:
         """Of one tolerance: one, or one for every run of ISO 230-2."""
@@ -209,7 +202,7 @@ class _Conformity:
         """
         known = self.numbers.by_name
         if name == VOLUMETRIC:
-            return [self.of(known[POSITION_ERROR], VOLUMETRIC, _longest)] if POSITION_ERROR in known else []
+            return [self.volumetric(known[POSITION_ERROR])] if POSITION_ERROR in known else []
         if name in SQUARENESS:
             return [self.of(known[name], name, None, signed=True)] if name in known else []
         if name in ERROR_MOTIONS:
@@ -243,45 +236,58 @@ class _Conformity:
         """A figure of all numbers of a quantity."""
         return _Figure(name, q.unit, np.arange(q.first, q.first + q.count), work_out, signed)
 
+    def volumetric(self, q: Quantity) -> _Figure:
+        """The largest length of the position error, of those points that can have it.
+
+        A direction that is not measured anywhere is no part of it; a point with a gap leaves it undetermined.
+        """
+        error, u = (values[q.members].reshape(-1, 3) for values in (self.numbers.value, self.u))
+        measured = np.flatnonzero(np.isfinite(error).any(axis=0))
+        length, off = np.linalg.norm(error[:, measured], axis=1), _BEYOND * np.linalg.norm(u[:, measured], axis=1)
+        # False for points with a gap, too, which are to stay.
+        points = np.flatnonzero(~(length + off < np.max(length - off, initial=0.0)))
+        members = q.first + (3 * points[:, None] + measured).reshape(-1)
+        return _Figure(VOLUMETRIC, q.unit, members, partial(_longest, dimension=len(measured)), signed=False)
+
     def verdict(self, figure: _Figure, tolerance: float, rule: str, level: float) -> Verdict:
         """Probability and decision of one figure."""
-        members, values = figure.members, self.numbers.value[figure.members]
-        if figure.name == VOLUMETRIC:
-            # A direction that is not measured anywhere is no part of the volumetric error; a gap makes it unknown.
-            columns = np.isfinite(values.reshape(-1, 3)).any(axis=0)
-            kept = np.tile(columns, len(values) // 3)
-            members, values = members[kept], values[kept]
-            figure = _Figure(figure.name, figure.unit, members, lambda v: _longest(v, int(columns.sum())), signed=False)
-        spread = self.u[members]
+        name, unit, members = figure.name, figure.unit, figure.members
+        values, spread = self.numbers.value[members], self.u[members]
         if not len(values) or not (np.isfinite(values).all() and np.isfinite(spread).all()):
-            value = np.nan
-            return Verdict(
-                figure.name, figure.unit, tolerance, value, np.nan, np.nan, "not determined", self.why(figure.name)
-            )
+            return Verdict(name, unit, tolerance, np.nan, np.nan, np.nan, "not determined", self.why(name))
         if figure.work_out is None:
             value, u = float(values[0]), float(spread[0])
-            probability = _normal(value, u, tolerance, signed=figure.signed)
+            probability = _single(value, u, float(self.freedom[members[0]]), tolerance, signed=figure.signed)
         else:
             value = float(figure.work_out(values[None])[0])
-            drawn_figures = self.draws(members, values, spread, figure.work_out)
+            drawn_figures = self.draws(figure, values, spread)
             probability = float(np.mean(drawn_figures <= tolerance))
             low, high = np.percentile(drawn_figures, [2.275, 97.725])
             u = float(high - low) / 4.0
         size = abs(value) if figure.signed else value
         decision = decide(size, tolerance, probability, rule, level)
-        return Verdict(figure.name, figure.unit, tolerance, value, u, probability, decision)
+        return Verdict(name, unit, tolerance, value, u, probability, decision)
 
-    def draws(self, members: IntArray, values: Array, u: Array, work_out: Callable[[Array], Array]) -> Array:
+    def draws(self, figure: _Figure, values: Array, u: Array) -> Array:
         """(draws,) figures of values that are drawn with their joint uncertainty.
 
-        The samples carry the correlations; each value's own uncertainty is the one that is published.
+        The samples carry the correlations; each value's own uncertainty is the one that is published. Of few degrees of
+        freedom all values of a draw are off together (a multivariate t-distribution).
         """
-        off = self.samples[:, members]
+        assert figure.work_out is not None
+        off = self.samples[:, figure.members]
+        freedom = float(self.freedom[figure.members[int(np.argmax(u))]])
         size = np.sqrt(np.mean(off**2, axis=0))
         root = off * np.where(size > 0, u / np.where(size > 0, size, 1.0), 0.0) / np.sqrt(len(off))
         rng = np.random.default_rng(self.seed)
-        parts = [work_out(values + rng.standard_normal((_CHUNK, len(root))) @ root) for _ in range(0, _DRAWS, _CHUNK)]
-        return np.concatenate(parts)
+        chunk = max(min(_DRAWS, _NUMBERS // len(values)), 1)
+        out = []
+        for first in range(0, _DRAWS, chunk):
+            z = rng.standard_normal((min(chunk, _DRAWS - first), len(root)))
+            if np.isfinite(freedom):
+                z /= np.sqrt(rng.chisquare(freedom, len(z)) / freedom)[:, None]
+            out.append(figure.work_out(values + z @ root))
+        return np.concatenate(out)
 
     @cached_property
     def samples(self) -> Array:
@@ -317,12 +323,19 @@ class _Conformity:
         return "this measurement and model do not give it"
 
 
-def _normal(value: float, u: float, tolerance: float, *, signed: bool) -> float:
-    """Probability that a normally distributed value is at most the tolerance, or within it on either side of zero."""
+def _single(value: float, u: float, freedom: float, tolerance: float, *, signed: bool) -> float:
+    """Probability that a value is at most the tolerance, or within it on either side of zero.
+
+    Normally distributed, or by Student's t where its uncertainty has few degrees of freedom.
+    """
     if u == 0.0:
         return float((abs(value) if signed else value) <= tolerance)
-    upper = float(special.ndtr((tolerance - value) / u))
-    return upper - float(special.ndtr((-tolerance - value) / u)) if signed else upper
+
+    def below(limit: float) -> float:
+        t = (limit - value) / u
+        return float(special.ndtr(t) if np.isinf(freedom) else special.stdtr(freedom, t))
+
+    return below(tolerance) - below(-tolerance) if signed else below(tolerance)
 
 
 def _range(values: Array) -> Array:
@@ -339,6 +352,6 @@ def _only(values: Array) -> Array:
     return values[:, 0]
 
 
-def _longest(values: Array, dimension: int = 3) -> Array:
+def _longest(values: Array, dimension: int) -> Array:
     vectors = values.reshape(len(values), -1, dimension)
     return np.asarray(np.sqrt(np.einsum("sni,sni->sn", vectors, vectors)).max(axis=1))

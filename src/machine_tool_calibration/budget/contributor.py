@@ -116,8 +116,6 @@ class Contributor(Record):
             raise ValueError("half_width is for rectangular, triangular and arcsine; a normal distribution has no ends")
         if (self.enters == "temperature") != (self.expansion is not None):
             raise ValueError("expansion (1/K) belongs to what enters by temperature, and only to that")
-        if self.degrees_of_freedom is not None and self.type == "A" and self.distribution != "normal":
-            raise ValueError("a type A evaluation with degrees_of_freedom has a normal distribution")
         return self
 
     @property

@@ -31,7 +31,7 @@ from machine_tool_calibration.budget.published import (
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.fitted import FittedSessions
-from machine_tool_calibration.model.restated import changed, declared
+from machine_tool_calibration.model.restated import changed, covariance_of, declared
 
 __all__ = [
     "DRAWS",
@@ -175,6 +175,11 @@ class Budget:
         total = np.sqrt(np.sum([line.u**2 for line in self.lines], axis=0))
         return np.where(np.isfinite(self.numbers.value), total, np.nan)
 
+    @cached_property
+    def degrees_of_freedom(self) -> Array:
+        """(M,) effective ones of each combined uncertainty, by Welch and Satterthwaite (GUM Eq. (G.2b))."""
+        return _effective(np.array([line.u**2 for line in self.lines]), self.lines)
+
     def largest(self, name: str) -> Sum | None:
         """The number of a quantity of which the combined uncertainty is largest; None if none is determined.
 
@@ -205,11 +210,16 @@ class Budget:
         squares = np.array(parts) ** 2
         total = float(squares.sum())
         shares = tuple(Share(float(p), float(s / total) if total else 0.0) for p, s in zip(parts, squares, strict=True))
-        # Welch and Satterthwaite, GUM Eq. (G.2b).
-        weight = sum(s**2 / line.degrees_of_freedom for s, line in zip(squares, self.lines, strict=True))
-        freedom = total**2 / weight if weight > 0 else np.inf
+        freedom = float(_effective(squares[:, None], self.lines)[0])
         k = 2.0 if np.isinf(freedom) else float(special.stdtrit(freedom, 0.5 + _COVERED / 2.0))
-        return Sum(quantity, index, shares, float(np.sqrt(total)), float(freedom), k, float(stated))
+        return Sum(quantity, index, shares, float(np.sqrt(total)), freedom, k, float(stated))
+
+
+def _effective(squares: Array, lines: Sequence[Line]) -> Array:
+    """(M,) effective degrees of freedom of sums of squares (lines, M); infinite where nothing is said of them."""
+    own = np.array([line.degrees_of_freedom for line in lines])
+    weight = np.sum(squares**2 / own[:, None], axis=0)
+    return np.where(weight > 0, squares.sum(axis=0) ** 2 / np.where(weight > 0, weight, 1.0), np.inf)
 
 
 @single_blas()
@@ -265,6 +275,7 @@ class _Propagation:
         self.patterns = [pattern(c, [model.observations for model in models]) for c in contributors]
         priors = self.joint.assembly.problem.priors
         self.known = np.zeros(0) if priors is None else priors.sigma
+        self.points = any(part.dimension for part in self.joint.assembly.problem.parts)
         still = np.zeros(len(self.sigma))
         self.published = everything(fitted)
         count = sum(q.count for q in self.published.quantities if figure_of(q.name))
@@ -293,8 +304,8 @@ class _Propagation:
         for k, own in enumerate(self.patterns):
             self.progress(own.contributor.name, k / len(self.patterns))
             lines.append(self.line(own))
-        if len(self.known):
-            lines.append(Line(KNOWN, None, np.nan, self.from_known, "closed form"))
+        if np.nan_to_num(self.from_known).any():
+            lines.append(Line(KNOWN, None, np.nan, self.from_known, "steps" if self.points else "closed form"))
         if self.repeatability.any():
             lines.append(Line(REPEATABILITY, None, np.nan, self.repeatability, "closed form"))
         return Budget(self.published, tuple(lines), self.drawn(draws, again=True) if draws else None)
@@ -310,29 +321,38 @@ class _Propagation:
 
     def spread(self, own: Pattern) -> tuple[Array, str]:
         """(M,) variance from the independent values of a contributor, and how it was worked out."""
-        size = own.size
-        there = np.unique(own.group[size > 0])
-        if len(there) <= _MOST_GROUPS and not (own.contributor.varies == "reading" and self.scales(own)):
-            steps = [self.response(self.signed(own) * (own.group == g)) for g in there]
-            return np.sum([s**2 for s in steps], axis=0) if steps else np.zeros(len(self.base)), "steps"
-        scales = self.scales(own)
-        # By the Cauchy-Schwarz inequality what readings share adds to at most so many times what they would do alone.
-        bound = float((size / self.sigma).max()) ** 2 * float(np.bincount(own.group).max())
-        if scales or bound < _NOTHING**2:
-            closed = bound * self.from_readings**2
-            if self.iso.stop > self.iso.start:
-                closed[self.iso] = self.drawn_squares(own, iso_only=True)[self.iso]
-            return closed, "closed form" if scales else "bound"
-        return self.drawn_squares(own), "draws"
+        there = np.unique(own.group[own.size > 0])
+        closed = self.closed(own) if len(there) > _MOST_GROUPS or own.contributor.varies == "reading" else None
+        if closed is not None:
+            return closed
+        if len(there) > _MOST_GROUPS:
+            return self.drawn_squares(own), "draws"
+        squares = np.zeros(len(self.base))
+        for g in there:
+            squares += self.response(self.signed(own) * (own.group == g)) ** 2
+        return squares, "steps"
+
+    def closed(self, own: Pattern) -> tuple[Array, str] | None:
+        """The same from the covariance of the fit; None where that does not tell it."""
+        # What readings share adds to at most so many times what they would do alone (Cauchy-Schwarz inequality), and to
+        # just that where they are alike.
+        size = own.size * np.sqrt(np.bincount(own.group)[own.group])
+        ratio = size / self.sigma
+        if own.single and float(np.ptp(ratio)) <= _ALIKE * float(ratio.max()):
+            squares, how = float(ratio.max()) ** 2 * self.from_readings**2, "closed form"
+        elif own.single and not self.points:
+            squares, how = self.mapped(covariance_of(self.joint, self.split(size))), "closed form"
+        elif ratio.max() < _NOTHING:
+            squares, how = float(ratio.max()) ** 2 * self.from_readings**2, "bound"
+        else:
+            return None
+        if self.iso.stop > self.iso.start:
+            squares[self.iso] = self.drawn_squares(own, iso_only=True)[self.iso]
+        return squares, how
 
     def signed(self, own: Pattern) -> Array:
         """(n,) one standard deviation of what it does to each reading with the sign of that."""
         return np.where(own.slope + own.curvature < 0, -own.size, own.size)
-
-    def scales(self, own: Pattern) -> bool:
-        """Whether it is like the declared uncertainty, so that the covariance of the fit tells it."""
-        ratio = own.size / self.sigma
-        return own.single and float(np.ptp(ratio)) <= _ALIKE * float(ratio.max())
 
     def drawn_squares(self, own: Pattern, *, iso_only: bool = False) -> Array:
         """(M,) mean square change over random values."""
@@ -351,23 +371,34 @@ class _Propagation:
     @cached_property
     def from_readings(self) -> Array:
         """(M,) standard uncertainty from the declared uncertainty of the readings."""
+        total = self.squares(self.joint.solution.covariance)
+        return np.sqrt(np.maximum(total - self.from_known**2, 0.0))
+
+    @cached_property
+    def fixed(self) -> Array:
+        """(M,) variance that a map has without any of the unknowns: of a line through stations as they are stated."""
+        return np.zeros(len(self.base)) if self.points else self.squares(np.zeros_like(self.joint.solution.covariance))
+
+    def mapped(self, covariance: Array) -> Array:
+        """(M,) variance from a covariance of the shared unknowns."""
+        return np.maximum(self.squares(covariance) - self.fixed, 0.0)
+
+    def squares(self, covariance: Array) -> Array:
+        """(M,) variance as a map of this covariance states it."""
         total = np.zeros(len(self.base))
-        total[: self.iso.start] = numbers(self.fitted, declared(self.joint)).u
-        return np.sqrt(np.maximum(total**2 - self.from_known**2, 0.0))
+        total[: self.iso.start] = numbers(self.fitted, declared(self.joint, covariance)).u ** 2
+        return total
 
     @cached_property
     def from_known(self) -> Array:
         """(M,) standard uncertainty from what is known besides the readings."""
-        total = np.zeros(len(self.base))
         problem = self.joint.assembly.problem
-        if problem.priors is None:
-            return total
-        if not any(part.dimension for part in problem.parts):
+        if not self.points:
             # Without points of its own a map is worked out from the covariance alone, whichever that is.
-            covariance = self.joint.solution.covariance
-            rows = problem.priors.columns / problem.priors.sigma[:, None] @ covariance
-            total[: self.iso.start] = numbers(self.fitted, declared(self.joint, rows.T @ rows)).u
-            return total
+            rows = np.zeros((0, problem.size))
+            if problem.priors is not None:
+                rows = problem.priors.columns / problem.priors.sigma[:, None] @ self.joint.solution.covariance
+            return np.sqrt(self.squares(rows.T @ rows))
         still, squares = np.zeros(len(self.sigma)), np.zeros(len(self.base))
         for k, sigma in enumerate(self.known):
             self.progress(KNOWN, k / len(self.known))
@@ -382,6 +413,8 @@ class _Propagation:
                 f"at most {_MOST_NUMBERS // len(self.base)} draws of this measurement"
             )
         base = self.values(np.zeros(len(self.sigma)), again=True) if again else self.base
+        # What no reading and no prior of the fit brings with it.
+        besides = np.sqrt(self.repeatability**2 + np.nan_to_num(self.fixed))
         out = np.empty((draws, len(base)))
         for k in range(draws):
             self.progress("Monte Carlo", k / draws)
@@ -389,6 +422,6 @@ class _Propagation:
             for own in self.patterns:
                 shift += own.change(own.contributor.draw(self.rng, own.count))
             known = self.known * self.rng.standard_normal(len(self.known))
-            noise = self.repeatability * self.rng.standard_normal(len(base))
+            noise = besides * self.rng.standard_normal(len(base))
             out[k] = self.values(shift, known, again=again) - base + noise
         return Drawn(out)

@@ -28,6 +28,7 @@ __all__ = [
     "POSITION_ERROR",
     "Numbers",
     "Quantity",
+    "check_names",
     "everything",
     "figure_of",
     "iso_numbers",
@@ -117,6 +118,18 @@ def everything(fitted: FittedSessions) -> Numbers:
     iso = iso_numbers(fitted, first=len(mapped.value))
     value, u = np.concatenate([mapped.value, iso.value]), np.concatenate([mapped.u, iso.u])
     return Numbers(value, u, mapped.quantities + iso.quantities)
+
+
+def check_names(fitted: FittedSessions, names: Sequence[str]) -> None:
+    """Refuse names under which nothing is published, before anything is worked out.
+
+    Raises:
+        ModelError: there is one.
+    """
+    if names:
+        published = everything(fitted)
+        for name in names:
+            published.quantity(name)
 
 
 def numbers(fitted: FittedSessions, joint: JointFit) -> Numbers:

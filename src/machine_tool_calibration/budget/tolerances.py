@@ -16,7 +16,7 @@ from machine_tool_calibration.session.description import Finite, Record
 from machine_tool_calibration.session.parse import parse_record
 from machine_tool_calibration.session.text import read_text
 
-__all__ = ["parse_tolerances", "read_tolerances"]
+__all__ = ["parse_tolerances", "read_tolerances", "tolerance"]
 
 FORMAT = "mtcal-tolerances/1"
 
@@ -42,7 +42,7 @@ def parse_tolerances(texts: Iterable[str]) -> dict[str, float]:
             raise ModelError(f"the tolerance {text!r} is not of the form NAME=VALUE with a unit, such as EXX=10um")
         if name in out:
             raise ModelError(f"{name} has two tolerances")
-        out[name] = _value(name, value)
+        out[name] = tolerance(name, value)
     return out
 
 
@@ -53,11 +53,21 @@ def read_tolerances(path: Path) -> dict[str, float]:
         SessionError: it cannot be read, or something in it is wrong; one line that says what and where.
     """
     content = parse_record(read_text(path), str(path), _File, FORMAT).tolerances
-    return {
-        name: _value(f"{path}: {name}", value, name) if isinstance(value, str) else float(value)
-        for name, value in content.items()
-    }
+    return {name: tolerance(name, value, f"{path}: ") for name, value in content.items()}
 
 
-def _value(what: str, text: str, name: str = "") -> float:
-    return quantity(text, "angle" if unit_of_figure(name or what) == "rad" else "length", f"tolerance of {what}")
+def tolerance(name: str, value: float | str, source: str = "") -> float:
+    """A tolerance in m or rad.
+
+    Args:
+        name: of the figure.
+        value: in m or rad, or a text with its unit.
+        source: before the name in messages.
+
+    Raises:
+        SessionError: a text without a unit, or with one of another dimension.
+    """
+    if not isinstance(value, str):
+        return float(value)
+    wanted = "angle" if unit_of_figure(name) == "rad" else "length"
+    return quantity(value, wanted, f"{source}tolerance of {name}")

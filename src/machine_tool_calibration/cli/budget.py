@@ -76,6 +76,7 @@ def command(
     """
     from machine_tool_calibration.budget.contributor import template
     from machine_tool_calibration.budget.propagate import propagate
+    from machine_tool_calibration.budget.published import check_names
     from machine_tool_calibration.reports.budget import budget_document, show_budget
 
     if instrument is not None:
@@ -88,6 +89,7 @@ def command(
     with progress_bar() as progress:
         sessions, found = fitted(measurements, effects, files, model, progress)
         contributors = contributors_of(budgets, sessions)
+        check_names(found, names)
         budget = propagate(found, contributors, draws=draws or 0, seed=seed, progress=progress)
     document = budget_document(budget, names)
     if as_json:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from machine_tool_calibration.budget.conformity import RULES, conformity
 from machine_tool_calibration.cli.budget import contributors_of, fitted
 from machine_tool_calibration.cli.diagnosing import model_options
 from machine_tool_calibration.cli.output import console, json_option, progress_bar, write_json
@@ -22,7 +23,7 @@ __all__ = ["command"]
 @click.option("--tolerances", "file", type=click.Path(path_type=Path), help="YAML file with tolerances.")
 @click.option(
     "--rule",
-    type=click.Choice(["guarded", "guarded-acceptance", "guarded-rejection", "simple", "shared-risk"]),
+    type=click.Choice([*RULES, "shared-risk"]),
     default="guarded",
     show_default=True,
     help="Decision rule of ISO 14253-1 (guarded) or JCGM 106; shared-risk is simple acceptance.",
@@ -68,7 +69,6 @@ def command(
     mtcal conformity session --tolerance volumetric=30um --rule simple
     mtcal conformity session --tolerances tolerances.yaml --budget mine.yaml --json
     """
-    from machine_tool_calibration.budget.conformity import conformity
     from machine_tool_calibration.budget.propagate import propagate
     from machine_tool_calibration.budget.tolerances import parse_tolerances, read_tolerances
     from machine_tool_calibration.reports.conformity import conformity_document, show_conformity

@@ -22,7 +22,7 @@ from machine_tool_calibration.estimation.solve import gram, local_steps, solve
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.stated import Stated
 
-__all__ = ["changed", "declared", "drawn"]
+__all__ = ["changed", "covariance_of", "declared", "drawn"]
 
 
 def declared(joint: JointFit, covariance: Array | None = None) -> JointFit:
@@ -38,7 +38,7 @@ def declared(joint: JointFit, covariance: Array | None = None) -> JointFit:
     parts = tuple(joint.assembly.problem.parts)
     none = tuple(np.zeros((0, part.n_readings)) for part in parts)
     solution = joint.solution if covariance is None else replace(joint.solution, covariance=covariance)
-    return replace(joint, given=Stated(parts, solution, 1.0, (), None, none, solution.chi_square))
+    return replace(joint, given=Stated(parts, solution, 1.0, (), None, none, solution.chi_square, np.zeros(0)))
 
 
 @single_blas()
@@ -97,23 +97,58 @@ def drawn(joint: JointFit, rng: np.random.Generator, count: int) -> Iterator[Joi
         yield replace(joint, given=replace(stated, solution=replace(published, theta=theta, local=local)))
 
 
-class _ShiftedPart(Part):
-    """The readings of a part with something added to each."""
+@single_blas()
+def covariance_of(joint: JointFit, size: Sequence[Array]) -> Array:
+    """(m, m) covariance of the shared unknowns from independent readings of another size than the fit weighs them by.
 
-    def __init__(self, inner: Part, shift: Array) -> None:
+    Args:
+        joint: a fit without points of their own, which would hide the readings.
+        size: for each session (n,) standard uncertainty of its readings, m.
+    """
+    solution, problem = joint.solution, joint.assembly.problem
+    parts = [
+        _ScaledPart(part, own / model.sigma)
+        for part, own, model in zip(problem.parts, size, joint.assembly.models, strict=True)
+    ]
+    m = problem.size
+    total, _ = gram(replace(problem, parts=parts, priors=None), solution.theta, solution.local)
+    return np.asarray(solution.covariance @ total[:m, :m] @ solution.covariance)
+
+
+class _ChangedPart(Part):
+    """A part with a number for each reading that changes it."""
+
+    def __init__(self, inner: Part, by: Array) -> None:
         """Keep the part.
 
         Args:
             inner: the part.
-            shift: (n,) what is added, over the standard uncertainty of each reading.
+            by: (n,) for each reading.
         """
-        self.inner, self.shift = inner, shift
+        self.inner, self.by = inner, by
         self.groups, self.block_index, self.dense_index = inner.groups, inner.block_index, inner.dense_index
         self.dimension, self.n_points = inner.dimension, inner.n_points
         self.n_readings, self.linear = inner.n_readings, inner.linear
 
+    def slots(self, group: int, chunk: slice) -> Array:
+        """(S, n) the numbers as the rows lie; 0 where there is no reading."""
+        pick = self.groups[group].rows[:, chunk]
+        return np.where(pick >= 0, self.by[pick], 0.0)
+
+
+class _ShiftedPart(_ChangedPart):
+    """Something is added to each reading, over its standard uncertainty."""
+
     def rows(self, group: int, chunk: slice, theta: Array, local: Array) -> Rows:
         """Those of the inner part with other residuals."""
         rows = self.inner.rows(group, chunk, theta, local)
-        pick = self.groups[group].rows[:, chunk]
-        return replace(rows, residual=rows.residual + np.where(pick >= 0, self.shift[pick], 0.0))
+        return replace(rows, residual=rows.residual + self.slots(group, chunk))
+
+
+class _ScaledPart(_ChangedPart):
+    """Each reading weighs so many times as much."""
+
+    def rows(self, group: int, chunk: slice, theta: Array, local: Array) -> Rows:
+        """Those of the inner part times the numbers."""
+        rows, times = self.inner.rows(group, chunk, theta, local), self.slots(group, chunk)
+        return Rows(rows.residual * times, rows.local * times, rows.block * times, rows.dense * times)

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from machine_tool_calibration.budget.propagate import DRAWS, KNOWN, REPEATABILITY, Budget, Line, Sum
-from machine_tool_calibration.budget.published import POSITION_ERROR, Quantity, figure_of
+from machine_tool_calibration.budget.published import POSITION_ERROR, figure_of
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS
 from machine_tool_calibration.reports.quantities import NOT_DETERMINED, micrometres, quantity, rounded
 from machine_tool_calibration.reports.tables import TextTable, show_table
@@ -16,7 +16,7 @@ from machine_tool_calibration.reports.tables import TextTable, show_table
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["budget_document", "chosen_sums", "default_names", "enters_words", "show_budget", "sum_title"]
+__all__ = ["budget_document", "chosen_sums", "default_names", "show_budget", "sum_title"]
 
 _ENTERS = {
     "reading": "reading",
@@ -39,20 +39,17 @@ _VARIES = {
     "never": "none",
 }
 _LEAST_NAMED = 1.0  # %
+# Degrees of freedom above which k is 2 to three figures.
+_MANY = 1000
 # Share, and standard uncertainty of a reading, m, below which a number says no more than that it is small.
 _LEAST_SHARE, _LEAST_READING = 0.001, 1e-9
 
 
 def default_names(budget: Budget) -> list[str]:
     """Quantities that are told if none is asked for: position error, error motions, squareness, ISO 230-2."""
-    names = [q.name for q in budget.numbers.quantities if _told(q)]
+    usual = {POSITION_ERROR, *ERROR_MOTIONS, *SQUARENESS}
+    names = [q.name for q in budget.numbers.quantities if q.name in usual or figure_of(q.name)]
     return sorted(names, key=lambda name: name != POSITION_ERROR)
-
-
-def _told(q: Quantity) -> bool:
-    if q.name == POSITION_ERROR or q.name in SQUARENESS:
-        return True
-    return q.name in ERROR_MOTIONS or figure_of(q.name) is not None
 
 
 def chosen_sums(budget: Budget, names: Sequence[str]) -> list[Sum]:
@@ -71,14 +68,12 @@ def chosen_sums(budget: Budget, names: Sequence[str]) -> list[Sum]:
 
 def sum_title(one: Sum) -> str:
     """Name of a column: the quantity, which of its numbers, and the unit."""
-    name = one.quantity.name.replace(POSITION_ERROR, "position error")
     which = ", RMS" if one.index is None else ", largest" if one.quantity.count > 1 else ""
-    return f"{name}{which} / {_unit(one)[1]}"
+    return f"{_quantity_name(one)}{which} / {_unit(one)[1]}"
 
 
-def enters_words(line: Line) -> str:
-    """How a contributor enters, in a word or two."""
-    return "" if line.contributor is None else _ENTERS[line.contributor.enters]
+def _quantity_name(one: Sum) -> str:
+    return "position error" if one.quantity.name == POSITION_ERROR else one.quantity.name
 
 
 def _unit(one: Sum) -> tuple[float, str]:
@@ -100,9 +95,9 @@ def show_budget(screen: Console, budget: Budget, names: Sequence[str]) -> None:
     detailed = sums if names else [one for one in sums if one.quantity.name == POSITION_ERROR] or sums[:2]
     if detailed:
         show_table(screen, _contributions(budget, detailed))
-    rest = [one for one in sums if one not in detailed]
-    if rest:
-        show_table(screen, _overview(budget, rest))
+    # Those in detail come first.
+    if len(sums) > len(detailed):
+        show_table(screen, _overview(budget, sums[len(detailed) :]))
     if budget.drawn is not None and sums:
         show_table(screen, _check(budget, sums))
     for text in _remarks(budget, sums):
@@ -124,7 +119,7 @@ def _contributors(budget: Budget) -> TextTable:
                 c.distribution,
                 quantity(c.u, c.unit) if c.unit != "1" or c.enters == "length" else rounded(c.u),
                 freedom,
-                enters_words(line),
+                _ENTERS[c.enters],
                 _VARIES[c.varies],
                 micrometres(line.reading) if line.reading >= _LEAST_READING else "< 0.001",
             )
@@ -173,7 +168,8 @@ def _part(one: Sum, k: int) -> str:
 
 
 def _freedom(value: float) -> str:
-    return f"{'∞' if math.isinf(value) else f'{value:.0f}':>6}"
+    text = "∞" if math.isinf(value) else f"{value:.0f}" if value <= _MANY else f"> {_MANY}"
+    return f"{text:>6}"
 
 
 def _overview(budget: Budget, sums: Sequence[Sum]) -> TextTable:
@@ -223,7 +219,7 @@ def _check(budget: Budget, sums: Sequence[Sum]) -> TextTable:
 
 
 def _remarks(budget: Budget, sums: Sequence[Sum]) -> Iterator[str]:
-    places = [f"{sum_title(one).split(',')[0].split(' /')[0]} {one.where}" for one in sums if one.where and one.index]
+    places = [f"{_quantity_name(one)} {one.where}" for one in sums if one.where and one.index is not None]
     if places:
         yield f"Largest: {'; '.join(places)}."
     taken = [line.name for line in budget.lines if line.how == "draws"]
