@@ -14,6 +14,7 @@ from scipy import special
 
 from machine_tool_calibration.cli.compare_maps import command
 from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.interface.map_comparison import MapComparison
 from machine_tool_calibration.methods import map_comparison
 from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.methods.identify import fitted_sessions, identify
@@ -116,6 +117,8 @@ def test_two_instruments_agree_on_one_machine_and_not_on_two() -> None:
     # Both maps are in the datum of all their points already: their uncertainties stay what they are.
     stated = tracked.error_map.uncertainty[:, :2]
     assert found.u_first[:, :2] == pytest.approx(stated, rel=5 / np.sqrt(2 * draws))
+    assert found.beyond == int((np.abs(MapComparison(found).table["normalised"]) > 1.0).sum())
+    assert MapComparison(found).headline == "first and second agree at 20 points"
     contradicting = compare_fits(tracked, other, draws=draws)
     assert not contradicting.agree and contradicting.p_value < 1e-6
 

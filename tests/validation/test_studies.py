@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 import pytest
 
@@ -27,7 +25,7 @@ def test_a_tilted_mirror_is_behind_table_1_of_the_step_diagonal(monkeypatch: pyt
 
 
 def test_the_budget_and_the_map_of_the_open_loop_tracking_interferometer(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(study_tracking, "compare_fits", partial(study_tracking.compare_fits, draws=80))
+    monkeypatch.setattr(study_tracking, "DRAWS", 80)
     study = study_tracking.study(lambda what, share: None)
     differing = [printed.what for printed in study.printed if printed.agrees is False]
     assert differing == [

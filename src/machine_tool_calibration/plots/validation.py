@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from machine_tool_calibration.budget.propagate import Budget
 from machine_tool_calibration.methods.map_comparison import MapComparison
 from machine_tool_calibration.methods.step_diagonal.compare import Comparison
+from machine_tool_calibration.plots.budget import draw_budget
 from machine_tool_calibration.plots.features import draw_features
 from machine_tool_calibration.plots.map_comparison import draw_map_comparison
 from machine_tool_calibration.plots.rotary_axis import draw_motions
@@ -39,6 +41,7 @@ def draw(record: Any) -> Figure:
 
 
 draw.register(Comparison, draw_comparison)
+draw.register(Budget, draw_budget)
 draw.register(MapComparison, draw_map_comparison)
 draw.register(Profiles, draw_profiles)
 draw.register(TargetUncertainty, draw_target_uncertainty)

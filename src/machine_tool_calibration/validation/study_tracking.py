@@ -17,9 +17,11 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.budget.contributor import Contributor, default_budget
 from machine_tool_calibration.budget.patterns import pattern
+from machine_tool_calibration.budget.propagate import propagate
+from machine_tool_calibration.budget.published import POSITION_ERROR
 from machine_tool_calibration.instruments.tracking import distance, projection
 from machine_tool_calibration.methods.fitted import FittedSessions, fit_sessions
-from machine_tool_calibration.methods.map_comparison import MapComparison, compare_fits
+from machine_tool_calibration.methods.map_comparison import DRAWS, MapComparison, compare_fits
 from machine_tool_calibration.model.restated import changed
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 from machine_tool_calibration.simulation.direct_run import DirectPlan
@@ -52,6 +54,7 @@ _K = 2.0
 _GRID, _AXES, _WARMER, _SIDE = 8e-6, 10.5e-6, 4.5, 0.1
 # The twin: what the readings scatter, and a radial error motion of 2.2 um (k = 2) as harmonics of the azimuth, m.
 _SCATTER, _RADIAL = 1e-7, {2: (0.9e-6, 0.6e-6), 3: (-0.5e-6, 0.8e-6), 5: (0.4e-6, 0.5e-6)}
+_INSTRUMENT = "tracking_interferometer"
 _NAMES = ("tracking interferometer", "grid")
 _PLANE = ("EXX", "EYX", "EXY", "EYY", "ECY", "C0Y")
 _SEED = 3
@@ -117,12 +120,15 @@ def study(progress: Callable[[str, float], None]) -> Study:
     fitted, machine = _tracked(plan)
     found = _found(fitted)
     shown = TargetUncertainty(found.points, np.linalg.norm(found.expanded, axis=1), found.stations)
+    progress("Table 4 to the map", 0.1)
+    budget = propagate(fitted, default_budget([_INSTRUMENT]))
+    spread = budget.u[budget.numbers.quantity(POSITION_ERROR).members]
     progress("Figs. 10 to 13", 0.2)
     profiles = tuple(_profile(motion, found, machine) for motion in ("EXX", "EYY"))
     compared = []
     for number, longer in enumerate((_GRID * _WARMER, 0.0)):
         share = partial(_share, progress, number)
-        compared.append(compare_fits(fitted, _on_grid(plan, machine, longer), _NAMES, progress=share))
+        compared.append(compare_fits(fitted, _on_grid(plan, machine, longer), _NAMES, draws=DRAWS, progress=share))
     warm, corrected = compared
     return Study(
         id="tracking",
@@ -159,10 +165,19 @@ def study(progress: Callable[[str, float], None]) -> Study:
                 0.0,
                 "the datum of our maps, which hinges on no single target",
             ),
+            Printed(
+                "largest U of a target from the budget's contributors, without a common shift and turn",
+                "Table 4, Fig. 14",
+                None,
+                _K * float(np.linalg.norm(spread.reshape(-1, 3)[:, :2], axis=1).max()),
+                "m",
+                0.0,
+                "dead path and drift of a run are one value of a setup: the dead path that is identified takes them up",
+            ),
             *_expansion(),
             *_differences(warm, corrected, profiles),
         ),
-        pictures={"figs_10_and_12": warm, "fig_13": Profiles(profiles), "fig_14": shown},
+        pictures={"table_4": budget, "figs_10_and_12": warm, "fig_13": Profiles(profiles), "fig_14": shown},
     )
 
 
@@ -213,7 +228,7 @@ def _unknowns(fitted: FittedSessions) -> float:
 def _table(fitted: FittedSessions) -> tuple[Printed, ...]:
     """Table 4: what each contributor of the instrument's budget does to the reading at (100, 100) mm from station A."""
     observed = fitted.joint.assembly.models[0].observations
-    budget = {c.symbol: c for c in default_budget(["tracking_interferometer"])}
+    budget = {c.symbol: c for c in default_budget([_INSTRUMENT])}
     at = observed.position[:, :2] - np.array(_TARGET)
     row = int(np.flatnonzero((observed.readings.setup == 0) & (np.abs(at) < 1e-9).all(axis=1))[0])
 
