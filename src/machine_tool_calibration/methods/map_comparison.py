@@ -187,7 +187,8 @@ def _placed(there: BoolArray, values: Array) -> Array:
 
 def _motion(moves: Array, scale: float, difference: Array, rows: Array) -> tuple[Motion, ...]:
     """Motions with their uncertainty; those that could be exchanged for others are not determined."""
-    _, sizes, right = np.linalg.svd(moves)
+    # All six rows of the right side, of few components too, but not a square of thousands on the left.
+    _, sizes, right = np.linalg.svd(moves, full_matrices=len(moves) < moves.shape[1])
     rank = int((sizes > _NOTHING * sizes[0]).sum())
     loose = np.linalg.norm(right[rank:], axis=0) > _RANK
     solve = np.linalg.pinv(moves, rcond=_NOTHING)
