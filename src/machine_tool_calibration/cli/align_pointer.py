@@ -36,6 +36,8 @@ def command(searches: tuple[Path, ...], machine: str | None, setup: str, as_json
     from machine_tool_calibration.reports.pointer_alignment import alignment_document, show_alignment
 
     u = 0.0 if machine is None else quantity(machine, "length", "--machine")
+    if u < 0:
+        raise CalibrationError(f"--machine: a standard uncertainty is not negative, as {machine} is")
     read = [read_alignment(path) for path in searches]
     turning, moving = ([one for one in read if one.turns is turns] for turns in (True, False))
     if len(turning) > 1 or len(moving) > 1:

@@ -44,24 +44,25 @@ def read_alignment(path: Path) -> Alignment:
     """Read a search.
 
     Args:
-        path: a CSV file in SI units with the columns `azimuth`, `displacement`, `x`, `y`, and where there are several
-            runs `setup` and `repeat`; or the folder that holds it as `observations.csv`.
+        path: a CSV file in SI units with the columns `azimuth`, `displacement`, `x`, `y`, and `repeat` where there are
+            several runs; or the folder that holds it as `observations.csv`.
 
     Raises:
-        SessionError: it cannot be read, lacks a column, or neither or both of beam and retroreflector move.
+        SessionError: it cannot be read, lacks a column, is of several stations, or both or neither of beam and
+            retroreflector move.
     """
     file = path / "observations.csv" if path.is_dir() else path
     table = read_text_table(file, FileForm())
     azimuth, displacement, x, y = (table.numbers(name, name) for name in ("azimuth", "displacement", "x", "y"))
-    marks = [
-        np.unique(table.text(name, name), return_inverse=True)[1] for name in ("setup", "repeat") if name in table.names
-    ]
+    setups = np.unique(table.text("setup", "setup")) if "setup" in table.names else ()
+    if len(setups) > 1:
+        raise SessionError(f"{file}: {len(setups)} setups; each station has a centre of its own: one file for each")
+    repeat = table.text("repeat", "repeat") if "repeat" in table.names else np.zeros(len(x), dtype=np.int64)
     good = np.isfinite(displacement)
     place = np.column_stack([x, y])
     if not good.any() or not (np.isfinite(azimuth) & np.isfinite(place).all(axis=1)).all():
         raise SessionError(f"{file}: no readings, or an azimuth, x or y that is missing")
-    run = groups(*marks) if marks else np.zeros(len(x), dtype=np.int64)
-    found = Alignment(azimuth[good], displacement[good], place[good], run[good])
+    found = Alignment(azimuth[good], displacement[good], place[good], groups(repeat[good]))
     moves = bool(np.ptp(found.place, axis=0).max() > _STILL)
     if found.turns == moves:
         both = "the beam turns and the retroreflector moves" if moves else "neither beam nor retroreflector moves"

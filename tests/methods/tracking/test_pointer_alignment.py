@@ -158,6 +158,7 @@ def test_the_verb_prints_lines_for_the_session(tmp_path: Path) -> None:
         ({"azimuth": TURN, "y": TURN}, "the beam turns and the retroreflector moves"),
         ({}, "neither beam nor retroreflector moves"),
         ({"x": TURN}, "x moves"),
+        ({"azimuth": TURN, "setup": np.arange(36) // 18}, "2 setups; each station has a centre of its own"),
         ({"y": np.where(TURN > 1.0, np.nan, 0.0)}, "that is missing"),
     ],
 )
