@@ -35,7 +35,7 @@ _PAPER = (
     "Ibaraki, Sato, Takeuchi: 'Open-loop' tracking interferometer for machine tool volumetric error measurement - "
     "Two-dimensional case. Precision Engineering 38 (2014)"
 )
-# Table 4, um or (of an angle) rad, k = 2; half of what it rounds to.
+# Table 4, m (k = 2), and half of what each is rounded to.
 _TABLE: Mapping[str, tuple[float, float]] = {
     "u_11": (0.02e-6, 0.005e-6),
     "u_12": (0.006e-6, 0.0005e-6),

@@ -120,6 +120,8 @@ def test_what_does_not_tell_is_refused() -> None:
         zero_angle(Y, Y, np.full(9, 1.5))
     with pytest.raises(ModelError, match="Y does not move"):
         zero_angle(np.full(9, 0.1), Y, np.zeros(9))
+    with pytest.raises(ModelError, match="two opposite azimuths"):
+        rotation_centre(np.tile([0.0, np.pi], 9), np.zeros(18), PLACE)
     with pytest.raises(ModelError, match="too few readings"):
         rotation_centre(TURN[::12], TURN[::12], PLACE)
 

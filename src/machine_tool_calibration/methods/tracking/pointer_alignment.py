@@ -106,7 +106,7 @@ def rotation_centre(
         zero: of the pointer, if it is known: the eccentricity is turned by it.
 
     Raises:
-        ModelError: the beam turns by less than half a turn, or there are too few readings.
+        ModelError: the beam turns by less than half a turn, or there are too few azimuths or readings.
     """
     angle = azimuth if zero is None else azimuth + zero.offset
     own = _constants(np.zeros(len(angle), dtype=np.int64) if run is None else run)
@@ -118,6 +118,8 @@ def rotation_centre(
             f"the beam turns by {np.degrees(turned):.0f}° only: over less than half a turn the radial error motion of "
             "the axis cannot be told from eccentricity"
         )
+    if np.linalg.svd(fixed, compute_uv=False)[-1] < _NOTHING * len(angle):
+        raise ModelError("two opposite azimuths do not tell where the axis is: three or more different ones are needed")
     random = np.column_stack(waves)
     span, sizes, _ = np.linalg.svd(np.column_stack([fixed, random]), full_matrices=False)
     span = span[:, sizes > _NOTHING * sizes[0]]
