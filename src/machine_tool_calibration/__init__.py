@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from machine_tool_calibration.interface.features import Features
     from machine_tool_calibration.interface.identification import Fit, identify
     from machine_tool_calibration.interface.improvement import Improvement, improve, plot_improvement
+    from machine_tool_calibration.interface.map_comparison import MapComparison
     from machine_tool_calibration.interface.session import Measurement, load, simulate
 
 __version__ = "0.1.0"
@@ -38,6 +39,7 @@ __all__ = [
     "Features",
     "Fit",
     "Improvement",
+    "MapComparison",
     "Measurement",
     "catalogue",
     "identify",
@@ -59,6 +61,7 @@ if not TYPE_CHECKING:
         "Features": "interface.features",
         "Fit": "interface.identification",
         "Improvement": "interface.improvement",
+        "MapComparison": "interface.map_comparison",
         "Measurement": "interface.session",
         "catalogue": "interface.effects",
         "identify": "interface.identification",

@@ -43,6 +43,8 @@ _DATA, _REMARKS = "pitch_error.txt", "compensation.txt"
 _LARGEST, _MOST_TIMES = 7, 100
 # Detection unit, m; first number of the data's lines.
 _UNIT, _FIRST = 1e-6, 10000
+# Half the width of a step as it is read, m.
+_EDGE = 1e-9
 _SIGN = (
     "a point's value is what is added to the position while the axis passes its section in the positive direction: "
     "minus the increase of the deviation (actual minus commanded, ISO 230-1) in the section"
@@ -150,7 +152,3 @@ def read(files: Mapping[str, str], tables: AxisTables) -> AxisTables:
         edge = np.repeat(middle, 2) + np.tile([-_EDGE, _EDGE], len(middle))
         found.append(held_beyond(f"E{axis}{axis}", edge, -np.repeat(level, 2)[1:-1]))
     return rebuilt(tables, found)
-
-
-# Half the width of a step, m.
-_EDGE = 1e-9

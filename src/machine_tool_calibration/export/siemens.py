@@ -11,12 +11,15 @@ Format: Siemens, SINUMERIK 840D sl / 828D, Function Manual Extended Functions, 0
   table; beyond its ends the first and the last value hold (taken to be so of leadscrew tables too); which machine data
   enable it.
 - SINUMERIK 802D sl, Function Manual 11/2012 (6FC5397-1CP10-5BA0),
-  https://www.easymanua.ls/siemens/sinumerik-802d-sl/manual/592298?p=222: the file `%_N_NC_CEC_INI` as a whole.
+  https://www.easymanua.ls/siemens/sinumerik-802d-sl/manual/592298?p=222: the file `%_N_NC_CEC_INI` as a whole;
+  https://manualshive.com/ru/manual/siemens/sinumerik-802d-sl/sinumerik-802d-sl_function-manual_376597-214.html:
+  straight lines between the points, and the sentence on the sign.
 - The same manual of the 840D sl, ?p=264: an 828D has eight sag tables of 200 points each.
 
-The sign of a sag table stands in no public page that was found; programs in use differ. It is taken to be that of
-leadscrew errors, and the file says that it has to be tried out. Angular errors need products of tables
-($AN_CEC_MULT_BY_TABLE) and are not written; what they do on the middle line is in the tables.
+The sentence on the sign of a sag table begins with the words of that on leadscrew errors, but the copy that was found
+breaks off before the direction. The same direction is taken; a public program writes the opposite, so the file says
+that it has to be tried out. Angular errors need products of tables ($AN_CEC_MULT_BY_TABLE) and are not written; what
+they do on the middle line is in the tables.
 """
 
 from __future__ import annotations
@@ -40,9 +43,9 @@ _SIGN = (
     "commanded position of the tool in the workpiece frame (ISO 230-1)"
 )
 _TRY_SAG = (
-    "TRY THE SIGN OUT BEFORE USE: no public manual that was found says the sign of a sag table. Enable one table, move "
-    "its basic axis to where the value is largest, and measure: if the error has grown, turn the signs of all $AN_CEC "
-    "values, or the weights of the tables (SD41310)"
+    "TRY THE SIGN OUT BEFORE USE: programs differ in the sign of sag tables. Enable one table, move its basic axis to "
+    "where the value is largest, and measure: if the error has grown, turn the signs of all $AN_CEC values, or the "
+    "weights of the tables (SD41310)"
 )
 _UNITS = "mm; the control's basic system must be metric"
 _RESOLUTION = "values and positions are rounded to 1 nm"

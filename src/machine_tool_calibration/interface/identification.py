@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from machine_tool_calibration.interface.budget import Budget, Conformity
     from machine_tool_calibration.interface.diagnosis import Comparison, Diagnosis
     from machine_tool_calibration.interface.features import Features
+    from machine_tool_calibration.interface.map_comparison import MapComparison
     from machine_tool_calibration.methods.probing.propagation import Distribution
 
 __all__ = ["Fit", "identify", "split_effects"]
@@ -255,6 +256,23 @@ class Fit(Shown):
         from machine_tool_calibration.interface.diagnosis import Comparison
 
         return Comparison.of(self.result)
+
+    def compare_map(self, other: Fit, labels: tuple[str, str] = ("first", "second"), *, seed: int = 1) -> MapComparison:
+        """Hold the map against that of another measurement of the same machine, independent of this one.
+
+        Args:
+            other: of any method.
+            labels: names of both.
+            seed: of the draws by which the uncertainties are carried over to a common datum.
+
+        Raises:
+            CalibrationError: the maps have no point, or no direction at any, in common.
+        """
+        from machine_tool_calibration.interface.map_comparison import MapComparison
+        from machine_tool_calibration.methods.map_comparison import compare_fits
+
+        pair = fitted_sessions(self.result), fitted_sessions(other.result)
+        return MapComparison(compare_fits(*pair, labels, seed=seed))
 
     def diagnose(self, *, seed: int = 1, sets: int = 199) -> Diagnosis:
         """Look for physical effects that the model lacks, among those of the catalogue and the user's own.

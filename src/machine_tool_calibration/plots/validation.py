@@ -9,14 +9,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from machine_tool_calibration.budget.propagate import Budget
+from machine_tool_calibration.methods.map_comparison import MapComparison
 from machine_tool_calibration.methods.step_diagonal.compare import Comparison
+from machine_tool_calibration.plots.budget import draw_budget
 from machine_tool_calibration.plots.features import draw_features
+from machine_tool_calibration.plots.map_comparison import draw_map_comparison
 from machine_tool_calibration.plots.rotary_axis import draw_motions
 from machine_tool_calibration.plots.step_diagonal import draw_comparison
 from machine_tool_calibration.plots.style import COLORS, new_figure, save
+from machine_tool_calibration.plots.tracking_study import draw_profiles, draw_target_uncertainty
 from machine_tool_calibration.validation.record import Study
 from machine_tool_calibration.validation.study_probing import ColouredPoints, PinPositions
 from machine_tool_calibration.validation.study_rotary_axis import Repeated
+from machine_tool_calibration.validation.study_tracking import Profiles, TargetUncertainty
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -35,6 +41,10 @@ def draw(record: Any) -> Figure:
 
 
 draw.register(Comparison, draw_comparison)
+draw.register(Budget, draw_budget)
+draw.register(MapComparison, draw_map_comparison)
+draw.register(Profiles, draw_profiles)
+draw.register(TargetUncertainty, draw_target_uncertainty)
 
 
 @draw.register(Repeated)
