@@ -153,7 +153,7 @@ def test_the_preview_reads_what_the_controller_does(form: str, controller: Contr
 
 
 def test_pitch_errors_of_the_manual(machine: AxisTables) -> None:
-    """Its example: values of points 33 to 49 with 40 at the reference, and the graph of what they add up to."""
+    """Its example: values of points 33 to 49; what they add up to, from point 40 at the reference."""
     values = [2, 1, 1, -2, 0, -1, 0, -1, 2, 1, 0, -1, -1, -2, 0, 1, 2]
     data = "\n".join(["%", *(f"N{10033 + k}P{v};" for k, v in enumerate(values)), "%"])
     files = {"pitch_error.txt": data, "compensation.txt": "X: 3620=40 3621=33 3622=49 3623=1 3624=50.000 mm"}

@@ -15,12 +15,12 @@ Format:
 - https://cnc.wiki/en/fanuc-pitch-error-compensation: 128 points at most, data incremental as seen from the - side.
 - Fanuc, Series 15i, Parameter Manual (B-63330EN/03), page 25, http://cncmanuals.com/fanuc/768/series-15i-150i-model-a-parameter-manual/page/32:
   a record begins and ends with `%`, its lines are `N…P…;`.
-
 - Fanuc, Series 30i, Parameter Manual (B-63950EN/02), page 11, http://www.cncmanuals.com/fanuc/257/30i-300i-300is-model-a-31i-310i-310is-model-a-and-a5-parameter-manual/page/23:
   lines of this series say with Q what kind of data they are.
 
 That N is 10000 plus the number of the point is how such controls output these data; no public page of a manual that
-says it was found, nor one for the place within the section at which the value is output: the middle is taken. Of the
+says it was found, nor one for the largest magnification (100 is taken) and for the place within the section at which
+the value is output (the middle is taken, where the reading of the file steps; between points it may differ). Of the
 three-dimensional error compensation (A-79351E) the interpolation is public, no form of its data: it is not written.
 """
 
