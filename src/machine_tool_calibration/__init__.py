@@ -21,8 +21,10 @@ if TYPE_CHECKING:
     from machine_tool_calibration.interface.budget import Budget, Conformity
     from machine_tool_calibration.interface.diagnosis import Comparison, Diagnosis
     from machine_tool_calibration.interface.effects import Effect, catalogue
+    from machine_tool_calibration.interface.features import Features
     from machine_tool_calibration.interface.identification import Fit, identify
     from machine_tool_calibration.interface.improvement import Improvement, improve, plot_improvement
+    from machine_tool_calibration.interface.map_comparison import MapComparison
     from machine_tool_calibration.interface.session import Measurement, load, simulate
 
 __version__ = "0.1.0"
@@ -34,8 +36,10 @@ __all__ = [
     "Conformity",
     "Diagnosis",
     "Effect",
+    "Features",
     "Fit",
     "Improvement",
+    "MapComparison",
     "Measurement",
     "catalogue",
     "identify",
@@ -54,8 +58,10 @@ if not TYPE_CHECKING:
         "Conformity": "interface.budget",
         "Diagnosis": "interface.diagnosis",
         "Effect": "interface.effects",
+        "Features": "interface.features",
         "Fit": "interface.identification",
         "Improvement": "interface.improvement",
+        "MapComparison": "interface.map_comparison",
         "Measurement": "interface.session",
         "catalogue": "interface.effects",
         "identify": "interface.identification",

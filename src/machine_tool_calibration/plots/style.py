@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.errors import CalibrationError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,6 +31,7 @@ __all__ = [
     "new_figure",
     "round_down",
     "save",
+    "save_as",
     "scale_bar",
     "spaced",
 ]
@@ -66,11 +68,10 @@ def save(figures: Mapping[str, Figure], folder: Path, origin: Provenance | None 
         The files.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    said = {} if origin is None else {"Description": "\n".join(f"{name}: {value}" for name, value in origin.lines())}
-    for name, figure in figures.items():
-        area = None if origin is None else add_footer(figure, origin.footer)
-        figure.savefig(folder / f"{name}.png", dpi=_DPI, metadata=said, bbox_inches=area)
-    return [folder / f"{name}.png" for name in figures]
+    files = [folder / f"{name}.png" for name in figures]
+    for figure, file in zip(figures.values(), files, strict=True):
+        save_as(figure, file, origin)
+    return files
 
 
 def add_footer(figure: Figure, text: str) -> Bbox:
@@ -86,6 +87,28 @@ def add_footer(figure: Figure, text: str) -> Bbox:
     strip = 0.06 + (lines.count("\n") + 1) * _FOOT * 1.3 / 72
     figure.text(0.05 / width, 0.0, lines, va="top", fontsize=_FOOT, color="0.35", in_layout=False)
     return Bbox([[0.0, -strip], [width, height]])
+
+
+def save_as(figure: Figure, path: Path, origin: Provenance | None = None) -> None:
+    """Write one picture to a file whose ending chooses the format (png, svg, pdf, …).
+
+    Args:
+        figure: what is written.
+        path: where to.
+        origin: what it was made from, for its foot and, in full, for the file itself where the format can hold it.
+
+    Raises:
+        CalibrationError: matplotlib writes no such format.
+    """
+    known = figure.canvas.get_supported_filetypes()
+    ending = path.suffix.removeprefix(".").lower() or "png"
+    if ending not in known:
+        raise CalibrationError(f"{path}: no picture can be written as {path.suffix}; as {', '.join(sorted(known))}")
+    area = None if origin is None else add_footer(figure, origin.footer)
+    told = None
+    if origin is not None and ending in ("png", "svg"):
+        told = {"Description": "\n".join(f"{name}: {value}" for name, value in origin.lines())}
+    figure.savefig(path, dpi=_DPI, format=ending, metadata=told, bbox_inches=area)
 
 
 def round_down(value: float) -> float:
