@@ -110,3 +110,13 @@ def test_a_large_effect_that_explains_itself_is_named_all_the_same() -> None:
     )
     assert found.verdict == "missing_effect"
     assert found.accepted == ("backlash_y",)
+
+
+def test_a_gross_error_that_was_lost_in_what_an_effect_leaves_is_set_aside_once_it_is_known() -> None:
+    spec = SimulationSpec(plan=PRESETS["tracking_2d"], seed=0, effects=(FlawSpec(id="backlash_y", size=2e-6),))
+    session = simulate(spec).session
+    displacement = session.readings.displacement.copy()
+    displacement[30] += 6e-5
+    found = diagnose(session.with_readings(replace(session.readings, displacement=displacement)), sets=19)
+    assert found.accepted == ("backlash_y",)
+    assert [outlier.row for outlier in found.outliers] == [30]

@@ -234,9 +234,11 @@ def diagnose(
         progress("looking for outliers", 0.0)
         aside, kept = outliers_beside(())
         found = _search(kept, labels, known, fit_of, seed, sets, progress)
-        if found.accepted and any(aside):
-            # With the effects in the model some of them belong to the rest again: then the search begins anew.
-            again, kept = outliers_beside([effect for effect in known if effect.id in found.accepted])
+        probable = found.accepted or found.look.accepted
+        if probable:
+            # With the effects in the model some of them belong to the rest again, and others stand out that were lost
+            # in what the effects left: then the search begins anew.
+            again, kept = outliers_beside([effect for effect in known if effect.id in probable])
             if [{o.row for o in one} for one in again] != [{o.row for o in one} for one in aside]:
                 found = _search(kept, labels, known, fit_of, seed, sets, progress)
             aside = again
