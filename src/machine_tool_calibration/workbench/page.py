@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One window: what is open, what runs, and the pages."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from html import escape
+from pathlib import Path
+from typing import Protocol
+
+import panel as pn
+
+from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
+from machine_tool_calibration.workbench.compare import ComparePage
+from machine_tool_calibration.workbench.look import bar_button, text
+from machine_tool_calibration.workbench.measurement import MeasurementPage
+from machine_tool_calibration.workbench.readings import Readings
+from machine_tool_calibration.workbench.state import State, measurements_in
+from machine_tool_calibration.workbench.work import Work
+
+__all__ = ["window"]
+
+
+class Page(Protocol):
+    """A page of the window.
+
+    Attributes:
+        title: what it is called.
+        view: what is shown.
+    """
+
+    title: str
+    view: pn.Column
+
+    def refresh(self) -> None:
+        """Show the model in use."""
+
+
+_PAGES: tuple[Callable[[State, Readings, Work], Page], ...] = (MeasurementPage, ComparePage)
+
+
+def window(target: Path, own: Sequence[PhysicalEffect] = (), variant: str | None = None) -> pn.Column:
+    """A new window with its own state.
+
+    Args:
+        target: a session, a recording, or a folder of such.
+        own: effects of the user's own.
+        variant: of the method's model; its default if absent.
+    """
+    return _Window(target, own, variant).view
+
+
+class _Window:
+    def __init__(self, target: Path, own: Sequence[PhysicalEffect], variant: str | None) -> None:
+        self._state, self._work = State(own, variant), Work()
+        self._readings = Readings(self._state)
+        self._state.watch(self._changed)
+        # By title; a page is made when it is first looked at, and refreshed when it is looked at and stale.
+        self._makers = {maker.title: maker for maker in _PAGES}  # type: ignore[attr-defined]
+        self._pages: dict[str, Page] = {}
+        self._stale: set[str] = set()
+        self._buttons = {title: bar_button(title, lambda title=title: self._show(title)) for title in self._makers}
+        self._shown = next(iter(self._makers))
+        self._head = text()
+        self._body = pn.Column(sizing_mode="stretch_width")
+        found = measurements_in(target)
+        options = {path.name or str(path): path for path in found}
+        self._choice = pn.widgets.Select(name="Measurement", options=options, width=260, visible=len(found) > 1)
+        self._choice.param.watch(lambda event: self._open(), "value")
+        self.view = pn.Column(
+            pn.Row(*self._buttons.values(), self._choice, self._work.view, sizing_mode="stretch_width"),
+            self._head,
+            self._body,
+            sizing_mode="stretch_width",
+        )
+        if found:
+            pn.state.onload(self._open)
+        else:
+            self._work.say(f"{target}: neither a session nor a recording, nor a folder with any")
+
+    def _open(self) -> None:
+        path = self._choice.value
+        self._work.run(f"reading {path.name}", lambda progress: self._state.opened(path), lambda show: show())
+
+    def _changed(self) -> None:
+        """Another model is in use, or another measurement."""
+        state = self._state
+        self._readings.refresh()
+        self._stale = set(self._pages)
+        model = state.model
+        number = "" if model.number is None else f" (model {model.number} of the history)"
+        self._head.object = f"<b>{escape(str(state.path))}</b>{number}: {escape(model.fit.headline)}"
+        self._show(self._shown)
+        if state.remark:
+            self._work.say(state.remark)
+            state.remark = ""
+
+    def _show(self, title: str) -> None:
+        self._shown = title
+        for name, button in self._buttons.items():
+            button.button_type = "primary" if name == title else "default"
+        if not self._state.models:
+            return
+        if title not in self._pages:
+            self._pages[title] = self._makers[title](self._state, self._readings, self._work)
+            self._stale.add(title)
+            self._body.append(self._pages[title].view)
+        if title in self._stale:
+            self._stale.discard(title)
+            self._pages[title].refresh()
+        for name, page in self._pages.items():
+            page.view.visible = name == title
