@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -205,12 +205,9 @@ class Diagnosis(Shown):
         *,
         seed: int,
         sets: int,
-        progress: Callable[[str, float], None] = lambda what, share: None,
     ) -> Diagnosis:
         """That of one session, or of several with their labels."""
-        found = diagnose(
-            sessions, labels, model=variant, effects=effects, own=own, seed=seed, sets=sets, progress=progress
-        )
+        found = diagnose(sessions, labels, model=variant, effects=effects, own=own, seed=seed, sets=sets)
         return cls(found, variant, own)
 
     @property

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -211,19 +211,12 @@ class Fit(Shown):
 
         return Comparison.of(self.result)
 
-    def diagnose(
-        self,
-        *,
-        seed: int = 1,
-        sets: int = 199,
-        progress: Callable[[str, float], None] = lambda what, share: None,
-    ) -> Diagnosis:
+    def diagnose(self, *, seed: int = 1, sets: int = 199) -> Diagnosis:
         """Look for physical effects that the model lacks, among those of the catalogue and the user's own.
 
         Args:
             seed: of the simulated data sets.
             sets: simulated data sets in which nothing is missing: they check how often chance does as well.
-            progress: called with what is being done and the share that is finished.
 
         Raises:
             ModelError: the data does not allow the model.
@@ -232,14 +225,7 @@ class Fit(Shown):
 
         several = self.measurement.labels if len(self.measurement.sessions) > 1 else None
         return Diagnosis.of(
-            self.measurement.sessions,
-            several,
-            self.variant,
-            self.effects,
-            self.own,
-            seed=seed,
-            sets=sets,
-            progress=progress,
+            self.measurement.sessions, several, self.variant, self.effects, self.own, seed=seed, sets=sets
         )
 
     def add(self, effects: str | PhysicalEffect | Sequence[str | PhysicalEffect]) -> Fit:

@@ -82,7 +82,7 @@ def new_figure(
         sizing_mode="stretch_width",
         tools=_TOOLS,
         active_drag="box_select",
-        toolbar_location="right",
+        toolbar_location="above",
         min_border=4,
         output_backend="canvas",
         **more,

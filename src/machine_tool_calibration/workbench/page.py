@@ -12,6 +12,8 @@ import panel as pn
 
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.workbench.compare import ComparePage
+from machine_tool_calibration.workbench.diagnose import DiagnosePage
+from machine_tool_calibration.workbench.improve import ImprovePage
 from machine_tool_calibration.workbench.look import bar_button, text
 from machine_tool_calibration.workbench.measurement import MeasurementPage
 from machine_tool_calibration.workbench.readings import Readings
@@ -36,7 +38,7 @@ class Page(Protocol):
         """Show the model in use."""
 
 
-_PAGES: tuple[Callable[[State, Readings, Work], Page], ...] = (MeasurementPage, ComparePage)
+_PAGES: tuple[Callable[[State, Readings, Work], Page], ...] = (MeasurementPage, ComparePage, DiagnosePage, ImprovePage)
 
 
 def window(target: Path, own: Sequence[PhysicalEffect] = (), variant: str | None = None) -> pn.Column:

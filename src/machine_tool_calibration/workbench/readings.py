@@ -9,7 +9,7 @@ from bokeh.models import ColumnDataSource
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.plots.residuals import axis_label, planes
 from machine_tool_calibration.workbench.look import setup_color
-from machine_tool_calibration.workbench.state import State
+from machine_tool_calibration.workbench.state import Model, State
 
 __all__ = ["VIEWS", "Readings"]
 
@@ -37,7 +37,7 @@ class Readings:
     """
 
     def __init__(self, state: State) -> None:
-        self.source = ColumnDataSource({name: [] for name in _FIXED + _CHANGING})
+        self.source = ColumnDataSource({name: [] for name in _FIXED + _CHANGING + _OF_PAGES})
         self.labels: dict[str, str] = {}
         self.ranked: list[str] = []
         self.scale = 0.0
@@ -86,6 +86,7 @@ class Readings:
         self.ranked += [name for name in self.labels if name not in self.ranked]
         setup = readings.setup[there]
         return {
+            **dict.fromkeys(_OF_PAGES, np.full(len(self._row), np.nan)),
             "row": self._row,
             "setup": [session.setup_ids[int(k)] for k in setup],
             "repeat": readings.repeat[there],
@@ -102,11 +103,7 @@ class Readings:
         found = self._state.model.comparison
         rows = found.fit.model.observations.readings.row
         residual = self._at(rows, found.residual)
-        size = np.abs(residual[np.isfinite(residual)])
-        self.scale = float(np.quantile(size, 0.98)) if len(size) else 0.0
-        extent = float(np.ptp(self._place, axis=0).max()) if len(self._place) else 1.0
-        factor = 1e3 * _LENGTH * extent / max(self.scale, 1e-12)
-        tip = 1e3 * self._place + factor * residual[:, None] * self._direction
+        self.scale = _bulk(residual)
         return {
             "aside": self._before(residual),
             "predicted": self._at(rows, 1e6 * found.predicted),
@@ -114,8 +111,31 @@ class Readings:
             "studentized": self._at(rows, found.studentized),
             "pattern": np.full(len(self._row), np.nan),
             "arrow": np.where(residual > 0, _MORE, _LESS).tolist(),
-            **{f"{view}:{end}": tip[:, k] for view, pair in VIEWS.items() for end, k in zip("uv", pair, strict=True)},
+            **self._arrows(residual, self.scale),
         }
+
+    def show_side_by_side(self, before: Model, after: Model) -> float:
+        """Arrows of the residuals of two models to one scale, in columns `before:xy:u`, `after:xy:u` and so on.
+
+        Returns:
+            What the longest arrows stand for, m.
+        """
+        both = {}
+        for name, model in (("before", before), ("after", after)):
+            found = model.comparison
+            both[name] = self._at(found.fit.model.observations.readings.row, found.residual)
+        scale = max(_bulk(residual) for residual in both.values())
+        for name, residual in both.items():
+            self.source.data.update({f"{name}:{end}": at for end, at in self._arrows(residual, scale).items()})
+            self.source.data[f"{name}:residual"] = 1e6 * residual
+        return scale
+
+    def _arrows(self, residual: Array, scale: float) -> dict[str, Array]:
+        """Ends of the arrows of residuals (m) in every plane, mm."""
+        extent = float(np.nanmax(np.ptp(self._place, axis=0))) if len(self._place) else 1.0
+        factor = 1e3 * _LENGTH * extent / max(scale, 1e-12)
+        tip = 1e3 * self._place + factor * residual[:, None] * self._direction
+        return {f"{view}:{end}": tip[:, k] for view, pair in VIEWS.items() for end, k in zip("uv", pair, strict=True)}
 
     def _before(self, residual: Array) -> Array:
         """(n,) residual of the readings that are set aside in the last model that had them, µm; NaN of all others."""
@@ -136,8 +156,14 @@ class Readings:
         return out
 
 
+def _bulk(residual: Array) -> float:
+    """Size of the largest residuals but for a few, m."""
+    size = np.abs(residual[np.isfinite(residual)])
+    return float(np.quantile(size, 0.98)) if len(size) else 0.0
+
+
 _FIXED = ("row", "setup", "repeat", "color", "measured", "x", "y", "z")
-_CHANGING = (
-    "aside", "predicted", "residual", "studentized", "pattern", "arrow",
-    *(f"{view}:{end}" for view in VIEWS for end in "uv"),
-)  # fmt: skip
+_ENDS = tuple(f"{view}:{end}" for view in VIEWS for end in "uv")
+_CHANGING = ("aside", "predicted", "residual", "studentized", "pattern", "arrow", *_ENDS)
+# What single pages fill; there from the start, as plots ask for them.
+_OF_PAGES = ("3d:u", "3d:v", *(f"{name}:{end}" for name in ("before", "after") for end in ("residual", *_ENDS)))

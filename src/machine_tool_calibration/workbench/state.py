@@ -12,15 +12,16 @@ import numpy as np
 
 from machine_tool_calibration.diagnosis.compare import compare
 from machine_tool_calibration.diagnosis.comparison import Comparison
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.history import Entry, History
 from machine_tool_calibration.diagnosis.improve import Step, entry_of, step_after
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.errors import CalibrationError, SessionError
-from machine_tool_calibration.interface.diagnosis import Diagnosis
 from machine_tool_calibration.interface.identification import Fit
 from machine_tool_calibration.interface.session import Measurement, load
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.result import EffectSet
+from machine_tool_calibration.planning.what_to_measure import SEARCH, Conclusions, conclude
 from machine_tool_calibration.reports.history_file import fingerprint, history_path, read_history, update_history
 from machine_tool_calibration.session.session import Session
 
@@ -70,7 +71,7 @@ class State:
         measurement: with all its readings.
         models: on the way from the first one to the one in use.
         own: the user's own effects.
-        diagnosis: of the model in use; None before it was made.
+        diagnosis: of the model in use, with what follows from it; None before it was made.
         suggested: rows of readings that do not belong to the rest, as `mtcal identify` finds them.
         remark: what the page should say.
     """
@@ -81,7 +82,7 @@ class State:
         self.models: list[Model] = []
         self.own = {effect.id: effect for effect in own}
         self.variant = variant
-        self.diagnosis: Diagnosis | None = None
+        self.diagnosis: tuple[Diagnosis, Conclusions] | None = None
         self.suggested: tuple[int, ...] = ()
         self.remark = ""
         self.history = History()
@@ -171,12 +172,69 @@ class State:
         ]
         assert self.measurement is not None
         model = self._tried(self.measurement, now, " + ".join(words), effects, rows, over)
-        return lambda: self._use(model)
+        return lambda: self.use(model)
 
-    def improved(self, diagnosis: Diagnosis) -> Callable[[], None]:
-        """Set aside and add what a diagnosis of the model in use names, one by one, as `mtcal improve` does."""
+    def diagnosed(self, progress: Callable[[str, float], None]) -> Callable[[], None]:
+        """Look for effects that the model in use lacks, and for what would tell them apart; may be done in a thread.
+
+        Args:
+            progress: called with what is being done and the share that is finished.
+
+        Returns:
+            What takes the diagnosis.
+        """
+        fit = self.model.fit
+        found = diagnose(
+            fit.measurement.sessions,
+            model=self.variant,
+            effects=fit.effects,
+            own=self._own,
+            progress=lambda what, share: progress(what, SEARCH * share),
+        )
+        then = conclude(found, model=self.variant, own=self._own, progress=progress)
+
+        def take() -> None:
+            self.diagnosis = found, then
+            self._tell()
+
+        return take
+
+    def tried(self, effect: str) -> Model:
+        """The model in use with one effect more, which is not put into use; may be done in a thread."""
         assert self.measurement is not None
-        found, made = diagnosis.found, [self.model]
+        now = self.model
+        return self._tried(self.measurement, now, effect, (*now.fit.effects, effect), now.aside)
+
+    def used(self, number: int) -> Callable[[], None]:
+        """Fit a model of the history and those that it was made from; may be done in a thread.
+
+        Returns:
+            What puts it into use.
+        """
+        assert self.measurement is not None
+        models: list[Model] = []
+        for entry in _ancestors(self.history, self.history.entry(number)):
+            models.append(self._refitted(self.measurement, entry, models))
+
+        def use() -> None:
+            self.models, self.diagnosis = models, None
+            self._keep(lambda old: old.using(number))
+            self._tell()
+
+        return use
+
+    def improved(self) -> Callable[[], None]:
+        """Set aside and add what the diagnosis of the model in use names, one by one, as `mtcal improve` does.
+
+        Returns:
+            What puts the models into use.
+
+        Raises:
+            CalibrationError: there is no diagnosis yet.
+        """
+        if self.diagnosis is None or self.measurement is None:
+            raise CalibrationError("there is no diagnosis of this model yet: make one first")
+        found, made = self.diagnosis[0], [self.model]
         start = self.model.fit.effects
         aside = self.model.aside | {outlier.row for outlier in found.outliers}
         if aside != self.model.aside:
@@ -189,12 +247,7 @@ class State:
             effects = (*start, *found.accepted[: k + 1])
             made.append(self._tried(self.measurement, made[-1], name, effects, aside, over))
 
-        def use() -> None:
-            for model in made[1:]:
-                self._use(model, tell=False)
-            self._tell()
-
-        return use
+        return lambda: self.use(*made[1:])
 
     def undo(self) -> None:
         """Go back to the model that the one in use was made from."""
@@ -208,11 +261,6 @@ class State:
         self.diagnosis = None
         self._tell()
 
-    def diagnosed(self, diagnosis: Diagnosis) -> None:
-        """Take the diagnosis of the model in use."""
-        self.diagnosis = diagnosis
-        self._tell()
-
     @property
     def _own(self) -> tuple[PhysicalEffect, ...]:
         return tuple(self.own.values())
@@ -221,8 +269,9 @@ class State:
         for tell in self._watchers:
             tell()
 
-    def _use(self, model: Model, *, tell: bool = True) -> None:
-        self.models.append(model)
+    def use(self, *models: Model) -> None:
+        """Put models, each made from the one before, into use, and keep them in the history."""
+        self.models += models
         self.diagnosis = None
         prints, made = fingerprint(self.session), datetime.now(UTC).isoformat(timespec="seconds")
         entries = [entry_of(one.step, prints, made, "workbench") for one in self.models]
@@ -232,8 +281,7 @@ class State:
             replace(one, number=next(old.number for old in kept if old.same_model(entry)))
             for one, entry in zip(self.models, entries, strict=True)
         ]
-        if tell:
-            self._tell()
+        self._tell()
 
     def _keep(self, change: Callable[[History], History]) -> None:
         """Change the history; where its file cannot be written this window's own."""
