@@ -13,7 +13,7 @@ from bokeh.models import FactorRange, Span
 from machine_tool_calibration.reports.comparison import in_words
 from machine_tool_calibration.reports.comparison_tables import comparison_tables
 from machine_tool_calibration.reports.tables import TextTable
-from machine_tool_calibration.workbench.look import bar_button, new_figure, paragraphs, tables, text
+from machine_tool_calibration.workbench.look import bar_button, new_figure, paragraphs, tables, text, when_changed
 from machine_tool_calibration.workbench.readings import Readings
 from machine_tool_calibration.workbench.state import State
 from machine_tool_calibration.workbench.work import Work
@@ -62,8 +62,8 @@ class ComparePage:
                                  hover=_HOVER, y_range=FactorRange())  # fmt: skip
         self._strip.scatter("residual", "setup", source=source, size=4, color="color", alpha=0.5, **_DIM)
         for k, choice in enumerate(self._against):
-            choice.param.watch(lambda event, k=k: self._draw_against(k), "value")
-        self._plane.param.watch(lambda event: self._draw_plane(), "value")
+            when_changed(choice, lambda _, k=k: self._draw_against(k))
+        when_changed(self._plane, lambda _: self._draw_plane())
         source.selected.on_change("indices", lambda attr, old, new: self._say_selected())
         self._aside = bar_button("Set the selected aside", self._set_aside, "primary", disabled=True)
         self._back = bar_button("Put back", self._put_back, disabled=True)

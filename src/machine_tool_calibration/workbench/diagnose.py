@@ -14,7 +14,7 @@ from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.model.result import spread_document
 from machine_tool_calibration.reports.diagnosis import diagnosis_report
 from machine_tool_calibration.reports.quantities import probability, quantity, reproducibility_words, sizes_in_words
-from machine_tool_calibration.workbench.look import bar_button, new_figure, paragraphs, tables, text
+from machine_tool_calibration.workbench.look import bar_button, new_figure, paragraphs, tables, text, when_changed
 from machine_tool_calibration.workbench.own_effect import OwnEffect
 from machine_tool_calibration.workbench.readings import Readings
 from machine_tool_calibration.workbench.state import Model, State
@@ -72,9 +72,9 @@ class DiagnosePage:
         for plot in (self._over, self._added):
             plot.add_layout(Span(location=0.0, dimension="width", line_color="#999999", line_width=1))
         self._against = pn.widgets.Select(name="Residuals against", width=230)
-        self._against.param.watch(lambda event: self._draw_against(), "value")
+        when_changed(self._against, lambda _: self._draw_against())
         self._effect = pn.widgets.Select(name="Effect", width=230, options=[""])
-        self._effect.param.watch(lambda event: self._look_at(event.new), "value")
+        when_changed(self._effect, self._look_at)
         self._add = bar_button("Add it to the model", self._use, "success", disabled=True)
         self._all = bar_button("Add all that the diagnosis names", self._improve, disabled=True)
         self._own = OwnEffect(state, self._new_effect)

@@ -16,7 +16,7 @@ from machine_tool_calibration.plots.style import round_down, spaced
 from machine_tool_calibration.reports.history_tables import compared_models, tried_models
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.residuals.noise import noise_of
-from machine_tool_calibration.workbench.look import bar_button, new_figure, tables, text
+from machine_tool_calibration.workbench.look import bar_button, new_figure, tables, text, when_changed
 from machine_tool_calibration.workbench.readings import Readings
 from machine_tool_calibration.workbench.state import Model, State
 from machine_tool_calibration.workbench.work import Work
@@ -70,12 +70,12 @@ class ImprovePage:
         self._plane = pn.widgets.Select(name="Maps in the plane", width=110)
         self._undo = bar_button("Undo", self._undone)
         self._all = bar_button("Diagnose, and add all that is found", self._improve, "primary")
-        self._table, self._history, self._note = text(), text(), text()
-        self._add.param.watch(lambda event: self._changed(add=event.new), "value")
-        self._take.param.watch(lambda event: self._changed(take=event.new), "value")
-        self._go.param.watch(lambda event: self._gone_to(event.new), "value")
-        self._before.param.watch(lambda event: self._draw(), "value")
-        self._plane.param.watch(lambda event: self._draw(), "value")
+        self._table, self._history, self._note, self._scale = text(), text(), text(), text()
+        when_changed(self._add, lambda name: self._changed(add=name))
+        when_changed(self._take, lambda name: self._changed(take=name))
+        when_changed(self._go, self._gone_to)
+        when_changed(self._before, lambda _: self._draw())
+        when_changed(self._plane, lambda _: self._draw())
         self._steps = ColumnDataSource({name: [] for name in ("step", "residual", "tool")})
         self._fall = new_figure("The error falls", "", "µm", x_range=FactorRange(), height=320)
         for name, color, marker, label in (
@@ -84,6 +84,7 @@ class ImprovePage:
         ):
             self._fall.line("step", name, source=self._steps, color=color, legend_label=label)
             self._fall.scatter("step", name, source=self._steps, color=color, size=7, marker=marker, legend_label=label)
+        self._fall.line([], [], line_dash="dotted", color="#333333", legend_label="declared uncertainty of a reading")
         self._fall.y_range.start = 0.0
         self._fall.xaxis.major_label_orientation = 0.4
         self._fall.legend.label_text_font_size = "11px"
@@ -97,6 +98,7 @@ class ImprovePage:
             arrows = plot.segment(
                 "x", "y", f"{name}:xy:u", f"{name}:xy:v", source=readings.source, color="color", line_width=1.2, **_DIM
             )
+            plot.toolbar_location = None
             self._residuals[name] = (plot, base, arrows)
             self._sources[name] = ColumnDataSource({"x": [], "y": [], "x1": [], "y1": [], "wx": [], "wy": []})
             plot = new_figure("", "", "", hover=_MAP_HOVER, match_aspect=True, height=330)
@@ -105,6 +107,7 @@ class ImprovePage:
             band = plot.ellipse(
                 "x1", "y1", "wx", "wy", source=self._sources[name], fill_color=_BAND, fill_alpha=0.25, line_color=_BAND
             )
+            plot.toolbar_location = None
             self._maps[name] = (plot, base, arrows, band)
         # Both of a pair are seen in the same frame.
         for pair in (self._residuals, self._maps):
@@ -120,6 +123,7 @@ class ImprovePage:
                 *(kind[name][0] for kind in (self._residuals, self._maps) for name in kind),
                 sizing_mode="stretch_width",
             ),
+            self._scale,
             self._history,
             sizing_mode="stretch_width",
         )  # fmt: skip
@@ -177,6 +181,10 @@ class ImprovePage:
         extent = float(np.ptp(points, axis=0).max()) if len(points) else 0.0
         largest = max(float(np.linalg.norm(one, axis=1).max(initial=0.0)) for one in error)
         factor = round_down(_LENGTH * extent / largest) if largest > 0 and extent > 0 else 0.0
+        self._scale.object = escape(
+            f"Longest arrows of the residuals: {quantity(scale, 'm')}, in the colour of their setup. Errors of the "
+            f"map: {spaced(factor)} times magnified; ellipses: U (k = 2)."
+        )
         a, b = plane
         for name, model in pair.items():
             plot, base, arrows = self._residuals[name]
@@ -184,7 +192,7 @@ class ImprovePage:
             arrows.glyph.x0, arrows.glyph.y0 = a, b
             arrows.glyph.x1, arrows.glyph.y1 = f"{name}:{plane}:u", f"{name}:{plane}:v"
             rms = quantity(model.step.result.rms_residual, "m")
-            plot.title.text = f"Residuals {name}: {rms} RMS (longest arrows {quantity(scale, 'm')})"
+            plot.title.text = f"Residuals {name}: {rms} RMS"
             plot.xaxis.axis_label, plot.yaxis.axis_label = f"{a}, mm", f"{b}, mm"
             self._sources[name].data = map_arrows(model, factor)
             plot, base, arrows, band = self._maps[name]
@@ -192,10 +200,8 @@ class ImprovePage:
             arrows.glyph.x0, arrows.glyph.y0, arrows.glyph.x1, arrows.glyph.y1 = a, b, f"{a}1", f"{b}1"
             band.glyph.x, band.glyph.y, band.glyph.width, band.glyph.height = f"{a}1", f"{b}1", f"w{a}", f"w{b}"
             size = model.step.map_rms
-            what = (
-                "no position errors" if size is None else f"{quantity(size, 'm')} RMS, {spaced(factor)} times magnified"
-            )
-            plot.title.text = f"Map {name}: {what}; ellipses: U (k = 2)"
+            what = "no position errors" if size is None else f"{quantity(size, 'm')} RMS"
+            plot.title.text = f"Map {name}: {what}"
             plot.xaxis.axis_label, plot.yaxis.axis_label = f"{a}, mm", f"{b}, mm"
 
     def _changed(self, add: str = "", take: str = "") -> None:

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from html import escape
 from typing import Any
 
@@ -14,7 +15,7 @@ from bokeh.plotting import figure
 from machine_tool_calibration.plots.style import COLORS
 from machine_tool_calibration.reports.tables import TextTable
 
-__all__ = ["CSS", "bar_button", "new_figure", "paragraphs", "setup_color", "tables", "text"]
+__all__ = ["CSS", "bar_button", "new_figure", "paragraphs", "setup_color", "tables", "text", "when_changed"]
 
 CSS = """
 body { font-family: Helvetica, Arial, sans-serif; font-size: 13px; margin: 0; background: #fff; color: #111; }
@@ -99,8 +100,18 @@ def new_figure(
     return plot
 
 
-def bar_button(name: str, act: Any, kind: str = "default", **more: Any) -> Any:
+def bar_button(name: str, act: Callable[[], object], kind: str = "default", **more: Any) -> Any:
     """A button that does something."""
     button = pn.widgets.Button(name=name, button_type=kind, margin=(3, 4), stylesheets=[_BUTTON], **more)
-    button.on_click(lambda event: act())
+    button.on_click(lambda event: _locked(act))
     return button
+
+
+def when_changed(widget: Any, act: Callable[[Any], object], what: str = "value") -> None:
+    """Have something done with the new value of a widget whenever it changes."""
+    widget.param.watch(lambda event: _locked(partial(act, event.new)), what)
+
+
+def _locked(act: Callable[[], object]) -> None:
+    """Do something with the page's lock, which Bokeh asks for and Panel's own callbacks do not hold."""
+    pn.state.curdoc.add_next_tick_callback(act)

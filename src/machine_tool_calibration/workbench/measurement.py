@@ -12,7 +12,7 @@ from bokeh.models import ColumnDataSource
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.session.summary import summarize
-from machine_tool_calibration.workbench.look import new_figure, setup_color, text
+from machine_tool_calibration.workbench.look import new_figure, setup_color, text, when_changed
 from machine_tool_calibration.workbench.readings import VIEWS, Readings
 from machine_tool_calibration.workbench.state import State
 from machine_tool_calibration.workbench.work import Work
@@ -50,7 +50,7 @@ class MeasurementPage:
         self._turn = pn.widgets.IntSlider(name="Turn the view, °", start=-180, end=180, step=5, value=-30, width=220)
         self._tilt = pn.widgets.IntSlider(name="Tilt the view, °", start=0, end=90, step=5, value=25, width=220)
         for slider in (self._turn, self._tilt):
-            slider.param.watch(lambda event: self._look(), "value")
+            when_changed(slider, lambda _: self._look())
         space = new_figure(
             "Places of the readings and stations (parallel projection)",
             "",

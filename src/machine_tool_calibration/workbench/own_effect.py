@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from html import escape
 from typing import Any
 
@@ -12,7 +13,7 @@ import panel as pn
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.effects.formula import FormulaEffect, formula_effect
 from machine_tool_calibration.errors import CalibrationError, ModelError
-from machine_tool_calibration.workbench.look import bar_button, text
+from machine_tool_calibration.workbench.look import bar_button, text, when_changed
 from machine_tool_calibration.workbench.state import State
 
 __all__ = ["OwnEffect", "unknowns_of"]
@@ -55,8 +56,8 @@ class OwnEffect:
         # As typed so far: a field's own value follows only when it is left.
         self._typed = {field: field.value for field in (self._name, self._formula, self._linear, self._shape)}
         for field in self._typed:
-            field.param.watch(self._type, "value_input")
-        self._enters.param.watch(lambda event: self._check(), "value")
+            when_changed(field, partial(self._type, field), "value_input")
+        when_changed(self._enters, lambda _: self._check())
         self.view = pn.Card(
             pn.Row(self._name, self._enters, self._formula, self._linear, self._shape,
                    pn.Column(self._look, margin=(14, 0))),
@@ -89,8 +90,8 @@ class OwnEffect:
             raise ModelError(f"{made.id}: {why}")
         return made
 
-    def _type(self, event: Any) -> None:
-        self._typed[event.obj] = event.new
+    def _type(self, field: Any, value: str) -> None:
+        self._typed[field] = value
         self._check()
 
     def _check(self) -> None:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from html import escape
 from pathlib import Path
 from typing import Protocol
@@ -14,7 +15,7 @@ from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.workbench.compare import ComparePage
 from machine_tool_calibration.workbench.diagnose import DiagnosePage
 from machine_tool_calibration.workbench.improve import ImprovePage
-from machine_tool_calibration.workbench.look import bar_button, text
+from machine_tool_calibration.workbench.look import bar_button, text, when_changed
 from machine_tool_calibration.workbench.measurement import MeasurementPage
 from machine_tool_calibration.workbench.readings import Readings
 from machine_tool_calibration.workbench.state import State, measurements_in
@@ -57,22 +58,23 @@ class _Window:
         self._state, self._work = State(own, variant), Work()
         self._readings = Readings(self._state)
         self._state.watch(self._changed)
-        # By title; a page is made when it is first looked at, and refreshed when it is looked at and stale.
-        self._makers = {maker.title: maker for maker in _PAGES}  # type: ignore[attr-defined]
-        self._pages: dict[str, Page] = {}
+        # All pages are there from the start, hidden; one is filled when it is looked at and stale.
+        made = [maker(self._state, self._readings, self._work) for maker in _PAGES]
+        self._pages = {page.title: page for page in made}
         self._stale: set[str] = set()
-        self._buttons = {title: bar_button(title, lambda title=title: self._show(title)) for title in self._makers}
-        self._shown = next(iter(self._makers))
+        self._buttons = {title: bar_button(title, partial(self._show, title)) for title in self._pages}
+        self._shown = made[0].title
         self._head = text()
-        self._body = pn.Column(sizing_mode="stretch_width")
+        for page in made:
+            page.view.visible = page.title == self._shown
         found = measurements_in(target)
         options = {path.name or str(path): path for path in found}
         self._choice = pn.widgets.Select(name="Measurement", options=options, width=260, visible=len(found) > 1)
-        self._choice.param.watch(lambda event: self._open(), "value")
+        when_changed(self._choice, lambda _: self._open())
         self.view = pn.Column(
             pn.Row(*self._buttons.values(), self._choice, self._work.view, sizing_mode="stretch_width"),
             self._head,
-            self._body,
+            *(page.view for page in made),
             sizing_mode="stretch_width",
         )
         if found:
@@ -101,12 +103,6 @@ class _Window:
         self._shown = title
         for name, button in self._buttons.items():
             button.button_type = "primary" if name == title else "default"
-        if not self._state.models:
-            return
-        if title not in self._pages:
-            self._pages[title] = self._makers[title](self._state, self._readings, self._work)
-            self._stale.add(title)
-            self._body.append(self._pages[title].view)
         if title in self._stale:
             self._stale.discard(title)
             self._pages[title].refresh()

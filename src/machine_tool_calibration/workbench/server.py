@@ -60,6 +60,7 @@ def served(target: Path, own: Sequence[PhysicalEffect] = (), variant: str | None
         prefix=token,
         unused_session_lifetime_milliseconds=_KEPT,
         use_index=False,
+        ico_path="none",
     )
     # Only pages of this very address may open the websocket; its port is not known before.
     server._tornado.websocket_origins.clear()
