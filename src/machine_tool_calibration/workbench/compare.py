@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from html import escape
-from typing import Any
 
 import numpy as np
 import panel as pn
@@ -42,20 +41,15 @@ class ComparePage:
         self._against = [pn.widgets.Select(name=f"Plot {k}: residuals against", width=250) for k in (1, 2)]
         self._plane = pn.widgets.Select(name="Map in the plane", width=120)
         self._plots = [new_figure("Residuals", "", "residual, µm", hover=_HOVER) for _ in (1, 2)]
-        self._points = [
-            plot.scatter("row", "residual", source=source, size=4, color="color", alpha=0.7, **_DIM)
-            for plot in self._plots
-        ]
-        self._left = [
-            plot.scatter("row", "aside", source=source, size=8, marker="x", color="#b00020", nonselection_alpha=0.3)
-            for plot in self._plots
-        ]
-        for plot in self._plots:
+        for k, plot in enumerate(self._plots):
+            x = f"against{k}"
+            plot.scatter(x, "residual", source=source, size=4, color="color", alpha=0.7, **_DIM)
+            plot.scatter(x, "aside", source=source, size=8, marker="x", color="#b00020", nonselection_alpha=0.3)
             plot.add_layout(Span(location=0.0, dimension="width", line_color="#999999", line_width=1))
         self._map = new_figure("Residuals along the sensed direction", "", "", hover=_HOVER, match_aspect=True)
-        self._base = self._map.scatter("x", "y", source=source, size=3, color="#999999", nonselection_alpha=0.3)
-        self._arrows = self._map.segment(
-            "x", "y", "xy:u", "xy:v", source=source, color="arrow", line_width=1.3,
+        self._map.scatter("across", "up", source=source, size=3, color="#999999", nonselection_alpha=0.3)
+        self._map.segment(
+            "across", "up", "u", "v", source=source, color="arrow", line_width=1.3,
             nonselection_alpha=0.12, nonselection_line_color="#888888",
         )  # fmt: skip
         self._strip = new_figure("Residuals by setup, worst on top", "residual, µm", "",
@@ -89,6 +83,8 @@ class ComparePage:
         found = self._state.model.comparison
         self._words.object = paragraphs([in_words(found)])
         self._choices()
+        for k in range(len(self._against)):
+            self._draw_against(k)
         self._strip.y_range.factors = [share.name for share in reversed(found.setups)]
         every = list(comparison_tables(found))
         self._setups.object, self._more.object = tables(every[:2]), tables(every[2:])
@@ -106,21 +102,18 @@ class ComparePage:
         for k, choice in enumerate(self._against):
             chosen = self._readings.ranked[min(k, len(self._readings.ranked) - 1)]
             choice.param.update(options=options, value=chosen)
-            self._draw_against(k)
 
     def _draw_against(self, k: int) -> None:
         name = self._against[k].value
         if name in self._readings.labels:
-            self._points[k].glyph.x = self._left[k].glyph.x = name
+            self._readings.draw(**{f"against{k}": name})
             self._plots[k].xaxis.axis_label = self._readings.labels[name]
 
     def _draw_plane(self) -> None:
         plane = self._plane.value
         if not plane:
             return
-        self._base.glyph.x, self._base.glyph.y = plane
-        arrow: Any = self._arrows.glyph
-        arrow.x0, arrow.y0, arrow.x1, arrow.y1 = plane[0], plane[1], f"{plane}:u", f"{plane}:v"
+        self._readings.draw(across=plane[0], up=plane[1], u=f"{plane}:u", v=f"{plane}:v")
         self._map.xaxis.axis_label, self._map.yaxis.axis_label = (f"{axis}, mm" for axis in plane)
         long = f"{1e6 * self._readings.scale:.2g} µm"
         self._map.title.text = (

@@ -54,11 +54,11 @@ class DiagnosePage:
         self._bars.selected.on_change("indices", lambda attr, old, new: self._clicked(new))
         source = readings.source
         self._over = new_figure("Residuals, and what the effect would take out", "", "µm", height=330, hover=_HOVER)
-        self._points = self._over.scatter(
-            "row", "residual", source=source, size=4, color="color", alpha=0.6, legend_label="residual", **_DIM
+        self._over.scatter(
+            "over", "residual", source=source, size=4, color="color", alpha=0.6, legend_label="residual", **_DIM
         )
-        self._pattern = self._over.scatter(
-            "row", "pattern", source=source, size=5, marker="diamond", color=_PATTERN, alpha=0.8,
+        self._over.scatter(
+            "over", "pattern", source=source, size=5, marker="diamond", color=_PATTERN, alpha=0.8,
             legend_label="pattern", nonselection_alpha=0.15,
         )  # fmt: skip
         self._added = new_figure("Do the residuals follow it? (line: slope 1)", "pattern, µm", "residual, µm",
@@ -99,7 +99,7 @@ class DiagnosePage:
         options = {self._readings.labels[name]: name for name in self._readings.ranked}
         if self._against.options != options:
             self._against.param.update(options=options, value=self._readings.ranked[0])
-            self._draw_against()
+        self._draw_against()
         self._forget()
         observations = state.model.comparison.fit.model.observations
         every = catalogue(tuple(state.own.values()))
@@ -186,5 +186,5 @@ class DiagnosePage:
     def _draw_against(self) -> None:
         name = self._against.value
         if name in self._readings.labels:
-            self._points.glyph.x = self._pattern.glyph.x = name
+            self._readings.draw(over=name)
             self._over.xaxis.axis_label = self._readings.labels[name]

@@ -84,7 +84,6 @@ class ImprovePage:
         ):
             self._fall.line("step", name, source=self._steps, color=color, legend_label=label)
             self._fall.scatter("step", name, source=self._steps, color=color, size=7, marker=marker, legend_label=label)
-        self._fall.line([], [], line_dash="dotted", color="#333333", legend_label="declared uncertainty of a reading")
         self._fall.y_range.start = 0.0
         self._fall.xaxis.major_label_orientation = 0.4
         self._fall.legend.label_text_font_size = "11px"
@@ -94,12 +93,13 @@ class ImprovePage:
         self._residuals, self._maps, self._sources = {}, {}, {}
         for name, color in (("before", _BEFORE), ("after", _AFTER)):
             plot = new_figure("", "", "", hover=_HOVER, match_aspect=True, height=330)
-            base = plot.scatter("x", "y", source=readings.source, size=3, color="#999999", nonselection_alpha=0.3)
-            arrows = plot.segment(
-                "x", "y", f"{name}:xy:u", f"{name}:xy:v", source=readings.source, color="color", line_width=1.2, **_DIM
-            )
+            plot.scatter("place_a", "place_b", source=readings.source, size=3, color="#999999", nonselection_alpha=0.3)
+            plot.segment(
+                "place_a", "place_b", f"{name}_u", f"{name}_v", source=readings.source, color="color", line_width=1.2,
+                **_DIM,
+            )  # fmt: skip
             plot.toolbar_location = None
-            self._residuals[name] = (plot, base, arrows)
+            self._residuals[name] = plot
             self._sources[name] = ColumnDataSource({"x": [], "y": [], "x1": [], "y1": [], "wx": [], "wy": []})
             plot = new_figure("", "", "", hover=_MAP_HOVER, match_aspect=True, height=330)
             base = plot.scatter("x", "y", source=self._sources[name], size=4, color="#999999")
@@ -110,8 +110,9 @@ class ImprovePage:
             plot.toolbar_location = None
             self._maps[name] = (plot, base, arrows, band)
         # Both of a pair are seen in the same frame.
-        for pair in (self._residuals, self._maps):
-            pair["after"][0].x_range, pair["after"][0].y_range = pair["before"][0].x_range, pair["before"][0].y_range
+        maps = {name: parts[0] for name, parts in self._maps.items()}
+        for pair in (self._residuals, maps):
+            pair["after"].x_range, pair["after"].y_range = pair["before"].x_range, pair["before"].y_range
         self.view = pn.Column(
             pn.Row(
                 pn.Column(pn.Row(self._all, self._undo), margin=(14, 0)),
@@ -120,7 +121,8 @@ class ImprovePage:
             self._note,
             pn.Row(self._fall, pn.Column(self._table, sizing_mode="stretch_width"), sizing_mode="stretch_width"),
             pn.Row(
-                *(kind[name][0] for kind in (self._residuals, self._maps) for name in kind),
+                *self._residuals.values(),
+                *maps.values(),
                 sizing_mode="stretch_width",
             ),
             self._scale,
@@ -186,19 +188,18 @@ class ImprovePage:
             f"map: {spaced(factor)} times magnified; ellipses: U (k = 2)."
         )
         a, b = plane
+        self._readings.draw(place_a=a, place_b=b)
         for name, model in pair.items():
-            plot, base, arrows = self._residuals[name]
-            base.glyph.x, base.glyph.y = a, b
-            arrows.glyph.x0, arrows.glyph.y0 = a, b
-            arrows.glyph.x1, arrows.glyph.y1 = f"{name}:{plane}:u", f"{name}:{plane}:v"
+            plot = self._residuals[name]
+            self._readings.draw(**{f"{name}_{end}": f"{name}:{plane}:{end}" for end in "uv"})
             rms = quantity(model.step.result.rms_residual, "m")
             plot.title.text = f"Residuals {name}: {rms} RMS"
             plot.xaxis.axis_label, plot.yaxis.axis_label = f"{a}, mm", f"{b}, mm"
-            self._sources[name].data = map_arrows(model, factor)
             plot, base, arrows, band = self._maps[name]
             base.glyph.x, base.glyph.y = a, b
             arrows.glyph.x0, arrows.glyph.y0, arrows.glyph.x1, arrows.glyph.y1 = a, b, f"{a}1", f"{b}1"
             band.glyph.x, band.glyph.y, band.glyph.width, band.glyph.height = f"{a}1", f"{b}1", f"w{a}", f"w{b}"
+            self._sources[name].data = map_arrows(model, factor)
             size = model.step.map_rms
             what = "no position errors" if size is None else f"{quantity(size, 'm')} RMS"
             plot.title.text = f"Map {name}: {what}"

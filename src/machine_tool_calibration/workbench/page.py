@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from html import escape
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import panel as pn
 
@@ -29,11 +29,11 @@ class Page(Protocol):
 
     Attributes:
         title: what it is called.
-        view: what is shown.
+        view: the blocks that are shown, one below the other.
     """
 
     title: str
-    view: pn.Column
+    view: Any
 
     def refresh(self) -> None:
         """Show the model in use."""
@@ -42,15 +42,32 @@ class Page(Protocol):
 _PAGES: tuple[Callable[[State, Readings, Work], Page], ...] = (MeasurementPage, ComparePage, DiagnosePage, ImprovePage)
 
 
-def window(target: Path, own: Sequence[PhysicalEffect] = (), variant: str | None = None) -> pn.Column:
+# All roots one below the other.
+_TEMPLATE = """{% extends base %}
+{% block contents %}
+{% for doc in docs %}{% for root in doc.roots %}{{ embed(root) }}{% endfor %}{% endfor %}
+{% endblock %}
+"""
+
+
+def window(target: Path, own: Sequence[PhysicalEffect] = (), variant: str | None = None) -> Any:
     """A new window with its own state.
+
+    Every block of every page is a root of the document: whatever changes in a block, a browser lays out the whole root
+    that it is in, figures of hidden pages too, which took seconds.
 
     Args:
         target: a session, a recording, or a folder of such.
         own: effects of the user's own.
         variant: of the method's model; its default if absent.
+
+    Returns:
+        What Panel serves.
     """
-    return _Window(target, own, variant).view
+    page = pn.Template(_TEMPLATE)
+    for number, root in enumerate(_Window(target, own, variant).roots):
+        page.add_panel(f"block{number}", root)
+    return page
 
 
 class _Window:
@@ -66,17 +83,13 @@ class _Window:
         self._shown = made[0].title
         self._head = text()
         for page in made:
-            page.view.visible = page.title == self._shown
+            _set_visible(page, page.title == self._shown)
         found = measurements_in(target)
         options = {path.name or str(path): path for path in found}
         self._choice = pn.widgets.Select(name="Measurement", options=options, width=260, visible=len(found) > 1)
         when_changed(self._choice, lambda _: self._open())
-        self.view = pn.Column(
-            pn.Row(*self._buttons.values(), self._choice, self._work.view, sizing_mode="stretch_width"),
-            self._head,
-            *(page.view for page in made),
-            sizing_mode="stretch_width",
-        )
+        bar = pn.Row(*self._buttons.values(), self._choice, self._work.view, sizing_mode="stretch_width")
+        self.roots = [bar, self._head, *(block for page in made for block in page.view)]
         if found:
             pn.state.onload(self._open)
         else:
@@ -107,4 +120,9 @@ class _Window:
             self._stale.discard(title)
             self._pages[title].refresh()
         for name, page in self._pages.items():
-            page.view.visible = name == title
+            _set_visible(page, name == title)
+
+
+def _set_visible(page: Page, visible: bool) -> None:
+    for block in page.view:
+        block.visible = visible

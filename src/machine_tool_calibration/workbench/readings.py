@@ -11,7 +11,7 @@ from machine_tool_calibration.plots.residuals import axis_label, planes
 from machine_tool_calibration.workbench.look import setup_color
 from machine_tool_calibration.workbench.state import Model, State
 
-__all__ = ["VIEWS", "Readings"]
+__all__ = ["DRAWN", "VIEWS", "Readings"]
 
 VIEWS = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 """Planes in which places are drawn."""
@@ -65,6 +65,13 @@ class Readings:
     def show_pattern(self, rows: IntArray, pattern: Array) -> None:
         """Lay what an effect would take out of some readings (m) over the residuals."""
         self.source.data["pattern"] = self._at(rows, 1e6 * pattern)
+
+    def draw(self, **columns: str) -> None:
+        """Have the plots' own columns (`DRAWN`) hold what other columns do.
+
+        A plot that is told to draw another column goes on looking for its points where they were.
+        """
+        self.source.data.update({name: self.source.data[column] for name, column in columns.items()})
 
     def select(self, rows: list[int]) -> None:
         """Light up readings."""
@@ -127,7 +134,6 @@ class Readings:
         scale = max(_bulk(residual) for residual in both.values())
         for name, residual in both.items():
             self.source.data.update({f"{name}:{end}": at for end, at in self._arrows(residual, scale).items()})
-            self.source.data[f"{name}:residual"] = 1e6 * residual
         return scale
 
     def _arrows(self, residual: Array, scale: float) -> dict[str, Array]:
@@ -166,4 +172,8 @@ _FIXED = ("row", "setup", "repeat", "color", "measured", "x", "y", "z")
 _ENDS = tuple(f"{view}:{end}" for view in VIEWS for end in "uv")
 _CHANGING = ("aside", "predicted", "residual", "studentized", "pattern", "arrow", *_ENDS)
 # What single pages fill; there from the start, as plots ask for them.
-_OF_PAGES = ("3d:u", "3d:v", *(f"{name}:{end}" for name in ("before", "after") for end in ("residual", *_ENDS)))
+DRAWN = ("against0", "against1", "over", "across", "up", "u", "v", "place_a", "place_b", *(
+    f"{name}_{end}" for name in ("before", "after") for end in "uv"
+))  # fmt: skip
+"""Columns that plots draw, filled from others as the user chooses."""
+_OF_PAGES = ("3d:u", "3d:v", *DRAWN, *(f"{name}:{end}" for name in ("before", "after") for end in _ENDS))
