@@ -18,21 +18,28 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from machine_tool_calibration.errors import CalibrationError
+    from machine_tool_calibration.interface.budget import Budget, Conformity
     from machine_tool_calibration.interface.diagnosis import Comparison, Diagnosis
     from machine_tool_calibration.interface.effects import Effect, catalogue
+    from machine_tool_calibration.interface.features import Features
     from machine_tool_calibration.interface.identification import Fit, identify
     from machine_tool_calibration.interface.improvement import Improvement, improve, plot_improvement
+    from machine_tool_calibration.interface.map_comparison import MapComparison
     from machine_tool_calibration.interface.session import Measurement, load, simulate
 
 __version__ = "0.1.0"
 
 __all__ = [
+    "Budget",
     "CalibrationError",
     "Comparison",
+    "Conformity",
     "Diagnosis",
     "Effect",
+    "Features",
     "Fit",
     "Improvement",
+    "MapComparison",
     "Measurement",
     "catalogue",
     "identify",
@@ -45,12 +52,16 @@ __all__ = [
 if not TYPE_CHECKING:
     # Where each name is; a type checker reads the imports above instead.
     _HOME = {
+        "Budget": "interface.budget",
         "CalibrationError": "errors",
         "Comparison": "interface.diagnosis",
+        "Conformity": "interface.budget",
         "Diagnosis": "interface.diagnosis",
         "Effect": "interface.effects",
+        "Features": "interface.features",
         "Fit": "interface.identification",
         "Improvement": "interface.improvement",
+        "MapComparison": "interface.map_comparison",
         "Measurement": "interface.session",
         "catalogue": "interface.effects",
         "identify": "interface.identification",

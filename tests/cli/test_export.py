@@ -93,7 +93,7 @@ def test_several_sessions_together(tmp_path: Path, capsys: pytest.CaptureFixture
     table = json.loads((out / "compensation.json").read_text())
     assert f"measurement: {one} + {other}" in table["remarks"]
     assert table["tables"]["EXX"]["deviation"][10] == pytest.approx(1e-5 + 2e-7 * (10 % 3), abs=1e-9)
-    for form in ("linuxcnc", "linuxcnc-trims", "isg", "etalon", "csv"):
+    for form in ("linuxcnc", "linuxcnc-trims", "siemens", "fanuc", "isg", "etalon", "csv"):
         folder = tmp_path / form
         assert run(["export", str(one), str(other), "--format", form, "-o", str(folder)]) == 0
         assert "RMS compensated" in capsys.readouterr().out
@@ -105,3 +105,19 @@ def test_sessions_without_tables_are_refused(tmp_path: Path, capsys: pytest.Capt
     captured = capsys.readouterr().err
     assert "no tables of error motions" in captured
     assert not (tmp_path / "t").exists()
+
+
+def test_the_picture_of_what_is_left(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "tables"
+    call = ["export", str(SESSION), "--format", "siemens", "--plot", "-o", str(folder), "--json"]
+    assert run(call) == 0
+    document = json.loads(capsys.readouterr().out)
+    picture = folder / "what_is_left.png"
+    assert document["pictures"] == [str(picture)] and picture.stat().st_size > 10_000
+    # squareness is the slope of a straightness table, an angle is in none
+    assert document["not_in_tables"] == ["ECY"]
+    for name in document["files"]:
+        (folder / name).unlink()
+    assert run(call) == 1
+    assert "what_is_left.png: is there already" in capsys.readouterr().err
+    assert [path.name for path in folder.iterdir()] == ["what_is_left.png"]

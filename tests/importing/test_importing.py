@@ -441,7 +441,7 @@ def test_units() -> None:
     assert si_values(["200"], "gon")[0] == pytest.approx(np.pi)
     assert quantity("1.5 µm", "length", "a") == 1.5e-6
     assert quantity("-3e2", "number", "a") == -300.0
-    with pytest.raises(SessionError, match="a: '3deg' is not a length"):
+    with pytest.raises(SessionError, match="a: '3deg' is not of the dimension length"):
         quantity("3deg", "length", "a")
 
 

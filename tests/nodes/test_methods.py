@@ -10,7 +10,10 @@ import yaml
 
 from machine_tool_calibration.cli.demo import error_against_truth
 from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.methods.tracking.pointer_alignment import rotation_centre
 from machine_tool_calibration.nodes.shared import procedure_file
+from machine_tool_calibration.nodes.site import Moment, Site, SiteSpec
+from machine_tool_calibration.procedure import read_procedure
 from machine_tool_calibration.simulation.simulate import simulate
 from machine_tool_calibration.simulation.spec import SimulationSpec
 
@@ -127,3 +130,23 @@ def _session(operator):
     for message in operator.readings:
         collector.add(message.header.frame_id, list(message.name), list(message.position))
     return collector.session("live", check=True)
+
+
+def test_a_pointer_turns_about_a_target_that_stands_still(bench, finish):
+    procedure = load("pointer_centre")
+    procedure["session"]["repeats"] = 1
+    procedure["path"]["azimuth"] = {"first": 0.0, "last": 5.934119456780721, "count": 18}
+    setup = procedure["session"]["setups"][0]
+    setup["position_uncertainty"] = 2e-4
+    site = {**FREE, "station_uncertainty": None, "machine": {**MACHINE, **procedure["session"]["machine"]}}
+    operator = bench.operator(bench.graph(procedure=procedure, site=site))
+    finish(operator)
+    columns = [dict(zip(message.name, message.position, strict=True)) for message in operator.readings]
+    azimuth, displacement = (np.array([row[name] for row in columns]) for name in ("azimuth", "displacement"))
+    true = Site(SiteSpec.model_validate(site))
+    place = {axis: columns[0][axis] for axis in "xyz"}
+    stands = true.functional_point(Moment(0.0, place, {}))[:2]
+    found = rotation_centre(azimuth, displacement, stands)
+    station = true.station(read_procedure(procedure_file("pointer_centre")).session, 0)
+    assert np.abs(station[:2] - setup["position"][:2]).max() > 5e-5
+    assert found.centre == pytest.approx(station[:2], abs=1e-11)

@@ -2,6 +2,7 @@
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from machine_tool_calibration.errors import SessionError
@@ -193,3 +194,24 @@ def test_a_direct_session_must_say_along_which_axis_it_is_read():
 def test_only_a_step_diagonal_needs_no_path():
     with pytest.raises(SessionError, match=r"small.yaml: the key 'path' is missing"):
         small(TEXT.split("path:")[0])
+
+
+def test_a_beam_is_held_in_every_direction_at_every_target():
+    made = plan(read_procedure(CONFIG / "pointer_centre.yaml"))
+    (setup,) = made.procedure.session.setups
+    lines = np.array([step.aim for step in made.steps]) - setup.position
+    angles = np.degrees(np.arctan2(lines[:, 1], lines[:, 0])) % 360.0
+    # Forth in the first repetition, back in the second; the axes stand still, and the path is zeroed once.
+    assert np.round(angles, 6) % 360.0 == pytest.approx([*range(0, 360, 10), *range(350, -10, -10)])
+    assert {tuple(step.position.values()) for step in made.steps} == {(-0.35, 0.05, 0.0)}
+    assert [step.datum for step in made.steps] == [True] + [False] * 71
+    assert [step.number for step in made.steps] == list(range(72))
+    assert sum(bool(step.via) for step in made.steps) == 1
+
+
+@pytest.mark.parametrize("name", ["tracking_3d", "rotary_axis"])
+def test_a_beam_is_held_by_a_pointer_in_the_plane_alone(name):
+    procedure = read_procedure(CONFIG / f"{name}.yaml")
+    held = procedure.model_copy(update={"path": procedure.path.model_copy(update={"azimuth": (0.0,)})})
+    with pytest.raises(SessionError, match="open-loop pointer in the plane"):
+        plan(held)

@@ -48,3 +48,9 @@ def test_the_verb_prints_and_writes(monkeypatch: pytest.MonkeyPatch, tmp_path: P
     assert [entry["agrees"] for entry in document["studies"][0]["figures"]] == [True, False, None]
     assert (tmp_path / "page.md").read_text().startswith("# The papers")
     assert "rotary_axis" in study_names()
+
+
+def test_an_upper_limit_is_kept_from_below() -> None:
+    low, high = (Printed("angle", "Table 4", 1e-8, ours, "m", 0.0, at_most=True) for ours in (1e-10, 2e-8))
+    assert (low.agrees, high.agrees) == (True, False)
+    assert study_table(Study("two", "", (), (low,))).rows[0][2] == "< 0.0100 µm"

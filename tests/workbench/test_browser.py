@@ -12,6 +12,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
+from machine_tool_calibration.interface.session import simulate
 from machine_tool_calibration.reports.history_file import history_path, read_history
 
 CHROMIUM = Path("/usr/bin/chromium")
@@ -26,7 +27,15 @@ FLAGS = (
 WAIT = 60_000  # ms; the last resort on a busy machine
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
+def hidden(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A session whose machine has a backlash of Y that the model lacks."""
+    folder = tmp_path_factory.mktemp("workbench") / "cube"
+    simulate("tracking_2d", effects={"backlash_y": 2e-6}, seed=3).save(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
 def address(hidden: Path) -> Iterator[str]:
     """Of a workbench that `mtcal workbench` serves."""
     command = [sys.executable, "-m", "machine_tool_calibration", "workbench", "--no-browser", str(hidden)]
@@ -107,8 +116,6 @@ def test_from_opening_to_the_improved_fit(hidden: Path, address: str, browser: "
     press(one, "Improve")
     one.get_by_text("Models tried").wait_for()
     one.get_by_text("RMS residual, µm").wait_for()
-    press(two, "Compare")
-    two.get_by_text("0 of 288 readings selected").wait_for()
     assert two.get_by_text("model free: 288 readings").is_visible()
     kept = read_history(history_path(hidden))
     assert kept.in_use is not None and kept.in_use.effects == ("backlash_y",)

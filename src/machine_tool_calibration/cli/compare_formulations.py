@@ -58,9 +58,10 @@ def command(measurement: Path, plot: Path | None, as_json: bool) -> None:
     session = open_measurement(measurement)
     comparison, suspicious = compare_formulations(session), suspicions([session])
     if plot is not None:
-        from machine_tool_calibration.plots.step_diagonal import save_comparison
+        from machine_tool_calibration.plots.step_diagonal import draw_comparison
+        from machine_tool_calibration.plots.style import save_as
 
-        save_comparison(comparison, plot)
+        save_as(draw_comparison(comparison), plot)
         note(f"wrote {plot}")
     if as_json:
         write_json({**_document(comparison), "suspicious": suspicious})

@@ -92,7 +92,9 @@ def unused_model(
     )
 
 
-_FORMATS = ("linuxcnc", "linuxcnc-trims", "isg", "etalon", "csv", "json")
+_FORMATS = ("linuxcnc", "linuxcnc-trims", "siemens", "fanuc", "isg", "etalon", "csv", "json")
+
+_PICTURE = "what_is_left.png"
 
 
 @click.command("export")
@@ -116,6 +118,7 @@ _FORMATS = ("linuxcnc", "linuxcnc-trims", "isg", "etalon", "csv", "json")
     type=click.Path(path_type=Path, dir_okay=False),
     help="YAML file with effects of your own, by formula.",
 )
+@click.option("--plot", is_flag=True, help=f"Draw the errors before and after: {_PICTURE} in the folder.")
 @topic_option
 @json_option
 def command(
@@ -126,6 +129,7 @@ def command(
     effects: tuple[str, ...],
     from_history: bool,
     effects_file: Path | None,
+    plot: bool,
     topics: tuple[str, ...],
     as_json: bool,
 ) -> None:
@@ -139,6 +143,8 @@ def command(
     \b
     mtcal export session --format linuxcnc        x.comp, y.comp, …, compensation.ini; positioning errors only
     mtcal export session --format linuxcnc-trims  the same with COMP_FILE_TYPE 1: what is added, not where it went
+    mtcal export session --format siemens --plot  SINUMERIK 840D: positioning, straightness with squareness; a picture
+    mtcal export session --format fanuc           pitch error data and parameters 3620 to 3624; positioning errors only
     mtcal export session --format isg             TwinCAT CNC volumetric compensation, ISG CSV
     mtcal export bag --format etalon              the same, Etalon Exchange
     mtcal export x_axis plate --format json       two sessions together
@@ -146,7 +152,7 @@ def command(
     """
     from machine_tool_calibration.effects.formula import read_effects
     from machine_tool_calibration.export import read_tables, write_tables
-    from machine_tool_calibration.export.preview import preview
+    from machine_tool_calibration.export.preview import residual_errors, summary
     from machine_tool_calibration.reports.identification import group_by_reason
     from machine_tool_calibration.reports.tables import show_suspicions
 
@@ -160,10 +166,17 @@ def command(
         progress("writing and reading tables")
         files = write_tables(form, tables, found.source)
         held = read_tables(form, files, tables)
-        left = preview(states.error_map, held, states.directions)
+        errors = residual_errors(states.error_map, held, states.directions)
+        left = summary(errors)
     absent = _absent(tables, held, states.effects)
     folder = output or Path(f"compensation_{form}")
-    _save(folder, files)
+    picture = folder / _PICTURE
+    _save(folder, files, pictures=(_PICTURE,) if plot else ())
+    if plot:
+        from machine_tool_calibration.plots.compensation import draw_compensation
+        from machine_tool_calibration.plots.style import save_as
+
+        save_as(draw_compensation(errors, f"{form}: {found.source}"), picture)
     if as_json:
         write_json(
             {
@@ -171,6 +184,7 @@ def command(
                 "to": form,
                 "folder": folder,
                 "files": list(files),
+                "pictures": [picture] if plot else [],
                 "model": models[0] if len(models) == 1 else list(models),
                 "reduced_chi_square": found.fit.reduced_chi_square,
                 "p_value": found.fit.p_value,
@@ -184,7 +198,7 @@ def command(
             }
         )
     else:
-        _show(console(), folder, files, left, absent)
+        _show(console(), [*(folder / name for name in files), *([picture] if plot else [])], left, absent)
         show_suspicions(console(), found.suspicious)
         for why, names in group_by_reason((entry.name, entry.why) for entry in tables.left_out):
             note(f"not determined: {names}: {why}")
@@ -258,14 +272,18 @@ def _identified(paths: tuple[Path, ...], chosen: _Chosen, topics: dict[str, str]
 
 def _absent(tables: AxisTables, held: AxisTables, effects: Sequence[str]) -> list[str]:
     """What is in the model, displaces the tool, and is not in the files: effects first, then error motions."""
+    from machine_tool_calibration.methods.axis_tables import SLOPES
+
     taken = {f"backlash_{axis.lower()}" for axis in held.backlash}
     named = {*(table.name for table in held.tables), *held.squareness}
+    # where squareness is not said apart, it is the slope of a straightness
+    named |= {name for name, slope in SLOPES.items() if slope in named}
     known = [*(table.name for table in tables.tables), *tables.squareness]
     return [*(e for e in effects if e not in taken), *(name for name in known if name not in named)]
 
 
-def _save(folder: Path, files: dict[str, str]) -> None:
-    for name in files:
+def _save(folder: Path, files: dict[str, str], pictures: Sequence[str]) -> None:
+    for name in (*files, *pictures):
         if (folder / name).exists():
             raise CalibrationError(f"{folder / name}: is there already; choose another folder with -o")
     folder.mkdir(parents=True, exist_ok=True)
@@ -273,15 +291,13 @@ def _save(folder: Path, files: dict[str, str]) -> None:
         (folder / name).write_text(text, encoding="utf-8")
 
 
-def _show(
-    out: Console, folder: Path, files: dict[str, str], left: Sequence[ResidualError], absent: Sequence[str]
-) -> None:
+def _show(out: Console, written: Sequence[Path], left: Sequence[ResidualError], absent: Sequence[str]) -> None:
     from rich.table import Table
 
     from machine_tool_calibration.reports.quantities import micrometres
 
-    for name in files:
-        out.print(f"[bold]{folder / name}[/]")
+    for path in written:
+        out.print(f"[bold]{path}[/]")
     title = "Position error over the measured points, µm, without shift and turn of the whole"
     table = Table(title=title, title_justify="left", box=None, pad_edge=False)
     table.add_column("direction")

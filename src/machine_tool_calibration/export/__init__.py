@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.export import etalon, isg, linuxcnc, table_csv, table_json
+from machine_tool_calibration.export import etalon, fanuc, isg, linuxcnc, siemens, table_csv, table_json
 from machine_tool_calibration.methods.axis_tables import AxisTables
 
 __all__ = ["FORMATS", "read_tables", "write_tables"]
@@ -17,6 +17,8 @@ _Reader = Callable[[Mapping[str, str], AxisTables], AxisTables]
 _FORMATS: Mapping[str, tuple[_Writer, _Reader]] = {
     "linuxcnc": (linuxcnc.write, linuxcnc.read),
     "linuxcnc-trims": (linuxcnc.write_trims, linuxcnc.read_trims),
+    "siemens": (siemens.write, siemens.read),
+    "fanuc": (fanuc.write, fanuc.read),
     "isg": (isg.write, isg.read),
     "etalon": (etalon.write, etalon.read),
     "csv": (table_csv.write, table_csv.read),

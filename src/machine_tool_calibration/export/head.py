@@ -5,15 +5,20 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from machine_tool_calibration.errors import CalibrationError
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.errors import CalibrationError, ModelError
 from machine_tool_calibration.methods.axis_tables import AxisTable, AxisTables
 
-__all__ = ["head", "number", "rebuilt"]
+__all__ = ["head", "held_beyond", "middle_line", "number", "positioning", "rebuilt"]
 
 SIGN = (
     "deviations, actual minus commanded position of the tool in the workpiece frame (ISO 230-1); the compensation is "
     "minus the deviation"
 )
+# Farther than any axis travels, m.
+_FAR = 1e3
 _REFERENCE = (
     "positions are the commanded axis positions of the measurement, which must be machine coordinates of the homed "
     "machine; the lever arms of angles end at the functional point (retroreflector, mirror, stylus) that was measured"
@@ -38,6 +43,7 @@ def head(tables: AxisTables, source: str, sign: str, units: str, absent: Collect
     lines = [
         "Compensation table written by mtcal export",
         f"measurement: {source}",
+        f"model: {tables.model}",
         f"sign: {sign}",
         f"units: {units}",
         f"reference point: {_REFERENCE}",
@@ -79,4 +85,31 @@ def rebuilt(
         (),
         like.datum,
         like.squareness_words,
+        like.model,
     )
+
+
+def positioning(tables: AxisTables, source: str) -> list[AxisTable]:
+    """The positioning errors, for a format that holds these alone.
+
+    Raises:
+        ModelError: none is determined.
+    """
+    own = [table for table in (tables.along(axis, axis) for axis in "XYZ") if table is not None]
+    if not own:
+        why = "; ".join(f"{entry.name}: {entry.why}" for entry in tables.left_out if entry.name[1:2] == entry.name[2:3])
+        raise ModelError(f"{source}: no positioning error (EXX, EYY, EZZ) is determined{': ' if why else ''}{why}")
+    return own
+
+
+def middle_line(tables: AxisTables) -> str:
+    """Where the errors of a table of one axis are those of the machine."""
+    middle = ", ".join(f"{name} = {1e3 * v:g}" for name, v in zip("XYZ", tables.middle, strict=True))
+    return f"each table is the error along the line through the middle of the measured travel, {middle} mm"
+
+
+def held_beyond(name: str, nodes: Array, value: Array) -> AxisTable:
+    """A table of which the controller holds the first and the last value beyond its ends."""
+    nodes = np.concatenate([[nodes[0] - _FAR], nodes, [nodes[-1] + _FAR]])
+    value = np.concatenate([value[:1], value, value[-1:]])
+    return AxisTable(name, nodes, value, np.full(len(nodes), np.nan))

@@ -20,8 +20,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.errors import CalibrationError, ModelError
-from machine_tool_calibration.export.head import head, number, rebuilt
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.export.head import head, middle_line, number, positioning, rebuilt
 from machine_tool_calibration.methods.axis_tables import AxisTable, AxisTables
 
 __all__ = ["MOST_LINES", "read", "read_trims", "write", "write_trims"]
@@ -58,14 +58,10 @@ def write_trims(tables: AxisTables, source: str) -> dict[str, str]:
 
 
 def _written(tables: AxisTables, source: str, kind: int, sign: str) -> dict[str, str]:
-    own = [table for table in map(tables.positioning, "XYZ") if table is not None]
-    if not own:
-        why = "; ".join(f"{entry.name}: {entry.why}" for entry in tables.left_out if entry.name[1:2] == entry.name[2:3])
-        raise ModelError(f"{source}: no positioning error (EXX, EYY, EZZ) is determined{': ' if why else ''}{why}")
+    own = positioning(tables, source)
     absent = [t.name for t in tables.tables if not t.is_positioning] + list(tables.squareness)
     lines = head(tables, source, sign, "mm: [TRAJ]LINEAR_UNITS or [JOINT_n]UNITS must be mm", absent)
-    middle = ", ".join(f"{name} = {1e3 * v:g}" for name, v in zip("XYZ", tables.middle, strict=True))
-    lines.append(f"each table is the error along the line through the middle of the measured travel, {middle} mm")
+    lines.append(middle_line(tables))
     lines.append("joints: as trivkins has them, X = 0, Y = 1, Z = 2; change the sections if yours differ")
     lines.append("BACKLASH of a joint with a COMP_FILE is not used by LinuxCNC")
     ini = [f"# {line}" for line in lines]

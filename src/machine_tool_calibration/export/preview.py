@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, rms
+from machine_tool_calibration.arrays import Array, BoolArray, rms
 from machine_tool_calibration.methods.axis_tables import AxisTables
 from machine_tool_calibration.model.result import ErrorMap
 
-__all__ = ["ResidualError", "preview"]
+__all__ = ["ResidualError", "ResidualErrors", "preview", "residual_errors", "summary"]
 
 _PARTS = ("x", "y", "z")
 
@@ -43,12 +43,29 @@ class ResidualError:
         return self.rms_after > self.rms_before
 
 
-def preview(
-    error_map: ErrorMap, compensation: AxisTables, directions: Array | None = None
-) -> tuple[ResidualError, ...]:
-    """Errors before and after, without what a shift and a turn of the whole would explain.
+@dataclass(frozen=True)
+class ResidualErrors:
+    """Position errors at the points of a map without what a shift and a turn of the whole would explain.
 
     The workpiece's origin and direction are set on the machine, and the data of most methods leave them open.
+
+    Attributes:
+        points: (n, 3) commanded, m.
+        before: (n, 3) as measured, m; zero where it is not known.
+        after: (n, 3) with the compensation, m; zero where it is not known.
+        uncertainty: (n, 3) standard uncertainty of the measured errors, m.
+        known: (n, 3) whether the error was determined.
+    """
+
+    points: Array
+    before: Array
+    after: Array
+    uncertainty: Array
+    known: BoolArray
+
+
+def residual_errors(error_map: ErrorMap, compensation: AxisTables, directions: Array | None = None) -> ResidualErrors:
+    """Errors before and after compensation.
 
     Args:
         error_map: the measured errors.
@@ -60,13 +77,24 @@ def preview(
     predicted = compensation.field(error_map.points, directions)
     before = _without_motion(error_map.points, np.where(known, error_map.error, 0.0), known)
     after = _without_motion(error_map.points, np.where(known, error_map.error - predicted, 0.0), known)
-    spread = np.where(known, error_map.uncertainty, 0.0)
+    return ResidualErrors(error_map.points, before, after, np.where(known, error_map.uncertainty, 0.0), known)
+
+
+def preview(
+    error_map: ErrorMap, compensation: AxisTables, directions: Array | None = None
+) -> tuple[ResidualError, ...]:
+    """Figures of `residual_errors`: one for each direction that is known, and for the length at last."""
+    return summary(residual_errors(error_map, compensation, directions))
+
+
+def summary(errors: ResidualErrors) -> tuple[ResidualError, ...]:
+    """Figures for each direction that is known, and for the length at last."""
     out = []
     for j, name in enumerate(_PARTS):
-        if known[:, j].any():
-            at = known[:, j]
-            out.append(_residual_error(name, before[at, j], after[at, j], spread[at, j]))
-    lengths = [np.linalg.norm(part, axis=1) for part in (before, after, spread)]
+        at = errors.known[:, j]
+        if at.any():
+            out.append(_residual_error(name, errors.before[at, j], errors.after[at, j], errors.uncertainty[at, j]))
+    lengths = [np.linalg.norm(part, axis=1) for part in (errors.before, errors.after, errors.uncertainty)]
     return (*out, _residual_error("length", *lengths))
 
 

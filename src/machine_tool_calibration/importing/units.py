@@ -116,7 +116,7 @@ def quantity(text: str, wanted: str, what: str) -> float:
             raise SessionError(f"{what}: {text!r} has no unit, as in {_example(wanted)}")
         return float(match[1])
     if dimension(unit) != wanted:
-        raise SessionError(f"{what}: {text!r} is not a {wanted}, as in {_example(wanted)}")
+        raise SessionError(f"{what}: {text!r} is not of the dimension {wanted}, as in {_example(wanted)}")
     return float(si_values([match[1]], unit)[0])
 
 

@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,10 +15,11 @@ import pandas as pd
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
+from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.interface import tables
 from machine_tool_calibration.interface.session import Measurement, Source, load, one_below_the_other
 from machine_tool_calibration.interface.show import Shown, chosen, printed
-from machine_tool_calibration.methods.identify import JointResult, identify_sessions
+from machine_tool_calibration.methods.identify import JointResult, fitted_sessions, identify_sessions
 from machine_tool_calibration.methods.identify import identify as identify_one
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.reports.quantities import quantity, rounded
@@ -25,7 +27,12 @@ from machine_tool_calibration.reports.quantities import quantity, rounded
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from machine_tool_calibration.budget.contributor import Contributor
+    from machine_tool_calibration.interface.budget import Budget, Conformity
     from machine_tool_calibration.interface.diagnosis import Comparison, Diagnosis
+    from machine_tool_calibration.interface.features import Features
+    from machine_tool_calibration.interface.map_comparison import MapComparison
+    from machine_tool_calibration.methods.probing.propagation import Distribution
 
 __all__ = ["Fit", "identify", "split_effects"]
 
@@ -205,11 +212,67 @@ class Fit(Shown):
         """
         return chosen(self._figures(), picture)
 
+    def features(
+        self,
+        *,
+        named: Mapping[str, Sequence[str]] | None = None,
+        centres: Mapping[str, Sequence[str]] | None = None,
+        frame: tuple[str, str] | None = None,
+        distances: Sequence[tuple[str, str]] = (),
+        angles: Sequence[tuple[str, ...]] = (),
+        draws: int = 0,
+        distribution: Distribution = "normal",
+        seed: int = 1,
+    ) -> Features:
+        """Pins, holes, spheres and walls of a probed part, distances and angles between them.
+
+        Args:
+            named: ids of the points of features that the session's points do not name.
+            centres: further features, each the circle or line through the centres of several: names, or patterns such
+                as `pin*`.
+            frame: the feature that has no error, and the one that gives the direction; without, the part as a whole
+                has no shift and no turn.
+            distances: pairs of features.
+            angles: pairs of walls, or three round features: the angle at the second.
+            draws: for a check by Monte Carlo (GUM Supplement 1), at least 100; none if 0.
+            distribution: of the touches' errors in the draws: normal, rectangular or triangular.
+            seed: of the draws.
+
+        Raises:
+            CalibrationError: no probing session, several sessions, no such feature, or features that do not fit.
+        """
+        from machine_tool_calibration.interface.features import Features
+        from machine_tool_calibration.methods.probing.features import features
+        from machine_tool_calibration.methods.probing.propagation import monte_carlo
+
+        if not isinstance(self.result, Result):
+            raise ModelError("features are those of one probing session; this fit is of several")
+        fit = self.result.fit
+        found = features(fit, named=named, centres=centres, frame=frame, distances=distances, angles=angles)
+        return Features(found, monte_carlo(fit, found.rows, draws, distribution, seed) if draws else None)
+
     def compare(self) -> Comparison:
         """Hold the model against the readings of the fit: how well it fits, and where it fails."""
         from machine_tool_calibration.interface.diagnosis import Comparison
 
         return Comparison.of(self.result)
+
+    def compare_map(self, other: Fit, labels: tuple[str, str] = ("first", "second"), *, seed: int = 1) -> MapComparison:
+        """Hold the map against that of another measurement of the same machine, independent of this one.
+
+        Args:
+            other: of any method.
+            labels: names of both.
+            seed: of the draws by which the uncertainties are carried over to a common datum.
+
+        Raises:
+            CalibrationError: the maps have no point, or no direction at any, in common.
+        """
+        from machine_tool_calibration.interface.map_comparison import MapComparison
+        from machine_tool_calibration.methods.map_comparison import compare_fits
+
+        pair = fitted_sessions(self.result), fitted_sessions(other.result)
+        return MapComparison(compare_fits(*pair, labels, seed=seed))
 
     def diagnose(self, *, seed: int = 1, sets: int = 199) -> Diagnosis:
         """Look for physical effects that the model lacks, among those of the catalogue and the user's own.
@@ -239,6 +302,57 @@ class Fit(Shown):
         """
         ids, own = split_effects(effects, self.own)
         return _fitted(self.measurement, self.variant, (*self.effects, *ids), own, self.keep_all)
+
+    def budget(
+        self,
+        contributors: str | Path | Sequence[Contributor | Mapping[str, Any]] | None = None,
+        *,
+        quantities: str | Sequence[str] = (),
+        draws: int = 0,
+        seed: int = 1,
+    ) -> Budget:
+        """Who contributes what to the uncertainty of everything that was identified.
+
+        Args:
+            contributors: a YAML file, or its lines as mappings; those of the instrument to begin with if absent.
+            quantities: names to tell in detail, such as EXX, C0Y or an unknown; the usual ones if absent.
+            draws: of a Monte Carlo check (JCGM 101); 0 without one.
+            seed: of random draws.
+
+        Raises:
+            CalibrationError: the file or a line is wrong, the instrument has no budget to begin with, or a quantity is
+                not published.
+        """
+        from machine_tool_calibration.interface.budget import Budget
+
+        fitted = fitted_sessions(self.result)
+        return Budget.of(fitted, self.measurement.sessions, contributors, quantities, draws, seed)
+
+    def conformity(
+        self,
+        tolerances: Mapping[str, float | str],
+        *,
+        rule: str = "guarded",
+        level: float = 0.95,
+        budget: Budget | None = None,
+        seed: int = 1,
+    ) -> Conformity:
+        """Whether tolerances are kept: pass, fail or undecided with the probability.
+
+        Args:
+            tolerances: by figure, m or rad or a text with its unit: an error motion (its range), a squareness (its
+                absolute value), A, R, E, M, B or B_mean of ISO 230-2 (`A_X` of one axis), or `volumetric`.
+            rule: guarded (ISO 14253-1), guarded-acceptance, guarded-rejection or simple (JCGM 106).
+            level: conformance probability of the rule.
+            budget: whose uncertainties are taken; those of the identification if absent.
+            seed: of random draws.
+
+        Raises:
+            CalibrationError: nothing of that name has a tolerance, a wrong unit, or no such rule.
+        """
+        from machine_tool_calibration.interface.budget import Conformity
+
+        return Conformity.of(fitted_sessions(self.result), tolerances, rule, level, budget, seed)
 
     @cached_property
     def _document(self) -> dict[str, Any]:

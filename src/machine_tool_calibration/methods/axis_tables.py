@@ -26,7 +26,10 @@ from machine_tool_calibration.model.rigid_body import MachineTable
 if TYPE_CHECKING:
     from machine_tool_calibration.methods.identify import JointResult
 
-__all__ = ["AxisTable", "AxisTables", "axis_tables", "joint_axis_tables"]
+__all__ = ["SLOPES", "AxisTable", "AxisTables", "axis_tables", "joint_axis_tables"]
+
+# The straightness whose slope a squareness error is.
+SLOPES = {"A0Z": "EYZ", "B0Z": "EXZ", "C0Y": "EXY"}
 
 _OWN_SLOPE = (
     "A0Z, B0Z, C0Y turn the later axis about the named direction (C0Y > 0: e_x = -y C0Y; B0Z > 0: e_x = z B0Z; "
@@ -81,6 +84,7 @@ class AxisTables:
         left_out: what the result does not determine, or determines at a part of its nodes only.
         datum: in words: where every table is zero.
         squareness_words: the convention of squareness in words.
+        model: which one the tables come from, with its effects.
     """
 
     chain: Chain
@@ -90,6 +94,7 @@ class AxisTables:
     left_out: tuple[NotDetermined, ...]
     datum: str
     squareness_words: str
+    model: str
 
     def field(self, points: Array, directions: Array | None = None) -> Array:
         """Position error that the tables stand for.
@@ -120,25 +125,30 @@ class AxisTables:
             out["XYZ".index(table.axis)] = (table.nodes[0] + table.nodes[-1]) / 2
         return out
 
-    def positioning(self, axis: str) -> AxisTable | None:
-        """The positioning error of an axis along the line through the middle of the measured travel.
+    def along(self, axis: str, component: str) -> AxisTable | None:
+        """An error along the line through the middle of the measured travel, as a function of one axis alone.
 
-        For a controller that can correct an axis by its own position only: angles of the axis add to the error along a
-        line that is off the axis's own (Abbe), so the error in the middle is taken, counted from the axis's zero.
+        For a controller that corrects by the position of one axis: angles of the axis add to the error along a line
+        that is off the axis's own (Abbe), and squareness is a slope of the straightness of the later axis. So the error
+        on the line through the middle is taken, counted from the axis's zero.
 
         Args:
-            axis: X, Y or Z.
+            axis: X, Y or Z: the axis that moves.
+            component: X, Y or Z: the direction of the error.
 
         Returns:
-            The table at the nodes of EXX, EYY or EZZ, with its uncertainty; None where that is not determined.
+            The table at the nodes of the error motion; None where neither that nor a squareness is determined.
         """
-        own = next((table for table in self.tables if table.is_positioning and table.axis == axis), None)
+        name = f"E{component}{axis}"
+        own = next((table for table in self.tables if table.name == name), None)
+        if own is None and name in {SLOPES[known] for known in self.squareness}:
+            like = next((table for table in self.tables if table.axis == axis), None)
+            own = None if like is None else AxisTable(name, like.nodes, like.value, np.full(len(like.nodes), np.nan))
         if own is None:
             return None
-        j = "XYZ".index(axis)
-        line = np.where(np.arange(3) == j, own.nodes[:, None], self.middle)
-        value = self.field(line)[:, j]
-        return AxisTable(own.name, own.nodes, value - value[np.argmin(np.abs(own.nodes))], own.uncertainty)
+        line = np.where(np.arange(3) == "XYZ".index(axis), own.nodes[:, None], self.middle)
+        value = self.field(line)[:, "XYZ".index(component)]
+        return AxisTable(name, own.nodes, value - value[np.argmin(np.abs(own.nodes))], own.uncertainty)
 
 
 def axis_tables(result: Result) -> AxisTables:
@@ -175,6 +185,7 @@ def axis_tables(result: Result) -> AxisTables:
         tuple(left_out),
         model.datum,
         words,
+        _named(result),
     )
 
 
@@ -204,7 +215,12 @@ def joint_axis_tables(joint: JointResult) -> AxisTables:
         tuple(left_out),
         common.datum,
         _OWN_SLOPE,
+        _named(joint),
     )
+
+
+def _named(result: Result | JointResult) -> str:
+    return result.model_name + (f" with {', '.join(result.effects)}" if result.effects else "")
 
 
 def _terms(

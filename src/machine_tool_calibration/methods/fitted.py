@@ -43,10 +43,14 @@ class FittedSessions:
     @cached_property
     def error_map(self) -> ErrorMap:
         """The machine's errors from all readings."""
+        return self.map_of(self.joint)
+
+    def map_of(self, joint: JointFit) -> ErrorMap:
+        """The machine's errors by another fit of the same models, such as a restated one (`model.restated`)."""
         if self.common is None:
-            fit = self.joint.fits[0]
+            fit = joint.fits[0]
             return fit.model.error_map(fit)
-        return joint_map(self.joint, self.common, stated(self.joint, self.common.angles))
+        return joint_map(joint, self.common, stated(joint, self.common.angles))
 
 
 def fit_sessions(

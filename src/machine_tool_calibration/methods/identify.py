@@ -17,7 +17,7 @@ from machine_tool_calibration.errors import ModelError, suspected
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.averaging import averaged_map
 from machine_tool_calibration.methods.build import build_model, rejected_readings, sharing_variant
-from machine_tool_calibration.methods.fitted import fit_sessions, joint_models
+from machine_tool_calibration.methods.fitted import FittedSessions, fit_sessions, joint_models
 from machine_tool_calibration.methods.joint.agreement import Agreement, agreement
 from machine_tool_calibration.methods.joint.model import CommonModels, common_models
 from machine_tool_calibration.methods.joint.small_angles import StatedAngles, stated
@@ -41,6 +41,7 @@ from machine_tool_calibration.session.session import Session
 __all__ = [
     "JointResult",
     "build_model",
+    "fitted_sessions",
     "identify",
     "identify_sessions",
     "joint_models",
@@ -208,6 +209,13 @@ class JointResult:
             "suspicious": suspicions([model.observations.session for model in self.common.models], self.labels),
             "error_map": plain(self.error_map.content),
         }
+
+
+def fitted_sessions(result: Result | JointResult) -> FittedSessions:
+    """The fit behind a result, of which the map can be had again for other readings."""
+    if isinstance(result, JointResult):
+        return FittedSessions(result.fit, result.common, result.model_names, result.effects)
+    return FittedSessions(result.joint, None, (result.model_name,), result.effects)
 
 
 def identify_sessions(

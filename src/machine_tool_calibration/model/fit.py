@@ -33,16 +33,18 @@ class JointFit:
         assembly: the models and their problem.
         solution: where the sum of squares is least, every reading for itself.
         random: unknowns that are small random functions; None without any.
+        given: what is published in place of what follows from the readings (`model.restated`); None usually.
     """
 
     assembly: Assembly
     solution: Solution
     random: RandomUnknowns | None = None
+    given: Stated | None = None
 
     @cached_property
     def stated(self) -> Stated:
         """What is published: with what does not reproduce, and with the scatter of the readings."""
-        return state(self)
+        return state(self) if self.given is None else self.given
 
     @cached_property
     def published(self) -> Solution:

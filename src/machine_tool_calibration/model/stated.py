@@ -103,6 +103,7 @@ class Stated:
         random: of unknowns that are random functions; None without any.
         functions: per session, (k, n) columns of the coefficients of what does not reproduce.
         squares: weighted sum of squared residuals that is left beside what does not reproduce.
+        ratios: (u,) root mean square of the coefficients of what does not reproduce, of all sessions, over `scatter`.
     """
 
     parts: tuple[Part, ...]
@@ -112,6 +113,7 @@ class Stated:
     random: RandomPosterior | None
     functions: tuple[Array, ...]
     squares: float
+    ratios: Array
 
     def contradicts(self, ratio: float, chance: float) -> bool:
         """Whether what is left is so many times as large as declared, and chance does not explain it."""
@@ -145,7 +147,7 @@ def state(joint: JointFit) -> Stated:
     if not u and joint.random is None:
         scatter = _scatter(solution.chi_square, solution.degrees_of_freedom)
         none = tuple(np.zeros((0, part.n_readings)) for part in parts)
-        return Stated(tuple(problem.parts), solution, scatter, (), None, none, solution.chi_square)
+        return Stated(tuple(problem.parts), solution, scatter, (), None, none, solution.chi_square, np.zeros(0))
     wide = Problem(
         parts,
         m + u,
@@ -184,7 +186,10 @@ def state(joint: JointFit) -> Stated:
         np.concatenate([np.zeros((0, part.n_readings)), *(f.columns() * model.sigma for f in own if f.name in names)])
         for part, own, model in zip(parts, families, joint.assembly.models, strict=True)
     )
-    return Stated(tuple(parts), stated, scatter, sizes, tried[int(np.argmax(weights))].random, functions, left)
+    squared = np.array([found.ratios[k] for k in chosen]).reshape(len(chosen), -1) ** 2
+    ratios = np.sqrt(weights @ squared)[place] if u else np.zeros(0)
+    random = tried[int(np.argmax(weights))].random
+    return Stated(tuple(parts), stated, scatter, sizes, random, functions, left, ratios)
 
 
 def _root(joint: JointFit, total: Array, squares: Array) -> Array:

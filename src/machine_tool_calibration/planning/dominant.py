@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -27,10 +26,10 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.methods.identify import build_model
 from machine_tool_calibration.methods.step_diagonal.model import StepDiagonalModel
 from machine_tool_calibration.methods.step_diagonal.small_angles import angular_priors, mean_shape
-from machine_tool_calibration.model.fit import JointFit, fit_models
+from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.model import Constraint, MethodModel
+from machine_tool_calibration.model.restated import declared
 from machine_tool_calibration.model.result import ErrorMap
-from machine_tool_calibration.model.stated import Stated
 from machine_tool_calibration.planning.option import Option
 from machine_tool_calibration.planning.options import further_options
 from machine_tool_calibration.session.session import Session
@@ -216,21 +215,6 @@ def _uncertainty(session: Session, model: str | None, angular: float, drift: flo
 
 
 def _map(model: MethodModel) -> ErrorMap:
-    joint = fit_models([model])
-    fit = _Geometric(joint.assembly, joint.solution).fits[0]
-    return model.error_map(fit)
-
-
-class _Geometric(JointFit):
-    """A fit whose uncertainties follow from where the readings are taken, and not from how they scatter.
-
-    Those of a further measurement are not there yet, and angular errors that a model leaves out must not count as what
-    does not reproduce.
-    """
-
-    @cached_property
-    def stated(self) -> Stated:
-        """The solution where the sum of squares is least, with the covariance of the declared uncertainty."""
-        parts = tuple(self.assembly.problem.parts)
-        none = tuple(np.zeros((0, part.n_readings)) for part in parts)
-        return Stated(parts, self.solution, 1.0, (), None, none, self.solution.chi_square)
+    # From where the readings are taken, and not from how they scatter: those of a further measurement are not there
+    # yet, and angular errors that a model leaves out must not count as what does not reproduce.
+    return model.error_map(declared(fit_models([model])).fits[0])

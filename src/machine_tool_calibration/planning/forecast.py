@@ -78,8 +78,13 @@ def planned_session(procedure: Procedure, warming: float = 1.0) -> Planned:
         warming: change of the air's temperature that is assumed, K per hour; the machine follows more slowly.
 
     Raises:
-        SessionError: the procedure cannot be run.
+        SessionError: the procedure cannot be run, or gives no map.
     """
+    if procedure.path.azimuth is not None:
+        raise SessionError(
+            f"procedure {procedure.name}: path.azimuth is to find a pointer's centre or zero (mtcal align-pointer); no "
+            "errors of the machine come out of it that could be forecast"
+        )
     made = plan(procedure)
     steps, description = made.steps, procedure.session
     setups: tuple[Any, ...] = description.setups

@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["LABELS", "draw_comparison", "save_comparison"]
+__all__ = ["LABELS", "draw_comparison"]
 
 LABELS = {
     "conventional": "conventional, Eq. (2)",
@@ -103,14 +102,3 @@ def _panel(panel: Axes, comparison: Comparison, motion: int, component: int) -> 
             where = (0.97, 0.92 if worst > 0 else 0.04)
             text = f"conventional: {micrometres(1e-6 * worst, signed=True)} µm"
             panel.annotate(text, where, xycoords="axes fraction", color="tab:red", fontsize=9, ha="right")
-
-
-def save_comparison(comparison: Comparison, path: Path, **options: Any) -> None:
-    """Write the panels to a file; its ending chooses the format (png, svg, pdf).
-
-    Args:
-        comparison: what to draw.
-        path: the file.
-        options: of matplotlib's `savefig`, such as `dpi`.
-    """
-    draw_comparison(comparison).savefig(path, **{"dpi": 110, **options})

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.errors import CalibrationError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,6 +26,7 @@ __all__ = [
     "new_figure",
     "round_down",
     "save",
+    "save_as",
     "scale_bar",
     "spaced",
 ]
@@ -51,6 +53,19 @@ def save(figures: Mapping[str, Figure], folder: Path, dpi: int = 110) -> list[Pa
     for name, figure in figures.items():
         figure.savefig(folder / f"{name}.png", dpi=dpi)
     return [folder / f"{name}.png" for name in figures]
+
+
+def save_as(figure: Figure, path: Path) -> None:
+    """Write one picture to a file whose ending chooses the format (png, svg, pdf, …).
+
+    Raises:
+        CalibrationError: matplotlib writes no such format.
+    """
+    known = figure.canvas.get_supported_filetypes()
+    ending = path.suffix.removeprefix(".").lower() or "png"
+    if ending not in known:
+        raise CalibrationError(f"{path}: no picture can be written as {path.suffix}; as {', '.join(sorted(known))}")
+    figure.savefig(path, dpi=110, format=ending)
 
 
 def round_down(value: float) -> float:

@@ -9,12 +9,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from machine_tool_calibration.budget.propagate import Budget
+from machine_tool_calibration.methods.map_comparison import MapComparison
 from machine_tool_calibration.methods.step_diagonal.compare import Comparison
+from machine_tool_calibration.plots.budget import draw_budget
+from machine_tool_calibration.plots.features import draw_features
+from machine_tool_calibration.plots.map_comparison import draw_map_comparison
 from machine_tool_calibration.plots.rotary_axis import draw_motions
 from machine_tool_calibration.plots.step_diagonal import draw_comparison
-from machine_tool_calibration.plots.style import COLORS, save
+from machine_tool_calibration.plots.style import COLORS, new_figure, save
+from machine_tool_calibration.plots.tracking_study import draw_profiles, draw_target_uncertainty
 from machine_tool_calibration.validation.record import Study
+from machine_tool_calibration.validation.study_probing import ColouredPoints, PinPositions
 from machine_tool_calibration.validation.study_rotary_axis import Repeated
+from machine_tool_calibration.validation.study_tracking import Profiles, TargetUncertainty
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,6 +41,10 @@ def draw(record: Any) -> Figure:
 
 
 draw.register(Comparison, draw_comparison)
+draw.register(Budget, draw_budget)
+draw.register(MapComparison, draw_map_comparison)
+draw.register(Profiles, draw_profiles)
+draw.register(TargetUncertainty, draw_target_uncertainty)
 
 
 @draw.register(Repeated)
@@ -47,6 +59,30 @@ def _repeated(record: Repeated) -> Figure:
     panel.plot([], [], ls="", marker="_", color="0.3", label=f"{len(record.each)} measurements")
     panel.legend(fontsize="small")
     return figure
+
+
+@draw.register(ColouredPoints)
+def _coloured(record: ColouredPoints) -> Figure:
+    """Expanded uncertainties by colour, each panel with a scale of its own (Figs. 18 to 20)."""
+    columns = min(len(record.panels), 2)
+    rows = -(-len(record.panels) // columns)
+    figure = new_figure(6.2 * columns, 5.2 * rows, record.what)
+    panels = figure.subplots(rows, columns, squeeze=False).flat
+    for panel, (title, place, expanded) in zip(panels, record.panels, strict=False):
+        marks = panel.scatter(*(1e3 * place.T), c=1e6 * expanded, s=26, cmap="viridis")
+        figure.colorbar(marks, ax=panel, label="U (k = 2), µm")
+        panel.set_title(f"{title}: at most {1e6 * expanded.max():.1f} µm", fontsize="medium")
+        panel.set_aspect("equal")
+        panel.set_xlabel("x, mm")
+        panel.set_ylabel("y, mm")
+    return figure
+
+
+@draw.register(PinPositions)
+def _pins(record: PinPositions) -> Figure:
+    """Errors of positions, with and without self-calibration (Fig. 17)."""
+    title = "Errors of the pins' positions, simulated, from the true ones"
+    return draw_features(record.found, title, {"touches at C = 0° alone": record.raw})
 
 
 def save_pictures(study: Study, folder: Path) -> list[Path]:

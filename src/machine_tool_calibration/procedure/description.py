@@ -63,6 +63,8 @@ class Path(Record):
             distinguished.
         targets: of a rotary axis: the axis turns once for each target (`one_by_one`), or every target is read at each
             angle (`at_every_angle`), for an instrument that finds a target again.
+        azimuth: directions in which a pointer holds its beam at every target, rad, rather than towards it: to find its
+            rotation centre and zero angle.
     """
 
     grid: Annotated[dict[str, Spread | tuple[Finite, ...]], Field(min_length=1)] | None = None
@@ -71,6 +73,7 @@ class Path(Record):
     alternate: bool = True
     both_ways: bool = False
     targets: Literal["one_by_one", "at_every_angle"] = "one_by_one"
+    azimuth: Spread | Annotated[tuple[Finite, ...], Field(min_length=1)] | None = None
 
     @model_validator(mode="after")
     def _check(self) -> Path:

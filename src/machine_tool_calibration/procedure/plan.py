@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -17,7 +17,13 @@ from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.procedure.description import Motion, Path, Procedure, Spread
 from machine_tool_calibration.procedure.motion import AxisLimits, move
 from machine_tool_calibration.session.catalogue import method_spec
-from machine_tool_calibration.session.description import Direct, Probing, RotaryAxis, StepDiagonal
+from machine_tool_calibration.session.description import (
+    Direct,
+    Probing,
+    RotaryAxis,
+    StepDiagonal,
+    TrackingInterferometer,
+)
 from machine_tool_calibration.session.method import load
 
 __all__ = [
@@ -328,6 +334,13 @@ def plan(procedure: Procedure) -> Plan:
     maker = method_spec(procedure.session.method).steps
     if maker is None:
         raise SessionError(f"procedure {procedure.name}: no procedure makes a {procedure.session.method} session")
+    session = procedure.session
+    flat = isinstance(session, TrackingInterferometer) and session.pointing == "open_loop" and session.dimension == 2
+    if procedure.path.azimuth is not None and not flat:
+        raise SessionError(
+            f"procedure {procedure.name}: path.azimuth is for an open-loop pointer in the plane, to find its rotation "
+            "centre and zero angle"
+        )
     steps = tuple(load(maker)(procedure))
     limits = axis_limits(procedure)
     return Plan(procedure, steps, limits, _ends(steps, limits, procedure.motion.dwell))
@@ -335,7 +348,30 @@ def plan(procedure: Procedure) -> Plan:
 
 def path_steps(procedure: Procedure) -> Iterator[Step]:
     """The targets of the path, from every setup and in every repeat."""
-    return _directed(procedure, _runs(procedure, targets_of(procedure)))
+    steps = _directed(procedure, _runs(procedure, targets_of(procedure)))
+    return steps if procedure.path.azimuth is None else _held_beam(procedure, steps, procedure.path.azimuth)
+
+
+def _held_beam(procedure: Procedure, steps: Iterator[Step], azimuth: Spread | tuple[float, ...]) -> Iterator[Step]:
+    """Every step in every direction of the beam, back again in every second repetition if so planned."""
+    session = procedure.session
+    assert isinstance(session, TrackingInterferometer)
+    stations = {setup.id: np.array(setup.position) for setup in session.setups}
+    forth = azimuth.values() if isinstance(azimuth, Spread) else list(azimuth)
+    number = 0
+    for step in steps:
+        back = procedure.path.alternate and step.repeat % 2 == 1
+        for place, angle in enumerate(reversed(forth) if back else forth):
+            x, y, z = stations[step.setup] + [np.cos(angle), np.sin(angle), 0.0]
+            first = place == 0
+            yield replace(
+                step,
+                number=number,
+                via=step.via if first else (),
+                aim=(float(x), float(y), float(z)),
+                datum=step.datum and first,
+            )
+            number += 1
 
 
 def axis_limits(procedure: Procedure) -> dict[str, AxisLimits]:

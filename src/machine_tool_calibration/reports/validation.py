@@ -41,17 +41,24 @@ def study_page(studies: Sequence[Study], pictures: Sequence[str] = ()) -> str:
         "Made by `mtcal validate --page FILE`. Figures count as equal within what rounding and our own chance leave.\n",
     ]
     for study in studies:
-        parts += [f"## {study.id.replace('_', ' ')}\n", f"{study.paper}\n", "| " + " | ".join(_HEADS) + " |"]
+        parts += [f"## {_words(study.id)}\n", f"{study.paper}\n", "| " + " | ".join(_HEADS) + " |"]
         parts.append("|---" * len(_HEADS) + "|")
         parts += ["| " + " | ".join(text.replace("|", "\\|") for text in _row(entry)) + " |" for entry in study.printed]
         parts.append(f"\n{verdict_of(study)}.\n")
         if study.assumptions:
             parts += ["Assumed, since the paper does not print it:\n", *(f"- {text}" for text in study.assumptions), ""]
-        parts += [f"![{name}]({name})\n" for name in pictures if name.startswith(study.id)]
+        parts += [f"![{_words(name)}]({name})\n" for name in pictures if name.startswith(study.id)]
     return "\n".join(parts)
+
+
+def _words(name: str) -> str:
+    """What a picture shows, from its file's name."""
+    return name.partition(".")[0].replace("_", " ")
 
 
 def _row(entry: Printed) -> tuple[str, ...]:
     paper, ours = ("–" if value is None else quantity(value, entry.unit) for value in (entry.paper, entry.ours))
+    if entry.at_most and entry.paper is not None:
+        paper = f"< {paper}"
     within = quantity(entry.within, entry.unit) if entry.agrees is not None else ""
     return (entry.what, entry.where, paper, ours, within, _ANSWERS[entry.agrees], entry.why)

@@ -4,19 +4,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, get_args
+from typing import Any, TypeVar, get_args
 
 import yaml
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from machine_tool_calibration.errors import SessionError, did_you_mean
 from machine_tool_calibration.session.catalogue import METHODS, method_names, method_spec
 from machine_tool_calibration.session.description import Description
 from machine_tool_calibration.session.yaml_text import Document, load_yaml
 
-__all__ = ["describe", "description_yaml", "parse_description"]
+__all__ = ["describe", "description_yaml", "parse_description", "parse_record"]
 
 FORMAT = "mtcal-session/1"
+AnyRecord = TypeVar("AnyRecord", bound=BaseModel)
 
 
 def parse_description(text: str, source: str) -> Description:
@@ -29,14 +30,38 @@ def parse_description(text: str, source: str) -> Description:
     Raises:
         SessionError: one line with file, line and key of the first defect.
     """
+    document = _mapping(text, source, FORMAT)
+    return describe(document.value, source, document)
+
+
+def parse_record(text: str, source: str, record: type[AnyRecord], form: str) -> AnyRecord:
+    """A record of another kind that a YAML text holds.
+
+    Args:
+        text: the file's content.
+        source: the file's name, for messages.
+        record: what it holds.
+        form: what its key `format` says.
+
+    Raises:
+        SessionError: one line with file, line and key of the first defect.
+    """
+    document = _mapping(text, source, form)
+    try:
+        return record.model_validate(document.value)
+    except ValidationError as error:
+        raise SessionError(_first_defect(error, source, document, record)) from None
+
+
+def _mapping(text: str, source: str, form: str) -> Document:
     # no key takes a truth value, and pydantic would take one for a number
     document = load_yaml(text, source, truth=False)
     if document.value is None:
         raise SessionError(f"{source}: the file is empty")
     if not isinstance(document.value, dict):
         raise SessionError(f"{source}: must be a mapping of keys, not {_kind(document.value)}")
-    _check_key("format", [FORMAT], source, document)
-    return describe(document.value, source, document)
+    _check_key("format", [form], source, document)
+    return document
 
 
 def describe(value: Any, source: str, document: Document | None = None) -> Description:
@@ -49,11 +74,7 @@ def describe(value: Any, source: str, document: Document | None = None) -> Descr
     try:
         return record.model_validate(value)
     except ValidationError as error:
-        # an unknown key is often the misspelt one that is then missing: it is the better message
-        order = ("extra_forbidden", "missing")
-        defects = error.errors(include_url=False)
-        defects.sort(key=lambda d: order.index(d["type"]) if d["type"] in order else len(order))
-        raise SessionError(_message(dict(defects[0]), source, document, record)) from None
+        raise SessionError(_first_defect(error, source, document, record)) from None
 
 
 def _check_key(key: str, allowed: Sequence[str], source: str, document: Document) -> None:
@@ -90,7 +111,15 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _message(defect: dict[str, Any], source: str, document: Document, record: type[Description]) -> str:
+def _first_defect(error: ValidationError, source: str, document: Document, record: type[BaseModel]) -> str:
+    # an unknown key is often the misspelt one that is then missing: it is the better message
+    order = ("extra_forbidden", "missing")
+    defects = error.errors(include_url=False)
+    defects.sort(key=lambda d: order.index(d["type"]) if d["type"] in order else len(order))
+    return _message(dict(defects[0]), source, document, record)
+
+
+def _message(defect: dict[str, Any], source: str, document: Document, record: type[BaseModel]) -> str:
     path = tuple(defect["loc"])
     where, key = _where(source, document, path), _key(path)
     kind, context, value = defect["type"], defect.get("ctx", {}), defect["input"]
@@ -137,7 +166,7 @@ def _key(path: tuple[Any, ...]) -> str:
     return text
 
 
-def _meant(location: tuple[Any, ...], whole: type[Description]) -> str:
+def _meant(location: tuple[Any, ...], whole: type[BaseModel]) -> str:
     """A suggestion for a misspelt key: the nearest that the record at that place has."""
     record: Any = whole
     for part in location[:-1]:

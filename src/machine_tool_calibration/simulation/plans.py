@@ -45,11 +45,11 @@ _FIFTH = (0.0, 0.02, 0.04, 0.06, 0.08, 0.1)
 PRESETS: Mapping[str, AnyPlan] = {
     "tracking_2d": TrackingPlan(dimension=2),
     "tracking_3d": TrackingPlan(dimension=3),
-    # 20 targets 20 mm apart on the edges of a square of 100 mm, three stations around it (the paper's Fig. 10;
-    # its exact station positions are not printed)
+    # 20 targets 20 mm apart on the edges of a square of 100 mm, three stations around it (the paper's Fig. 10; where
+    # they stand is not printed: the first is 0.327 m from (100, 100), as Table 4 has 35.2 urad for 11.5 um there)
     "paper_003": TrackingPlan(
         dimension=2,
-        stations=((-0.28, 0.05, 0.0), (0.05, -0.3, 0.0), (0.3, 0.28, 0.0)),
+        stations=((-0.223, 0.05, 0.0), (0.05, -0.3, 0.0), (0.3, 0.28, 0.0)),
         points=tuple(
             [(x, 0.0, 0.0) for x in _FIFTH]
             + [(0.1, y, 0.0) for y in _FIFTH[1:]]

@@ -94,7 +94,7 @@ def pins(count: int = 18, pitch_radius: float = 0.2, radius: float = 0.006, sphe
     for k in range(count):
         angle = 2.0 * np.pi * k / count
         x, y = float(pitch_radius * np.cos(angle)), float(pitch_radius * np.sin(angle))
-        points += _circle("work", x, y, radius, 4)
+        points += _circle(f"pin{k + 1}", x, y, radius, 4)
     if spheres:
         points += _spheres((0.31, 0.12), (-0.14, -0.29), 0.015)
     return _numbered(points)

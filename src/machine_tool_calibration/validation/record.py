@@ -22,6 +22,7 @@ class Printed:
         unit: SI.
         within: how far apart they may be to count as equal, in the unit: what the paper rounds, and our own chance.
         why: where they differ, the reason; where they agree, what is worth knowing.
+        at_most: whether the paper gives an upper limit.
     """
 
     what: str
@@ -31,13 +32,15 @@ class Printed:
     unit: str
     within: float
     why: str = ""
+    at_most: bool = False
 
     @property
     def agrees(self) -> bool | None:
         """Whether they are the same; None where there is nothing to hold against each other."""
         if self.paper is None or self.ours is None:
             return None
-        return abs(self.ours - self.paper) <= self.within
+        off = self.ours - self.paper
+        return (off if self.at_most else abs(off)) <= self.within
 
     def document(self) -> dict[str, Any]:
         """For programs."""
@@ -45,6 +48,7 @@ class Printed:
             "what": self.what,
             "where": self.where,
             "paper": self.paper,
+            "at_most": self.at_most,
             "ours": self.ours,
             "unit": self.unit,
             "within": self.within,

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from html import escape
 
 import numpy as np
@@ -56,7 +57,7 @@ class ComparePage:
                                  hover=_HOVER, y_range=FactorRange())  # fmt: skip
         self._strip.scatter("residual", "setup", source=source, size=4, color="color", alpha=0.5, **_DIM)
         for k, choice in enumerate(self._against):
-            when_changed(choice, lambda _, k=k: self._draw_against(k))
+            when_changed(choice, partial(self._draw_against, k))
         when_changed(self._plane, lambda _: self._draw_plane())
         source.selected.on_change("indices", lambda attr, old, new: self._say_selected())
         self._aside = bar_button("Set the selected aside", self._set_aside, "primary", disabled=True)
@@ -84,7 +85,7 @@ class ComparePage:
         self._words.object = paragraphs([in_words(found)])
         self._choices()
         for k in range(len(self._against)):
-            self._draw_against(k)
+            self._draw_against(k, self._against[k].value)
         self._strip.y_range.factors = [share.name for share in reversed(found.setups)]
         every = list(comparison_tables(found))
         self._setups.object, self._more.object = tables(every[:2]), tables(every[2:])
@@ -103,8 +104,7 @@ class ComparePage:
             chosen = self._readings.ranked[min(k, len(self._readings.ranked) - 1)]
             choice.param.update(options=options, value=chosen)
 
-    def _draw_against(self, k: int) -> None:
-        name = self._against[k].value
+    def _draw_against(self, k: int, name: str) -> None:
         if name in self._readings.labels:
             self._readings.draw(**{f"against{k}": name})
             self._plots[k].xaxis.axis_label = self._readings.labels[name]

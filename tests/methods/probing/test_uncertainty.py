@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.methods.probing.forecast import forecast, planned_session
+from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.simulation.probing_run import cross
 
 GROUPS = {
@@ -102,3 +104,16 @@ def test_more_angles_and_repeats_are_better(make, reproducible):
     assert six < four
     repeated = largest(part="cam", repeats=4)
     np.testing.assert_allclose(repeated, six / 2, rtol=1e-6)
+
+
+def test_a_plan_is_a_session_and_its_uncertainty_in_proportion_to_that_of_a_touch(make, reproducible):
+    description = make().session.description
+    session = planned_session(description)
+    check_session(session)
+    assert len(session.readings) == 4 * len(description.workpiece)
+    declared = description.standard_uncertainty.model_copy(update={"displacement": 2 * session.sigma})
+    known = {name: entry.model_copy(update={"standard_uncertainty": 0.0}) for name, entry in description.known.items()}
+    once = description.model_copy(update={"known": known})
+    twice = once.model_copy(update={"standard_uncertainty": declared})
+    before, after = (forecast(d).error_map.content["workpiece_error_u"] for d in (once, twice))
+    np.testing.assert_allclose(after, 2 * before, rtol=1e-9)

@@ -27,8 +27,12 @@ _STILL = 1e-6  # m
 _SAME = 1e-5  # m: commanded positions that are one target
 
 
-def positioning_runs(observations: Observations) -> list[dict[str, Any]]:
+def positioning_runs(observations: Observations, *, uncertain: bool = True) -> list[dict[str, Any]]:
     """Figures of every setup in which one linear axis was read along itself, in both directions or repeatedly.
+
+    Args:
+        observations: the readings.
+        uncertain: whether the uncertainties of the figures are wanted, which take most of the time.
 
     Returns:
         For each such setup its id, the axis, the fields of `iso230_2.Positioning`, and the expanded
@@ -46,7 +50,8 @@ def positioning_runs(observations: Observations) -> list[dict[str, Any]]:
         sense = observations.direction[mine, axis]
         deviation = observations.readings.displacement[mine] * np.sign(sense)
         figures = positioning(position, direction, deviation)
-        expanded = {f"{key}_U": value for key, value in positioning_uncertainty(figures).items()}
+        uncertainties = positioning_uncertainty(figures) if uncertain else {}
+        expanded = {f"{key}_U": value for key, value in uncertainties.items()}
         told = {"setup": name, "axis": "XYZ"[axis], **asdict(figures), **expanded}
         if expanded:
             told["note"] = "U is from the repeatability of the runs alone; that of the instrument comes on top."
@@ -154,12 +159,11 @@ def direct_map(
         "scatter": _scatter(observations, fit),
         "datum": _words(setups, bool(common.shape[1])),
     }
-    runs = positioning_runs(observations)
-    if runs:
-        content["iso230_2"] = runs
-    steps = plate_steps(observations, setups)
-    if steps is not None:
-        content["plate"] = steps
+    # These are of the readings themselves: a restated fit changes nothing of them.
+    if fit.joint.given is None:
+        runs, steps = positioning_runs(observations), plate_steps(observations, setups)
+        content |= {"iso230_2": runs} if runs else {}
+        content |= {} if steps is None else {"plate": steps}
     return ErrorMap(content, points, error, uncertainty, covariance)
 
 

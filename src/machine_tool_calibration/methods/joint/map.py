@@ -130,14 +130,16 @@ def joint_map(joint: JointFit, common: CommonModels, angles: StatedAngles | None
     error = (solution.theta[index] @ flat).reshape(n, 3)
     parts = flat.reshape(len(field), n, 3)
     covariance = np.einsum("knd,kl,lne->nde", parts, solution.covariance[np.ix_(index, index)], parts, optimize=True)
-    covariance += between_nodes(
-        common.tables,
-        solution.theta[index],
-        solution.covariance[np.ix_(index, index)],
-        points,
-        _read(common),
-        solution.is_determined()[index],
-    )
+    # A restated fit says what other readings do, and no reading does anything to the lines.
+    if joint.given is None:
+        covariance += between_nodes(
+            common.tables,
+            solution.theta[index],
+            solution.covariance[np.ix_(index, index)],
+            points,
+            _read(common),
+            solution.is_determined()[index],
+        )
     loose = np.linalg.norm(flat.T @ solution.loose_directions()[index], axis=1).reshape(n, 3) > _LOOSE
     loose |= beyond
     error = np.where(loose, np.nan, error)

@@ -127,8 +127,8 @@ def random_of(angles: Sequence[MachineTable]) -> SmallAngles | None:
 
 
 def stated(fit: JointFit, angles: Sequence[MachineTable]) -> StatedAngles | None:
-    """What is published of the angular errors: the mean over all that is possible; None without any."""
-    if not angles:
+    """What is published of the angular errors: the mean over all that is possible; None without any, or restated."""
+    if not angles or fit.given is not None:
         return None
     told = _posterior(fit)
     place = {parameter.name: k for k, parameter in enumerate(fit.assembly.parameters)}

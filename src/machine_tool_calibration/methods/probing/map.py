@@ -19,7 +19,17 @@ from machine_tool_calibration.session.description import Probing
 if TYPE_CHECKING:
     from machine_tool_calibration.methods.probing.model import ProbingModel
 
-__all__ = ["Errors", "Responses", "common_motions", "probing_map", "responses", "workpiece_errors", "workpiece_form"]
+__all__ = [
+    "Combined",
+    "Errors",
+    "Responses",
+    "common_motions",
+    "points_of_form",
+    "probing_map",
+    "responses",
+    "workpiece_errors",
+    "workpiece_form",
+]
 
 
 # Share in the undetermined directions below which a point does not take part in them.
@@ -40,14 +50,28 @@ class Errors:
 
 
 @dataclass(frozen=True)
+class Combined:
+    """Sums over the points of the workpiece, each with weights of its own.
+
+    Attributes:
+        value: (q,) NaN where the touches do not determine it.
+        covariance: (q, q) of them all; NaN where the touches do not determine one.
+    """
+
+    value: Array
+    covariance: Array
+
+
+@dataclass(frozen=True)
 class Responses:
-    """How the points follow the shared unknowns.
+    """The points' errors with their joint covariance, diag(own) + half @ half.T, and what leaves them open.
 
     Attributes:
         value: (N,) error of each point, m.
         own: (N,) variance from the noise of its own touches, m^2.
         half: (N, K) half @ half.T is the covariance from the shared unknowns, m^2.
-        loose: (N, k) change of the points with what is not determined, relative to what each unknown may do.
+        loose: (N, k) change of the points with what is not determined.
+        scale: (N,) size of that change if nothing of it cancelled.
         touched: (N,) whether the point was touched.
     """
 
@@ -55,7 +79,31 @@ class Responses:
     own: Array
     half: Array
     loose: Array
+    scale: Array
     touched: BoolArray
+
+    @property
+    def steady(self) -> BoolArray:
+        """(N,) whether the touches determine the point's error."""
+        return np.asarray(self.touched & ~_moves(self.loose, self.scale))
+
+    def combine(self, rows: Array) -> Combined:
+        """Sums of the points' errors, from their joint covariance.
+
+        Args:
+            rows: (q, N) weights of the points; of points that were not touched they are zero.
+        """
+        half = rows @ self.half
+        covariance = (rows * self.own) @ rows.T + half @ half.T
+        value = rows @ self.value
+        open_ = _moves(rows @ self.loose, np.abs(rows) @ self.scale)
+        value[open_], covariance[open_], covariance[:, open_] = np.nan, np.nan, np.nan
+        return Combined(value, covariance)
+
+
+def _moves(loose: Array, scale: Array) -> BoolArray:
+    """Whether each row takes part in what is not determined."""
+    return np.asarray(np.linalg.norm(loose, axis=1) >= _SHARE * np.where(scale > 0, scale, 1.0))
 
 
 def responses(fit: Fit, point: IntArray, n_points: int) -> Responses:
@@ -78,16 +126,15 @@ def responses(fit: Fit, point: IntArray, n_points: int) -> Responses:
     half = mean @ (vectors * np.sqrt(np.maximum(values, 0.0)))
     free = np.zeros((len(columns), fit.undetermined.shape[1]))
     free[: len(fit.theta)] = np.where(fit.determined[:, None], 0.0, fit.undetermined)
-    # Beside what a point would do if the unknowns on which it depends changed one by one.
+    # What a point would do if the unknowns on which it depends changed one by one.
     scale = np.abs(mean) @ np.abs(free).max(axis=1, initial=0.0)
-    loose = (mean @ free) / np.where(scale > 0, scale, 1.0)[:, None]
     own = stated.scatter**2 / np.where(touched, total, np.inf)
-    return Responses(stated.solution.local[fit.index][0], own, half, loose, touched)
+    return Responses(stated.solution.local[fit.index][0], own, half, mean @ free, scale, touched)
 
 
 def workpiece_errors(found: Responses) -> Errors:
     """Errors in the datum: position, direction and form together."""
-    good = found.touched & (np.linalg.norm(found.loose, axis=1) < _SHARE)
+    good = found.steady
     variance = found.own + np.sum(found.half**2, axis=1)
     return Errors(np.where(good, found.value, np.nan), np.where(good, np.sqrt(variance), np.nan))
 
@@ -99,12 +146,8 @@ def workpiece_form(found: Responses, motion: Array) -> Errors:
         found: the points.
         motion: (N, t) displacement of the points along their normals by each motion.
     """
-    steady = found.touched & (np.linalg.norm(found.loose, axis=1) < _SHARE)
-    for used in (found.touched, steady):
-        basis = _orthonormal(motion[used])
-        left = found.loose[used] - basis @ (basis.T @ found.loose[used])
-        if not np.any(np.linalg.norm(left, axis=1) >= _SHARE):
-            break
+    used = points_of_form(found, motion)
+    basis = _orthonormal(motion[used])
     half = found.half[used] - basis @ (basis.T @ found.half[used])
     own = found.own[used]
     taken = np.sum(basis**2, axis=1)
@@ -114,6 +157,21 @@ def workpiece_form(found: Responses, motion: Array) -> Errors:
     value[used] = found.value[used] - basis @ (basis.T @ found.value[used])
     uncertainty[used] = np.sqrt(np.maximum(variance, 0.0))
     return Errors(value, uncertainty)
+
+
+def points_of_form(found: Responses, motion: Array) -> BoolArray:
+    """(N,) over which points the motion of the whole workpiece is taken out.
+
+    All that were touched, where such a motion is all that is not determined; otherwise those that are.
+
+    Args:
+        found: the points.
+        motion: (N, t) displacement of the points along their normals by each motion.
+    """
+    used = found.touched
+    basis = _orthonormal(motion[used])
+    left = found.loose[used] - basis @ (basis.T @ found.loose[used])
+    return found.steady if np.any(_moves(left, found.scale[used])) else used
 
 
 def common_motions(description: Probing, length_known: bool) -> Array:

@@ -1,0 +1,357 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a machine conforms to a tolerance, and how sure that is (JCGM 106:2012; ISO 14253-1:2017).
+
+The probability of conformity is that of the true value lying within the tolerance, given the measured value and its
+uncertainty and nothing else (JCGM 106, 7.1: for a single value a normal distribution about it, or Student's t where a
+budget has few degrees of freedom). The largest of many values, or their range, is distributed otherwise: there the
+values are drawn with their joint uncertainty, and what is asked for is worked out of every draw.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property, partial
+
+import numpy as np
+from scipy import special
+
+from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.budget.propagate import Budget, Progress, draw_readings
+from machine_tool_calibration.budget.published import (
+    FIGURES,
+    POSITION_ERROR,
+    Quantity,
+    everything,
+    figure_of,
+    numbers,
+    unit_of,
+)
+from machine_tool_calibration.errors import ModelError, did_you_mean
+from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS
+from machine_tool_calibration.methods.fitted import FittedSessions
+from machine_tool_calibration.model.restated import drawn
+
+__all__ = ["RULES", "VOLUMETRIC", "Conformity", "Verdict", "conformity", "decide", "unit_of_figure"]
+
+RULES = ("guarded", "guarded-acceptance", "guarded-rejection", "simple")
+"""Decision rules (`decide`)."""
+VOLUMETRIC = "volumetric"
+"""The volumetric error: the largest length of the position error over the points of the map, in its datum."""
+
+# Draws that carry the correlations of the map's values, and of the values with these correlations.
+_SAMPLES, _DRAWS = 150, 10_000
+# Numbers at once, and standard uncertainties beyond which a value cannot be.
+_NUMBERS, _BEYOND = 2_000_000, 6.0
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What is found of one tolerance.
+
+    Attributes:
+        name: of the figure.
+        unit: m or rad.
+        tolerance: largest value, or largest absolute value of what has a sign.
+        value: measured; NaN where it is not determined.
+        u: standard uncertainty: of a range or largest value half the interval of 95.45 % over 2.
+        probability: of conformity; NaN where it is not determined.
+        decision: pass, fail, undecided or `not determined`.
+        why: what is not determined and why; empty otherwise.
+    """
+
+    name: str
+    unit: str
+    tolerance: float
+    value: float
+    u: float
+    probability: float
+    decision: str
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class Conformity:
+    """Verdicts by one decision rule.
+
+    Attributes:
+        verdicts: in the order of the tolerances.
+        rule: of decision.
+        level: conformance probability of the rule.
+        uncertainty: `identification` or `budget`: whose uncertainties these are.
+    """
+
+    verdicts: tuple[Verdict, ...]
+    rule: str
+    level: float
+    uncertainty: str
+
+    @property
+    def decision(self) -> str:
+        """Of all tolerances together: the worst of them, fail before what is open."""
+        found = {verdict.decision for verdict in self.verdicts}
+        return next((d for d in ("fail", "not determined", "undecided") if d in found), "pass")
+
+
+@dataclass(frozen=True)
+class _Figure:
+    """Something that has a tolerance.
+
+    Attributes:
+        members: (k,) places in the vector of published numbers.
+        work_out: from (draws, k) numbers to (draws,) figures; None for a single number.
+        signed: whether the tolerance is for its absolute value.
+    """
+
+    name: str
+    unit: str
+    members: IntArray
+    work_out: Callable[[Array], Array] | None
+    signed: bool
+
+
+def unit_of_figure(name: str) -> str:
+    """Unit of a figure by its name: rad for an angular error motion and a squareness, else m."""
+    return "m" if name == VOLUMETRIC else unit_of(name)
+
+
+def decide(value: float, tolerance: float, probability: float, rule: str, level: float) -> str:
+    """Pass, fail or undecided.
+
+    Args:
+        value: measured, of what has a sign its absolute value.
+        tolerance: the largest that conforms.
+        probability: of conformity.
+        rule: guarded (ISO 14253-1: conformity and non-conformity are both to be proved, else undecided),
+            guarded-acceptance (JCGM 106, 8.3.2: all else fails), guarded-rejection (8.3.3: all else passes), simple
+            (8.2, simple acceptance or shared risk: the measured value decides).
+        level: probability that proves it, such as 0.95.
+    """
+    if rule == "simple":
+        return "pass" if value <= tolerance else "fail"
+    proved, refuted = probability >= level, 1.0 - probability >= level
+    if rule == "guarded-acceptance":
+        return "pass" if proved else "fail"
+    if rule == "guarded-rejection":
+        return "fail" if refuted else "pass"
+    return "pass" if proved else "fail" if refuted else "undecided"
+
+
+def conformity(
+    fitted: FittedSessions,
+    tolerances: Mapping[str, float],
+    *,
+    rule: str = "guarded",
+    level: float = 0.95,
+    budget: Budget | None = None,
+    seed: int = 1,
+    progress: Progress = lambda what, share: None,
+) -> Conformity:
+    """Hold what was identified against tolerances.
+
+    Args:
+        fitted: the sessions.
+        tolerances: by name, m or rad: an error motion (the range over its axis), a squareness (its absolute value), a
+            figure of ISO 230-2 (`A` of all axes, `A_X` of one), or `volumetric`.
+        rule: of decision, one of `RULES`.
+        level: conformance probability of the rule.
+        budget: whose uncertainties are taken; those of the identification if absent.
+        seed: of the draws.
+        progress: is told what is done and which share of it.
+
+    Raises:
+        ModelError: nothing of that name has a tolerance, a tolerance that is not positive, or a rule that is none.
+    """
+    if rule not in RULES:
+        raise ModelError(f"no decision rule {rule!r}{did_you_mean(rule, RULES)}; there are {', '.join(RULES)}")
+    if not 0.5 < level < 1.0:
+        raise ModelError(f"the conformance probability must be between 0.5 and 1, not {level:g}")
+    work = _Conformity(fitted, budget, seed, progress)
+    found = []
+    for name, tolerance in tolerances.items():
+        if not (np.isfinite(tolerance) and tolerance > 0.0):
+            raise ModelError(f"the tolerance of {name} must be positive, not {tolerance:g}")
+        found += work.verdicts(name, tolerance, rule, level)
+    return Conformity(tuple(found), rule, level, "identification" if budget is None else "budget")
+
+
+class _Conformity:
+    """Figures, and draws of them that are made once."""
+
+    def __init__(self, fitted: FittedSessions, budget: Budget | None, seed: int, progress: Progress) -> None:
+        self.fitted, self.budget, self.seed, self.progress = fitted, budget, seed, progress
+        if budget is not None:
+            self.numbers, self.u, self.freedom = budget.numbers, budget.u, budget.degrees_of_freedom
+        else:
+            self.numbers = everything(fitted)
+            self.u, self.freedom = self.numbers.u, np.full(len(self.numbers.u), np.inf)
+
+    def verdicts(self, name: str, tolerance: float, rule: str, level: float) -> list[Verdict]:
+        """Of one tolerance: one, or one for every run of ISO 230-2."""
+        figures = self.figures(name)
+        if not figures:
+            unit = unit_of_figure(name)
+            return [Verdict(name, unit, tolerance, np.nan, np.nan, np.nan, "not determined", self.why(name))]
+        return [self.verdict(figure, tolerance, rule, level) for figure in figures]
+
+    def figures(self, name: str) -> list[_Figure]:
+        """What a tolerance of that name is for; nothing where this measurement does not publish it.
+
+        Raises:
+            ModelError: nothing of that name has a tolerance.
+        """
+        known = self.numbers.by_name
+        if name == VOLUMETRIC:
+            return [self.volumetric(known[POSITION_ERROR])] if POSITION_ERROR in known else []
+        if name in SQUARENESS:
+            return [self.of(known[name], name, None, signed=True)] if name in known else []
+        if name in ERROR_MOTIONS:
+            return self.motion(name)
+        base = figure_of(name) or name
+        if base in FIGURES:
+            own = [q for q in known.values() if q.name == name or (name == base and figure_of(q.name) == base)]
+            return [self.of(q, q.name, None, signed=base == "B_mean") for q in own]
+        allowed = [*ERROR_MOTIONS, *SQUARENESS, *FIGURES, VOLUMETRIC]
+        raise ModelError(
+            f"{name!r} is no figure with a tolerance{did_you_mean(name, allowed)}: an error motion or squareness of "
+            f"ISO 230-1, {', '.join(FIGURES)} of ISO 230-2 (A_X for one axis), or {VOLUMETRIC}"
+        )
+
+    def motion(self, name: str) -> list[_Figure]:
+        """Range of an error motion over its axis."""
+        known, axis = self.numbers.by_name, name[2].lower()
+        if name in known and known[name].count > 1:
+            straight = name[1] in "XYZ" and name[2] in "XYZ" and name[1] != name[2]
+            nodes = known[name].at if straight else None
+            return [self.of(known[name], name, _range if nodes is None else partial(_about_line, nodes))]
+        # A step diagonal gives straightness as its extent about the least-squares line, and positions as profiles.
+        if axis in known and name[1] == name[2]:
+            profile = known[axis]
+            column = "xyz".index(axis)
+            members = np.arange(profile.first + column, profile.first + profile.count, 3)
+            return [_Figure(name, profile.unit, members, _range, signed=False)]
+        return [self.of(known[name], name, _only)] if name in known else []
+
+    def of(self, q: Quantity, name: str, work_out: Callable[[Array], Array] | None, *, signed: bool = False) -> _Figure:
+        """A figure of all numbers of a quantity."""
+        return _Figure(name, q.unit, np.arange(q.first, q.first + q.count), work_out, signed)
+
+    def volumetric(self, q: Quantity) -> _Figure:
+        """The largest length of the position error, of those points that can have it.
+
+        A direction that is not measured anywhere is no part of it; a point with a gap leaves it undetermined.
+        """
+        error, u = (values[q.members].reshape(-1, 3) for values in (self.numbers.value, self.u))
+        measured = np.flatnonzero(np.isfinite(error).any(axis=0))
+        length, off = np.linalg.norm(error[:, measured], axis=1), _BEYOND * np.linalg.norm(u[:, measured], axis=1)
+        # False for points with a gap, too, which are to stay.
+        points = np.flatnonzero(~(length + off < np.max(length - off, initial=0.0)))
+        members = q.first + (3 * points[:, None] + measured).reshape(-1)
+        return _Figure(VOLUMETRIC, q.unit, members, partial(_longest, dimension=len(measured)), signed=False)
+
+    def verdict(self, figure: _Figure, tolerance: float, rule: str, level: float) -> Verdict:
+        """Probability and decision of one figure."""
+        name, unit, members = figure.name, figure.unit, figure.members
+        values, spread = self.numbers.value[members], self.u[members]
+        if not len(values) or not (np.isfinite(values).all() and np.isfinite(spread).all()):
+            return Verdict(name, unit, tolerance, np.nan, np.nan, np.nan, "not determined", self.why(name))
+        if figure.work_out is None:
+            value, u = float(values[0]), float(spread[0])
+            probability = _single(value, u, float(self.freedom[members[0]]), tolerance, signed=figure.signed)
+        else:
+            value = float(figure.work_out(values[None])[0])
+            drawn_figures = self.draws(figure, values, spread)
+            probability = float(np.mean(drawn_figures <= tolerance))
+            low, high = np.percentile(drawn_figures, [2.275, 97.725])
+            u = float(high - low) / 4.0
+        size = abs(value) if figure.signed else value
+        decision = decide(size, tolerance, probability, rule, level)
+        return Verdict(name, unit, tolerance, value, u, probability, decision)
+
+    def draws(self, figure: _Figure, values: Array, u: Array) -> Array:
+        """(draws,) figures of values that are drawn with their joint uncertainty.
+
+        The samples carry the correlations; each value's own uncertainty is the one that is published. Of few degrees of
+        freedom all values of a draw are off together (a multivariate t-distribution).
+        """
+        assert figure.work_out is not None
+        off = self.samples[:, figure.members]
+        freedom = float(self.freedom[figure.members[int(np.argmax(u))]])
+        size = np.sqrt(np.mean(off**2, axis=0))
+        root = off * np.where(size > 0, u / np.where(size > 0, size, 1.0), 0.0) / np.sqrt(len(off))
+        rng = np.random.default_rng(self.seed)
+        chunk = max(min(_DRAWS, _NUMBERS // len(values)), 1)
+        out = []
+        for first in range(0, _DRAWS, chunk):
+            z = rng.standard_normal((min(chunk, _DRAWS - first), len(root)))
+            if np.isfinite(freedom):
+                z /= np.sqrt(rng.chisquare(freedom, len(z)) / freedom)[:, None]
+            out.append(figure.work_out(values + z @ root))
+        return np.concatenate(out)
+
+    @cached_property
+    def samples(self) -> Array:
+        """(samples, M) deviations of everything that is published, drawn together."""
+        if self.budget is not None:
+            contributors = [line.contributor for line in self.budget.lines if line.contributor is not None]
+            return draw_readings(self.fitted, contributors, _SAMPLES, self.seed).deviation
+        return self.of_identification()
+
+    def of_identification(self) -> Array:
+        """Deviations by the joint distribution of all unknowns as it is published."""
+        rng = np.random.default_rng(self.seed)
+        mapped = sum(q.count for q in self.numbers.quantities if figure_of(q.name) is None)
+        out = np.zeros((_SAMPLES, len(self.numbers.value)))
+        for k, joint in enumerate(drawn(self.fitted.joint, rng, _SAMPLES)):
+            self.progress("drawing", k / _SAMPLES)
+            out[k, :mapped] = numbers(self.fitted, joint).value - self.numbers.value[:mapped]
+        return out
+
+    def why(self, name: str) -> str:
+        """Why a figure has no value here."""
+        joint, error_map = self.fitted.joint, self.fitted.error_map
+        told = [entry for model in joint.assembly.models for entry in model.left_out] + list(error_map.not_determined)
+        for entry in told:
+            if entry.name == name or entry.name.startswith(f"{name}("):
+                return entry.why
+        if name == VOLUMETRIC and error_map.not_determined:
+            entry = error_map.not_determined[0]
+            return f"{entry.name}: {entry.why}"
+        known = self.numbers.by_name
+        if name in known:
+            return "a part of it is not determined by the readings, or has no uncertainty"
+        return "this measurement and model do not give it"
+
+
+def _single(value: float, u: float, freedom: float, tolerance: float, *, signed: bool) -> float:
+    """Probability that a value is at most the tolerance, or within it on either side of zero.
+
+    Normally distributed, or by Student's t where its uncertainty has few degrees of freedom.
+    """
+    if u == 0.0:
+        return float((abs(value) if signed else value) <= tolerance)
+
+    def below(limit: float) -> float:
+        t = (limit - value) / u
+        return float(special.ndtr(t) if np.isinf(freedom) else special.stdtr(freedom, t))
+
+    return below(tolerance) - below(-tolerance) if signed else below(tolerance)
+
+
+def _range(values: Array) -> Array:
+    return np.asarray(np.ptp(values, axis=-1))
+
+
+def _about_line(nodes: Array, values: Array) -> Array:
+    """Extent of a straightness: about the least-squares line, as its slope is a squareness or an alignment."""
+    columns = np.stack([np.ones(len(nodes)), nodes - nodes.mean()], axis=1)
+    return _range(values - values @ columns @ np.linalg.pinv(columns))
+
+
+def _only(values: Array) -> Array:
+    return values[:, 0]
+
+
+def _longest(values: Array, dimension: int) -> Array:
+    vectors = values.reshape(len(values), -1, dimension)
+    return np.asarray(np.sqrt(np.einsum("sni,sni->sn", vectors, vectors)).max(axis=1))

@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A contributor to the measurement uncertainty, and the YAML file that lists them.
+
+Words as in the GUM (JCGM 100): type A or B, distribution, standard or expanded uncertainty, degrees of freedom. How a
+contributor enters the readings, and which readings share one value of it, are the two questions that decide what it
+does to a result.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.errors import ModelError, did_you_mean
+from machine_tool_calibration.session.description import Finite, Instrument, Positive, Record
+from machine_tool_calibration.session.parse import parse_record
+from machine_tool_calibration.session.text import read_text
+
+__all__ = [
+    "UNITS",
+    "BudgetFile",
+    "Contributor",
+    "Enters",
+    "Varies",
+    "default_budget",
+    "instruments",
+    "read_budget",
+    "template",
+]
+
+FORMAT = "mtcal-budget/1"
+
+Enters = Literal[
+    "reading",
+    "along",
+    "across",
+    "angle",
+    "length",
+    "temperature",
+    "air_temperature",
+    "air_pressure",
+    "air_humidity",
+]
+Varies = Literal["reading", "place", "angle", "run", "setup", "session", "never"]
+
+UNITS: dict[str, str] = {
+    "reading": "m",
+    "along": "m",
+    "across": "m",
+    "angle": "rad",
+    "length": "1",
+    "temperature": "K",
+    "air_temperature": "K",
+    "air_pressure": "Pa",
+    "air_humidity": "1",
+}
+"""Unit of a contributor's value, by how it enters."""
+
+# Half width over standard uncertainty, and mean fourth power over the square of the variance.
+_HALF_WIDTHS = {"rectangular": math.sqrt(3.0), "triangular": math.sqrt(6.0), "arcsine": math.sqrt(2.0)}
+_FOURTHS = {"normal": 3.0, "rectangular": 9.0 / 5.0, "triangular": 12.0 / 5.0, "arcsine": 3.0 / 2.0}
+
+
+class Contributor(Record):
+    """One line of an uncertainty budget.
+
+    Attributes:
+        name: what it is.
+        symbol: as in u_11; may be absent.
+        type: A, evaluated from observations by statistics; B, otherwise.
+        distribution: of its value.
+        standard_uncertainty: in the unit of `UNITS`; or instead of it
+        expanded: expanded uncertainty, with
+        coverage_factor: k; or
+        half_width: of a distribution with ends.
+        degrees_of_freedom: of a standard uncertainty that was evaluated; not said: known exactly.
+        enters: what one unit of it does to a reading (`patterns.effect_on_readings`).
+        varies: which readings share a value of it: one reading, or all of a place, beam direction, run, setup, session;
+            never: all.
+        expansion: coefficient of expansion of what has the temperature, 1/K.
+        instrument: whose readings alone it enters; those of all if it is not said.
+        source: where the value is from.
+    """
+
+    name: Annotated[str, Field(min_length=1, max_length=80)]
+    symbol: Annotated[str, Field(max_length=20)] = ""
+    type: Literal["A", "B"]
+    distribution: Literal["normal", "rectangular", "triangular", "arcsine"] = "normal"
+    standard_uncertainty: Positive | None = None
+    expanded: Positive | None = None
+    coverage_factor: Annotated[Finite, Field(gt=0)] | None = None
+    half_width: Positive | None = None
+    degrees_of_freedom: Annotated[Finite, Field(ge=1)] | None = None
+    enters: Enters
+    varies: Varies
+    expansion: Annotated[Finite, Field(gt=0)] | None = None
+    instrument: Instrument | Literal[""] = ""
+    source: str = ""
+
+    @model_validator(mode="after")
+    def _check(self) -> Contributor:
+        sizes = [key for key in ("standard_uncertainty", "expanded", "half_width") if getattr(self, key) is not None]
+        if len(sizes) != 1:
+            said = " and ".join(sizes) or "none"
+            raise ValueError(f"one of standard_uncertainty, expanded and half_width must be given, not {said}")
+        if (self.expanded is None) != (self.coverage_factor is None):
+            raise ValueError("expanded and coverage_factor belong together")
+        if self.half_width is not None and self.distribution == "normal":
+            raise ValueError("half_width is for rectangular, triangular and arcsine; a normal distribution has no ends")
+        if (self.enters == "temperature") != (self.expansion is not None):
+            raise ValueError("expansion (1/K) belongs to what enters by temperature, and only to that")
+        return self
+
+    @property
+    def u(self) -> float:
+        """Standard uncertainty, in the unit of `UNITS`."""
+        if self.half_width is not None:
+            return self.half_width / _HALF_WIDTHS[self.distribution]
+        if self.expanded is not None and self.coverage_factor is not None:
+            return self.expanded / self.coverage_factor
+        return float(self.standard_uncertainty or 0.0)
+
+    @property
+    def unit(self) -> str:
+        """Of its value."""
+        return UNITS[self.enters]
+
+    @property
+    def fourth(self) -> float:
+        """Mean fourth power of its value over the square of its variance."""
+        return _FOURTHS[self.distribution]
+
+    def draw(self, rng: np.random.Generator, count: int) -> Array:
+        """(count,) independent values; of a few degrees of freedom by the t-distribution (JCGM 101, 6.4.9)."""
+        if self.distribution == "normal":
+            if self.degrees_of_freedom is None:
+                return self.u * rng.standard_normal(count)
+            return np.asarray(self.u * rng.standard_t(self.degrees_of_freedom, count))
+        half = self.u * _HALF_WIDTHS[self.distribution]
+        if self.distribution == "rectangular":
+            return rng.uniform(-half, half, count)
+        if self.distribution == "triangular":
+            return rng.triangular(-half, 0.0, half, count)
+        return np.asarray(half * np.sin(rng.uniform(0.0, 2.0 * np.pi, count)))
+
+
+class BudgetFile(Record):
+    """What a budget's file holds.
+
+    Attributes:
+        format: of the file.
+        instrument: for which it is.
+        contributors: the lines, with names that differ.
+    """
+
+    format: Literal["mtcal-budget/1"]
+    instrument: str = ""
+    contributors: Annotated[tuple[Contributor, ...], Field(min_length=1, max_length=1000)]
+
+    @model_validator(mode="after")
+    def _check(self) -> Any:
+        names = [c.name for c in self.contributors]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"contributors has the name {twice[0]!r} twice")
+        return self
+
+
+def read_budget(path: Path) -> tuple[Contributor, ...]:
+    """The contributors that a file lists.
+
+    Raises:
+        SessionError: it cannot be read, or something in it is wrong; one line with file, line and key.
+    """
+    return parse_record(read_text(path), str(path), BudgetFile, FORMAT).contributors
+
+
+def instruments() -> tuple[str, ...]:
+    """Instruments with a budget to begin with."""
+    return tuple(sorted(p.name.removesuffix(".yaml") for p in _folder().iterdir() if p.name.endswith(".yaml")))
+
+
+def template(instrument: str) -> str:
+    """The text of an instrument's budget to begin with, every value with its source.
+
+    Raises:
+        ModelError: there is none for it.
+    """
+    if instrument not in instruments():
+        near = did_you_mean(instrument, instruments())
+        raise ModelError(f"no budget for the instrument {instrument!r}{near}; there are {', '.join(instruments())}")
+    return str((_folder() / f"{instrument}.yaml").read_text(encoding="utf-8"))
+
+
+def default_budget(used: Sequence[str | None]) -> tuple[Contributor, ...]:
+    """The contributors of the budgets to begin with, of all instruments of a measurement.
+
+    Args:
+        used: instrument of each session.
+
+    Raises:
+        ModelError: there is none for one of them, or a session does not name its instrument.
+    """
+    names = list(dict.fromkeys(used))
+    if None in names:
+        raise ModelError(
+            "the session does not name its instrument: say which budget (`mtcal budget --template INSTRUMENT` prints "
+            f"those of {', '.join(instruments())})"
+        )
+    out: list[Contributor] = []
+    for name in (str(n) for n in names):
+        own = parse_record(template(name), f"{name}.yaml", BudgetFile, FORMAT).contributors
+        if len(names) > 1:
+            own = tuple(c.model_copy(update={"name": f"{name}: {c.name}", "instrument": name}) for c in own)
+        out += own
+    return tuple(out)
+
+
+def _folder() -> Any:
+    return resources.files("machine_tool_calibration.budget") / "instruments"

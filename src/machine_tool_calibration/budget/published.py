@@ -1,0 +1,267 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every number that an identification publishes, in one vector: values and standard uncertainties.
+
+A budget and a conformity ask what other readings would change of them, whatever the method's map holds.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.errors import ModelError, did_you_mean
+from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS
+from machine_tool_calibration.methods.direct.map import positioning_runs
+from machine_tool_calibration.methods.fitted import FittedSessions
+from machine_tool_calibration.model.fit import JointFit
+from machine_tool_calibration.model.model import Kind
+from machine_tool_calibration.model.result import ErrorMap
+
+__all__ = [
+    "FIGURES",
+    "POSITION_ERROR",
+    "Numbers",
+    "Quantity",
+    "check_names",
+    "everything",
+    "figure_of",
+    "iso_numbers",
+    "numbers",
+    "unit_of",
+]
+
+POSITION_ERROR = "position_error"
+FIGURES = ("B", "B_mean", "R", "E", "M", "A")
+"""Figures of ISO 230-2:2014 that are published with an uncertainty."""
+
+_FIGURE = re.compile(rf"({'|'.join(FIGURES)})_[XYZ](?:\..*)?")
+_ANGULAR = re.compile(r"(E[ABC][XYZABC]|[ABC]0[XYZABC])\b.*|[xyz]_angular")
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Numbers that are published under one name.
+
+    Attributes:
+        name: `position_error`, an error motion, a squareness, a figure of ISO 230-2 with its axis (`A_X`), an unknown.
+        unit: m, rad or another one of SI.
+        first: place of its first number in the vector.
+        count: of its numbers.
+        where: of the k-th number, in words; empty where there is only one.
+        at: (count,) position of each on its axis, m or rad, of an error motion; None of others.
+    """
+
+    name: str
+    unit: str
+    first: int
+    count: int
+    where: Callable[[int], str]
+    at: Array | None = None
+
+    @property
+    def members(self) -> slice:
+        """Its numbers in the vector."""
+        return slice(self.first, self.first + self.count)
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """All of them.
+
+    Attributes:
+        value: (M,) NaN where not determined.
+        u: (M,) standard uncertainty.
+        quantities: what is where.
+    """
+
+    value: Array
+    u: Array
+    quantities: tuple[Quantity, ...]
+
+    @cached_property
+    def by_name(self) -> dict[str, Quantity]:
+        """The quantities by name."""
+        return {q.name: q for q in self.quantities}
+
+    def quantity(self, name: str) -> Quantity:
+        """One of them.
+
+        Raises:
+            ModelError: not published.
+        """
+        if name not in self.by_name:
+            listed = [q.name for q in self.quantities if q.count > 1] or [q.name for q in self.quantities]
+            near = did_you_mean(name, self.by_name) or f"; there are {', '.join(listed[:8])} …"
+            raise ModelError(f"{name!r} is not published of this measurement{near}")
+        return self.by_name[name]
+
+
+@dataclass(frozen=True)
+class _Entry:
+    name: str
+    unit: str
+    value: Array
+    u: Array
+    where: Callable[[int], str]
+    at: Array | None = None
+
+
+def everything(fitted: FittedSessions) -> Numbers:
+    """What is published of sessions: of the fit, then figures of ISO 230-2."""
+    mapped = numbers(fitted, fitted.joint)
+    iso = iso_numbers(fitted, first=len(mapped.value))
+    value, u = np.concatenate([mapped.value, iso.value]), np.concatenate([mapped.u, iso.u])
+    return Numbers(value, u, mapped.quantities + iso.quantities)
+
+
+def check_names(fitted: FittedSessions, names: Sequence[str]) -> None:
+    """Refuse names under which nothing is published, before anything is worked out.
+
+    Raises:
+        ModelError: there is one.
+    """
+    if names:
+        published = everything(fitted)
+        for name in names:
+            published.quantity(name)
+
+
+def numbers(fitted: FittedSessions, joint: JointFit) -> Numbers:
+    """What is published of a fit, or of a restated one of the same models.
+
+    Args:
+        fitted: the sessions' models.
+        joint: a fit of these.
+    """
+    error_map = fitted.map_of(joint)
+    out: list[Quantity] = []
+    first, seen = 0, set()
+    entries = [_position_error(error_map), *_content(error_map.content), *_unknowns(joint, error_map)]
+    kept = []
+    for entry in entries:
+        if entry.name in seen or not len(entry.value):
+            continue
+        seen.add(entry.name)
+        kept.append(entry)
+        out.append(Quantity(entry.name, entry.unit, first, len(entry.value), entry.where, entry.at))
+        first += len(entry.value)
+    value, u = (np.concatenate([getattr(e, key) for e in kept] or [np.zeros(0)]) for key in ("value", "u"))
+    return Numbers(value, np.where(np.isfinite(value), u, np.nan), tuple(out))
+
+
+def iso_numbers(fitted: FittedSessions, shifts: Sequence[Array] | None = None, first: int = 0) -> Numbers:
+    """Figures of ISO 230-2 of a session of direct deviations, which its readings give without a model.
+
+    Args:
+        fitted: the sessions' models.
+        shifts: for each session (n,) what is added to its readings, m; the figures are without uncertainty then.
+        first: place of the first of them in the vector.
+
+    Returns:
+        Figures with the standard uncertainty that follows from the repeatability of the runs; none for several
+        sessions, which have no such figures.
+    """
+    model = fitted.joint.assembly.models[0]
+    if fitted.common is not None or "iso230_2" not in fitted.error_map.content:
+        return Numbers(np.zeros(0), np.zeros(0), ())
+    observed = model.observations
+    if shifts is not None:
+        moved = replace(observed.readings, displacement=observed.readings.displacement + shifts[0])
+        observed = replace(observed, readings=moved)
+    runs = positioning_runs(observed, uncertain=shifts is None)
+    axes = [run["axis"] for run in runs]
+    value: list[float] = []
+    u: list[float] = []
+    out: list[Quantity] = []
+    for run in runs:
+        suffix = run["axis"] if axes.count(run["axis"]) == 1 else f"{run['axis']}.{run['setup']}"
+        for figure in FIGURES:
+            out.append(Quantity(f"{figure}_{suffix}", "m", first + len(out), 1, _nowhere))
+            value.append(run[figure])
+            u.append(run.get(f"{figure}_U", np.nan) / 2.0)
+    return Numbers(np.array(value), np.array(u), tuple(out))
+
+
+def unit_of(name: str) -> str:
+    """Of an error motion, a squareness or a part of a map: m, or rad where it is an angle."""
+    return "rad" if _ANGULAR.fullmatch(name) else "m"
+
+
+def figure_of(name: str) -> str | None:
+    """Figure of ISO 230-2 that a quantity such as `A_X` or `B_mean_X.second` is; None of others."""
+    match = _FIGURE.fullmatch(name)
+    return match[1] if match else None
+
+
+def _nowhere(k: int) -> str:
+    return ""
+
+
+def _position_error(error_map: ErrorMap) -> _Entry:
+    def where(k: int) -> str:
+        place = ", ".join(f"{1e3 * v:.6g}" for v in error_map.points[k // 3])
+        return f"along {'xyz'[k % 3]} at ({place}) mm"
+
+    return _Entry(POSITION_ERROR, "m", error_map.error.reshape(-1), error_map.uncertainty.reshape(-1), where)
+
+
+def _content(content: Mapping[str, Any], nodes: Any = None, name: str = "") -> Iterator[_Entry]:
+    """Every `name` with its `name_u`, also of tables and groups within."""
+    for key, value in content.items():
+        if isinstance(value, Mapping):
+            yield from _content(value, value.get("nodes"), key)
+        if f"{key}_u" not in content or key == POSITION_ERROR:
+            continue
+        # What is not determined as a whole is None.
+        number, u = (np.asarray(content[k], dtype=np.float64).reshape(-1) for k in (key, f"{key}_u"))
+        shown = name if key == "value" else key
+        at = content.get("c") if nodes is None and shown in ERROR_MOTIONS else nodes
+        shape = np.shape(value)
+        where = partial(_at, shown, at, shape[1] if len(shape) > 1 else 1) if len(number) > 1 else _nowhere
+        yield _Entry(shown, unit_of(shown), number, u, where, _positions(at, len(number)))
+
+
+def _positions(nodes: Any, count: int) -> Array | None:
+    """Nodes as numbers; None where there are none, or names of setups."""
+    if nodes is None or len(nodes) != count or any(isinstance(node, str) for node in nodes):
+        return None
+    return np.asarray(nodes, dtype=np.float64)
+
+
+def _at(name: str, nodes: Any, width: int, k: int) -> str:
+    """Where the k-th number of a table is."""
+    if nodes is None or len(nodes) * width <= k:
+        return f"entry {k // width}" + (f", component {k % width}" if width > 1 else "")
+    node = nodes[k // width]
+    if isinstance(node, str):
+        return f"at {node}"
+    return f"at {np.degrees(node):.6g}°" if name[-1] in "ABC" else f"at {1e3 * node:.6g} mm"
+
+
+def _unknowns(joint: JointFit, error_map: ErrorMap) -> Iterator[_Entry]:
+    """The machine's error motions that are unknowns, as tables, then every unknown by its name, as it is published."""
+    published = joint.published
+    sigma = np.sqrt(np.maximum(np.diag(published.covariance), 0.0))
+    good = published.is_determined()
+    nodes: dict[str, list[int]] = {}
+    for k, parameter in enumerate(joint.assembly.parameters):
+        if parameter.kind is Kind.MOTION and parameter.shared:
+            nodes.setdefault(parameter.owner, []).append(k)
+    for owner, index in nodes.items():
+        at = [joint.assembly.parameters[k].at for k in index]
+        table = np.where(good[index], published.theta[index], np.nan)
+        where = partial(_at, owner, at, 1) if len(index) > 1 else _nowhere
+        yield _Entry(owner, unit_of(owner), table, sigma[index], where, _positions(at, len(index)))
+    hidden = frozenset().union(*(model.declared for model in joint.assembly.models))
+    for k, parameter in enumerate(joint.assembly.parameters):
+        if parameter.name in hidden or parameter.kind is Kind.POINTS:
+            continue
+        value, u = error_map.in_datum.get(parameter.name, (published.theta[k], sigma[k]))
+        number = parameter.reference + value if good[k] else np.nan
+        yield _Entry(parameter.name, parameter.unit, np.array([number]), np.array([u]), _nowhere)

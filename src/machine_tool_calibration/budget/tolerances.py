@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tolerances as people state them: on a command line with their unit, or in a YAML file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from machine_tool_calibration.budget.conformity import unit_of_figure
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.importing.units import quantity
+from machine_tool_calibration.session.description import Finite, Record
+from machine_tool_calibration.session.parse import parse_record
+from machine_tool_calibration.session.text import read_text
+
+__all__ = ["parse_tolerances", "read_tolerances", "tolerance"]
+
+FORMAT = "mtcal-tolerances/1"
+
+
+class _File(Record):
+    """What a file of tolerances holds: by figure, a text with its unit or a number in m or rad."""
+
+    format: Literal["mtcal-tolerances/1"]
+    tolerances: Annotated[dict[str, Finite | str], Field(min_length=1)]
+
+
+def parse_tolerances(texts: Iterable[str]) -> dict[str, float]:
+    """Tolerances in m and rad from texts such as `EXX=10um` and `C0Y=20urad`.
+
+    Raises:
+        SessionError: no unit, or one of another dimension.
+        ModelError: not of that form, or one name twice.
+    """
+    out: dict[str, float] = {}
+    for text in texts:
+        name, sign, value = (part.strip() for part in text.partition("="))
+        if not sign or not name:
+            raise ModelError(f"the tolerance {text!r} is not of the form NAME=VALUE with a unit, such as EXX=10um")
+        if name in out:
+            raise ModelError(f"{name} has two tolerances")
+        out[name] = tolerance(name, value)
+    return out
+
+
+def read_tolerances(path: Path) -> dict[str, float]:
+    """Tolerances in m and rad from a YAML file.
+
+    Raises:
+        SessionError: it cannot be read, or something in it is wrong; one line that says what and where.
+    """
+    content = parse_record(read_text(path), str(path), _File, FORMAT).tolerances
+    return {name: tolerance(name, value, f"{path}: ") for name, value in content.items()}
+
+
+def tolerance(name: str, value: float | str, source: str = "") -> float:
+    """A tolerance in m or rad.
+
+    Args:
+        name: of the figure.
+        value: in m or rad, or a text with its unit.
+        source: before the name in messages.
+
+    Raises:
+        SessionError: a text without a unit, or with one of another dimension.
+    """
+    if not isinstance(value, str):
+        return float(value)
+    wanted = "angle" if unit_of_figure(name) == "rad" else "length"
+    return quantity(value, wanted, f"{source}tolerance of {name}")

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`mtcal budget`: who contributes what to the uncertainty of what is identified."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from machine_tool_calibration.cli.diagnosing import model_options, note_written, own_effects
+from machine_tool_calibration.cli.output import console, json_option, progress_bar, session_labels, write_json
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from machine_tool_calibration.budget.contributor import Contributor
+    from machine_tool_calibration.cli.output import Report
+    from machine_tool_calibration.methods.fitted import FittedSessions
+    from machine_tool_calibration.session.session import Session
+
+__all__ = ["command", "contributors_of", "fitted"]
+
+
+@click.command("budget")
+@click.argument("measurements", metavar="[SESSION]…", nargs=-1, type=click.Path(path_type=Path))
+@click.option(
+    "--budget",
+    "budgets",
+    type=click.Path(path_type=Path),
+    multiple=True,
+    help="YAML file with the contributors; that of the session's instrument to begin with, if absent.",
+)
+@click.option("--template", "instrument", metavar="INSTRUMENT", help="Print an instrument's contributors, to edit.")
+@click.option(
+    "--quantity",
+    "names",
+    metavar="NAME",
+    multiple=True,
+    help="Quantity to tell in detail, such as position_error, EXX, C0Y, A_X or an unknown; repeatable.",
+)
+@click.option(
+    "--draws",
+    type=click.IntRange(min=100),
+    metavar="N",
+    help="Check by a Monte Carlo propagation with so many draws (JCGM 101).",
+)
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of random draws.")
+@click.option("--plot", type=click.Path(path_type=Path), help="Draw a bar chart: a PNG file, or a folder.")
+@model_options
+@json_option
+def command(
+    measurements: tuple[Path, ...],
+    budgets: tuple[Path, ...],
+    instrument: str | None,
+    names: tuple[str, ...],
+    draws: int | None,
+    seed: int,
+    plot: Path | None,
+    effects: tuple[str, ...],
+    files: tuple[Path, ...],
+    model: str | None,
+    as_json: bool,
+) -> None:
+    """Say who contributes what to the uncertainty of everything that is identified.
+
+    SESSION is a session folder or a recording. Contributors (type, distribution, size, how they enter the readings,
+    what they vary with) are propagated through the same identification, and their sum stands beside the uncertainty
+    that the readings themselves show.
+
+    \b
+    mtcal budget session
+    mtcal budget --template tracking_interferometer > mine.yaml
+    mtcal budget session --budget mine.yaml --plot budget.png
+    mtcal budget session --quantity EXX --quantity C0Y --draws 500
+    """
+    from machine_tool_calibration.budget.contributor import template
+    from machine_tool_calibration.budget.propagate import propagate
+    from machine_tool_calibration.budget.published import check_names
+    from machine_tool_calibration.reports.budget import budget_document, show_budget
+
+    if instrument is not None:
+        if measurements:
+            raise click.UsageError("--template is without SESSION.")
+        click.echo(template(instrument), nl=False)
+        return
+    if not measurements:
+        raise click.UsageError("Missing argument 'SESSION'.")
+    with progress_bar() as progress:
+        sessions, found = fitted(measurements, effects, files, model, progress)
+        contributors = contributors_of(budgets, sessions)
+        check_names(found, names)
+        budget = propagate(found, contributors, draws=draws or 0, seed=seed, progress=progress)
+    document = budget_document(budget, names)
+    if as_json:
+        write_json(document)
+    else:
+        show_budget(console(), budget, names)
+    if plot is not None:
+        from machine_tool_calibration.plots.budget import draw_budget
+        from machine_tool_calibration.plots.style import save
+
+        folder, name = (plot.parent, plot.stem) if plot.suffix.lower() == ".png" else (plot, "budget")
+        note_written(save({name: draw_budget(budget, names)}, folder))
+
+
+def fitted(
+    paths: Sequence[Path], effects: Sequence[str], effect_files: Sequence[Path], model: str | None, progress: Report
+) -> tuple[list[Session], FittedSessions]:
+    """The sessions as they were read, and the fit of them as `mtcal identify` makes it."""
+    from machine_tool_calibration.methods.identify import fitted_sessions, identify, identify_sessions
+    from machine_tool_calibration.recording.open import open_measurement
+
+    own = own_effects(effect_files)
+    sessions = [open_measurement(path) for path in paths]
+    progress("identifying")
+    if len(sessions) == 1:
+        return sessions, fitted_sessions(identify(sessions[0], model=model, effects=effects, own=own))
+    joint = identify_sessions(sessions, session_labels(paths), model=model, effects=effects, own=own)
+    return sessions, fitted_sessions(joint)
+
+
+def contributors_of(files: Sequence[Path], sessions: Sequence[Session]) -> tuple[Contributor, ...]:
+    """The contributors of the files, or of the instruments' budgets to begin with."""
+    from machine_tool_calibration.budget.contributor import default_budget, read_budget
+
+    if files:
+        return tuple(c for file in files for c in read_budget(file))
+    return default_budget([session.instrument for session in sessions])

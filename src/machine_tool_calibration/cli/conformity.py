@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`mtcal conformity`: whether the machine keeps its tolerances, and how sure that is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from machine_tool_calibration.budget.conformity import RULES, conformity
+from machine_tool_calibration.cli.budget import contributors_of, fitted
+from machine_tool_calibration.cli.diagnosing import model_options
+from machine_tool_calibration.cli.output import console, json_option, progress_bar, write_json
+
+__all__ = ["command"]
+
+
+@click.command("conformity")
+@click.argument("measurements", metavar="SESSION…", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option(
+    "--tolerance", "texts", metavar="NAME=VALUE", multiple=True, help="A tolerance, such as EXX=10um; repeatable."
+)
+@click.option("--tolerances", "file", type=click.Path(path_type=Path), help="YAML file with tolerances.")
+@click.option(
+    "--rule",
+    type=click.Choice([*RULES, "shared-risk"]),
+    default="guarded",
+    show_default=True,
+    help="Decision rule of ISO 14253-1 (guarded) or JCGM 106; shared-risk is simple acceptance.",
+)
+@click.option(
+    "--probability",
+    type=click.FloatRange(0.5, 1.0, min_open=True, max_open=True),
+    default=0.95,
+    show_default=True,
+    help="Conformance probability of the rule.",
+)
+@click.option(
+    "--budget",
+    "budgets",
+    type=click.Path(path_type=Path),
+    multiple=True,
+    help="Take the uncertainties of this budget (`mtcal budget`) instead of those of the identification.",
+)
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of random draws.")
+@model_options
+@json_option
+def command(
+    measurements: tuple[Path, ...],
+    texts: tuple[str, ...],
+    file: Path | None,
+    rule: str,
+    probability: float,
+    budgets: tuple[Path, ...],
+    seed: int,
+    effects: tuple[str, ...],
+    files: tuple[Path, ...],
+    model: str | None,
+    as_json: bool,
+) -> None:
+    """Say whether the machine keeps its tolerances: pass, fail or undecided, with the probability.
+
+    SESSION is a session folder or a recording. A tolerance is that of an error motion (its range over the axis), of a
+    squareness (its absolute value), of a figure of ISO 230-2 (A, R, E, M, B, B_mean; A_X of one axis) or of the
+    volumetric error (volumetric: the largest position error of the map). What the data does not determine never passes.
+
+    \b
+    mtcal conformity session --tolerance EXX=10um --tolerance C0Y=20urad
+    mtcal conformity session --tolerance volumetric=30um --rule simple
+    mtcal conformity session --tolerances tolerances.yaml --budget mine.yaml --json
+    """
+    from machine_tool_calibration.budget.propagate import propagate
+    from machine_tool_calibration.budget.tolerances import parse_tolerances, read_tolerances
+    from machine_tool_calibration.reports.conformity import conformity_document, show_conformity
+
+    tolerances = (read_tolerances(file) if file is not None else {}) | parse_tolerances(texts)
+    if not tolerances:
+        raise click.UsageError("Missing --tolerance NAME=VALUE or --tolerances FILE.")
+    with progress_bar() as progress:
+        sessions, own = fitted(measurements, effects, files, model, progress)
+        budget = None
+        if budgets:
+            budget = propagate(own, contributors_of(budgets, sessions), seed=seed, progress=progress)
+        found = conformity(
+            own,
+            tolerances,
+            rule="simple" if rule == "shared-risk" else rule,
+            level=probability,
+            budget=budget,
+            seed=seed,
+            progress=progress,
+        )
+    if as_json:
+        write_json(conformity_document(found))
+    else:
+        show_conformity(console(), found)

@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`mtcal features`: pins, holes, spheres and walls of a probed part, with their uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from machine_tool_calibration.cli.diagnosing import current_model, model_options, note_written, own_effects
+from machine_tool_calibration.cli.output import console, json_option, note, write_json
+
+__all__ = ["command"]
+
+
+def _names(*counts: int) -> Callable[[click.Context, click.Parameter, Any], Any]:
+    """Split an option's names, so many of them, at the commas between them."""
+
+    def split(context: click.Context, parameter: click.Parameter, value: str | tuple[str, ...] | None) -> Any:
+        if value is None:
+            return None
+        if not isinstance(value, str):
+            return tuple(split(context, parameter, one) for one in value)
+        names = tuple(name.strip() for name in value.split(","))
+        if len(names) not in counts or not all(names):
+            wanted = " or ".join(str(count) for count in counts)
+            raise click.BadParameter(f"{value!r} is not {wanted} names with commas between them", context, parameter)
+        return names
+
+    return split
+
+
+def _through(context: click.Context, parameter: click.Parameter, value: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
+    """Names by the name of the feature that goes through them."""
+    out = {}
+    for one in value:
+        name, _, names = one.partition("=")
+        if not name.strip() or not names.strip():
+            raise click.BadParameter(f"{one!r} is not NAME=A,B,…", context, parameter)
+        out[name.strip()] = tuple(part.strip() for part in names.split(","))
+    return out
+
+
+@click.command("features")
+@click.argument("session", type=click.Path(path_type=Path))
+@click.option(
+    "--features",
+    "listed",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="YAML list of which points make a feature, where the session does not say it.",
+)
+@click.option(
+    "--through",
+    callback=_through,
+    metavar="NAME=A,B,…",
+    multiple=True,
+    help="Circle or line through centres, such as pitch=pin*; repeatable.",
+)
+@click.option("--frame", callback=_names(2), metavar="A,B", help="A has no error, B none across: the part's own frame.")
+@click.option(
+    "--distance", "distances", callback=_names(2), metavar="A,B", multiple=True, help="Of two features; repeatable."
+)
+@click.option(
+    "--angle",
+    "angles",
+    callback=_names(2, 3),
+    metavar="A,B[,C]",
+    multiple=True,
+    help="Between two walls, or at the second of three centres; repeatable.",
+)
+@click.option("--draws", type=click.IntRange(min=0), default=0, help="Check by so many draws (GUM Supplement 1).")
+@click.option(
+    "--touch-error",
+    "distribution",
+    type=click.Choice(["normal", "rectangular", "triangular"]),
+    default="normal",
+    show_default=True,
+    help="Distribution of the touches' errors in the draws.",
+)
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of the draws.")
+@model_options
+@click.option(
+    "--from-history",
+    is_flag=True,
+    help="Model, effects and outliers as in the session's current model (`mtcal improve`, `mtcal history`).",
+)
+@click.option("-p", "--plot", type=click.Path(path_type=Path, dir_okay=False), help="Draw them into this file.")
+@json_option
+def command(
+    session: Path,
+    listed: Path | None,
+    through: dict[str, tuple[str, ...]],
+    frame: tuple[str, str] | None,
+    distances: tuple[tuple[str, str], ...],
+    angles: tuple[tuple[str, ...], ...],
+    draws: int,
+    distribution: str,
+    seed: int,
+    effects: tuple[str, ...],
+    files: tuple[Path, ...],
+    model: str | None,
+    from_history: bool,
+    plot: Path | None,
+    as_json: bool,
+) -> None:
+    """Find the pins, holes, spheres and walls of a probed part, each with its uncertainty.
+
+    SESSION is a session folder or a recording of the method probing. Points that lie on a circle or a straight wall and
+    carry the name of one feature are one. Distances and angles do not depend on the frame; centres do.
+
+    \b
+    mtcal features measurements/frame --frame pin1,pin11
+    mtcal features measurements/frame --distance pin1,pin10 --draws 1000 --plot pins.png
+    mtcal features measurements/frame --through pitch=pin* --distance pitch,pin1
+    mtcal features measurements/block --features walls.yaml --angle left,top
+    """
+    from machine_tool_calibration.cli.export import bad_fit, unused_model
+    from machine_tool_calibration.methods.identify import identify
+    from machine_tool_calibration.methods.probing.features import features
+    from machine_tool_calibration.methods.probing.propagation import monte_carlo
+    from machine_tool_calibration.recording.open import open_measurement
+    from machine_tool_calibration.reports.features import features_document, show_features
+    from machine_tool_calibration.session.feature_points import read_feature_points
+
+    if from_history and (effects or model):
+        raise click.UsageError("--from-history is without --effect and --model.")
+    named, own = None if listed is None else read_feature_points(listed), own_effects(files)
+    opened = open_measurement(session)
+    if from_history:
+        entry, kept, _ = current_model(opened, session)
+        result = identify(kept, model=entry.model, effects=entry.effects, own=own, keep_all=True)
+        unused = None
+    else:
+        result = identify(opened, model=model, effects=effects, own=own)
+        unused = unused_model(opened, session, effects, result.joint)
+    fit = result.fit
+    found = features(fit, named=named, centres=through, frame=frame, distances=distances, angles=angles)
+    drawn = monte_carlo(fit, found.rows, draws, distribution, seed) if draws else None  # type: ignore[arg-type]
+    if as_json:
+        write_json(features_document(found, drawn))
+    else:
+        show_features(console(), found, drawn)
+    for text in (bad_fit(result.joint, result.error_map.content), unused):
+        if text is not None:
+            note(text)
+    if plot is not None:
+        from machine_tool_calibration.plots.features import draw_features
+        from machine_tool_calibration.plots.style import save_as
+
+        save_as(draw_features(found), plot)
+        note_written([plot])

@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The uncertainty budget of a result, and whether the result conforms to tolerances."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+from pydantic import ValidationError
+
+from machine_tool_calibration.budget.conformity import Conformity as Verdicts
+from machine_tool_calibration.budget.conformity import conformity
+from machine_tool_calibration.budget.contributor import Contributor, default_budget, read_budget
+from machine_tool_calibration.budget.propagate import Budget as Propagated
+from machine_tool_calibration.budget.propagate import propagate
+from machine_tool_calibration.budget.published import check_names
+from machine_tool_calibration.budget.tolerances import tolerance
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.interface.show import Shown, notebook, printed
+from machine_tool_calibration.methods.fitted import FittedSessions
+from machine_tool_calibration.reports.budget import budget_document, show_budget
+from machine_tool_calibration.reports.conformity import conformity_document, show_conformity
+from machine_tool_calibration.reports.quantities import quantity
+from machine_tool_calibration.session.session import Session
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Budget", "Conformity"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Budget(Shown):
+    """Who contributes what to the uncertainty of everything that was identified.
+
+    Attributes:
+        propagated: all that was calculated, as the package itself uses it.
+        names: quantities that were asked for; empty for those that are told of every measurement.
+    """
+
+    propagated: Propagated
+    names: tuple[str, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        fitted: FittedSessions,
+        sessions: Sequence[Session],
+        contributors: str | Path | Sequence[Contributor | Mapping[str, Any]] | None,
+        quantities: str | Sequence[str],
+        draws: int,
+        seed: int,
+    ) -> Budget:
+        """Propagate contributors through a fit; arguments as of `Fit.budget`."""
+        lines = _contributors(contributors, sessions)
+        names = (quantities,) if isinstance(quantities, str) else tuple(quantities)
+        check_names(fitted, names)
+        return cls(propagate(fitted, lines, draws=draws, seed=seed), names)
+
+    @cached_property
+    def contributors(self) -> pd.DataFrame:
+        """The lines of the budget by name; SI.
+
+        Columns: `symbol`, `type` (A or B), `distribution`, standard uncertainty `u` in `unit`, `degrees_of_freedom`,
+        `enters`, `varies`, `source`, and `in_one_reading`, the largest standard uncertainty that it gives a reading, m.
+        """
+        frame = pd.DataFrame(self._document["contributors"]).rename(columns={"standard_uncertainty": "u"})
+        return frame.set_index("name")
+
+    @cached_property
+    def quantities(self) -> pd.DataFrame:
+        """Each quantity's combined uncertainty, one a row; SI.
+
+        Columns: `name`, `which` (largest: the number of the quantity with the largest uncertainty, at `where`; rms:
+        over all its numbers), `value`, combined standard uncertainty `u` and expanded uncertainty `U` in `unit`, with
+        `degrees_of_freedom` (NaN: infinite) and `k`; `u_identification`, which the readings themselves show.
+        """
+        rows = [
+            {
+                "name": entry["name"],
+                "which": entry["which"],
+                "where": entry["where"],
+                "value": entry["value"],
+                "u": entry["standard_uncertainty"],
+                "U": entry["expanded_uncertainty"],
+                "unit": entry["unit"],
+                "degrees_of_freedom": entry["effective_degrees_of_freedom"],
+                "k": entry["coverage_factor"],
+                "u_identification": entry["identification"]["standard_uncertainty"],
+            }
+            for entry in self._document["quantities"]
+        ]
+        frame = pd.DataFrame(rows)
+        numeric = [name for name in ("value", "degrees_of_freedom", "u_identification") if name in frame]
+        return frame.astype(dict.fromkeys(numeric, float))
+
+    @cached_property
+    def contributions(self) -> pd.DataFrame:
+        """What each contributor gives to each quantity, one a row.
+
+        Columns: `name` and `which` as in `quantities`, `contributor`, its standard uncertainty `u` in `unit` (SI), and
+        `share`, its square over the sum of all squares.
+        """
+        rows = [
+            {
+                "name": entry["name"],
+                "which": entry["which"],
+                "contributor": part["name"],
+                "u": part["standard_uncertainty"],
+                "unit": entry["unit"],
+                "share": part["share"],
+            }
+            for entry in self._document["quantities"]
+            for part in entry["contributions"]
+        ]
+        return pd.DataFrame(rows, columns=["name", "which", "contributor", "u", "unit", "share"])
+
+    @property
+    def headline(self) -> str:
+        """What it is, in one line."""
+        count = f"{len(self.propagated.lines)} contributors"
+        if not self._document["quantities"]:
+            return f"uncertainty budget of {count}: nothing is determined"
+        first = self._document["quantities"][0]
+        most = max(first["contributions"], key=lambda part: part["share"])
+        return (
+            f"uncertainty budget of {count}: {first['name']}, U = "
+            f"{quantity(first['expanded_uncertainty'], first['unit'])} at most, {100 * most['share']:.0f} % of it "
+            f"from {most['name']}"
+        )
+
+    def report(self) -> str:
+        """What `mtcal budget` prints."""
+        return printed(lambda screen: show_budget(screen, self.propagated, self.names))
+
+    def document(self) -> dict[str, Any]:
+        """The same for programs, as `mtcal budget --json` writes it; None is not determined."""
+        return budget_document(self.propagated, self.names)
+
+    def plot(self) -> Figure:
+        """The bar chart of `mtcal budget --plot`, a figure that no window shows; a notebook does."""
+        from machine_tool_calibration.plots.budget import draw_budget
+
+        return notebook(draw_budget(self.propagated, self.names))
+
+    @cached_property
+    def _document(self) -> dict[str, Any]:
+        return self.document()
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Conformity(Shown):
+    """Whether tolerances are kept, and how sure that is.
+
+    Attributes:
+        found: all that was calculated, as the package itself uses it.
+    """
+
+    found: Verdicts
+
+    @classmethod
+    def of(
+        cls,
+        fitted: FittedSessions,
+        tolerances: Mapping[str, float | str],
+        rule: str,
+        level: float,
+        budget: Budget | None,
+        seed: int,
+    ) -> Conformity:
+        """Hold a fit against tolerances; arguments as of `Fit.conformity`."""
+        sizes = {name: tolerance(name, size) for name, size in tolerances.items()}
+        propagated = None if budget is None else budget.propagated
+        return cls(conformity(fitted, sizes, rule=rule, level=level, budget=propagated, seed=seed))
+
+    @property
+    def decision(self) -> str:
+        """Of all tolerances together: pass, fail, undecided or not determined."""
+        return self.found.decision
+
+    @cached_property
+    def verdicts(self) -> pd.DataFrame:
+        """One tolerance a row, by the figure's name; SI.
+
+        Columns: `tolerance`, `value` with standard uncertainty `u` in `unit`, `probability` that the true value lies
+        within the tolerance, `decision` (pass, fail, undecided, not determined) and `why` it is not determined.
+        """
+        columns = ["tolerance", "value", "u", "unit", "probability", "decision", "why"]
+        rows = [[v.name, *(getattr(v, name) for name in columns)] for v in self.found.verdicts]
+        return pd.DataFrame(rows, columns=["name", *columns]).set_index("name")
+
+    @property
+    def headline(self) -> str:
+        """What it is, in one line."""
+        told = ", ".join(f"{v.name} {v.decision}" for v in self.found.verdicts)
+        return f"conformity: {self.decision} ({told})"
+
+    def report(self) -> str:
+        """What `mtcal conformity` prints."""
+        return printed(lambda screen: show_conformity(screen, self.found))
+
+    def document(self) -> dict[str, Any]:
+        """The same for programs, as `mtcal conformity --json` writes it; None is not determined."""
+        return conformity_document(self.found)
+
+
+def _contributors(
+    given: str | Path | Sequence[Contributor | Mapping[str, Any]] | None, sessions: Sequence[Session]
+) -> tuple[Contributor, ...]:
+    if given is None:
+        return default_budget([session.instrument for session in sessions])
+    if isinstance(given, str | Path):
+        return read_budget(Path(given))
+    out = []
+    for number, line in enumerate(given, start=1):
+        try:
+            out.append(line if isinstance(line, Contributor) else Contributor.model_validate(dict(line)))
+        except ValidationError as error:
+            first = error.errors()[0]
+            place = ".".join(str(part) for part in first["loc"])
+            what = first["msg"].removeprefix("Value error, ")
+            raise ModelError(f"contributor {number}: {f'{place}: ' if place else ''}{what}") from None
+    return tuple(out)

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Features of a probed part as a table, a picture and a text."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+
+from machine_tool_calibration.interface.show import Shown, notebook, printed
+from machine_tool_calibration.methods.probing.features import Features as Found
+from machine_tool_calibration.methods.probing.propagation import MonteCarlo
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Features"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Features(Shown):
+    """Pins, holes, spheres and walls of a probed part, distances and angles between them.
+
+    Attributes:
+        found: all that was calculated, as the package itself uses it.
+        drawn: what draws gave; None without any.
+    """
+
+    found: Found
+    drawn: MonteCarlo | None = None
+
+    @property
+    def datum(self) -> str:
+        """The frame in words, and what the lengths are relative to."""
+        return self.found.datum
+
+    @cached_property
+    def table(self) -> pd.DataFrame:
+        """One quantity a row, by its name: `pin1 x`, `pin1-pin5 distance`; SI.
+
+        Columns: `nominal`, `deviation` (actual minus nominal) and its standard uncertainty `u` in `unit`,
+        `determined`; with draws `u_draws` and the ends of the interval of the deviation, `low` and `high`.
+        """
+        found, drawn = self.found, self.drawn
+        columns: dict[str, Any] = {
+            "nominal": [asked.nominal for asked in found.quantities],
+            "deviation": found.deviation,
+            "u": found.uncertainty,
+            "unit": [asked.unit for asked in found.quantities],
+            "determined": pd.notna(found.deviation),
+        }
+        if drawn is not None:
+            columns |= {"u_draws": drawn.uncertainty}
+            columns |= {"low": found.deviation + drawn.low, "high": found.deviation + drawn.high}
+        return pd.DataFrame(columns, index=pd.Index(self._names, name="quantity"))
+
+    @cached_property
+    def covariance(self) -> pd.DataFrame:
+        """Joint covariance of all quantities of the table, in the products of their units."""
+        return pd.DataFrame(self.found.covariance, self._names, self._names)
+
+    @property
+    def headline(self) -> str:
+        """What it is, in one line."""
+        return f"{', '.join(one.name for one in self.found.elements)}; frame: {self.datum}"
+
+    def report(self) -> str:
+        """What `mtcal features` prints."""
+        from machine_tool_calibration.reports.features import show_features
+
+        return printed(lambda screen: show_features(screen, self.found, self.drawn))
+
+    def document(self) -> dict[str, Any]:
+        """The same for programs, as `mtcal features --json` writes it (`mtcal-features/1`)."""
+        from machine_tool_calibration.reports.documents import plain
+        from machine_tool_calibration.reports.features import features_document
+
+        made: dict[str, Any] = plain(features_document(self.found, self.drawn))
+        return made
+
+    def plot(self) -> Figure:
+        """Where the features are, deviations magnified, with ellipses of their uncertainty."""
+        from machine_tool_calibration.plots.features import draw_features
+
+        return notebook(draw_features(self.found))
+
+    @property
+    def _names(self) -> list[str]:
+        return [asked.name for asked in self.found.quantities]

@@ -1,0 +1,294 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether two maps of one machine agree within their joint uncertainty: the normalised difference at every point.
+
+Two measurements of one machine have no common datum: what shifts and turns all their points together is no difference
+of the machine. It is fitted to the differences of the points that both have and taken out of them, and what is left is
+held against its own uncertainty, in which the fitted motion is contained.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from scipy import special
+
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.methods.fitted import FittedSessions
+from machine_tool_calibration.model.restated import drawn
+from machine_tool_calibration.model.result import ErrorMap
+
+__all__ = ["BY_CHANCE", "DRAWS", "LEVEL", "MapComparison", "Motion", "compare_fits", "compare_maps", "map_draws"]
+
+LEVEL = 0.01
+"""p-value below which maps contradict each other."""
+BY_CHANCE = 0.0455
+"""Share of normalised differences beyond 1 that chance makes: of what is normal beyond two standard deviations."""
+DRAWS = 400
+_COVERAGE = 2.0
+# Points of two maps that are one, m; singular values that are nothing, as a share of the largest.
+_SAME = 1e-6
+_NOTHING = 1e-9
+_RANK = 1e-6
+_MOTIONS = ("shift x", "shift y", "shift z", "turn about x", "turn about y", "turn about z")
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A part of the common motion by which the first map differs from the second.
+
+    Attributes:
+        name: `shift x` … (m), `turn about z` … (rad), about the middle of the common points.
+        value: NaN where the common points do not tell it.
+        u: standard uncertainty.
+        unit: m or rad.
+    """
+
+    name: str
+    value: float
+    u: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class MapComparison:
+    """Two maps in a common datum.
+
+    Attributes:
+        points: (n, 3) that both have, m.
+        first, second: (n, 3) position errors, m, the common motion taken out of the first; NaN where one of both has
+            none.
+        u_first, u_second: (n, 3) standard uncertainties of each map without what a common motion may be.
+        u: (n, 3) standard uncertainty of the difference.
+        motion: what was taken out.
+        p_value: of all differences together, with their correlations; None where there are too few draws to tell.
+        labels: names of the maps.
+    """
+
+    points: Array
+    first: Array
+    second: Array
+    u_first: Array
+    u_second: Array
+    u: Array
+    motion: tuple[Motion, ...]
+    p_value: float | None
+    labels: tuple[str, str]
+
+    @property
+    def difference(self) -> Array:
+        """(n, 3) first less second, m."""
+        return self.first - self.second
+
+    @property
+    def normalised(self) -> Array:
+        """(n, 3) difference over its expanded uncertainty (k = 2): the E_n number of ISO/IEC 17043 and 13528.
+
+        0 where neither map may differ: a component that the common motion takes up wholly.
+        """
+        expanded = _COVERAGE * self.u
+        return np.where(expanded > 0, self.difference / np.where(expanded > 0, expanded, 1.0), 0.0 * self.difference)
+
+    @property
+    def count(self) -> int:
+        """Components that are compared."""
+        return int(np.isfinite(self.difference).sum())
+
+    @property
+    def beyond(self) -> int:
+        """Components with a normalised difference beyond 1."""
+        return int((np.abs(np.nan_to_num(self.normalised)) > 1.0).sum())
+
+    @property
+    def agree(self) -> bool:
+        """By the p-value of all differences; where there is none, whether no more exceed 1 than twice as by chance."""
+        if self.p_value is not None:
+            return self.p_value >= LEVEL
+        return self.beyond <= 2.0 * BY_CHANCE * self.count
+
+
+def compare_maps(
+    points: Array,
+    first: Array,
+    second: Array,
+    roots: tuple[Array, Array],
+    draws: int | None = None,
+    labels: tuple[str, str] = ("first", "second"),
+) -> MapComparison:
+    """Take the common motion out, and give what is left with its uncertainty.
+
+    Args:
+        points: (n, 3) m.
+        first: (n, 3) position errors by one map, m; NaN in a direction that it does not have.
+        second: (n, 3) by the other.
+        roots: for each map (k, n, 3) rows of a root of the covariance of its errors: the product of the transposed
+            root with itself is the covariance. Both have the same k, and are independent row by row.
+        draws: number of random draws that the roots were made of; None where they are exact.
+        labels: names of the maps.
+
+    Raises:
+        ModelError: nothing to compare.
+    """
+    there = np.isfinite(first) & np.isfinite(second)
+    if not there.any():
+        raise ModelError("the maps have no direction in common at any of the points that both have")
+    moves, scale = _motions(points, there)
+    a, b = first[there], second[there]
+    rows = [np.asarray(root[:, there]) for root in roots]
+    left, sizes, _ = np.linalg.svd(moves, full_matrices=False)
+    span = left[:, sizes > _NOTHING * sizes[0]]
+
+    def freed(values: Array) -> Array:
+        return np.asarray(values - (values @ span) @ span.T)
+
+    difference = freed(a - b)
+    free = [freed(row) for row in rows]
+    # First less second, both drawn in pairs.
+    both = free[0] - free[1]
+    # A component of which the motion leaves nothing has rounding alone.
+    kept = np.einsum("qs,qs->q", span, span) < 1.0 - _RANK
+    difference = np.where(kept, difference, 0.0)
+    spread = [np.where(kept, np.sqrt(np.einsum("kq,kq->q", row, row)), 0.0) for row in (*free, both)]
+    values = [_placed(there, one) for one in (b + difference, b, *spread)]
+    return MapComparison(
+        points=points,
+        first=values[0],
+        second=values[1],
+        u_first=values[2],
+        u_second=values[3],
+        u=values[4],
+        motion=_motion(moves, scale, a - b, rows[0] - rows[1]),
+        p_value=_p_value(difference, both, draws),
+        labels=labels,
+    )
+
+
+def _motions(points: Array, there: BoolArray) -> tuple[Array, float]:
+    """(q, 6) change of the components that are there by a unit of each motion, and the arm by which turns are scaled.
+
+    Turns are about the middle of the points, and move the farthest of them by 1.
+    """
+    arm = points - points[there.any(axis=1)].mean(axis=0)
+    size = float(np.linalg.norm(arm[there.any(axis=1)], axis=1).max()) or 1.0
+    field = np.concatenate(
+        [np.broadcast_to(np.eye(3), (len(points), 3, 3)), np.cross(np.eye(3)[None], arm[:, None] / size)], axis=1
+    )
+    return field.transpose(0, 2, 1)[there], size
+
+
+def _placed(there: BoolArray, values: Array) -> Array:
+    out = np.full(there.shape, np.nan)
+    out[there] = values
+    return out
+
+
+def _motion(moves: Array, scale: float, difference: Array, rows: Array) -> tuple[Motion, ...]:
+    """Motions with their uncertainty; those that could be exchanged for others are not determined."""
+    # All six rows of the right side, of few components too, but not a square of thousands on the left.
+    _, sizes, right = np.linalg.svd(moves, full_matrices=len(moves) < moves.shape[1])
+    rank = int((sizes > _NOTHING * sizes[0]).sum())
+    loose = np.linalg.norm(right[rank:], axis=0) > _RANK
+    solve = np.linalg.pinv(moves, rcond=_NOTHING)
+    value, spread = solve @ difference, np.sqrt(np.einsum("mk,mk->m", solve @ rows.T, solve @ rows.T))
+    out = []
+    for k, name in enumerate(_MOTIONS):
+        factor, unit = (1.0, "m") if k < 3 else (1.0 / scale, "rad")
+        known = not loose[k]
+        number, u = (factor * float(value[k]), factor * float(spread[k])) if known else (np.nan, np.nan)
+        out.append(Motion(name, number, u, unit))
+    return tuple(out)
+
+
+def _p_value(difference: Array, rows: Array, draws: int | None) -> float | None:
+    """Of the sum of squares that are made independent; of a covariance from draws by Hotelling's distribution."""
+    _, sizes, right = np.linalg.svd(rows, full_matrices=False)
+    good = sizes > _RANK * sizes[0] if sizes[0] > 0 else np.zeros(len(sizes), dtype=bool)
+    rank = int(good.sum())
+    if rank == 0:
+        return None
+    total = float(np.sum((right[good] @ difference / sizes[good]) ** 2))
+    if draws is None:
+        return float(special.chdtrc(rank, total))
+    if draws < 2 * rank:
+        return None
+    return float(special.fdtrc(rank, draws - rank + 1, total * (draws - rank + 1) / (draws * rank)))
+
+
+def map_draws(
+    fitted: FittedSessions, draws: int, seed: int, progress: Callable[[float], None] = lambda share: None
+) -> Array:
+    """(draws, n, 3) deviations of a map's position errors, drawn from their joint distribution as it is published, m.
+
+    Args:
+        fitted: of which the map is.
+        draws: how many.
+        seed: of the draws.
+        progress: is told the share that is done.
+    """
+    base = fitted.error_map.error
+    out = np.empty((draws, *base.shape))
+    for k, joint in enumerate(drawn(fitted.joint, np.random.default_rng(seed), draws)):
+        progress(k / draws)
+        out[k] = fitted.map_of(joint).error - base
+    return out
+
+
+def compare_fits(
+    first: FittedSessions,
+    second: FittedSessions,
+    labels: tuple[str, str] = ("first", "second"),
+    *,
+    draws: int = DRAWS,
+    seed: int = 1,
+    progress: Callable[[str, float], None] = lambda what, share: None,
+) -> MapComparison:
+    """Compare the maps of two measurements of one machine at the points that both have.
+
+    Args:
+        first: one measurement.
+        second: the other, independent of it.
+        labels: their names.
+        draws: by which the uncertainties are carried over to the common datum; each is told to 1 / sqrt(2 draws).
+        seed: of the draws.
+        progress: is told what is done and which share of it.
+
+    Raises:
+        ModelError: no point, or no direction at any, is in both maps.
+    """
+    pairs = _common_points(first.error_map, second.error_map)
+    if not len(pairs[0]):
+        raise ModelError(
+            "the maps have no point in common: measure at the same commanded positions, or take a model whose map "
+            "covers them"
+        )
+    own = [
+        map_draws(one, draws, seed + k, partial(_share, progress, k))[:, pair] / np.sqrt(draws)
+        for k, (one, pair) in enumerate(zip((first, second), pairs, strict=True))
+    ]
+    return compare_maps(
+        first.error_map.points[pairs[0]],
+        first.error_map.error[pairs[0]],
+        second.error_map.error[pairs[1]],
+        (own[0], own[1]),
+        draws,
+        labels,
+    )
+
+
+def _share(progress: Callable[[str, float], None], number: int, share: float) -> None:
+    progress("drawing both maps", (number + share) / 2)
+
+
+def _common_points(first: ErrorMap, second: ErrorMap) -> tuple[IntArray, IntArray]:
+    """Numbers of the points that are in both maps, in the first one's order; each once."""
+    from scipy.spatial import cKDTree
+
+    found = cKDTree(second.points).query(first.points, distance_upper_bound=_SAME)
+    distance, nearest = np.asarray(found[0]), np.asarray(found[1], dtype=np.int64)
+    mine = np.flatnonzero(np.isfinite(distance))
+    _, once = np.unique(nearest[mine], return_index=True)
+    mine = mine[np.sort(once)]
+    return mine, nearest[mine]

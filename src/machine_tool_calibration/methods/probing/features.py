@@ -1,0 +1,250 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Features of a probed workpiece: centres, radii, walls, distances and angles, with their joint uncertainty.
+
+Every quantity is a weighted sum of the errors of the points (`shapes`), so its uncertainty follows from their joint
+covariance, with all that the self-calibration makes common to them: closed form, to first order. A motion of the whole
+workpiece, which is the datum's and not the part's, is taken out by three conditions: one feature has no error, another
+one none across (the paper, Section 5.2: the first pin and the 11th); without such a frame the whole has no shift and no
+turn by least squares, as in `workpiece_form`. Where no length is known, the whole has its nominal size by least
+squares, too, and lengths are relative to it.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.errors import CalibrationError, ModelError, did_you_mean
+from machine_tool_calibration.methods.probing.map import common_motions, points_of_form, responses
+from machine_tool_calibration.methods.probing.model import ProbingModel
+from machine_tool_calibration.methods.probing.shapes import Circle, Element, Line, elements, through
+from machine_tool_calibration.model.fit import Fit
+
+__all__ = ["Features", "Quantity", "features"]
+
+# Sine of the angle up to which two walls are parallel.
+_PARALLEL = 1e-4
+# Nominal distance below which it has no direction, m.
+_APART = 1e-6
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """What is asked of one feature or of several, as the drawing has it.
+
+    Attributes:
+        of: names of the features.
+        what: x, y, radius, offset, direction, distance, angle.
+        unit: m or rad.
+        nominal: in the unit.
+        rows: (N,) its change by the errors of the workpiece's points.
+    """
+
+    of: tuple[str, ...]
+    what: str
+    unit: str
+    nominal: float
+    rows: Array
+
+    @property
+    def name(self) -> str:
+        """Features and quantity: `pin1 x`, `pin1-pin5 distance`."""
+        return f"{'-'.join(self.of)} {self.what}"
+
+
+@dataclass(frozen=True)
+class Features:
+    """Features of a workpiece with their joint uncertainty.
+
+    Attributes:
+        elements: the features.
+        quantities: of them, in the frame: q.
+        deviation: (q,) actual minus nominal; NaN where the touches do not determine it.
+        covariance: (q, q).
+        datum: the frame, and what else was laid down, in words.
+        left_out: names of points' features that are neither circle nor line, and why.
+    """
+
+    elements: tuple[Element, ...]
+    quantities: tuple[Quantity, ...]
+    deviation: Array
+    covariance: Array
+    datum: str
+    left_out: Mapping[str, str]
+
+    @property
+    def uncertainty(self) -> Array:
+        """(q,) standard uncertainties."""
+        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
+
+    @property
+    def rows(self) -> Array:
+        """(q, N) change of each quantity by the errors of the points, in the frame; NaN as the deviation."""
+        rows = np.array([quantity.rows for quantity in self.quantities])
+        return np.where(np.isfinite(self.deviation)[:, None], rows, np.nan)
+
+
+def features(
+    fit: Fit,
+    *,
+    named: Mapping[str, Sequence[str]] | None = None,
+    centres: Mapping[str, Sequence[str]] | None = None,
+    frame: tuple[str, str] | None = None,
+    distances: Sequence[tuple[str, str]] = (),
+    angles: Sequence[tuple[str, ...]] = (),
+) -> Features:
+    """The features of the workpiece of a probing session.
+
+    Args:
+        fit: of the session.
+        named: ids of the points of features that the session's points do not name.
+        centres: further features, each the circle or line through the centres of several; names, or patterns such as
+            `pin*`.
+        frame: the feature, a circle, that has no error; and the one that gives the direction: a circle has no error in
+            Y (none in X, where the two lie rather along Y), a line does not turn.
+        distances: pairs of features: centres, a centre and a line, or two parallel lines (from the first one to the
+            middle of the points of the second).
+        angles: pairs of lines, or three circles: at the second one, at most half a turn.
+
+    Raises:
+        CalibrationError: there are no features, or those that are asked for do not exist or do not fit together.
+        ModelError: no probing session.
+    """
+    model = fit.model
+    if not isinstance(model, ProbingModel):
+        method = model.observations.session.method
+        raise ModelError(f"features are those of a probed workpiece; this session is of the method {method}")
+    found = responses(fit, model.touches.point, len(model.description.workpiece))
+    made, left_out = elements(model.description, found.touched, named)
+    if not made:
+        why = "; ".join(f"{name}: {text}" for name, text in left_out.items())
+        raise CalibrationError(f"no feature: {why}; a list of points (--features) says which belong together")
+    known = {one.name: one for one in made}
+    for name, patterns in (centres or {}).items():
+        known[name] = through(name, _round(known, name, patterns))
+    asked = [q for one in known.values() for q in _own(one)]
+    asked += [_distance(*(_named(known, name, "distance") for name in pair)) for pair in distances]
+    asked += [_angle([_named(known, name, "angle") for name in several]) for several in angles]
+    motion = common_motions(model.description, model.length_known)
+    used = points_of_form(found, motion)
+    whole = np.zeros((motion.shape[1], len(motion)))
+    whole[:, used] = np.linalg.pinv(motion[used])
+    conditions, words = whole, "without the shift and turn of the workpiece as a whole (least squares)"
+    if frame is not None:
+        conditions, words = _frame(known, frame)
+        conditions = np.concatenate([conditions, whole[3:]])
+    if not model.length_known:
+        words += "; no length was measured: the workpiece as a whole has its nominal size, lengths are relative to it"
+    rows = np.array([quantity.rows for quantity in asked])
+    # A motion that no point senses, such as the turn of a disc, is none that could be taken out.
+    rows = rows - (rows @ motion) @ np.linalg.pinv(conditions @ motion) @ conditions
+    result = found.combine(rows)
+    quantities = tuple(Quantity(q.of, q.what, q.unit, q.nominal, row) for q, row in zip(asked, rows, strict=True))
+    return Features(tuple(known.values()), quantities, result.value, result.covariance, words, left_out)
+
+
+def _named(known: Mapping[str, Element], name: str, asked: str) -> Element:
+    if name not in known:
+        raise CalibrationError(f"{asked}: no feature {name!r}{did_you_mean(name, known)}; there are {', '.join(known)}")
+    return known[name]
+
+
+def _round(known: Mapping[str, Element], name: str, patterns: Sequence[str]) -> list[Circle]:
+    """The features whose centres a further one goes through."""
+    if name in known:
+        raise CalibrationError(f"feature {name}: there is one of that name already")
+    wanted = [n for p in patterns for n in (fnmatch.filter(known, p) or [_named(known, p, f"feature {name}").name])]
+    found = [known[n] for n in dict.fromkeys(wanted)]
+    for one in found:
+        if not isinstance(one, Circle):
+            raise CalibrationError(f"feature {name}: {one.name} is a line and has no centre")
+    return [one for one in found if isinstance(one, Circle)]
+
+
+def _own(one: Element) -> list[Quantity]:
+    """The quantities of a feature by itself, in the workpiece's frame."""
+    if isinstance(one, Circle):
+        nominal = (*one.place, one.radius)
+        what, units = ("x", "y", "radius"), "mmm"
+    else:
+        assert isinstance(one, Line)
+        # No negative zero: it would be minus a half turn.
+        nominal = (float(one.place @ one.normal), float(np.arctan2(one.along[1] + 0.0, one.along[0])))
+        what, units = ("offset", "direction"), ("m", "rad")  # type: ignore[assignment]
+    return [
+        Quantity((one.name,), name, unit, float(value), row)
+        for name, unit, value, row in zip(what, units, nominal, one.rows, strict=True)
+    ]
+
+
+def _distance(first: Element, second: Element) -> Quantity:
+    """Between centres, between a centre and a line, or between parallel lines."""
+    of = (first.name, second.name)
+    if isinstance(first, Circle) and isinstance(second, Circle):
+        line = second.place - first.place
+        nominal = float(np.linalg.norm(line))
+        if nominal < _APART:
+            raise CalibrationError(f"distance {','.join(of)}: their centres coincide, the distance has no direction")
+        return Quantity(of, "distance", "m", nominal, (line / nominal) @ (second.rows[:2] - first.rows[:2]))
+    wall, other = (first, second) if isinstance(first, Line) else (second, first)
+    assert isinstance(wall, Line)
+    if isinstance(other, Line):
+        facing = float(wall.normal @ other.normal)
+        if abs(wall.along @ other.normal) > _PARALLEL:
+            raise CalibrationError(f"distance {','.join(of)}: the lines are not parallel")
+        moved = facing * other.rows[0]
+    else:
+        moved = wall.normal @ other.rows[:2]
+    across, along = (other.place - wall.place) @ np.column_stack([wall.normal, wall.along])
+    sign = -1.0 if across < 0 else 1.0
+    return Quantity(of, "distance", "m", abs(float(across)), sign * (moved - wall.rows[0] - along * wall.rows[1]))
+
+
+def _angle(several: Sequence[Element]) -> Quantity:
+    """Between two lines, modulo a half turn, or at the second of three circles."""
+    of = tuple(one.name for one in several)
+    if len(several) == 2 and all(isinstance(one, Line) for one in several):
+        first, second = several
+        assert isinstance(first, Line) and isinstance(second, Line)
+        nominal = np.arctan2(second.normal[1], second.normal[0]) - np.arctan2(first.normal[1], first.normal[0])
+        # A wall has no sense; two that are nominally parallel have the angle 0, not a half turn less a little.
+        nominal = float((nominal + _PARALLEL) % np.pi - _PARALLEL)
+        return Quantity(of, "angle", "rad", nominal, second.rows[1] - first.rows[1])
+    if len(several) == 3 and all(isinstance(one, Circle) for one in several):
+        first, corner, second = several
+        (from_, turned_from), (to, turned_to) = (_sight(corner, one, of) for one in (first, second))
+        nominal = float((to - from_ + np.pi) % (2 * np.pi) - np.pi)
+        sign = -1.0 if nominal < 0 else 1.0
+        return Quantity(of, "angle", "rad", abs(nominal), sign * (turned_to - turned_from))
+    raise CalibrationError(f"angle {','.join(of)}: it is between two lines, or at the second of three circles")
+
+
+def _sight(corner: Element, other: Element, of: tuple[str, ...]) -> tuple[float, Array]:
+    """Direction from one centre to another, rad, and its change by the points' errors."""
+    line = other.place - corner.place
+    size = float(line @ line)
+    if size < _APART**2:
+        raise CalibrationError(f"angle {','.join(of)}: the centres of {corner.name} and {other.name} coincide")
+    across = np.array([-line[1], line[0]]) / size
+    return float(np.arctan2(line[1], line[0])), across @ (other.rows[:2] - corner.rows[:2])
+
+
+def _frame(known: Mapping[str, Element], frame: tuple[str, str]) -> tuple[Array, str]:
+    """(3, N) what has no error in a frame of two features, and the frame in words."""
+    first, second = (_named(known, name, "frame") for name in frame)
+    if not isinstance(first, Circle):
+        raise CalibrationError(f"frame {','.join(frame)}: the first one, {first.name}, is a line and has no centre")
+    if isinstance(second, Line):
+        across, words = second.rows[1], "its direction"
+    else:
+        line = second.place - first.place
+        axis = 1 if abs(line[0]) >= abs(line[1]) else 0
+        across, words = second.rows[axis], "XY"[axis]
+        if np.linalg.norm(line) < _APART:
+            raise CalibrationError(f"frame {','.join(frame)}: the two centres coincide and give no direction")
+    rows = np.concatenate([first.rows[:2], across[None]])
+    return rows, f"{first.name} has no error, {second.name} none in {words}"

@@ -1,0 +1,256 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the rotation centre of an open-loop pointer is, and where its zero angle (Ibaraki et al. 2014, Section 2.2).
+
+Centre (Fig. 6): the retroreflector stands near the rotary axis while the beam turns. An eccentricity (a, b) of it from
+the axis average line changes the path by a cos(azimuth) + b sin(azimuth). The paper moves the retroreflector until that
+vanishes; here it is calculated. What the path changes by more than once a turn is the radial error motion of the axis;
+over less than a turn it is taken for eccentricity in part, as the uncertainty says.
+
+Zero angle (Fig. 7): the beam is held, and the retroreflector moved along Y, within the beam's width. The slope of the
+path over y is the sine of the angle from the normal of Y to the beam.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array, IntArray, groups
+from machine_tool_calibration.errors import ModelError
+
+__all__ = ["HIGHEST_ORDER", "Centre", "ZeroAngle", "rotation_centre", "zero_angle"]
+
+HIGHEST_ORDER = 6
+"""Waves a turn up to which the radial error motion is looked at."""
+_NOTHING = 1e-9
+# Least angle by which the beam must turn, rad.
+_LEAST_TURN = 0.99 * np.pi
+# Decades and number of ratios of the variances of radial error motion and scatter that are looked at; least variance of
+# a reading, m^2.
+_DECADES, _RATIOS, _LEAST = 8.0, 81, 1e-30
+# Cosine of the beam's angle to the normal of Y below which the slope hardly depends on it.
+_ALONG = 0.2
+_ROUNDS = 20
+# Change of an angle that is none, rad.
+_DONE = 1e-13
+
+
+@dataclass(frozen=True)
+class Centre:
+    """The rotation centre of a pointer.
+
+    Attributes:
+        centre: (2,) x and y of the axis average line, machine frame, m.
+        offset: (2,) of the retroreflector from it, m: where the axes say that it stands, less the centre.
+        covariance: (2, 2) of the centre, m^2.
+        contributions: by name, (2,) standard uncertainties of x and y, m; they add in squares.
+        radial: RMS of the radial error motion of two waves a turn and more, m.
+        scatter: standard deviation of a reading, m.
+        residuals: (n,) what eccentricity leaves of the readings, m: radial error motion and scatter.
+    """
+
+    centre: Array
+    offset: Array
+    covariance: Array
+    contributions: Mapping[str, Array]
+    radial: float
+    scatter: float
+    residuals: Array
+
+    @property
+    def u(self) -> Array:
+        """(2,) standard uncertainty of x and y, m."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+
+@dataclass(frozen=True)
+class ZeroAngle:
+    """The zero angle of a pointer.
+
+    Attributes:
+        offset: azimuth of the beam less the commanded one, rad; from the normal of Y, positive from +X towards +Y.
+        u: its standard uncertainty, rad.
+        scatter: standard deviation of a reading, m: straightness of Y across it included.
+        residuals: (n,) what straight lines leave of the readings, m.
+    """
+
+    offset: float
+    u: float
+    scatter: float
+    residuals: Array
+
+
+def rotation_centre(
+    azimuth: Array,
+    displacement: Array,
+    place: Array,
+    run: IntArray | None = None,
+    *,
+    machine: float = 0.0,
+    zero: ZeroAngle | None = None,
+) -> Centre:
+    """The rotation centre from the path over the azimuth, the retroreflector standing still near the axis.
+
+    The radial error motion is a sum of waves of random size, all orders alike; how large it is, and how much the
+    readings scatter, follow from the readings (restricted likelihood), and that it is not known well is in the
+    uncertainty.
+
+    Args:
+        azimuth: (n,) commanded, rad.
+        displacement: (n,) m, larger where the path is longer.
+        place: (2,) commanded x and y of the retroreflector, m.
+        run: (n,) readings of one run count from a common zero; one run if absent.
+        machine: standard uncertainty of the machine's position along x and along y, m.
+        zero: of the pointer, if it is known: the eccentricity is turned by it.
+
+    Raises:
+        ModelError: the beam turns by less than half a turn, or there are too few azimuths or readings.
+    """
+    angle = azimuth if zero is None else azimuth + zero.offset
+    own = _constants(np.zeros(len(angle), dtype=np.int64) if run is None else run)
+    fixed = np.column_stack([np.cos(angle), np.sin(angle), own])
+    waves = [wave(order * angle) for order in range(2, HIGHEST_ORDER + 1) for wave in (np.cos, np.sin)]
+    turned = _covered(angle)
+    if turned < _LEAST_TURN:
+        raise ModelError(
+            f"the beam turns by {np.degrees(turned):.0f}° only: over less than half a turn the radial error motion of "
+            "the axis cannot be told from eccentricity"
+        )
+    if np.linalg.svd(fixed, compute_uv=False)[-1] < _NOTHING * len(angle):
+        raise ModelError("two opposite azimuths do not tell where the axis is: three or more different ones are needed")
+    random = np.column_stack(waves)
+    span, sizes, _ = np.linalg.svd(np.column_stack([fixed, random]), full_matrices=False)
+    span = span[:, sizes > _NOTHING * sizes[0]]
+    inner = span.T @ displacement
+    outside, freedom = displacement - span @ inner, len(displacement) - span.shape[1]
+    if freedom < 1:
+        raise ModelError(
+            f"too few readings: {len(displacement)} at {len(np.unique(angle))} azimuths do not tell the scatter from "
+            f"the radial error motion; more than {span.shape[1]} are needed"
+        )
+    fit = _Mixed(span.T @ fixed, span.T @ random, inner, float(outside @ outside), len(displacement))
+    found, noise, radial, (variance, size) = fit.averaged()
+    parts = {"scatter of the readings": noise[:2, :2], "radial error motion of the axis": radial[:2, :2]}
+    if machine > 0:
+        parts["positioning error of the machine"] = machine**2 * np.eye(2)
+    if zero is not None:
+        across = np.array([-found[1], found[0]])
+        parts["zero angle of the pointer"] = zero.u**2 * np.outer(across, across)
+    return Centre(
+        centre=np.asarray(place, dtype=float)[:2] - found[:2],
+        offset=found[:2],
+        covariance=np.sum(list(parts.values()), axis=0),
+        contributions={name: np.sqrt(np.diag(part)) for name, part in parts.items()},
+        radial=float(np.sqrt(size * random.shape[1] / 2)),
+        scatter=float(np.sqrt(variance)),
+        residuals=displacement - fixed @ found,
+    )
+
+
+def _covered(angle: Array) -> float:
+    """Angle over which a beam has turned, rad: a full turn less the largest gap."""
+    places = np.unique(np.round(np.mod(angle, 2 * np.pi) / _NOTHING)) * _NOTHING
+    return float(2 * np.pi - np.diff(np.append(places, places[0] + 2 * np.pi)).max())
+
+
+@dataclass(frozen=True)
+class _Mixed:
+    """Fixed unknowns, random ones of a common variance, and scatter, in the space that both span.
+
+    Attributes:
+        fixed: (m, p).
+        random: (m, q).
+        inner: (m,) the readings there.
+        outside: sum of squares of what is beside it.
+        count: number of readings.
+    """
+
+    fixed: Array
+    random: Array
+    inner: Array
+    outside: float
+    count: int
+
+    def at(self, ratio: float) -> tuple[Array, float, float]:
+        """For a ratio of the variances of a random unknown and of a reading.
+
+        Returns:
+            (p, m) the best linear unbiased estimator, the variance of a reading, and the logarithm of the restricted
+            likelihood but for a constant.
+        """
+        weight = self._weight(ratio)
+        information = self.fixed.T @ weight @ self.fixed
+        solve = np.linalg.solve(information, self.fixed.T @ weight)
+        left = self.inner - self.fixed @ (solve @ self.inner)
+        freedom = self.count - self.fixed.shape[1]
+        variance = (float(left @ weight @ left) + self.outside) / freedom
+        logs = np.linalg.slogdet(weight)[1] - np.linalg.slogdet(information)[1]
+        return np.asarray(solve), variance, float(logs - freedom * np.log(max(variance, _LEAST))) / 2
+
+    def averaged(self) -> tuple[Array, Array, Array, tuple[float, float]]:
+        """The fixed unknowns whatever the ratio is, by the probability of each (flat in the random ones' size).
+
+        Returns:
+            (p,) values, (p, p) their covariance from scatter, (p, p) from the random unknowns and from not knowing how
+            large these are, and the variances of a reading and of a random unknown.
+        """
+        ratios = 10.0 ** np.linspace(-_DECADES, _DECADES, _RATIOS)
+        fits = [self.at(ratio) for ratio in ratios]
+        logs = np.array([fit[2] for fit in fits]) + np.log(ratios) / 2
+        share = np.exp(logs - logs.max())
+        share /= share.sum()
+        values = np.array([solve @ self.inner for solve, _, _ in fits])
+        mean = share @ values
+        variances = np.array([variance for _, variance, _ in fits])
+        weights = share * variances
+        noise = np.sum([w * solve @ solve.T for w, (solve, _, _) in zip(weights, fits, strict=True)], axis=0)
+        leaked = [solve @ self.random for solve, _, _ in fits]
+        radial = np.sum([w * r * part @ part.T for w, r, part in zip(weights, ratios, leaked, strict=True)], axis=0)
+        radial += (values - mean).T @ ((values - mean) * share[:, None])
+        return mean, noise, radial, (float(weights.sum()), float(weights @ ratios))
+
+    def _weight(self, ratio: float) -> Array:
+        return np.asarray(np.linalg.inv(np.eye(len(self.inner)) + ratio * self.random @ self.random.T))
+
+
+def zero_angle(y: Array, displacement: Array, azimuth: Array, run: IntArray | None = None) -> ZeroAngle:
+    """The zero angle from the path over y, the beam being held.
+
+    Args:
+        y: (n,) commanded, m; x stands still.
+        displacement: (n,) m, larger where the path is longer.
+        azimuth: (n,) commanded direction of the beam, rad.
+        run: (n,) readings of one run count from a common zero; those of one azimuth if absent.
+
+    Raises:
+        ModelError: Y does not move in a run, the beam runs along Y, or there are too few readings.
+    """
+    same = groups(np.round(azimuth / _NOTHING).astype(np.int64))
+    run = same if run is None else groups(same, run)
+    own = _constants(run)
+    if np.abs(np.cos(azimuth)).min() < _ALONG:
+        raise ModelError("the beam runs nearly along Y: the path hardly changes with its angle; hold it across Y")
+    free = y - own @ np.linalg.lstsq(own, y, rcond=None)[0]
+    freedom = len(y) - own.shape[1] - 1
+    if np.abs(free).max(initial=0.0) < _NOTHING or freedom < 1:
+        raise ModelError(
+            "Y does not move, or there are too few readings: three or more places of it are needed in a run"
+        )
+    offset = 0.0
+    for _ in range(_ROUNDS):
+        left = displacement - y * np.sin(azimuth + offset)
+        left = left - own @ np.linalg.lstsq(own, left, rcond=None)[0]
+        column = free * np.cos(azimuth + offset)
+        step = float(column @ left / (column @ column))
+        offset += step
+        if abs(step) < _DONE:
+            break
+    scatter = float(np.sqrt(left @ left / freedom))
+    return ZeroAngle(offset, scatter / float(np.linalg.norm(column)), scatter, left)
+
+
+def _constants(run: IntArray) -> Array:
+    """(n, runs) one column for each run."""
+    return np.asarray(run[:, None] == np.unique(run), dtype=float)

@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A fit as it would be published from other readings, with other uncertainties, or drawn from what is published.
+
+The map of a method is worked out from a fit's shared and own unknowns. Restated fits have others of these: those of the
+declared uncertainty alone, those after the readings have changed, or those drawn from their joint distribution. So
+whatever is published follows, however it is worked out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.estimation.elimination import Rows
+from machine_tool_calibration.estimation.normal import solve_normal
+from machine_tool_calibration.estimation.problem import Part, PriorRows, Problem
+from machine_tool_calibration.estimation.reduction import single_blas
+from machine_tool_calibration.estimation.solve import gram, local_steps, solve
+from machine_tool_calibration.model.fit import JointFit
+from machine_tool_calibration.model.stated import Stated
+
+__all__ = ["changed", "covariance_of", "declared", "drawn"]
+
+
+def declared(joint: JointFit, covariance: Array | None = None) -> JointFit:
+    """The fit where the sum of squares is least, with the covariance that follows from the declared uncertainty alone.
+
+    Neither what does not reproduce nor the scatter of the readings is in it; unknowns that are random functions keep
+    the size that the model was settled with.
+
+    Args:
+        joint: the fit.
+        covariance: (m, m) another one of the shared unknowns.
+    """
+    parts = tuple(joint.assembly.problem.parts)
+    none = tuple(np.zeros((0, part.n_readings)) for part in parts)
+    solution = joint.solution if covariance is None else replace(joint.solution, covariance=covariance)
+    return replace(joint, given=Stated(parts, solution, 1.0, (), None, none, solution.chi_square, np.zeros(0)))
+
+
+@single_blas()
+def changed(joint: JointFit, shifts: Sequence[Array], known: Array | None = None, *, again: bool = False) -> JointFit:
+    """The fit that other readings would give, as `declared` states it.
+
+    Args:
+        joint: the fit of the readings as they are.
+        shifts: for each session (n,) what is added to its readings, m.
+        known: (q,) what is added to the values known besides the readings (the problem's priors), in their unit.
+        again: whether to solve the problem again; otherwise one step from the solution, linear in what is added.
+
+    Raises:
+        ModelError: the iteration does not converge.
+    """
+    problem, solution = joint.assembly.problem, joint.solution
+    parts = [
+        _ShiftedPart(part, shift / model.sigma)
+        for part, shift, model in zip(problem.parts, shifts, joint.assembly.models, strict=True)
+    ]
+    priors = problem.priors
+    if priors is not None and known is not None:
+        priors = PriorRows(priors.columns, priors.value + known, priors.sigma)
+    other = replace(problem, parts=parts, priors=priors)
+    if again:
+        return declared(replace(joint, solution=solve(other), given=None))
+    theta, m = solution.theta, problem.size
+    total, squares = gram(other, theta, solution.local)
+    distance = problem.constraint_values - problem.constraints @ theta
+    normal = solve_normal(total[:m, :m], total[:m, m], problem.constraints, distance, squares[:m])
+    local = local_steps(other, theta, solution.local, normal.step)
+    return declared(replace(joint, solution=replace(solution, theta=theta + normal.step, local=local), given=None))
+
+
+def drawn(joint: JointFit, rng: np.random.Generator, count: int) -> Iterator[JointFit]:
+    """The fit with all its unknowns drawn from their joint distribution as it is published, so many times.
+
+    Args:
+        joint: the fit.
+        rng: of the draws.
+        count: of draws.
+    """
+    stated = joint.stated
+    published = stated.solution
+    m = len(published.theta)
+    values, vectors = np.linalg.eigh(published.covariance)
+    root = stated.scatter * vectors * np.sqrt(np.maximum(values, 0.0))
+    start = np.pad(joint.solution.theta, (0, m - len(joint.solution.theta)))
+    for _ in range(count):
+        theta = published.theta + root @ rng.standard_normal(m)
+        # A point's own unknowns follow the shared ones, and have the noise of the point's own readings besides.
+        parts = [_ShiftedPart(p, stated.scatter * rng.standard_normal(p.n_readings)) for p in stated.parts]
+        wide = Problem(parts, m, np.zeros((0, m)), np.zeros(0))
+        with single_blas():
+            local = local_steps(wide, start, joint.solution.local, theta - start)
+        yield replace(joint, given=replace(stated, solution=replace(published, theta=theta, local=local)))
+
+
+@single_blas()
+def covariance_of(joint: JointFit, size: Sequence[Array]) -> Array:
+    """(m, m) covariance of the shared unknowns from independent readings of another size than the fit weighs them by.
+
+    Args:
+        joint: a fit without points of their own, which would hide the readings.
+        size: for each session (n,) standard uncertainty of its readings, m.
+    """
+    solution, problem = joint.solution, joint.assembly.problem
+    parts = [
+        _ScaledPart(part, own / model.sigma)
+        for part, own, model in zip(problem.parts, size, joint.assembly.models, strict=True)
+    ]
+    m = problem.size
+    total, _ = gram(replace(problem, parts=parts, priors=None), solution.theta, solution.local)
+    return np.asarray(solution.covariance @ total[:m, :m] @ solution.covariance)
+
+
+class _ChangedPart(Part):
+    """A part with a number for each reading that changes it."""
+
+    def __init__(self, inner: Part, by: Array) -> None:
+        """Keep the part.
+
+        Args:
+            inner: the part.
+            by: (n,) for each reading.
+        """
+        self.inner, self.by = inner, by
+        self.groups, self.block_index, self.dense_index = inner.groups, inner.block_index, inner.dense_index
+        self.dimension, self.n_points = inner.dimension, inner.n_points
+        self.n_readings, self.linear = inner.n_readings, inner.linear
+
+    def slots(self, group: int, chunk: slice) -> Array:
+        """(S, n) the numbers as the rows lie; 0 where there is no reading."""
+        pick = self.groups[group].rows[:, chunk]
+        return np.where(pick >= 0, self.by[pick], 0.0)
+
+
+class _ShiftedPart(_ChangedPart):
+    """Something is added to each reading, over its standard uncertainty."""
+
+    def rows(self, group: int, chunk: slice, theta: Array, local: Array) -> Rows:
+        """Those of the inner part with other residuals."""
+        rows = self.inner.rows(group, chunk, theta, local)
+        return replace(rows, residual=rows.residual + self.slots(group, chunk))
+
+
+class _ScaledPart(_ChangedPart):
+    """Each reading weighs so many times as much."""
+
+    def rows(self, group: int, chunk: slice, theta: Array, local: Array) -> Rows:
+        """Those of the inner part times the numbers."""
+        rows, times = self.inner.rows(group, chunk, theta, local), self.slots(group, chunk)
+        return Rows(rows.residual * times, rows.local * times, rows.block * times, rows.dense * times)

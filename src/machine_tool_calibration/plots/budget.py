@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who contributes what to the uncertainty of a result."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from machine_tool_calibration.plots.style import BAND, COLORS, FOUND, new_figure
+from machine_tool_calibration.reports.budget import chosen_sums, default_names, sum_title
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from machine_tool_calibration.budget.propagate import Budget, Sum
+
+__all__ = ["draw_budget"]
+
+# Contributors with a colour of their own, and quantities below each other.
+_MOST_COLORS, _MOST_BARS = 6, 24
+# Share below which a contributor is one of all others, and number that is shown as next to nothing.
+_LEAST_SHARE, _LEAST = 0.001, 1e-3
+_HEIGHT = 0.7
+
+
+def draw_budget(budget: Budget, names: Sequence[str] = ()) -> Figure:
+    """Bars of the contributions to the first quantity, and of the shares in every quantity.
+
+    Args:
+        budget: what to draw.
+        names: quantities that were asked for; empty for those that are told of every measurement.
+
+    Raises:
+        ModelError: a name that is not published.
+    """
+    sums = chosen_sums(budget, names or default_names(budget))[:_MOST_BARS]
+    rows = max(len(budget.lines) + 2, len(sums))
+    figure = new_figure(11.0, 1.8 + 0.28 * rows, "Uncertainty budget")
+    if not sums:
+        figure.text(0.5, 0.5, "nothing is determined", ha="center")
+        return figure
+    left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.0))
+    _contributions(left, budget, sums[0])
+    _shares(right, budget, sums)
+    return figure
+
+
+def _contributions(panel: Axes, budget: Budget, one: Sum) -> None:
+    """Standard uncertainties, the largest on top, and below them their sum and what the readings show."""
+    factor = 1e6 if one.quantity.unit in ("m", "rad") else 1.0
+    order = np.argsort([-part.u for part in one.shares], kind="stable")
+    names = [*(budget.lines[k].name for k in order), "combined", "what the readings show"]
+    values = [one.shares[k].u for k in order] + [one.u, one.stated]
+    colors = [FOUND] * len(order) + [COLORS[6], BAND]
+    place = np.arange(len(names))
+    shown = factor * np.nan_to_num(np.array(values))
+    panel.barh(place, shown, color=colors)
+    for y, value in zip(place, shown, strict=True):
+        text = f"{value:.3g}" if value >= _LEAST else f"< {_LEAST:g}"
+        panel.annotate(text, (value, y), (3, 0), textcoords="offset points", va="center", fontsize="x-small")
+    panel.set_yticks(place, names, fontsize="small")
+    panel.invert_yaxis()
+    panel.margins(x=0.15)
+    title, _, unit = sum_title(one).rpartition(" / ")
+    panel.set_xlabel(f"standard uncertainty / {unit}")
+    panel.set_title(f"{title}\n{one.where}" if one.index is not None else title, fontsize="small")
+
+
+def _shares(panel: Axes, budget: Budget, sums: Sequence[Sum]) -> None:
+    """Shares in the sum of squares, stacked."""
+    shares = np.array([[part.share for part in one.shares] for one in sums])
+    order = np.argsort(-shares.max(axis=0), kind="stable")
+    place, begin = np.arange(len(sums)), np.zeros(len(sums))
+    largest = [k for k in order[:_MOST_COLORS] if shares[:, k].max() >= _LEAST_SHARE]
+    for number, k in enumerate(largest):
+        panel.barh(place, 100 * shares[:, k], _HEIGHT, begin, color=COLORS[number], label=budget.lines[k].name)
+        begin += 100 * shares[:, k]
+    rest = np.maximum(100.0 * shares.sum(axis=1) - begin, 0.0)
+    if len(order) > len(largest):
+        panel.barh(place, rest, _HEIGHT, begin, color="0.8", label="all others")
+    panel.set_yticks(place, [sum_title(one).rpartition(" / ")[0] for one in sums], fontsize="small")
+    panel.set_xlim(0, 100)
+    panel.set_xlabel("share of the sum of squares / %")
+    panel.set_ylim(max(len(sums), 4) - 0.4, -0.6)
+    panel.figure.legend(*panel.get_legend_handles_labels(), fontsize="small", loc="outside lower center", ncols=4)

@@ -1,0 +1,298 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What `mtcal budget` tells: the contributors, what each gives to a result, and the document for programs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+from machine_tool_calibration.budget.propagate import DRAWS, KNOWN, REPEATABILITY, Budget, Line, Sum
+from machine_tool_calibration.budget.published import POSITION_ERROR, figure_of
+from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS
+from machine_tool_calibration.reports.quantities import NOT_DETERMINED, micrometres, quantity, rounded
+from machine_tool_calibration.reports.tables import TextTable, show_table
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+__all__ = ["budget_document", "chosen_sums", "default_names", "show_budget", "sum_title"]
+
+_ENTERS = {
+    "reading": "reading",
+    "along": "along the beam",
+    "across": "across the beam",
+    "angle": "angle of the beam",
+    "length": "length",
+    "temperature": "expansion",
+    "air_temperature": "air's temperature",
+    "air_pressure": "air's pressure",
+    "air_humidity": "air's humidity",
+}
+_VARIES = {
+    "reading": "reading",
+    "place": "place",
+    "angle": "beam direction",
+    "run": "run",
+    "setup": "setup",
+    "session": "session",
+    "never": "none",
+}
+_LEAST_NAMED = 1.0  # %
+# Degrees of freedom above which k is 2 to three figures.
+_MANY = 1000
+# Share, and standard uncertainty of a reading, m, below which a number says no more than that it is small.
+_LEAST_SHARE, _LEAST_READING = 0.001, 1e-9
+
+
+def default_names(budget: Budget) -> list[str]:
+    """Quantities that are told if none is asked for: position error, error motions, squareness, ISO 230-2."""
+    usual = {POSITION_ERROR, *ERROR_MOTIONS, *SQUARENESS}
+    names = [q.name for q in budget.numbers.quantities if q.name in usual or figure_of(q.name)]
+    return sorted(names, key=lambda name: name != POSITION_ERROR)
+
+
+def chosen_sums(budget: Budget, names: Sequence[str]) -> list[Sum]:
+    """The largest uncertainty of each quantity, and the root mean square of the position error.
+
+    Raises:
+        ModelError: a name that is not published.
+    """
+    out = []
+    for name in names:
+        out.append(budget.largest(name))
+        if name == POSITION_ERROR:
+            out.append(budget.rms(name))
+    return [one for one in out if one is not None]
+
+
+def sum_title(one: Sum) -> str:
+    """Name of a column: the quantity, which of its numbers, and the unit."""
+    which = ", RMS" if one.index is None else ", largest" if one.quantity.count > 1 else ""
+    return f"{_quantity_name(one)}{which} / {_unit(one)[1]}"
+
+
+def _quantity_name(one: Sum) -> str:
+    return "position error" if one.quantity.name == POSITION_ERROR else one.quantity.name
+
+
+def _unit(one: Sum) -> tuple[float, str]:
+    """Factor from SI, and the unit shown."""
+    unit = one.quantity.unit
+    return (1e6, "µ" + unit) if unit in ("m", "rad") else (1.0, unit)
+
+
+def show_budget(screen: Console, budget: Budget, names: Sequence[str]) -> None:
+    """Print a budget.
+
+    Args:
+        screen: where to.
+        budget: what to print.
+        names: quantities that were asked for; empty for those that are told of every measurement.
+    """
+    show_table(screen, _contributors(budget))
+    sums = chosen_sums(budget, names or default_names(budget))
+    detailed = sums if names else [one for one in sums if one.quantity.name == POSITION_ERROR] or sums[:2]
+    if detailed:
+        show_table(screen, _contributions(budget, detailed))
+    # Those in detail come first.
+    if len(sums) > len(detailed):
+        show_table(screen, _overview(budget, sums[len(detailed) :]))
+    if budget.drawn is not None and sums:
+        show_table(screen, _check(budget, sums))
+    for text in _remarks(budget, sums):
+        screen.print()
+        screen.print(text)
+
+
+def _contributors(budget: Budget) -> TextTable:
+    rows = []
+    for line in budget.lines:
+        c = line.contributor
+        if c is None:
+            continue
+        freedom = "" if c.degrees_of_freedom is None else f"{c.degrees_of_freedom:g}"
+        rows.append(
+            (
+                f"{c.symbol} {c.name}".strip(),
+                c.type,
+                c.distribution,
+                quantity(c.u, c.unit) if c.unit != "1" or c.enters == "length" else rounded(c.u),
+                freedom,
+                _ENTERS[c.enters],
+                _VARIES[c.varies],
+                micrometres(line.reading) if line.reading >= _LEAST_READING else "< 0.001",
+            )
+        )
+    heads = ("contributor", "type", "distribution", "u", "ν", "enters by", "varies with", "in a reading / µm")
+    title = "contributors (u: standard uncertainty; in a reading: the largest that it gives one reading)"
+    return TextTable(title, heads, tuple(rows))
+
+
+def _contributions(budget: Budget, sums: Sequence[Sum]) -> TextTable:
+    rows = []
+    for k, line in enumerate(budget.lines):
+        if line.name == REPEATABILITY and not any(one.shares[k].u for one in sums):
+            continue
+        rows.append((_name(line), *(_part(one, k) for one in sums)))
+    rows += [
+        ("combined standard uncertainty u", *(_shown(one, one.u) for one in sums)),
+        ("effective degrees of freedom", *(_freedom(one.degrees_of_freedom) for one in sums)),
+        ("coverage factor k (95.45 %)", *(f"{one.k:.2f}" for one in sums)),
+        ("expanded uncertainty U = k u", *(_shown(one, one.expanded) for one in sums)),
+        ("U that the readings show (k = 2)", *(_shown(one, 2.0 * one.stated) for one in sums)),
+    ]
+    return TextTable(
+        "what they contribute: standard uncertainty, and its square's share of the sum of squares",
+        ("contributor", *(sum_title(one) for one in sums)),
+        tuple(rows),
+    )
+
+
+def _name(line: Line) -> str:
+    symbol = line.contributor.symbol if line.contributor else ""
+    return f"{symbol} {line.name}".strip()
+
+
+def _shown(one: Sum, value: float) -> str:
+    text = rounded(_unit(one)[0] * value) if math.isfinite(value) else NOT_DETERMINED
+    return f"{text:>6}"
+
+
+def _part(one: Sum, k: int) -> str:
+    part = one.shares[k]
+    if not part.u or part.share < _LEAST_SHARE / 100.0:
+        return f"{'0':>6}"
+    share = f"{100.0 * part.share:.1f}" if part.share >= _LEAST_SHARE else "< 0.1"
+    return f"{_shown(one, part.u)} {share:>6} %"
+
+
+def _freedom(value: float) -> str:
+    text = "∞" if math.isinf(value) else f"{value:.0f}" if value <= _MANY else f"> {_MANY}"
+    return f"{text:>6}"
+
+
+def _overview(budget: Budget, sums: Sequence[Sum]) -> TextTable:
+    rows = []
+    for one in sums:
+        order = sorted(range(len(budget.lines)), key=lambda k, one=one: -one.shares[k].share)[:2]  # type: ignore[misc]
+        shares = [(_name(budget.lines[k]), 100.0 * one.shares[k].share) for k in order]
+        most = ", ".join(f"{name} {share:.0f} %" for name, share in shares if share >= _LEAST_NAMED)
+        rows.append(
+            (
+                sum_title(one),
+                _shown(one, one.u).strip(),
+                f"{one.k:.2f}",
+                _shown(one, one.expanded).strip(),
+                _shown(one, 2.0 * one.stated).strip(),
+                most,
+            )
+        )
+    return TextTable(
+        "further quantities (U of the readings: what the identification states, k = 2)",
+        ("quantity", "u", "k", "U", "U of the readings", "most from"),
+        tuple(rows),
+    )
+
+
+def _check(budget: Budget, sums: Sequence[Sum]) -> TextTable:
+    assert budget.drawn is not None
+    rows = []
+    for one in sums:
+        if one.index is None:
+            continue
+        low, high = budget.drawn.interval(one.index)
+        factor = _unit(one)[0]
+        rows.append(
+            (
+                sum_title(one),
+                _shown(one, one.u).strip(),
+                _shown(one, float(budget.drawn.u[one.index])).strip(),
+                f"{rounded(factor * low)} to {rounded(factor * high)}",
+            )
+        )
+    return TextTable(
+        f"check by Monte Carlo, {len(budget.drawn.deviation)} draws (JCGM 101)",
+        ("quantity", "u linear", "u drawn", "deviations of 95 %"),
+        tuple(rows),
+    )
+
+
+def _remarks(budget: Budget, sums: Sequence[Sum]) -> Iterator[str]:
+    places = [f"{_quantity_name(one)} {one.where}" for one in sums if one.where and one.index is not None]
+    if places:
+        yield f"Largest: {'; '.join(places)}."
+    taken = [line.name for line in budget.lines if line.how == "draws"]
+    if taken:
+        yield (
+            f"By {DRAWS} random draws, so that their standard uncertainty is itself uncertain by "
+            f"{100 / math.sqrt(2 * DRAWS):.0f} %: {', '.join(taken)}."
+        )
+    if any(line.name == KNOWN for line in budget.lines):
+        yield (
+            f'"{KNOWN}": what session.yaml states with an uncertainty (a length, positions of stations) and what the '
+            "model expects of small unknowns (angular errors)."
+        )
+
+
+def budget_document(budget: Budget, names: Sequence[str] = ()) -> dict[str, Any]:
+    """The budget for programs, SI; what is not determined is None.
+
+    Args:
+        budget: of which.
+        names: quantities that were asked for; empty for all that are told of every measurement.
+
+    Raises:
+        ModelError: a name that is not published.
+    """
+    return {
+        "format": "mtcal-budget-result/1",
+        "contributors": [_line_document(line) for line in budget.lines],
+        "quantities": [_sum_document(budget, one) for one in chosen_sums(budget, names or default_names(budget))],
+        "draws": 0 if budget.drawn is None else len(budget.drawn.deviation),
+    }
+
+
+def _line_document(line: Line) -> dict[str, Any]:
+    c = line.contributor
+    said: dict[str, Any] = {}
+    if c is not None:
+        said = {
+            "symbol": c.symbol,
+            "type": c.type,
+            "distribution": c.distribution,
+            "standard_uncertainty": c.u,
+            "unit": c.unit,
+            "degrees_of_freedom": c.degrees_of_freedom,
+            "enters": c.enters,
+            "varies": c.varies,
+            "source": c.source,
+        }
+    reading = line.reading if math.isfinite(line.reading) else None
+    return {"name": line.name, **said, "in_one_reading": reading, "by": line.how}
+
+
+def _sum_document(budget: Budget, one: Sum) -> dict[str, Any]:
+    freedom = one.degrees_of_freedom
+    out: dict[str, Any] = {
+        "name": one.quantity.name,
+        "unit": one.quantity.unit,
+        "which": "rms" if one.index is None else "largest",
+        "where": one.where,
+        "value": None if one.index is None else float(budget.numbers.value[one.index]),
+        "contributions": [
+            {"name": line.name, "standard_uncertainty": part.u, "share": part.share}
+            for line, part in zip(budget.lines, one.shares, strict=True)
+        ],
+        "standard_uncertainty": one.u,
+        "effective_degrees_of_freedom": None if math.isinf(freedom) else freedom,
+        "coverage_factor": one.k,
+        "expanded_uncertainty": one.expanded,
+        "identification": {"standard_uncertainty": one.stated if math.isfinite(one.stated) else None},
+    }
+    if budget.drawn is not None and one.index is not None:
+        out["monte_carlo"] = {
+            "standard_uncertainty": float(budget.drawn.u[one.index]),
+            "interval": list(budget.drawn.interval(one.index)),
+        }
+    return out

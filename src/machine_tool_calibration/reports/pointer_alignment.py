@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a pointer's rotation centre and zero angle are, as tables, as lines to put into files, and as a document."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from machine_tool_calibration.methods.tracking.pointer_alignment import Centre, ZeroAngle
+from machine_tool_calibration.reports.quantities import micrometres, quantity
+from machine_tool_calibration.reports.tables import TextTable, show_table
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+__all__ = ["alignment_document", "alignment_lines", "show_alignment"]
+
+
+def show_alignment(screen: Console, centre: Centre | None, zero: ZeroAngle | None, setup: str) -> None:
+    """Print what was found, who contributes what to its uncertainty, and the lines to put into files."""
+    if centre is not None:
+        show_table(screen, _centre_table(centre))
+        offset = ", ".join(f"{name} {quantity(float(v), 'm')}" for name, v in zip("xy", centre.offset, strict=True))
+        screen.print()
+        screen.print(
+            f"The retroreflector stands beside the axis by {offset}. Radial error motion of two to six waves a turn: "
+            f"{quantity(centre.radial, 'm')} RMS; scatter of a reading: {quantity(centre.scatter, 'm')}."
+        )
+        if "positioning error of the machine" not in centre.contributions:
+            screen.print("The machine's positioning error at this place is not in it: say how large with --machine.")
+    if zero is not None:
+        screen.print()
+        screen.print(
+            f"Zero angle: the beam points {quantity(zero.offset, 'rad', zero.u)} (k = 2) farther from the normal of Y "
+            f"towards +Y than commanded; scatter of a reading: {quantity(zero.scatter, 'm')}."
+        )
+    screen.print()
+    for line in alignment_lines(centre, zero, setup):
+        screen.print(line, markup=False, soft_wrap=True)
+
+
+def _centre_table(centre: Centre) -> TextTable:
+    rows = [("rotation centre", *(f"{1e3 * v:.6f} mm" for v in centre.centre), "")]
+    rows += [(name, *(micrometres(float(v)) for v in u), "µm") for name, u in centre.contributions.items()]
+    rows.append(("combined standard uncertainty", *(micrometres(float(v)) for v in centre.u), "µm"))
+    rows.append(("expanded uncertainty (k = 2)", *(micrometres(2.0 * float(v)) for v in centre.u), "µm"))
+    return TextTable("Rotation centre of the pointer", ("", "x", "y", ""), tuple(rows))
+
+
+def alignment_lines(centre: Centre | None, zero: ZeroAngle | None, setup: str) -> Iterator[str]:
+    """YAML for the session's setup, and for the pointer of a simulated workshop.
+
+    Args:
+        centre: None where it was not looked for.
+        zero: likewise.
+        setup: id of the station.
+    """
+    if centre is not None:
+        x, y = (float(v) for v in centre.centre)
+        yield "# session.yaml, or session of a procedure; z is not determined: the height of the beam"
+        yield "setups:"
+        u = float(np.max(centre.u))
+        yield f"- {{id: {setup}, position: [{x:.8f}, {y:.8f}, 0.0], position_uncertainty: {u:.3e}}}"
+    if zero is not None:
+        yield f"# A real pointer: command every azimuth less by {1e6 * zero.offset:+.3f} µrad, or turn its zero."
+        yield "# A simulated one, site file:"
+        yield "pointer:"
+        yield f"  zero_offset: {zero.offset:.9f}"
+
+
+def alignment_document(centre: Centre | None, zero: ZeroAngle | None) -> dict[str, Any]:
+    """For programs: SI units, standard uncertainties; null where it was not looked for."""
+    return {
+        "format": "mtcal-pointer-alignment/1",
+        "centre": None
+        if centre is None
+        else {
+            "position": centre.centre.tolist(),
+            "position_u": centre.u.tolist(),
+            "covariance": centre.covariance.tolist(),
+            "eccentricity": centre.offset.tolist(),
+            "contributions": {name: u.tolist() for name, u in centre.contributions.items()},
+            "radial_error_motion": centre.radial,
+            "scatter": centre.scatter,
+        },
+        "zero_angle": None if zero is None else {"value": zero.offset, "u": zero.u, "scatter": zero.scatter},
+    }

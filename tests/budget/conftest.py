@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs along X of which every published number is known in closed form."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.budget.contributor import Contributor
+from machine_tool_calibration.methods.fitted import FittedSessions, fit_sessions
+from machine_tool_calibration.session.parse import describe
+from machine_tool_calibration.session.session import Readings, Session
+
+NODES = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
+
+
+def _runs(deviation: Any = 0.0, *, runs: int = 4, datum: str = "none", **said: Any) -> Session:
+    """Deviations along X at five positions, run after run; EXX is their mean at each position."""
+    description = describe(
+        {
+            "format": "mtcal-session/1",
+            "method": "direct",
+            "machine": {"chain": "w-X-b-Z-t"},
+            "repeats": runs,
+            "standard_uncertainty": {"displacement": 1e-6},
+            "datum": datum,
+            "terms": ["EXX"],
+            "setups": [{"id": "X"}],
+            **said,
+        },
+        "runs",
+    )
+    n = runs * len(NODES)
+    columns = {"x": np.tile(NODES, runs), "gx": np.ones(n), "gy": np.zeros(n), "gz": np.zeros(n)}
+    columns |= {"time": np.arange(n) * 5.0, "y": np.zeros(n), "z": np.zeros(n)}
+    readings = Readings(
+        setup=np.zeros(n, dtype=np.int64),
+        repeat=np.repeat(np.arange(runs), len(NODES)),
+        displacement=np.broadcast_to(np.asarray(deviation, dtype=float), (n,)).copy(),
+        columns=columns,
+        labels={},
+        row=np.arange(n),
+    )
+    return Session(description, readings)
+
+
+@pytest.fixture(scope="session")
+def runs() -> Callable[..., Session]:
+    """A session of runs along X; keys of its description may be said."""
+    return _runs
+
+
+@pytest.fixture(scope="session")
+def fitted() -> FittedSessions:
+    """Four runs without any deviation, fitted."""
+    return fit_sessions([_runs()])
+
+
+@pytest.fixture(scope="session")
+def contributor() -> Callable[..., Contributor]:
+    """One line of a budget of 2 µm (or the unit's 2e-6); keys may be said."""
+
+    def make(enters: str, varies: str, u: float = 2e-6, **said: Any) -> Contributor:
+        size = {} if {"half_width", "expanded"} & set(said) else {"standard_uncertainty": u}
+        return Contributor(name=f"{enters} by {varies}", type="B", enters=enters, varies=varies, **size, **said)
+
+    return make

@@ -1,0 +1,232 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Conformity against probabilities worked out by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from machine_tool_calibration.budget.conformity import Conformity, Verdict, conformity, decide
+from machine_tool_calibration.budget.contributor import Contributor
+from machine_tool_calibration.budget.propagate import propagate
+from machine_tool_calibration.budget.tolerances import parse_tolerances, read_tolerances
+from machine_tool_calibration.errors import CalibrationError, ModelError
+from machine_tool_calibration.methods.fitted import FittedSessions, fit_sessions
+from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.simulation import DiagonalPlan, SimulationSpec, TrackingPlan, simulate
+
+# Declared 1 µm, four runs: the mean at each position is known to 0.5 µm.
+U = 0.5e-6
+
+
+def one(found: Conformity) -> Verdict:
+    """The only verdict."""
+    assert len(found.verdicts) == 1
+    return found.verdicts[0]
+
+
+def of_exx(fitted: FittedSessions, tolerance: float, **said: Any) -> Verdict:
+    """Of the range of EXX."""
+    return one(conformity(fitted, {"EXX": tolerance}, **said))
+
+
+def test_range_of_independent_values(reproducible: None, runs: Callable[..., Session]) -> None:
+    """Two ends 10 µm apart and what is between them out of the way: their difference is normal with 0.5 sqrt(2) µm."""
+    fitted = fit_sessions([runs(np.tile([0.0, 5e-6, 5e-6, 5e-6, 10e-6], 4))])
+    for tolerance in (9.5e-6, 10e-6, 10.5e-6, 11.5e-6):
+        found = of_exx(fitted, tolerance)
+        expected = stats.norm.cdf((tolerance - 10e-6) / (U * np.sqrt(2.0)))
+        # 150 samples carry the correlation, which is uncertain by a twelfth: of the difference's uncertainty 4 %.
+        assert found.probability == pytest.approx(expected, abs=0.03)
+        assert found.value == pytest.approx(10e-6)
+        assert found.u == pytest.approx(U * np.sqrt(2.0), rel=0.15)
+
+
+def test_range_of_equal_values_is_not_normal(reproducible: None, runs: Callable[..., Session]) -> None:
+    """Five equal values: the true range is as likely within 2.326 u, the mean range of five, as that of chance is."""
+    fitted = fit_sessions([runs()])
+    found = of_exx(fitted, 2.326 * U)
+    drawn = np.ptp(np.random.default_rng(3).normal(size=(20_000, 5)), axis=1)
+    assert found.value == pytest.approx(0.0, abs=1e-12)
+    assert found.probability == pytest.approx(np.mean(drawn <= 2.326), abs=0.05)
+    assert found.decision == "undecided"
+
+
+def test_squareness_by_the_normal_distribution() -> None:
+    """On either side of zero."""
+    fitted = fit_sessions([simulate(SimulationSpec(plan=DiagonalPlan(blocks=3), seed=1)).session])
+    content = fitted.error_map.content["squareness"]
+    value, u = content["C0Y"], content["C0Y_u"]
+    for tolerance in (abs(value), abs(value) + u, abs(value) + 3 * u):
+        found = one(conformity(fitted, {"C0Y": tolerance}))
+        expected = stats.norm.cdf(tolerance, value, u) - stats.norm.cdf(-tolerance, value, u)
+        assert (found.value, found.u) == pytest.approx((value, u))
+        assert found.probability == pytest.approx(expected)
+    assert found.decision == "pass"
+    assert one(conformity(fitted, {"C0Y": abs(value) / 10})).decision == "fail"
+
+
+def test_straightness_is_about_its_line(reproducible: None, runs: Callable[..., Session]) -> None:
+    """A slope is no straightness error; a deviation of 6 µm in the middle of five is."""
+    x = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
+    session = runs(np.tile(20e-6 * x + np.array([0, 0, 6e-6, 0, 0]), 4), terms=["EYX"])
+    columns = {**session.readings.columns, "gx": np.zeros(20), "gy": np.ones(20)}
+    readings = session.readings
+    across = type(readings)(
+        readings.setup, readings.repeat, readings.displacement, columns, readings.labels, readings.row
+    )
+    found = one(conformity(fit_sessions([session.with_readings(across)]), {"EYX": 10e-6}))
+    assert found.value == pytest.approx(6e-6)
+    assert found.decision == "pass"
+
+
+def test_volumetric_error(reproducible: None) -> None:
+    """The largest of many lengths, drawn with their joint uncertainty: above the measured one rather than below."""
+    fitted = fit_sessions([simulate(SimulationSpec(plan=TrackingPlan(dimension=2), seed=3)).session])
+    length = np.linalg.norm(fitted.error_map.error[:, :2], axis=1)
+    found = one(conformity(fitted, {"volumetric": float(length.max())}))
+    assert found.value == pytest.approx(length.max())
+    assert found.probability < 0.5
+    assert found.decision in ("undecided", "fail")
+    assert one(conformity(fitted, {"volumetric": 2 * float(length.max())})).decision == "pass"
+
+
+def test_budget_takes_the_place_of_the_identification(
+    runs: Callable[..., Session], contributor: Callable[..., Contributor]
+) -> None:
+    """A length error of 2 µm/m makes a range over 0.4 m uncertain by 0.8 µm and nothing else."""
+    fitted = fit_sessions([runs(np.tile(20e-6 * np.array([0.0, 0.1, 0.2, 0.3, 0.4]), 4))])
+    budget = propagate(fitted, [contributor("length", "never")])
+    found = conformity(fitted, {"EXX": 8.8e-6}, budget=budget)
+    assert found.uncertainty == "budget"
+    assert one(found).probability == pytest.approx(stats.norm.cdf(1.0), abs=0.02)
+    assert one(found).u == pytest.approx(0.8e-6, rel=0.05)
+
+
+def test_few_degrees_of_freedom(runs: Callable[..., Session], contributor: Callable[..., Contributor]) -> None:
+    """Student's t in place of the normal distribution, for what is drawn as well."""
+    fitted = fit_sessions([runs(np.tile(20e-6 * np.array([0.0, 0.1, 0.2, 0.3, 0.4]), 4))])
+    budget = propagate(fitted, [contributor("length", "never", degrees_of_freedom=2.0)])
+    found = conformity(fitted, {"EXX": 9.6e-6, "A_X": 1e-6}, budget=budget)
+    assert found.verdicts[0].probability == pytest.approx(stats.t.cdf(2.0, 2.0), abs=0.02)
+    assert stats.norm.cdf(2.0) - stats.t.cdf(2.0, 2.0) > 0.05
+
+
+def test_not_determined_never_passes(fitted: FittedSessions) -> None:
+    found = conformity(fitted, {"EXX": 1.0, "C0Y": 1.0, "EAX": 1.0, "A": 1.0}, rule="simple")
+    assert [verdict.decision for verdict in found.verdicts][1:3] == ["not determined", "not determined"]
+    assert found.verdicts[0].decision == "pass"
+    assert found.decision == "not determined"
+    assert all(verdict.why and np.isnan(verdict.probability) for verdict in found.verdicts[1:3])
+
+
+def test_a_lost_target_leaves_the_volumetric_error_open() -> None:
+    session = simulate(SimulationSpec(plan=TrackingPlan(dimension=2), seed=3)).session
+    readings = session.readings
+    first = (readings.columns["x"] == readings.columns["x"][0]) & (readings.columns["y"] == readings.columns["y"][0])
+    lost = session.with_readings(readings.select(~first | (readings.setup == 0)))
+    found = one(conformity(fit_sessions([lost]), {"volumetric": 1.0}))
+    assert found.decision == "not determined"
+    assert "target" in found.why
+
+
+def test_figures_of_iso_230_2(runs: Callable[..., Session]) -> None:
+    there = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
+    session = runs()
+    readings = session.readings
+    sense = np.where(np.arange(20) // 5 % 2 == 0, 1.0, -1.0)
+    columns = {**readings.columns, "x": np.tile(np.concatenate([there, there[::-1]]), 2), "dir_x": sense}
+    deviation = 20e-6 * columns["x"] + 1e-7 * np.random.default_rng(1).standard_normal(20)
+    moved = type(readings)(readings.setup, readings.repeat // 2, deviation, columns, readings.labels, readings.row)
+    fitted = fit_sessions([session.with_readings(moved)])
+    run = fitted.error_map.content["iso230_2"][0]
+    m, u = run["M"], run["M_U"] / 2.0
+    found = conformity(fitted, {"M": m + u, "M_X": m - u, "B_mean_X": 1e-6, "A_Y": 1e-6})
+    assert [verdict.name for verdict in found.verdicts] == ["M_X", "M_X", "B_mean_X", "A_Y"]
+    assert [v.probability for v in found.verdicts[:2]] == pytest.approx([stats.norm.cdf(1.0), stats.norm.cdf(-1.0)])
+    assert [v.decision for v in found.verdicts] == ["undecided", "undecided", "pass", "not determined"]
+
+
+@pytest.mark.parametrize(
+    ("rule", "decisions"),
+    [
+        # value within and above the tolerance, each with probabilities of 0.99, 0.7, 0.3 and 0.01
+        ("guarded", ["pass", "undecided", "undecided", "fail"]),
+        ("guarded-acceptance", ["pass", "fail", "fail", "fail"]),
+        ("guarded-rejection", ["pass", "pass", "pass", "fail"]),
+        ("simple", ["pass", "pass", "fail", "fail"]),
+    ],
+)
+def test_decision_rules(rule: str, decisions: list[str]) -> None:
+    cases = [(0.5, 0.99), (0.9, 0.7), (1.1, 0.3), (1.5, 0.01)]
+    assert [decide(value, 1.0, probability, rule, 0.95) for value, probability in cases] == decisions
+
+
+def test_tolerances_as_people_state_them(tmp_path: Path) -> None:
+    assert parse_tolerances(["EXX=10um", "C0Y = 20 urad", "ECX=2arcsec", "A_X=0.01mm"]) == pytest.approx(
+        {"EXX": 10e-6, "C0Y": 20e-6, "ECX": 2 * np.pi / 648e3, "A_X": 10e-6}
+    )
+    path = tmp_path / "t.yaml"
+    path.write_text("format: mtcal-tolerances/1\ntolerances: {EXX: 10 um, C0Y: 2.0e-5, volumetric: 30um}\n")
+    assert read_tolerances(path) == pytest.approx({"EXX": 10e-6, "C0Y": 20e-6, "volumetric": 30e-6})
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("EXX", "'EXX' is not of the form NAME=VALUE with a unit"),
+        ("=3um", "is not of the form NAME=VALUE"),
+        ("EXX=10", "tolerance of EXX: '10' has no unit"),
+        ("EXX=ten", "tolerance of EXX: 'ten' is not a number with a unit"),
+        ("EXX=10urad", "tolerance of EXX: '10urad' is not of the dimension length"),
+        ("C0Y=10um", "tolerance of C0Y: '10um' is not of the dimension angle"),
+        ("EXX=10parsec", "unknown unit 'parsec'"),
+    ],
+)
+def test_mistakes_on_the_command_line(text: str, message: str) -> None:
+    with pytest.raises(CalibrationError, match=message):
+        parse_tolerances([text])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "the file is empty"),
+        ("format: mtcal-tolerances/1\n", "the key 'tolerances' is missing"),
+        ("format: mtcal-tolerances/1\ntolerances: {}\n", "line 2: tolerances has 0 entries"),
+        ("format: mtcal-tolerances/1\ntolerances: {EXX: [1]}\n", "line 2: tolerances.EXX"),
+        ("format: mtcal-tolerances/1\ntolerances: {EXX: 3}\nrule: x\n", "line 3: unknown key 'rule'"),
+        ("format: mtcal-tolerances/1\ntolerances: {C0Y: 3 um}\n", "C0Y: '3 um' is not of the dimension angle"),
+    ],
+)
+def test_mistakes_in_a_file(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "t.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(CalibrationError, match=message) as caught:
+        read_tolerances(path)
+    assert "\n" not in str(caught.value)
+    assert str(path) in str(caught.value)
+
+
+def test_two_tolerances_of_one_name() -> None:
+    with pytest.raises(ModelError, match="EXX has two tolerances"):
+        parse_tolerances(["EXX=1um", "EXX=2um"])
+
+
+@pytest.mark.parametrize(
+    ("tolerances", "said", "message"),
+    [
+        ({"volum": 1.0}, {}, r"'volum' is no figure with a tolerance \(did you mean 'volumetric'\?\)"),
+        ({"EXX": 0.0}, {}, "the tolerance of EXX must be positive, not 0"),
+        ({"EXX": 1.0}, {"rule": "strict"}, "no decision rule 'strict'"),
+        ({"EXX": 1.0}, {"level": 0.4}, "conformance probability must be between 0.5 and 1, not 0.4"),
+    ],
+)
+def test_wrong_requests(fitted: FittedSessions, tolerances: dict[str, float], said: Any, message: str) -> None:
+    with pytest.raises(ModelError, match=message):
+        conformity(fitted, tolerances, **said)

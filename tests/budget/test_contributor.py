@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Contributors, and files of them: every mistake is one line that says what and where."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.budget.contributor import Contributor, default_budget, read_budget, template
+from machine_tool_calibration.errors import CalibrationError, ModelError
+
+GOOD = {"name": "a", "type": "B", "enters": "reading", "varies": "run"}
+
+
+@pytest.mark.parametrize(
+    ("said", "u"),
+    [
+        ({"standard_uncertainty": 2e-6}, 2e-6),
+        ({"expanded": 6e-6, "coverage_factor": 3}, 2e-6),
+        ({"half_width": 3e-6, "distribution": "rectangular"}, 3e-6 / np.sqrt(3.0)),
+        ({"half_width": 3e-6, "distribution": "triangular"}, 3e-6 / np.sqrt(6.0)),
+        ({"half_width": 3e-6, "distribution": "arcsine"}, 3e-6 / np.sqrt(2.0)),
+    ],
+)
+def test_size_and_moments_of_the_draws(said: dict[str, Any], u: float) -> None:
+    """Second and fourth moment within four standard deviations of their chance, ends where they are said."""
+    one = Contributor(**GOOD, **said)
+    assert one.u == pytest.approx(u)
+    values = one.draw(np.random.default_rng(2), 40_000) / u
+    assert np.mean(values) == pytest.approx(0.0, abs=4.0 / 200.0)
+    assert np.mean(values**2) == pytest.approx(1.0, abs=4.0 * np.sqrt((one.fourth - 1.0) / 40_000))
+    assert np.mean(values**4) == pytest.approx(one.fourth, rel=0.1)
+    if one.half_width is not None:
+        assert np.abs(values).max() * u <= 3e-6 * (1.0 + 1e-12)
+
+
+def test_few_degrees_of_freedom_have_longer_tails() -> None:
+    one = Contributor(**{**GOOD, "type": "A"}, standard_uncertainty=1.0, degrees_of_freedom=5)
+    values = one.draw(np.random.default_rng(2), 40_000)
+    # Variance of Student's t: 5 / 3.
+    assert np.var(values) == pytest.approx(5.0 / 3.0, rel=0.1)
+
+
+HEAD = "format: mtcal-budget/1\ncontributors:\n"
+LINE = "- {name: a, type: B, enters: reading, varies: run, standard_uncertainty: 1.0e-6"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "the file is empty"),
+        ("- 1", "must be a mapping of keys, not a list"),
+        ("contributors: []", "the key 'format' is missing"),
+        ("format: mtcal-session/1\n", "line 1: format is 'mtcal-session/1', not mtcal-budget/1"),
+        ("format: mtcal-budget/1\n", "the key 'contributors' is missing"),
+        ("format: mtcal-budget/1\ncontributors: []\n", "line 2: contributors has 0 entries, not at least 1"),
+        (HEAD + "- {name: a\n", "line 4: not valid YAML"),
+        (HEAD + LINE + ", size: 3}\n", r"line 3: unknown key 'contributors\[0\].size'"),
+        (HEAD + LINE + ", sorce: x}\n", r"line 3: unknown key .*\(did you mean 'source'\?\)"),
+        (HEAD + LINE.replace("type: B, ", "") + "}\n", r"line 3: the key 'contributors\[0\].type' is missing"),
+        (HEAD + LINE.replace("type: B", "type: C") + "}\n", r"contributors\[0\].type is 'C', not 'A' or 'B'"),
+        (
+            HEAD + LINE.replace("enters: reading", "enters: by") + "}\n",
+            r"contributors\[0\].enters is 'by', not 'reading'",
+        ),
+        (
+            HEAD + LINE.replace("varies: run", "varies: day") + "}\n",
+            r"contributors\[0\].varies is 'day', not 'reading'",
+        ),
+        (HEAD + LINE.replace("1.0e-6", "-1.0e-6") + "}\n", "standard_uncertainty must be greater than 0, not -1e-06"),
+        (HEAD + LINE.replace("1.0e-6", "few") + "}\n", "standard_uncertainty must be a finite number, not 'few'"),
+        (HEAD + LINE.replace("1.0e-6", "1 um") + "}\n", "standard_uncertainty must be a finite number, not '1 um'"),
+        (
+            HEAD + LINE.split(", standard")[0] + "}\n",
+            "one of standard_uncertainty, expanded and half_width .* not none",
+        ),
+        (HEAD + LINE + ", half_width: 1}\n", "must be given, not standard_uncertainty and half_width"),
+        (HEAD + LINE + ", coverage_factor: 2}\n", "expanded and coverage_factor belong together"),
+        (
+            HEAD + LINE.replace("standard_uncertainty", "expanded") + "}\n",
+            "expanded and coverage_factor belong together",
+        ),
+        (HEAD + LINE.replace("standard_uncertainty", "half_width") + "}\n", "a normal distribution has no ends"),
+        (HEAD + LINE + ", distribution: round}\n", r"contributors\[0\].distribution is 'round', not 'normal'"),
+        (HEAD + LINE + ", degrees_of_freedom: 0}\n", "degrees_of_freedom must be at least 1, not 0"),
+        (HEAD + LINE + ", expansion: 1.0e-5}\n", "expansion .* belongs to what enters by temperature"),
+        (
+            HEAD + LINE.replace("enters: reading", "enters: temperature") + "}\n",
+            "belongs to what enters by temperature",
+        ),
+        (HEAD + LINE + "}\n" + LINE + "}\n", "contributors has the name 'a' twice"),
+        (HEAD + LINE + ", instrument: ruler}\n", r"contributors\[0\].instrument"),
+    ],
+)
+def test_every_mistake_is_one_line(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "budget.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(CalibrationError, match=message) as caught:
+        read_budget(path)
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)
+
+
+def test_files_that_are_not_there(tmp_path: Path) -> None:
+    with pytest.raises(CalibrationError, match="no such file"):
+        read_budget(tmp_path / "none.yaml")
+
+
+def test_a_template_is_read_as_it_is_printed(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text(template("touch_probe"), encoding="utf-8")
+    assert read_budget(path) == default_budget(["touch_probe"])
+
+
+def test_instruments_without_a_budget() -> None:
+    with pytest.raises(
+        ModelError, match=r"no budget for the instrument 'laser_traker' \(did you mean 'laser_tracker'\?\)"
+    ):
+        template("laser_traker")
+    with pytest.raises(ModelError, match="does not name its instrument: say which budget"):
+        default_budget([None])
+
+
+def test_budgets_of_two_instruments_stay_apart() -> None:
+    both = default_budget(["laser_tracker", "touch_probe", "laser_tracker"])
+    assert {c.instrument for c in both} == {"laser_tracker", "touch_probe"}
+    assert len({c.name for c in both}) == len(both) == len(default_budget(["laser_tracker"])) + 3

@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`mtcal budget` and `mtcal conformity`: tables, JSON, picture, and one line for what is wrong."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from machine_tool_calibration.cli.main import run
+from machine_tool_calibration.session.folder import write_session
+from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
+
+DATA = Path(__file__).parents[1] / "data"
+TRACKING = str(DATA / "tracking_2d")
+MINE = """format: mtcal-budget/1
+contributors:
+- {name: touch, type: B, half_width: 2.0e-6, distribution: rectangular, enters: reading, varies: reading}
+- name: scale
+  symbol: u_2
+  type: A
+  standard_uncertainty: 5.0e-6
+  degrees_of_freedom: 4
+  enters: length
+  varies: never
+"""
+
+
+@pytest.fixture(scope="module")
+def line(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A run along X after ISO 230-2."""
+    folder = tmp_path_factory.mktemp("budget") / "line"
+    write_session(simulate(SimulationSpec(plan=PRESETS["iso230_2"], seed=5)).session, folder)
+    return str(folder)
+
+
+@pytest.fixture
+def mine(tmp_path: Path) -> str:
+    """A budget of two lines."""
+    path = tmp_path / "mine.yaml"
+    path.write_text(MINE, encoding="utf-8")
+    return str(path)
+
+
+def test_a_template_can_be_used(tmp_path: Path, line: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["budget", "--template", "laser_interferometer"]) == 0
+    text = capsys.readouterr().out
+    path = tmp_path / "template.yaml"
+    path.write_text(text, encoding="utf-8")
+    assert run(["budget", line, "--budget", str(path), "--json"]) == 0
+    own = json.loads(capsys.readouterr().out)
+    assert run(["budget", line, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == own
+
+
+def test_the_document_adds_up(line: str, mine: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["budget", line, "--budget", mine, "--quantity", "EXX", "--draws", "100", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["format"] == "mtcal-budget-result/1"
+    assert [c["name"] for c in document["contributors"]] == ["touch", "scale", "repeatability of the runs"]
+    (exx,) = document["quantities"]
+    squares = sum(part["standard_uncertainty"] ** 2 for part in exx["contributions"])
+    assert exx["standard_uncertainty"] ** 2 == pytest.approx(squares)
+    assert sum(part["share"] for part in exx["contributions"]) == pytest.approx(1.0)
+    assert exx["expanded_uncertainty"] == pytest.approx(exx["coverage_factor"] * exx["standard_uncertainty"])
+    # 5 µm/m over 0.4 m, and a mean of ten touches of 2 / sqrt(3) µm.
+    assert exx["standard_uncertainty"] == pytest.approx(((2.0e-6) ** 2 + (2.0e-6) ** 2 / 3 / 10) ** 0.5)
+    assert 4.0 < exx["effective_degrees_of_freedom"] < 5.0
+    low, high = exx["monte_carlo"]["interval"]
+    assert low < 0.0 < high
+    assert document["draws"] == 100
+
+
+@pytest.mark.parametrize("width", [60, 100])
+def test_tables_fit_the_screen(
+    width: int, line: str, mine: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(width))
+    assert run(["budget", line, "--budget", mine]) == 0
+    out = capsys.readouterr().out
+    assert max(len(row) for row in out.splitlines()) <= width
+    for text in ("u_2 scale", "combined standard", "effective degrees of", "A_X", "repeatability", "rectangular"):
+        assert text in out
+    assert "nan" not in out
+
+
+def test_the_picture_is_written(line: str, mine: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["budget", line, "--budget", mine, "--plot", str(tmp_path / "who.png")]) == 0
+    assert (tmp_path / "who.png").read_bytes().startswith(b"\x89PNG")
+    assert run(["budget", line, "--budget", mine, "--plot", str(tmp_path / "new")]) == 0
+    assert (tmp_path / "new" / "budget.png").stat().st_size > 10_000
+    assert str(tmp_path / "who.png") in capsys.readouterr().err.replace("\n", "")
+
+
+def test_the_instrument_says_which_budget(capsys: pytest.CaptureFixture[str]) -> None:
+    """With the paper's own symbols, and a note where random draws took the place of steps."""
+    assert run(["budget", TRACKING]) == 0
+    out = capsys.readouterr().out
+    assert "u_21 radial error motion along the beam" in out
+    assert "what they contribute" in out
+
+
+def test_conformity_in_words_and_for_programs(line: str, mine: str, capsys: pytest.CaptureFixture[str]) -> None:
+    asked = ["conformity", line, "--tolerance", "EXX=20um", "--tolerance", "C0Y=20urad", "--tolerance", "A_X=1um"]
+    assert run(asked) == 0
+    out = capsys.readouterr().out
+    assert "All together: fail." in out
+    assert "not determined" in out
+    assert run([*asked, "--json", "--rule", "shared-risk", "--budget", mine]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert (document["rule"], document["uncertainty"]) == ("simple", "budget")
+    assert [f["decision"] for f in document["figures"]] == ["pass", "not determined", "fail"]
+    assert document["figures"][1]["probability"] is None
+
+
+def test_a_file_and_the_command_line_together(line: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "t.yaml"
+    path.write_text("format: mtcal-tolerances/1\ntolerances: {EXX: 20 um, M: 20 um}\n", encoding="utf-8")
+    assert run(["conformity", line, "--tolerances", str(path), "--tolerance", "EXX=1um", "--json"]) == 0
+    figures = {f["name"]: f for f in json.loads(capsys.readouterr().out)["figures"]}
+    assert figures["EXX"]["tolerance"] == pytest.approx(1e-6)
+    assert (figures["EXX"]["decision"], figures["M_X"]["decision"]) == ("fail", "pass")
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "message"),
+    [
+        (["budget"], 2, "Missing argument 'SESSION'"),
+        (["budget", TRACKING, "--template", "touch_probe"], 2, "--template is without SESSION"),
+        (["budget", "--template", "ruler"], 1, "no budget for the instrument 'ruler'"),
+        (["budget", TRACKING, "--quantity", "EXX"], 1, "'EXX' is not published of this measurement"),
+        (["budget", TRACKING, "--budget", "none.yaml"], 1, "none.yaml: no such file"),
+        (["budget", TRACKING, "--draws", "5"], 2, "5 is not in the range x>=100"),
+        (["conformity", TRACKING], 2, "Missing --tolerance"),
+        (["conformity", TRACKING, "--tolerance", "EXX=10"], 1, "tolerance of EXX: '10' has no unit"),
+        (["conformity", TRACKING, "--tolerance", "large=1um"], 1, "'large' is no figure with a tolerance"),
+        (["conformity", TRACKING, "--tolerance", "EXX=1um", "--rule", "strict"], 2, "'strict' is not one of"),
+    ],
+)
+def test_what_is_wrong_is_said(words: list[str], status: int, message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(words) == status
+    err = capsys.readouterr().err
+    assert message in err
+    assert "Traceback" not in err

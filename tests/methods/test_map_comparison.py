@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Two maps in a common datum, and their differences over the expanded uncertainty of these."""
+
+from __future__ import annotations
+
+import json
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy import special
+
+from machine_tool_calibration.cli.compare_maps import command
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.interface.map_comparison import MapComparison
+from machine_tool_calibration.methods import map_comparison
+from machine_tool_calibration.methods.fitted import FittedSessions
+from machine_tool_calibration.methods.identify import fitted_sessions, identify
+from machine_tool_calibration.methods.map_comparison import compare_fits, compare_maps
+from machine_tool_calibration.session.folder import write_session
+from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
+from machine_tool_calibration.simulation.direct_run import DirectPlan
+from machine_tool_calibration.simulation.tracking_run import TrackingPlan
+
+NAN = np.nan
+LINE = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]])
+SQUARE = np.array([[0.0, 0.0, 0.0], [0.2, 0.0, 0.0], [0.2, 0.2, 0.0], [0.0, 0.2, 0.0]])
+
+
+def alone(u: float, shape: tuple[int, ...], other: bool) -> np.ndarray:
+    """Root of the covariance of values that are independent, half the rows of two maps' together."""
+    size = int(np.prod(shape))
+    own = np.zeros((2 * size, size))
+    own[size * other : size * (other + 1)] = u * np.eye(size)
+    return own.reshape(-1, *shape)
+
+
+def test_a_shift_is_taken_out_of_a_line_with_its_uncertainty() -> None:
+    first = np.array([[3e-6, NAN, NAN], [1e-6, NAN, NAN]])
+    found = compare_maps(LINE, first, np.zeros((2, 3)), (alone(3e-6, (2, 3), False), alone(4e-6, (2, 3), True)))
+    # 3 and 1 µm have the mean 2; each difference has u = sqrt(3^2 + 4^2) = 5 µm, without the mean 5 / sqrt(2).
+    assert found.difference[:, 0] == pytest.approx([1e-6, -1e-6])
+    assert found.u[:, 0] == pytest.approx([5e-6 / np.sqrt(2)] * 2)
+    assert found.normalised[:, 0] == pytest.approx([np.sqrt(2) / 10, -np.sqrt(2) / 10])
+    assert np.isnan(found.difference[:, 1:]).all()
+    assert (found.count, found.beyond) == (2, 0)
+    shift = found.motion[0]
+    assert (shift.value, shift.u) == pytest.approx((2e-6, 5e-6 / np.sqrt(2)))
+    assert np.isnan([motion.value for motion in found.motion[1:]]).all()
+    # One degree of freedom: (sqrt(2) / 5)^2.
+    assert found.p_value == pytest.approx(special.chdtrc(1, 2 / 25))
+
+
+def test_shift_and_turn_of_a_plane_are_no_difference() -> None:
+    turn = 1e-5
+    second = np.column_stack([1e-6 * np.sin(9 * np.arange(4)), 1e-6 * np.cos(7 * np.arange(4)), np.full(4, NAN)])
+    moved = second + np.cross([0.0, 0.0, turn], SQUARE - SQUARE.mean(axis=0)) + [2e-6, -3e-6, 0.0]
+    roots = (alone(1e-6, (4, 3), False), alone(1e-6, (4, 3), True))
+    found = compare_maps(SQUARE, moved, second, roots)
+    assert np.abs(found.difference[:, :2]).max() < 1e-15
+    told = {motion.name: motion.value for motion in found.motion}
+    assert (told["shift x"], told["shift y"], told["turn about z"]) == pytest.approx((2e-6, -3e-6, turn))
+    # The corners are 0.1 sqrt(2) m from the middle, and 4 of them tell the turn: u = sqrt(2) µm / (2 x 0.1414 m).
+    assert {m.name: m.u for m in found.motion}["turn about z"] == pytest.approx(np.sqrt(2) * 1e-6 / (0.2 * np.sqrt(2)))
+
+
+def test_what_differs_in_shape_is_found_and_named() -> None:
+    first = np.zeros((4, 3))
+    first[2, 0] = 2e-5
+    found = compare_maps(SQUARE, first, np.zeros((4, 3)), (alone(1e-6, (4, 3), False), alone(1e-6, (4, 3), True)))
+    assert not found.agree
+    assert int(np.nanargmax(np.abs(found.normalised[:, 0]))) == 2
+
+
+def test_a_single_point_has_nothing_but_the_motion() -> None:
+    first = np.array([[5e-6, 1e-6, NAN]])
+    roots = (alone(1e-6, (1, 3), False), alone(1e-6, (1, 3), True))
+    found = compare_maps(np.zeros((1, 3)), first, np.zeros((1, 3)), roots)
+    assert found.normalised[0, :2] == pytest.approx([0.0, 0.0])
+    assert found.p_value is None
+
+
+def test_nothing_in_common_is_one_line() -> None:
+    first, second = np.full((2, 3), NAN), np.zeros((2, 3))
+    first[:, 1], second[:, 1] = 0.0, NAN
+    with pytest.raises(ModelError, match="no direction in common"):
+        compare_maps(LINE, first, second, (np.zeros((1, 2, 3)), np.zeros((1, 2, 3))))
+
+
+def twin() -> tuple[Session, Session, Session]:
+    """One machine by a tracking interferometer and by a grid encoder, and another machine by this."""
+    plan = PRESETS["paper_003"]
+    assert isinstance(plan, TrackingPlan) and plan.points
+    grid = DirectPlan(
+        kind="points",
+        points=tuple(point for point in plan.points for _ in range(2)),
+        directions=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)) * len(plan.points),
+        instrument="grid_encoder",
+        datum="rigid",
+        terms=("EXX", "EYX", "EXY", "EYY", "ECY", "C0Y"),
+        repeats=3,
+    )
+    tracked = simulate(SimulationSpec(plan=plan, seed=3))
+    spec = SimulationSpec(plan=grid, seed=4)
+    return tracked.session, simulate(spec, machine=tracked.truth.machine).session, simulate(spec).session
+
+
+def test_two_instruments_agree_on_one_machine_and_not_on_two() -> None:
+    tracked, same, other = (fitted_sessions(identify(session)) for session in twin())
+    draws = 80
+    found = compare_fits(tracked, same, draws=draws)
+    assert found.count == 40
+    assert found.agree and found.beyond <= 6
+    # Both maps are in the datum of all their points already: their uncertainties stay what they are.
+    stated = tracked.error_map.uncertainty[:, :2]
+    assert found.u_first[:, :2] == pytest.approx(stated, rel=5 / np.sqrt(2 * draws))
+    assert found.beyond == int((np.abs(MapComparison(found).table["normalised"]) > 1.0).sum())
+    assert MapComparison(found).headline == "first and second agree at 20 points"
+    contradicting = compare_fits(tracked, other, draws=draws)
+    assert not contradicting.agree and contradicting.p_value < 1e-6
+
+
+def line(seed: int, start: float) -> Session:
+    plan = DirectPlan(kind="iso230_2", start=start, end=start + 0.2, count=5, repeats=2)
+    return simulate(SimulationSpec(plan=plan, seed=seed)).session
+
+
+def fitted_line(start: float) -> FittedSessions:
+    return fitted_sessions(identify(line(1, start)))
+
+
+def test_maps_without_a_common_point_are_one_line() -> None:
+    with pytest.raises(ModelError, match="no point in common"):
+        compare_fits(fitted_line(0.0), fitted_line(0.03), draws=10)
+
+
+def test_the_verb_says_whether_two_measurements_agree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(map_comparison, "compare_fits", partial(compare_fits, draws=50))
+    for name, seed in (("one", 1), ("two", 2)):
+        write_session(line(seed, 0.0), tmp_path / name)
+    folders = [str(tmp_path / "one"), str(tmp_path / "two")]
+    answer = CliRunner().invoke(command, [*folders, "--json", "--plot", str(tmp_path / "both.png")])
+    assert answer.exit_code == 0, answer.output
+    document = json.loads(answer.stdout)
+    assert document["format"] == "mtcal-map-comparison/1"
+    assert document["maps"] == ["one", "two"]
+    assert document["agree"] is False, "two machines"
+    assert document["difference"][0][1] is None, "Y was not read"
+    assert (tmp_path / "both.png").stat().st_size > 0
+    shown = CliRunner().invoke(command, [*folders[:1], *folders[:1]]).output
+    assert "The maps agree within their joint uncertainty" in shown
+    assert "1 − 2 / µm" in shown
+    wrong = CliRunner().invoke(command, [*folders, "--model", "fre"])
+    assert isinstance(wrong.exception, ModelError)
+    assert "neither measurement has a model 'fre'" in str(wrong.exception)
