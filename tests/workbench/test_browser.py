@@ -4,6 +4,7 @@
 import http.client
 import os
 import re
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -46,7 +47,8 @@ def address(hidden: Path) -> Iterator[str]:
         try:
             yield run.stdout.readline().strip()
         finally:
-            run.terminate()
+            run.send_signal(signal.SIGINT)
+        assert run.wait(WAIT / 1000) == 0, "Ctrl-C ends it"
 
 
 @pytest.fixture

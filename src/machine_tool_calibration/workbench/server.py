@@ -3,50 +3,47 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import secrets
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import panel as pn
-from panel.io.server import Server, get_server
+from panel.io.server import get_server
 
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.workbench.look import CSS
 from machine_tool_calibration.workbench.page import window
 
-__all__ = ["Served", "serve", "served"]
+__all__ = ["serve"]
 
 _HERE = "127.0.0.1"
 # Panel keeps a page that was closed for a while; a window's work is not needed after a lost connection's time.
 _KEPT = 60_000  # ms
 
 
-class Served:
-    """A server that was made.
+def serve(
+    target: Path,
+    own: Sequence[PhysicalEffect] = (),
+    variant: str | None = None,
+    *,
+    port: int = 0,
+    ready: Callable[[str], None],
+) -> None:
+    """Serve until the process is interrupted.
 
-    Attributes:
-        address: with the token, for a browser.
-        server: what answers.
-    """
-
-    def __init__(self, server: Server, token: str) -> None:
-        self.server = server
-        self.address = f"http://{_HERE}:{server.port}/{token}/workbench"
-
-
-def served(target: Path, own: Sequence[PhysicalEffect] = (), variant: str | None = None, *, port: int = 0) -> Served:
-    """A server of the workbench on the running event loop; `server.start()` has it answer.
-
-    The token is the first part of every path that it answers, pages, scripts and websocket alike: whoever does not know
-    it is told that there is nothing. The scripts come from the installed packages.
+    The token is the first part of every path that is answered, pages, scripts and websocket alike: whoever does not
+    know it is told that there is nothing. The scripts come from the installed packages.
 
     Args:
         target: a session, a recording, or a folder of such.
         own: effects of the user's own.
         variant: of the method's model; its default if absent.
         port: to listen on; one that is free for 0.
+        ready: told the address, with the token, for a browser.
+
+    Raises:
+        OSError: the port is taken.
     """
     # A browser asks for files that are not there, an icon first; the terminal need not hear of it.
     logging.getLogger("tornado.access").setLevel(logging.ERROR)
@@ -65,37 +62,8 @@ def served(target: Path, own: Sequence[PhysicalEffect] = (), variant: str | None
     # Only pages of this very address may open the websocket; its port is not known before.
     server._tornado.websocket_origins.clear()
     server._tornado.websocket_origins.add(f"{_HERE}:{server.port}")
-    return Served(server, token)
-
-
-def serve(
-    target: Path,
-    own: Sequence[PhysicalEffect] = (),
-    variant: str | None = None,
-    *,
-    port: int = 0,
-    ready: Callable[[str], None],
-) -> None:
-    """Serve until the process is interrupted.
-
-    Args:
-        target: a session, a recording, or a folder of such.
-        own: effects of the user's own.
-        variant: of the method's model; its default if absent.
-        port: to listen on; one that is free for 0.
-        ready: told the address.
-
-    Raises:
-        OSError: the port is taken.
-    """
-
-    async def run() -> None:
-        made = served(target, own, variant, port=port)
-        made.server.start()
-        ready(made.address)
-        try:
-            await asyncio.Event().wait()
-        finally:
-            made.server.stop()
-
-    asyncio.run(run())
+    server.start()
+    ready(f"http://{_HERE}:{server.port}/{token}/workbench")
+    # Panel's own handler of Ctrl-C ends the loop.
+    server.io_loop.start()
+    server.stop()
