@@ -26,6 +26,9 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
 
+# When a result was evaluated is part of its document: the same for all, so that documents can be compared.
+os.environ.setdefault("SOURCE_DATE_EPOCH", "1767225600")
+
 # Nothing leaves this machine, whatever the user's own setting is.
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ.pop("ROS_LOCALHOST_ONLY", None)

@@ -49,7 +49,7 @@ def test_pictures_and_readings_are_written(method: str, tmp_path: Path, capsys: 
     document = json.loads(capsys.readouterr().out)
     for name in PICTURES:
         assert (tmp_path / "new" / name).read_bytes().startswith(b"\x89PNG")
-    table = pd.read_csv(tmp_path / "new" / "comparison.csv")
+    table = pd.read_csv(tmp_path / "new" / "comparison.csv", comment="#")
     assert len(table) == document["readings"]
     assert np.sqrt(np.mean(table.residual**2)) == pytest.approx(document["rms_residual"])
     assert {"row", "setup", "repeat", "measured", "predicted", "studentized", "temperature_air"} <= set(table.columns)

@@ -56,6 +56,7 @@ def test_pictures_and_numbers_on_request(hidden: str, tmp_path: Path, capsys: py
     assert run(["diagnose", hidden, "-o", str(folder), *SETS]) == 0
     assert (folder / "diagnosis.png").read_bytes().startswith(b"\x89PNG")
     lines = (folder / "candidates.csv").read_text().splitlines()
+    lines = [line for line in lines if not line.startswith("#")]
     assert lines[0].startswith("effect,probability,p_value,delta_bic")
     assert lines[1].startswith("backlash_y,")
     assert "wrote" in capsys.readouterr().err

@@ -93,7 +93,7 @@ def test_compare_draws_and_writes_every_session(
         assert {path.name for path in (tmp_path / label).iterdir()} == {
             "measured_predicted.png", "residuals.png", "residual_map.png", "setups.png"
         }  # fmt: skip
-    table = pd.read_csv(tmp_path / "comparison.csv")
+    table = pd.read_csv(tmp_path / "comparison.csv", comment="#")
     assert table["session"].value_counts().to_dict() == {"monday": 144, "tuesday": 144}
     assert (table["measured"] - table["predicted"] - table["residual"]).abs().max() < 1e-12
     assert run(["compare", *sessions, "--against", "moon", "-o", str(tmp_path)]) == 1
@@ -104,7 +104,7 @@ def test_the_order_of_sessions_of_different_methods(several_methods: list[str], 
     """What one session did not record is empty for it."""
     monkeypatch.setattr("machine_tool_calibration.plots.compare.draw_joint", lambda *_: [])
     said(capsys, "compare", *several_methods, "-o", tmp_path)
-    table = pd.read_csv(tmp_path / "comparison.csv")
+    table = pd.read_csv(tmp_path / "comparison.csv", comment="#")
     assert table.loc[table["session"] == "run", "azimuth"].isna().all()
     assert table.loc[table["session"] == "tracker", "azimuth"].notna().all()
 

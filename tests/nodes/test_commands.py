@@ -79,7 +79,7 @@ def test_run_in_a_namespace_without_recording(tmp_path, bench, mtcal):
     [
         (
             ["run", "nothing"],
-            "mtcal: nothing: no such file, and no procedure of that name; known are direct_iso230_2, probing_cross, ",
+            "mtcal: nothing: no such file, and no procedure of that name; known are direct_iso230_2, pointer_centre, ",
         ),
         (["run", "nothing.yaml"], "mtcal: nothing.yaml: no such file"),
         (["run", "tracking_2d", "--site", "no.yaml"], "mtcal: no.yaml: no such file"),

@@ -28,14 +28,16 @@ WORKBENCH = re.compile(r"bokeh|panel")
 ROS = re.compile(r"rclpy|ament_index_python|launch|launch_ros|std_srvs|[a-z]+_(msgs|interfaces)")
 # Name of the distribution in package.xml, where it is not python3-<name>; None where rosdep has no key for it.
 ROSDEP = {"mcap": "mcap-ros2-support", "zstandard": "mcap-ros2-support", "lz4": "mcap-ros2-support",
-          "pint": None, "threadpoolctl": None, "pyarrow": None, "pillow": "python3-pil", "pyserial": "python3-serial",
+          "pint": None, "plotly": None, "weasyprint": "python3-weasyprint-pip", "threadpoolctl": None,
+          "pyarrow": None, "pillow": "python3-pil", "pyserial": "python3-serial",
           "pyyaml": "python3-yaml", "rosbags": "python3-rosbags-pip"}  # fmt: skip
 # Keys that rosdep knows: rosdep/python.yaml of ros/rosdistro, and packages of its jazzy/distribution.yaml.
 # Look there before a line is added.
 KNOWN_KEYS = {
     *(f"python3-{name}" for name in (
-        "click", "ezdxf", "hypothesis", "matplotlib", "numpy", "pandas", "pil", "pydantic", "pyparsing", "pytest",
-        "pytest-timeout", "pytest-xdist", "rich", "rosbags-pip", "scipy", "serial", "yaml")),
+        "click", "ezdxf", "hypothesis", "jinja2", "matplotlib", "numpy", "pandas", "pil", "pydantic", "pyparsing",
+        "pytest", "pytest-timeout", "pytest-xdist", "rich", "rosbags-pip", "scipy", "serial", "weasyprint-pip",
+        "yaml")),
     "mcap-ros2-support",
     "ament_flake8", "ament_index_python", "ament_pep257", "builtin_interfaces", "diagnostic_msgs", "geometry_msgs",
     "launch", "launch_ros", "rcl_interfaces", "rclpy", "ros2launch", "rosgraph_msgs", "sensor_msgs", "std_msgs",
@@ -157,7 +159,7 @@ def test_source_archive_has_every_folder() -> None:
 def test_wheel_has_the_whole_package(wheel: zipfile.ZipFile) -> None:
     names = set(wheel.namelist())
     for path in SOURCE.rglob("*"):
-        if path.is_file() and path.suffix in (".py", ".typed", ".yaml", ".json"):
+        if path.is_file() and path.suffix in (".py", ".typed", ".yaml", ".json", ".html", ".css"):
             assert str(path.relative_to(SOURCE.parent)) in names
     assert not [name for name in names if name.startswith(("tests/", "scripts/"))]
 

@@ -69,14 +69,14 @@ def test_files(tmp_path: Path) -> None:
     done = improved("tracking_2d")
     picture, steps, residuals = save_improvement(done, tmp_path / "a" / "b")
     assert picture.read_bytes().startswith(b"\x89PNG")
-    table = pd.read_csv(steps)
+    table = pd.read_csv(steps, comment="#")
     assert table["rms_residual"].to_numpy() == pytest.approx([s.result.rms_residual for s in done.steps])
-    each = pd.read_csv(residuals)
+    each = pd.read_csv(residuals, comment="#")
     for column, step in (("residual_before", done.steps[0]), ("residual_after", done.steps[-1])):
         assert np.sqrt(np.mean(each[column] ** 2)) == pytest.approx(step.result.rms_residual, rel=1e-9)
     picture, candidates = save_diagnosis(done.diagnosis, consequences(done.diagnosis), tmp_path)
     assert picture.read_bytes().startswith(b"\x89PNG")
-    table = pd.read_csv(candidates)
+    table = pd.read_csv(candidates, comment="#")
     assert table["effect"][0] == "backlash_y"
     assert (table["rms_after"] <= table["rms_before"] * 1.001).all()
 

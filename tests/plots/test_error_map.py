@@ -12,9 +12,9 @@ from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.model import motion_value, place_of
 from machine_tool_calibration.model.result import Estimate
 from machine_tool_calibration.plots.error_map import draw_map, draw_tables, read_tables
-from machine_tool_calibration.plots.pictures import draw_common
+from machine_tool_calibration.plots.pictures import draw, draw_common
 from machine_tool_calibration.plots.style import round_down, spaced
-from machine_tool_calibration.plots.tracking import draw, draw_residuals, draw_stations
+from machine_tool_calibration.plots.tracking import draw_residuals, draw_stations
 from machine_tool_calibration.reports.identification import summary_rows
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.simulation import SimulationSpec, TrackingPlan, simulate
@@ -127,7 +127,7 @@ def test_files_of_a_session(tmp_path, volume):
 def test_common_pictures_of_any_result(tmp_path, plane):
     _, result = plane
     assert [path.name for path in draw_common(result.document(), tmp_path)] == ["error_map.png"]
-    assert draw_common({"error_map": {}, "parameters": []}, tmp_path) == []
+    assert draw_common({**result.document(), "error_map": {}, "parameters": []}, tmp_path) == []
 
 
 def test_tables_in_micrometres_with_their_bands(volume):

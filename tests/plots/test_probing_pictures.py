@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.plots.probing import draw, draw_probing
+from machine_tool_calibration.plots.pictures import draw
+from machine_tool_calibration.plots.probing import draw_probing
 from machine_tool_calibration.simulation import ProbingPlan, SimulationSpec, simulate
 
 

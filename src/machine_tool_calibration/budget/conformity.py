@@ -31,6 +31,7 @@ from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS
 from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.model.restated import drawn
+from machine_tool_calibration.session.provenance import Provenance
 
 __all__ = ["RULES", "VOLUMETRIC", "Conformity", "Verdict", "conformity", "decide", "unit_of_figure"]
 
@@ -79,12 +80,14 @@ class Conformity:
         rule: of decision.
         level: conformance probability of the rule.
         uncertainty: `identification` or `budget`: whose uncertainties these are.
+        origin: what they were made from.
     """
 
     verdicts: tuple[Verdict, ...]
     rule: str
     level: float
     uncertainty: str
+    origin: Provenance
 
     @property
     def decision(self) -> str:
@@ -172,7 +175,7 @@ def conformity(
         if not (np.isfinite(tolerance) and tolerance > 0.0):
             raise ModelError(f"the tolerance of {name} must be positive, not {tolerance:g}")
         found += work.verdicts(name, tolerance, rule, level)
-    return Conformity(tuple(found), rule, level, "identification" if budget is None else "budget")
+    return Conformity(tuple(found), rule, level, "identification" if budget is None else "budget", fitted.provenance)
 
 
 class _Conformity:

@@ -32,6 +32,7 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.model.restated import changed, covariance_of, declared
+from machine_tool_calibration.session.provenance import Provenance
 
 __all__ = [
     "DRAWS",
@@ -162,11 +163,13 @@ class Budget:
     Attributes:
         numbers: as the identification publishes them, with its own uncertainties.
         lines: the contributors.
+        origin: what it was made from.
         drawn: a Monte Carlo check; None if there was none.
     """
 
     numbers: Numbers
     lines: tuple[Line, ...]
+    origin: Provenance
     drawn: Drawn | None = None
 
     @cached_property
@@ -308,7 +311,8 @@ class _Propagation:
             lines.append(Line(KNOWN, None, np.nan, self.from_known, "steps" if self.points else "closed form"))
         if self.repeatability.any():
             lines.append(Line(REPEATABILITY, None, np.nan, self.repeatability, "closed form"))
-        return Budget(self.published, tuple(lines), self.drawn(draws, again=True) if draws else None)
+        drawn = self.drawn(draws, again=True) if draws else None
+        return Budget(self.published, tuple(lines), self.fitted.provenance, drawn)
 
     def line(self, own: Pattern) -> Line:
         """One contributor."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import model_options, note_written, own_effects
+from machine_tool_calibration.cli.diagnosing import keeping, model_options, note_written, own_effects
 from machine_tool_calibration.cli.output import console, json_option, progress_bar, session_labels, write_json
 
 if TYPE_CHECKING:
@@ -60,6 +60,7 @@ def command(
     effects: tuple[str, ...],
     files: tuple[Path, ...],
     model: str | None,
+    keep: tuple[str, ...],
     as_json: bool,
 ) -> None:
     """Say who contributes what to the uncertainty of everything that is identified.
@@ -87,7 +88,7 @@ def command(
     if not measurements:
         raise click.UsageError("Missing argument 'SESSION'.")
     with progress_bar() as progress:
-        sessions, found = fitted(measurements, effects, files, model, progress)
+        sessions, found = fitted(measurements, effects, files, model, keep, progress)
         contributors = contributors_of(budgets, sessions)
         check_names(found, names)
         budget = propagate(found, contributors, draws=draws or 0, seed=seed, progress=progress)
@@ -101,18 +102,23 @@ def command(
         from machine_tool_calibration.plots.style import save
 
         folder, name = (plot.parent, plot.stem) if plot.suffix.lower() == ".png" else (plot, "budget")
-        note_written(save({name: draw_budget(budget, names)}, folder))
+        note_written(save({name: draw_budget(budget, names)}, folder, budget.origin))
 
 
 def fitted(
-    paths: Sequence[Path], effects: Sequence[str], effect_files: Sequence[Path], model: str | None, progress: Report
+    paths: Sequence[Path],
+    effects: Sequence[str],
+    effect_files: Sequence[Path],
+    model: str | None,
+    keep: Sequence[str],
+    progress: Report,
 ) -> tuple[list[Session], FittedSessions]:
     """The sessions as they were read, and the fit of them as `mtcal identify` makes it."""
     from machine_tool_calibration.methods.identify import fitted_sessions, identify, identify_sessions
     from machine_tool_calibration.recording.open import open_measurement
 
     own = own_effects(effect_files)
-    sessions = [open_measurement(path) for path in paths]
+    sessions = keeping([open_measurement(path) for path in paths], paths, keep)
     progress("identifying")
     if len(sessions) == 1:
         return sessions, fitted_sessions(identify(sessions[0], model=model, effects=effects, own=own))

@@ -8,8 +8,16 @@ from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import model_options, note_written, own_effects
+from machine_tool_calibration.cli.diagnosing import (
+    current_models,
+    history_option,
+    keeping,
+    model_options,
+    note_written,
+    own_effects,
+)
 from machine_tool_calibration.cli.output import console, json_option, progress_bar, session_labels, write_json
+from machine_tool_calibration.reports.documents import write_table
 
 if TYPE_CHECKING:
     from machine_tool_calibration.diagnosis.comparison import Comparison, JointComparison
@@ -20,6 +28,7 @@ __all__ = ["command"]
 @click.command("compare")
 @click.argument("measurements", metavar="SESSION…", nargs=-1, required=True, type=click.Path(path_type=Path))
 @model_options
+@history_option
 @click.option(
     "--against", multiple=True, metavar="COLUMN", help="Draw the residuals against this covariate; repeatable."
 )
@@ -35,6 +44,8 @@ def command(
     effects: tuple[str, ...],
     files: tuple[Path, ...],
     model: str | None,
+    keep: tuple[str, ...],
+    from_history: bool,
     against: tuple[str, ...],
     output: Path | None,
     as_json: bool,
@@ -57,7 +68,11 @@ def command(
     from machine_tool_calibration.recording.open import open_measurement
     from machine_tool_calibration.reports.comparison_tables import show_comparison
 
-    sessions, own = [open_measurement(path) for path in measurements], own_effects(files)
+    sessions = keeping([open_measurement(path) for path in measurements], measurements, keep)
+    own = own_effects(files)
+    if from_history:
+        entry, sessions = current_models(sessions, measurements, effects, model)[:2]
+        model, effects = entry.model, entry.effects
     if len(sessions) > 1:
         labels = session_labels(measurements)
         with progress_bar() as progress:
@@ -96,8 +111,8 @@ def _several(comparison: JointComparison, output: Path | None, against: tuple[st
         with progress_bar() as progress:
             progress("drawing")
             pictures = draw_joint(comparison, folder, against)
-            table = folder / "comparison.csv"
-            pd.DataFrame(dict(joint_columns(comparison))).to_csv(table, index=False)
+            columns = pd.DataFrame(dict(joint_columns(comparison)))
+            table = write_table(columns, folder / "comparison.csv", comparison.provenance)
         note_written([*pictures, table])
 
 
@@ -110,6 +125,6 @@ def _write(comparison: Comparison, folder: Path, against: tuple[str, ...]) -> li
     with progress_bar() as progress:
         progress("drawing")
         pictures = draw(comparison, folder, against)
-        table = folder / "comparison.csv"
-        pd.DataFrame(dict(comparison_columns(comparison))).to_csv(table, index=False)
+        columns = pd.DataFrame(dict(comparison_columns(comparison)))
+        table = write_table(columns, folder / "comparison.csv", comparison.provenance)
     return [*pictures, table]

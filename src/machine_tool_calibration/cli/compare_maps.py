@@ -51,7 +51,7 @@ def command(first: Path, second: Path, model: str | None, seed: int, plot: Path 
             fitted.append(fitted_sessions(identify(session, model=variant)))
         comparison = compare_fits(fitted[0], fitted[1], (one, two), seed=seed, progress=progress)
     if as_json:
-        write_json(map_comparison_document(comparison))
+        write_json({**map_comparison_document(comparison), "provenance": [one.provenance.document() for one in fitted]})
     else:
         show_map_comparison(console(), comparison)
     if plot is not None:

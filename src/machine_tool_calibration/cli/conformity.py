@@ -56,6 +56,7 @@ def command(
     effects: tuple[str, ...],
     files: tuple[Path, ...],
     model: str | None,
+    keep: tuple[str, ...],
     as_json: bool,
 ) -> None:
     """Say whether the machine keeps its tolerances: pass, fail or undecided, with the probability.
@@ -77,7 +78,7 @@ def command(
     if not tolerances:
         raise click.UsageError("Missing --tolerance NAME=VALUE or --tolerances FILE.")
     with progress_bar() as progress:
-        sessions, own = fitted(measurements, effects, files, model, progress)
+        sessions, own = fitted(measurements, effects, files, model, keep, progress)
         budget = None
         if budgets:
             budget = propagate(own, contributors_of(budgets, sessions), seed=seed, progress=progress)

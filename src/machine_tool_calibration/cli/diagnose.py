@@ -8,6 +8,9 @@ from pathlib import Path
 import click
 
 from machine_tool_calibration.cli.diagnosing import (
+    current_models,
+    history_option,
+    keeping,
     model_options,
     note_written,
     own_effects,
@@ -21,6 +24,7 @@ __all__ = ["command"]
 @click.command("diagnose")
 @click.argument("measurements", metavar="SESSION…", nargs=-1, required=True, type=click.Path(path_type=Path))
 @model_options
+@history_option
 @search_options
 @click.option("--all", "everything", is_flag=True, help="List every effect that was looked for.")
 @click.option(
@@ -35,6 +39,8 @@ def command(
     effects: tuple[str, ...],
     files: tuple[Path, ...],
     model: str | None,
+    keep: tuple[str, ...],
+    from_history: bool,
     seed: int,
     sets: int,
     everything: bool,
@@ -61,7 +67,10 @@ def command(
     from machine_tool_calibration.reports.diagnosis import show_diagnosis
     from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
 
-    sessions = [open_measurement(path) for path in measurements]
+    sessions = keeping([open_measurement(path) for path in measurements], measurements, keep)
+    if from_history:
+        entry, sessions = current_models(sessions, measurements, effects, model)[:2]
+        model, effects = entry.model, entry.effects
     labels = session_labels(measurements) if len(sessions) > 1 else None
     own = own_effects(files)
     with progress_bar() as progress:

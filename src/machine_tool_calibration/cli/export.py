@@ -3,17 +3,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import current_model
+from machine_tool_calibration.cli.diagnosing import current_model, unused_model
 from machine_tool_calibration.cli.info import topic_names, topic_option
 from machine_tool_calibration.cli.output import console, json_option, note, progress_bar, session_labels, write_json
-from machine_tool_calibration.errors import CalibrationError, SessionError
+from machine_tool_calibration.errors import CalibrationError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -25,9 +24,9 @@ if TYPE_CHECKING:
     from machine_tool_calibration.export.preview import ResidualError
     from machine_tool_calibration.methods.axis_tables import AxisTables
     from machine_tool_calibration.model.fit import JointFit
-    from machine_tool_calibration.session.session import Session
+    from machine_tool_calibration.session.provenance import Provenance
 
-__all__ = ["bad_fit", "command", "unused_model"]
+__all__ = ["bad_fit", "command"]
 
 
 # Chance below which readings contradict the model, as `mtcal identify` has it.
@@ -49,47 +48,6 @@ def bad_fit(fit: JointFit, content: Mapping[str, Any]) -> str | None:
         {"reduced_chi_square": fit.reduced_chi_square, "p_value": fit.p_value, "error_map": content}
     )
     return f"warning: {words}"
-
-
-def unused_model(
-    session: Session, path: Path, effects: Collection[str], fit: JointFit | None, *, effects_only: bool = False
-) -> str | None:
-    """That the session's history holds a better model than the one used, and how to use it; None if it does not.
-
-    Args:
-        session: all its readings.
-        path: where it was read; the history is in it or beside it.
-        effects: ids in the model that was used.
-        fit: of that model; None if it is of other readings too, so that no figures can be compared.
-        effects_only: whether to say how by effects, as for several sessions together.
-    """
-    from machine_tool_calibration.reports.history_file import fingerprint, history_path, read_history
-    from machine_tool_calibration.reports.quantities import rounded
-
-    kept = history_path(path)
-    try:
-        entry = read_history(kept).in_use
-    except SessionError as error:
-        return f"warning: {error}"
-    if entry is None or entry.data != fingerprint(session):
-        return None
-    more = [name for name in entry.effects if name not in effects]
-    aside = () if effects_only else entry.set_aside
-    if not more and not aside:
-        return None
-    chi = entry.reduced_chi_square
-    fell = ""
-    if fit is not None and chi is not None:
-        if chi >= fit.reduced_chi_square:
-            return None
-        fell = f" (reduced chi-square {rounded(chi)} instead of {rounded(fit.reduced_chi_square)})"
-    what = [", ".join(more)] if more else []
-    what += [f"{len(aside)} reading{'' if len(aside) == 1 else 's'} set aside"] if aside else []
-    how = " ".join(f"--effect {name}" for name in more) if effects_only else "--from-history"
-    return (
-        f"note: {kept} holds a better model, number {entry.number}, with {' and '.join(what)}{fell}; "
-        f"it was not used: {how} does"
-    )
 
 
 _FORMATS = ("linuxcnc", "linuxcnc-trims", "siemens", "fanuc", "isg", "etalon", "csv", "json")
@@ -164,7 +122,9 @@ def command(
         found = _identified(measurements, chosen, topic_names(topics))
         tables, states, models = found.tables, found.states, found.models
         progress("writing and reading tables")
-        files = write_tables(form, tables, found.source)
+        told = (f"{name}: {value}" for name, value in found.origin.lines() if name != "model")  # in every head already
+        source = "\n".join([found.source, *told])
+        files = write_tables(form, tables, source)
         held = read_tables(form, files, tables)
         errors = residual_errors(states.error_map, held, states.directions)
         left = summary(errors)
@@ -176,7 +136,7 @@ def command(
         from machine_tool_calibration.plots.compensation import draw_compensation
         from machine_tool_calibration.plots.style import save_as
 
-        save_as(draw_compensation(errors, f"{form}: {found.source}"), picture)
+        save_as(draw_compensation(errors, f"{form}: {found.source}"), picture, found.origin)
     if as_json:
         write_json(
             {
@@ -189,6 +149,7 @@ def command(
                 "reduced_chi_square": found.fit.reduced_chi_square,
                 "p_value": found.fit.p_value,
                 "suspicious": found.suspicious,
+                "provenance": found.origin.document(),
                 "tables": [table.name for table in tables.tables],
                 "squareness": list(tables.squareness),
                 "not_determined": tables.left_out,
@@ -229,6 +190,7 @@ class _Found:
     fit: JointFit
     warnings: tuple[str, ...]
     suspicious: list[str]
+    origin: Provenance
 
 
 def _identified(paths: tuple[Path, ...], chosen: _Chosen, topics: dict[str, str]) -> _Found:
@@ -249,10 +211,19 @@ def _identified(paths: tuple[Path, ...], chosen: _Chosen, topics: dict[str, str]
         states = error_states(joint.error_map, joint.fit.fits, find_effects(chosen.effects, chosen.own))
         said = [bad_fit(joint.fit, joint.error_map.content)]
         for opened, path in zip(sessions, paths, strict=True):
-            said.append(unused_model(opened, path, chosen.effects, None, effects_only=True))
+            said.append(unused_model([opened], [path], chosen.effects, None, effects_only=True))
         warnings = tuple(text for text in said if text)
         suspicious = suspicions(sessions, session_labels(paths))
-        return _Found(joint_axis_tables(joint), states, joint.model_names, source, joint.fit, warnings, suspicious)
+        return _Found(
+            joint_axis_tables(joint),
+            states,
+            joint.model_names,
+            source,
+            joint.fit,
+            warnings,
+            suspicious,
+            joint.provenance,
+        )
     session, model, effects = sessions[0], chosen.model, chosen.effects
     if chosen.from_history:
         entry, session, _ = current_model(session, paths[0])
@@ -265,9 +236,18 @@ def _identified(paths: tuple[Path, ...], chosen: _Chosen, topics: dict[str, str]
     fit = result.fit.joint
     said = [bad_fit(fit, result.error_map.content)]
     if not chosen.from_history:
-        said.append(unused_model(session, paths[0], effects, fit))
+        said.append(unused_model([session], paths, effects, fit))
     warnings = tuple(text for text in said if text)
-    return _Found(axis_tables(result), states, (result.model_name,), source, fit, warnings, suspicions([session]))
+    return _Found(
+        axis_tables(result),
+        states,
+        (result.model_name,),
+        source,
+        fit,
+        warnings,
+        suspicions([session]),
+        result.provenance,
+    )
 
 
 def _absent(tables: AxisTables, held: AxisTables, effects: Sequence[str]) -> list[str]:

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import current_model, model_options, note_written, own_effects
+from machine_tool_calibration.cli.diagnosing import current_model, keeping, model_options, note_written, own_effects
 from machine_tool_calibration.cli.output import console, json_option, note, write_json
 
 __all__ = ["command"]
@@ -101,6 +101,7 @@ def command(
     effects: tuple[str, ...],
     files: tuple[Path, ...],
     model: str | None,
+    keep: tuple[str, ...],
     from_history: bool,
     plot: Path | None,
     as_json: bool,
@@ -116,7 +117,8 @@ def command(
     mtcal features measurements/frame --through pitch=pin* --distance pitch,pin1
     mtcal features measurements/block --features walls.yaml --angle left,top
     """
-    from machine_tool_calibration.cli.export import bad_fit, unused_model
+    from machine_tool_calibration.cli.diagnosing import unused_model
+    from machine_tool_calibration.cli.export import bad_fit
     from machine_tool_calibration.methods.identify import identify
     from machine_tool_calibration.methods.probing.features import features
     from machine_tool_calibration.methods.probing.propagation import monte_carlo
@@ -127,19 +129,19 @@ def command(
     if from_history and (effects or model):
         raise click.UsageError("--from-history is without --effect and --model.")
     named, own = None if listed is None else read_feature_points(listed), own_effects(files)
-    opened = open_measurement(session)
+    (opened,) = keeping([open_measurement(session)], [session], keep)
     if from_history:
         entry, kept, _ = current_model(opened, session)
         result = identify(kept, model=entry.model, effects=entry.effects, own=own, keep_all=True)
         unused = None
     else:
         result = identify(opened, model=model, effects=effects, own=own)
-        unused = unused_model(opened, session, effects, result.joint)
+        unused = unused_model([opened], [session], effects, result.joint)
     fit = result.fit
     found = features(fit, named=named, centres=through, frame=frame, distances=distances, angles=angles)
     drawn = monte_carlo(fit, found.rows, draws, distribution, seed) if draws else None  # type: ignore[arg-type]
     if as_json:
-        write_json(features_document(found, drawn))
+        write_json({**features_document(found, drawn), "provenance": result.provenance.document()})
     else:
         show_features(console(), found, drawn)
     for text in (bad_fit(result.joint, result.error_map.content), unused):
@@ -149,5 +151,5 @@ def command(
         from machine_tool_calibration.plots.features import draw_features
         from machine_tool_calibration.plots.style import save_as
 
-        save_as(draw_features(found), plot)
+        save_as(draw_features(found), plot, result.provenance)
         note_written([plot])

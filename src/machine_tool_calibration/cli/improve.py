@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from machine_tool_calibration.cli.diagnosing import (
+    keeping,
     model_options,
     note_written,
     own_effects,
@@ -107,6 +108,7 @@ def command(
     effects: tuple[str, ...],
     files: tuple[Path, ...],
     model: str | None,
+    keep: tuple[str, ...],
     seed: int,
     sets: int,
     output: Path | None,
@@ -130,7 +132,7 @@ def command(
     from machine_tool_calibration.reports.history_file import history_path, read_history
     from machine_tool_calibration.reports.improvement import improvement_document, show_improvement
 
-    sessions = [open_measurement(path) for path in measurements]
+    sessions = keeping([open_measurement(path) for path in measurements], measurements, keep)
     labels = session_labels(measurements) if len(sessions) > 1 else None
     kept = history_path(*measurements)
     if history:

@@ -125,14 +125,16 @@ def compare(
         ModelError: the data does not allow the model.
     """
     outliers: tuple[int, ...] = ()
+    variant = ""
     if isinstance(subject, Session):
-        fit = fit_sessions([subject], model=model, effects=effects, own=own).joint.fits[0]
+        fitted = fit_sessions([subject], model=model, effects=effects, own=own)
+        fit, variant = fitted.joint.fits[0], fitted.model_names[0]
         outliers = _rows(gross_errors(subject, model, effects, own)[0])
     elif isinstance(subject, Result):
-        fit, effects = subject.fit, subject.effects
+        fit, effects, variant = subject.fit, subject.effects, subject.model_name
     else:
         fit = subject
-    return _Look(fit).comparison(tuple(effects), outliers)
+    return _Look(fit).comparison(tuple(effects), outliers, variant)
 
 
 @single_blas()
@@ -156,12 +158,12 @@ def compare_sessions(
     Raises:
         ModelError: the data does not allow the model.
     """
-    joint = fit_sessions(sessions, labels, model=model, effects=effects, own=own).joint
+    fitted = fit_sessions(sessions, labels, model=model, effects=effects, own=own)
     # Each by itself, as an identification of several does.
     apart = [_rows(gross_errors(session, sharing_variant(session, model))[0]) for session in sessions]
-    pairs = zip(joint.fits, apart, strict=True)
-    each = tuple(_Look(fit).comparison(tuple(effects), rows) for fit, rows in pairs)
-    return JointComparison(joint, tuple(labels), each)
+    triples = zip(fitted.joint.fits, apart, fitted.model_names, strict=True)
+    each = tuple(_Look(fit).comparison(tuple(effects), rows, variant) for fit, rows, variant in triples)
+    return JointComparison(fitted.joint, tuple(labels), each)
 
 
 def _rows(found: Sequence[Outlier]) -> tuple[int, ...]:
@@ -187,7 +189,7 @@ class _Look:
         self.factor = max(1.0, float(np.sqrt(fit.joint.reduced_chi_square)))
         self.covariates = covariates(self.observations)
 
-    def comparison(self, effects: tuple[str, ...], outliers: tuple[int, ...]) -> Comparison:
+    def comparison(self, effects: tuple[str, ...], outliers: tuple[int, ...], variant: str) -> Comparison:
         readings, fit = self.readings, self.fit
         ids = self.observations.session.setup_ids
         setups = {ids[s]: readings.setup == s for s in np.unique(readings.setup)}
@@ -200,6 +202,7 @@ class _Look:
         return Comparison(
             fit=fit,
             effects=effects,
+            variant=variant,
             overall=overall,
             setups=_worst_first(self._shares(setups, sums=True)),
             runs=_worst_first(self._shares(runs, sums=True)),

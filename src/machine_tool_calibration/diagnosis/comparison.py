@@ -12,6 +12,7 @@ from machine_tool_calibration.arrays import Array, rms
 from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.model.fit import Fit, JointFit
 from machine_tool_calibration.residuals.noise import Noise
+from machine_tool_calibration.session.provenance import Provenance, provenance
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["Approach", "Comparison", "JointComparison", "Overall", "Region", "Share", "Trend"]
@@ -151,6 +152,7 @@ class Comparison:
         studentized: (n,) residuals over their own standard uncertainty, as declared; NaN where the model has a
             reading for itself.
         covariates: (n,) each, SI.
+        variant: of the method's model; empty where it is not known.
     """
 
     fit: Fit
@@ -168,6 +170,12 @@ class Comparison:
     residual: Array
     studentized: Array
     covariates: Mapping[str, Array]
+    variant: str = ""
+
+    @property
+    def provenance(self) -> Provenance:
+        """What it was made from."""
+        return provenance([self.fit.model.observations.session], model=self.variant, effects=self.effects)
 
     @property
     def measured(self) -> Array:
@@ -210,6 +218,12 @@ class JointComparison:
     def effects(self) -> tuple[str, ...]:
         """Ids of effects in the model."""
         return self.sessions[0].effects
+
+    @property
+    def provenance(self) -> Provenance:
+        """What it was made from."""
+        model = ", ".join(dict.fromkeys(one.variant for one in self.sessions))
+        return provenance(self.measured_sessions, self.labels, model=model, effects=self.effects)
 
     @property
     def measured_sessions(self) -> list[Session]:

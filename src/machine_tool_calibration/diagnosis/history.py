@@ -47,12 +47,14 @@ class Part(_Record):
         model: its method's variant.
         data: fingerprint of its readings.
         set_aside: rows of its readings that were taken for outliers.
+        kept: rows that were said to be sound, however far they stand out.
     """
 
     label: str
     model: str
     data: str
     set_aside: tuple[int, ...] = ()
+    kept: tuple[int, ...] = ()
 
 
 class Entry(_Record):
@@ -71,6 +73,7 @@ class Entry(_Record):
         data: fingerprint of the readings; another one means other readings.
         used: number of readings in the fit.
         set_aside: rows of readings that were taken for outliers, of one session.
+        kept: rows that were said to be sound, however far they stand out, of one session.
         rms_residual: m.
         reduced_chi_square: weighted sum of squared residuals over the degrees of freedom.
         degrees_of_freedom: of the fit.
@@ -93,6 +96,7 @@ class Entry(_Record):
     data: str
     used: int
     set_aside: tuple[int, ...] = ()
+    kept: tuple[int, ...] = ()
     rms_residual: Number
     reduced_chi_square: Number | None = None
     degrees_of_freedom: int
@@ -118,7 +122,7 @@ class Entry(_Record):
     def same_model(self, other: Entry) -> bool:
         """Whether another entry is the same model of the same readings, with the same outcome."""
         mine, its = (
-            (entry.data, entry.model, frozenset(entry.sessions), frozenset(entry.effects), entry.set_aside)
+            (entry.data, entry.model, frozenset(entry.sessions), frozenset(entry.effects), entry.set_aside, entry.kept)
             for entry in (self, other)
         )
         return mine == its and math.isclose(self.rms_residual, other.rms_residual, rel_tol=1e-6)

@@ -15,6 +15,7 @@ from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.methods.identify import JointResult, identify, identify_sessions
 from machine_tool_calibration.model.result import EffectSet, Estimate, Result
 from machine_tool_calibration.residuals.pool import Pool
+from machine_tool_calibration.session.provenance import Provenance
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["Improvement", "Step", "entries", "entry_of", "improve", "residual_volumetric_error", "step_after"]
@@ -101,6 +102,11 @@ class Improvement:
 
     diagnosis: Diagnosis
     steps: tuple[Step, ...]
+
+    @property
+    def provenance(self) -> Provenance:
+        """What it was made from, with the last model."""
+        return self.steps[-1].result.provenance
 
     def residual_volumetric_error(self, step: Step) -> float | None:
         """RMS length left at the tool point with the model of a step, so that steps can be compared, m.
@@ -243,6 +249,7 @@ def entry_of(step: Step, data: str, made: str, by: str, *, parts: tuple[Part, ..
         data=data,
         used=joint.assembly.problem.n_readings,
         set_aside=step.set_aside if isinstance(step.result, Result) else (),
+        kept=_kept(step.result.fit.model.observations.session) if isinstance(step.result, Result) else (),
         rms_residual=step.result.rms_residual,
         reduced_chi_square=step.reduced_chi_square,
         degrees_of_freedom=joint.solution.degrees_of_freedom,
@@ -262,8 +269,14 @@ def _parts(improvement: Improvement, step: Step, each: Sequence[str]) -> tuple[P
     if isinstance(step.result, Result):
         return ()
     aside = improvement.diagnosis.set_aside if step.set_aside else tuple(() for _ in each)
-    found = zip(step.result.labels, step.result.model_names, each, aside, strict=True)
-    return tuple(
-        Part(label=label, model=model, data=data, set_aside=tuple(sorted(o.row for o in own)))
-        for label, model, data, own in found
+    found = zip(
+        step.result.labels, step.result.model_names, each, aside, improvement.diagnosis.sessions, strict=True
     )
+    return tuple(
+        Part(label=label, model=model, data=data, set_aside=tuple(sorted(o.row for o in own)), kept=_kept(session))
+        for label, model, data, own, session in found
+    )
+
+
+def _kept(session: Session) -> tuple[int, ...]:
+    return tuple(sorted(session.sound))

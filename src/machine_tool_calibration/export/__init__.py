@@ -33,7 +33,7 @@ def write_tables(form: str, tables: AxisTables, source: str) -> dict[str, str]:
     Args:
         form: one of FORMATS.
         tables: what is compensated.
-        source: which measurement it is, for the files' heads.
+        source: which measurement it is, for the files' heads; in further lines, what else is known of it.
 
     Raises:
         CalibrationError: no such format, or one that cannot hold these tables.

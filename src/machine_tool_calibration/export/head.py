@@ -30,7 +30,7 @@ def head(tables: AxisTables, source: str, sign: str, units: str, absent: Collect
 
     Args:
         tables: what is written.
-        source: which measurement it is.
+        source: which measurement it is; in further lines, what else is known of it.
         sign: meaning of the numbers.
         units: of the numbers.
         absent: what the format cannot hold.
@@ -42,7 +42,7 @@ def head(tables: AxisTables, source: str, sign: str, units: str, absent: Collect
     spread = f"{2e6 * largest['m']:.2f} um" + (f", {2e6 * largest['rad']:.2f} urad" if largest["rad"] else "")
     lines = [
         "Compensation table written by mtcal export",
-        f"measurement: {source}",
+        *f"measurement: {source}".splitlines(),
         f"model: {tables.model}",
         f"sign: {sign}",
         f"units: {units}",

@@ -16,12 +16,12 @@ import pandas as pd
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.interface import tables
 from machine_tool_calibration.interface.session import Measurement, Source, load, one_below_the_other
 from machine_tool_calibration.interface.show import Shown, chosen, printed
 from machine_tool_calibration.methods.identify import JointResult, fitted_sessions, identify_sessions
 from machine_tool_calibration.methods.identify import identify as identify_one
 from machine_tool_calibration.model.result import Result
+from machine_tool_calibration.reports import result_tables as tables
 from machine_tool_calibration.reports.quantities import quantity, rounded
 
 if TYPE_CHECKING:
@@ -145,10 +145,11 @@ class Fit(Shown):
     def rejected(self) -> pd.DataFrame:
         """Readings that were kept out of the fit.
 
-        Columns: `row` of the recording (from 0) and `reason`; of several sessions `session` first.
+        Columns: `row` of the recording (from 0), `reason`, and `deviation` from what all others predict, m, of those
+        that were set aside; of several sessions `session` first.
         """
         several = [] if isinstance(self.result, Result) else ["session"]
-        return pd.DataFrame(self._document["rejected"], columns=[*several, "row", "reason"])
+        return pd.DataFrame(self._document["rejected"], columns=[*several, "row", "reason", "deviation"])
 
     def error_at(self, position: npt.ArrayLike) -> tuple[Array, Array]:
         """Position error anywhere in what was measured, by linear interpolation of the map.

@@ -19,6 +19,7 @@ from machine_tool_calibration.methods.joint.small_angles import random_of, settl
 from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.session.provenance import Provenance, provenance
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["FittedSessions", "fit_sessions", "joint_models"]
@@ -39,6 +40,13 @@ class FittedSessions:
     common: CommonModels | None
     model_names: tuple[str, ...]
     effects: tuple[str, ...]
+
+    @property
+    def provenance(self) -> Provenance:
+        """What they were made from."""
+        sessions = [fit.model.observations.session for fit in self.joint.fits]
+        model = ", ".join(dict.fromkeys(self.model_names))
+        return provenance(sessions, self.joint.assembly.labels, model=model, effects=self.effects)
 
     @cached_property
     def error_map(self) -> ErrorMap:

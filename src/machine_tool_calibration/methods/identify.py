@@ -36,6 +36,7 @@ from machine_tool_calibration.model.result import (
 from machine_tool_calibration.residuals.outliers import Outlier, set_aside
 from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.session.method import load
+from machine_tool_calibration.session.provenance import Provenance, provenance
 from machine_tool_calibration.session.session import Session
 
 __all__ = [
@@ -167,6 +168,12 @@ class JointResult:
         out |= {entry.name: entry.why for entry in self.error_map.not_determined}
         return [{"name": name, "why": why} for name, why in out.items()]
 
+    @property
+    def provenance(self) -> Provenance:
+        """What it was made from."""
+        sessions = [model.observations.session for model in self.common.models]
+        return provenance(sessions, self.labels, model=self.model_name, effects=self.effects)
+
     def document(self) -> dict[str, Any]:
         """The result as a JSON document: that of a single session, with the sessions and their agreement."""
         solution = self.fit.solution
@@ -177,7 +184,7 @@ class JointResult:
             "observations": sum(self.observations),
             "used": self.fit.assembly.problem.n_readings,
             "rejected": [
-                {"session": label, "row": r.row, "reason": r.reason}
+                {"session": label, **r.document()}
                 for label, rejected in zip(self.labels, self.rejected, strict=True)
                 for r in rejected
             ],
@@ -207,6 +214,7 @@ class JointResult:
             "not_determined": self.not_determined,
             "datum": self.common.datum,
             "suspicious": suspicions([model.observations.session for model in self.common.models], self.labels),
+            "provenance": self.provenance.document(),
             "error_map": plain(self.error_map.content),
         }
 
@@ -313,7 +321,7 @@ def sound(session: Session, build: Callable[[Session], MethodModel]) -> tuple[Se
         build: makes the model of a session, with the effects that are in it.
     """
     found, kept = set_aside(session, build)
-    return kept, rejected_readings(session) + tuple(Rejected(o.row, o.reason) for o in found)
+    return kept, rejected_readings(session) + tuple(Rejected(o.row, o.reason, o.deviation) for o in found)
 
 
 @single_blas()

@@ -14,6 +14,7 @@ from machine_tool_calibration.model.fit import Fit, JointFit
 from machine_tool_calibration.model.model import Kind, NotDetermined, Parameter
 from machine_tool_calibration.model.stated import FamilySize
 from machine_tool_calibration.session.checks.suspicion import suspicions
+from machine_tool_calibration.session.provenance import Provenance, provenance
 
 __all__ = ["EffectSet", "ErrorMap", "Estimate", "Rejected", "Result", "averaged_document", "plain", "spread_document"]
 
@@ -60,10 +61,22 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Rejected:
-    """A reading that was kept out, by its number in the recording (from 0)."""
+    """A reading that was kept out.
+
+    Attributes:
+        row: its number in the recording, from 0.
+        reason: in words.
+        deviation: from what all others predict, m; None where there is none, as of a missing reading.
+    """
 
     row: int
     reason: str
+    deviation: float | None = None
+
+    def document(self) -> dict[str, Any]:
+        """As an entry of a document."""
+        own = {} if self.deviation is None else {"deviation": self.deviation}
+        return {"row": self.row, "reason": self.reason, **own}
 
 
 @dataclass(frozen=True)
@@ -166,6 +179,12 @@ class Result:
                 out.append(NotDetermined(name, why))
         return out
 
+    @property
+    def provenance(self) -> Provenance:
+        """What it was made from."""
+        session = self.fit.model.observations.session
+        return provenance([session], model=self.model_name, effects=self.effects)
+
     def document(self) -> dict[str, Any]:
         """The result as the contract's JSON document; what is not determined is null."""
         joint = self.fit.joint
@@ -175,7 +194,7 @@ class Result:
             "model": self.model_name,
             "observations": self.observations,
             "used": len(self.fit.model.observations),
-            "rejected": [{"row": r.row, "reason": r.reason} for r in self.rejected],
+            "rejected": [r.document() for r in self.rejected],
             "rms_residual": self.rms_residual,
             "reduced_chi_square": joint.reduced_chi_square,
             "degrees_of_freedom": joint.solution.degrees_of_freedom,
@@ -188,6 +207,7 @@ class Result:
             "scatter_factor": joint.stated.scatter,
             "datum": self.fit.model.datum,
             "suspicious": suspicions([self.fit.model.observations.session]),
+            "provenance": self.provenance.document(),
             "error_map": plain(self.error_map.content),
         }
 

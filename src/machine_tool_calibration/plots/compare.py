@@ -49,7 +49,7 @@ def draw(comparison: Comparison, folder: Path, against: Sequence[str] = ()) -> l
     Raises:
         ModelError: an unknown covariate.
     """
-    return save(figures(comparison, against), folder, 100)
+    return save(figures(comparison, against), folder, comparison.provenance)
 
 
 def figures(comparison: Comparison, against: Sequence[str] = ()) -> dict[str, Figure]:
@@ -80,9 +80,7 @@ def draw_joint(comparison: JointComparison, folder: Path, against: Sequence[str]
     for name in against:
         if all(name not in one.covariates for one in comparison.sessions):
             comparison.sessions[0].covariate(name)
-    folder.mkdir(parents=True, exist_ok=True)
-    files = [folder / "setups.png"]
-    draw_setups(comparison).savefig(files[0], dpi=100)
+    files = save({"setups": draw_setups(comparison)}, folder, comparison.provenance)
     for label, one in zip(comparison.labels, comparison.sessions, strict=True):
         files += draw(one, folder / label, [name for name in against if name in one.covariates])
     return files

@@ -14,6 +14,8 @@ from machine_tool_calibration.arrays import Array, rms
 from machine_tool_calibration.diagnosis.consequence import Consequence, before_and_after
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.plots.residuals import axis_label, color, grids
+from machine_tool_calibration.plots.style import save
+from machine_tool_calibration.reports.documents import write_table
 from machine_tool_calibration.reports.quantities import probability, quantity
 from machine_tool_calibration.residuals.covariates import bins, covariates, rank_covariates
 from machine_tool_calibration.residuals.pool import Pool
@@ -182,8 +184,6 @@ def candidate_table(diagnosis: Diagnosis, changes: Mapping[str, Consequence]) ->
 
 def save_diagnosis(diagnosis: Diagnosis, changes: Mapping[str, Consequence], folder: Path) -> list[Path]:
     """Write `diagnosis.png` and `candidates.csv` into a folder, which is made where it is missing."""
-    folder.mkdir(parents=True, exist_ok=True)
-    picture, table = folder / "diagnosis.png", folder / "candidates.csv"
-    draw_diagnosis(diagnosis, changes).savefig(picture, dpi=110)
-    candidate_table(diagnosis, changes).to_csv(table, index=False, lineterminator="\n")
-    return [picture, table]
+    origin = diagnosis.provenance
+    (picture,) = save({"diagnosis": draw_diagnosis(diagnosis, changes)}, folder, origin)
+    return [picture, write_table(candidate_table(diagnosis, changes), folder / "candidates.csv", origin)]

@@ -4,13 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, rms
-from machine_tool_calibration.plots.style import save
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.session.session import Session
 
@@ -18,19 +16,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw", "draw_map", "draw_positioning", "draw_tables", "figures"]
+__all__ = ["draw_map", "draw_positioning", "draw_tables", "figures"]
 
 # Share of the drawing's width that the largest error takes.
 _LENGTH = 0.08
-
-
-def draw(session: Session, result: Mapping[str, Any], folder: Path) -> list[Path]:
-    """Write the pictures of a result document into a folder.
-
-    Returns:
-        The files.
-    """
-    return save(figures(session, result), folder, 120)
 
 
 def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:

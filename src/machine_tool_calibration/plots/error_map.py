@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_map", "draw_tables", "read_tables"]
+__all__ = ["draw_map", "draw_tables", "neighbours", "read_tables"]
 
 
 def read_tables(parameters: Iterable[Mapping[str, Any]]) -> dict[str, Array]:
@@ -220,7 +220,7 @@ def _layer(panel: Axes, layer: _Map, drawing: _Drawing) -> None:
     nominal = layer.points[:, :2] * 1e3
     found = nominal + scale * layer.error[:, :2] * 1e3
     good = layer.good
-    pairs = _neighbours(layer.points)
+    pairs = neighbours(layer.points[:, :2])
     if 2 * len(pairs) < len(nominal):
         pairs = pairs[:0]
     for places, color, width in ((nominal, NOMINAL, 0.8), (found, FOUND, 1.0)):
@@ -282,13 +282,14 @@ def _larger(whole: _Map, scale: float) -> float:
     return 1.0 if not typical > 0 or typical >= seen else max(round_down(2 * seen / typical), 1.0)
 
 
-def _neighbours(points: Array) -> np.ndarray:
-    """(k, 2) pairs of points next to each other along x or along y, all else equal."""
+def neighbours(points: Array) -> np.ndarray:
+    """(k, 2) pairs of points (n, d) next to each other along one coordinate, all others equal."""
     keys = np.round(points, 7)
     pairs = [np.zeros((0, 2), dtype=np.int64)]
-    for axis, other in ((0, 1), (1, 0)):
-        order = np.lexsort((keys[:, axis], keys[:, other]))
-        same = keys[order[1:], other] == keys[order[:-1], other]
+    for axis in range(keys.shape[1]):
+        others = np.delete(keys, axis, axis=1)
+        order = np.lexsort((keys[:, axis], *others.T))
+        same = np.all(others[order[1:]] == others[order[:-1]], axis=1)
         pairs.append(np.column_stack([order[:-1], order[1:]])[same])
     return np.concatenate(pairs)
 

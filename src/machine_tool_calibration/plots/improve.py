@@ -14,6 +14,8 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.improve import Improvement, Step, residual_volumetric_error
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.plots.residuals import axis_label, color, grids, planes
+from machine_tool_calibration.plots.style import save
+from machine_tool_calibration.reports.documents import write_table
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.residuals.pool import Pool
 
@@ -187,9 +189,7 @@ def residual_table(improvement: Improvement) -> pd.DataFrame:
 
 def save_improvement(improvement: Improvement, folder: Path) -> list[Path]:
     """Write `improve.png`, `improve.csv` and `residuals.csv` into a folder, which is made where it is missing."""
-    folder.mkdir(parents=True, exist_ok=True)
-    picture, steps, residuals = (folder / name for name in ("improve.png", "improve.csv", "residuals.csv"))
-    draw_improvement(improvement).savefig(picture, dpi=110)
-    step_table(improvement).to_csv(steps, index=False, lineterminator="\n")
-    residual_table(improvement).to_csv(residuals, index=False, lineterminator="\n")
-    return [picture, steps, residuals]
+    origin = improvement.provenance
+    (picture,) = save({"improve": draw_improvement(improvement)}, folder, origin)
+    tables = {"improve": step_table(improvement), "residuals": residual_table(improvement)}
+    return [picture, *(write_table(table, folder / f"{name}.csv", origin) for name, table in tables.items())]

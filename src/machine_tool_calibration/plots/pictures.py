@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from machine_tool_calibration.plots.error_map import draw_map, draw_tables
 from machine_tool_calibration.plots.style import save
 from machine_tool_calibration.session.method import load
+from machine_tool_calibration.session.provenance import Provenance
 from machine_tool_calibration.session.session import Session
 
 if TYPE_CHECKING:
@@ -31,19 +32,21 @@ def draw(session: Session, result: Mapping[str, Any], folder: Path) -> list[Path
     Returns:
         The files.
     """
-    method: Callable[[Session, Mapping[str, Any], Path], list[Path]] | None = _of_method(session, "draw")
-    return draw_common(result, folder) if method is None else method(session, result, folder)
+    return save(figures(session, result), folder, Provenance.read(result["provenance"]))
 
 
 def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:
     """The same pictures by name, not written."""
-    method: Callable[[Session, Mapping[str, Any]], dict[str, Figure]] | None = _of_method(session, "figures")
+    own = session.spec.pictures
+    method: Callable[[Session, Mapping[str, Any]], dict[str, Figure]] | None = (
+        None if own is None else getattr(load(own), "figures", None)
+    )
     return common_figures(result) if method is None else method(session, result)
 
 
 def draw_common(result: Mapping[str, Any], folder: Path) -> list[Path]:
     """Write the map and the tables of error motions of any result, also of several sessions together."""
-    return save(common_figures(result), folder)
+    return save(common_figures(result), folder, Provenance.read(result["provenance"]))
 
 
 def common_figures(result: Mapping[str, Any]) -> dict[str, Figure]:
@@ -55,9 +58,3 @@ def common_figures(result: Mapping[str, Any]) -> dict[str, Figure]:
         "error_motions": draw_tables(result.get("parameters", ())),
     }
     return {name: figure for name, figure in drawn.items() if figure is not None}
-
-
-def _of_method(session: Session, name: str) -> Any:
-    """A function of the method's own module of pictures, if it has one."""
-    own = session.spec.pictures
-    return None if own is None else getattr(load(own), name, None)

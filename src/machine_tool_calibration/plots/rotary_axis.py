@@ -4,13 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.plots.style import save
 from machine_tool_calibration.session.description import RotaryAxis
 from machine_tool_calibration.session.session import Session
 
@@ -18,16 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw", "draw_arrangement", "draw_motions", "figures"]
-
-
-def draw(session: Session, result: Mapping[str, Any], folder: Path) -> list[Path]:
-    """Write the pictures of a result document into a folder.
-
-    Returns:
-        The files.
-    """
-    return save(figures(session, result), folder, 120)
+__all__ = ["draw_arrangement", "draw_motions", "figures"]
 
 
 def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:

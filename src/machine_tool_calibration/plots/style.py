@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +16,9 @@ from machine_tool_calibration.errors import CalibrationError
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.transforms import Bbox
+
+    from machine_tool_calibration.session.provenance import Provenance
 
 __all__ = [
     "BAND",
@@ -23,6 +27,7 @@ __all__ = [
     "FOUND",
     "MARKERS",
     "NOMINAL",
+    "add_footer",
     "new_figure",
     "round_down",
     "save",
@@ -30,6 +35,10 @@ __all__ = [
     "scale_bar",
     "spaced",
 ]
+
+_DPI = 110
+# Size of the letters at the foot, points, and the width that one takes on average, inches.
+_FOOT, _LETTER = 6.0, 0.05
 
 COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
@@ -47,16 +56,46 @@ def new_figure(width: float, height: float, title: str = "") -> Figure:
     return figure
 
 
-def save(figures: Mapping[str, Figure], folder: Path, dpi: int = 110) -> list[Path]:
-    """Write pictures as PNG files of their names into a folder, which is made where it is missing."""
+def save(figures: Mapping[str, Figure], folder: Path, origin: Provenance | None = None) -> list[Path]:
+    """Write pictures as PNG files of their names into a folder, which is made where it is missing.
+
+    Args:
+        figures: by name.
+        folder: where.
+        origin: what they were made from, for the foot of each and, in full, for the file itself.
+
+    Returns:
+        The files.
+    """
     folder.mkdir(parents=True, exist_ok=True)
-    for name, figure in figures.items():
-        figure.savefig(folder / f"{name}.png", dpi=dpi)
-    return [folder / f"{name}.png" for name in figures]
+    files = [folder / f"{name}.png" for name in figures]
+    for figure, file in zip(figures.values(), files, strict=True):
+        save_as(figure, file, origin)
+    return files
 
 
-def save_as(figure: Figure, path: Path) -> None:
+def add_footer(figure: Figure, text: str) -> Bbox:
+    """Write a line below a figure, broken where it is too narrow.
+
+    Returns:
+        What is to be saved, inches: the figure and the strip below it.
+    """
+    from matplotlib.transforms import Bbox
+
+    width, height = (float(size) for size in figure.get_size_inches())
+    lines = fill(text, max(int(width / _LETTER), 20))
+    strip = 0.06 + (lines.count("\n") + 1) * _FOOT * 1.3 / 72
+    figure.text(0.05 / width, 0.0, lines, va="top", fontsize=_FOOT, color="0.35", in_layout=False)
+    return Bbox([[0.0, -strip], [width, height]])
+
+
+def save_as(figure: Figure, path: Path, origin: Provenance | None = None) -> None:
     """Write one picture to a file whose ending chooses the format (png, svg, pdf, …).
+
+    Args:
+        figure: what is written.
+        path: where to.
+        origin: what it was made from, for its foot and, in full, for the file itself where the format can hold it.
 
     Raises:
         CalibrationError: matplotlib writes no such format.
@@ -65,7 +104,11 @@ def save_as(figure: Figure, path: Path) -> None:
     ending = path.suffix.removeprefix(".").lower() or "png"
     if ending not in known:
         raise CalibrationError(f"{path}: no picture can be written as {path.suffix}; as {', '.join(sorted(known))}")
-    figure.savefig(path, dpi=110, format=ending)
+    area = None if origin is None else add_footer(figure, origin.footer)
+    told = None
+    if origin is not None and ending in ("png", "svg"):
+        told = {"Description": "\n".join(f"{name}: {value}" for name, value in origin.lines())}
+    figure.savefig(path, dpi=_DPI, format=ending, metadata=told, bbox_inches=area)
 
 
 def round_down(value: float) -> float:

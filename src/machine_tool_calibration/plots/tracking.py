@@ -4,14 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray, rms
 from machine_tool_calibration.plots.error_map import draw_map, draw_tables
-from machine_tool_calibration.plots.style import BAND, COLORS, NOMINAL, new_figure, save
+from machine_tool_calibration.plots.style import BAND, COLORS, NOMINAL, new_figure
 from machine_tool_calibration.reports.quantities import quantity, rounded
 from machine_tool_calibration.session.session import Readings, Session
 
@@ -21,16 +20,7 @@ if TYPE_CHECKING:
 
     from machine_tool_calibration.model.fit import Fit
 
-__all__ = ["draw", "draw_map", "draw_residuals", "draw_stations", "figures"]
-
-
-def draw(session: Session, result: Mapping[str, Any], folder: Path) -> list[Path]:
-    """Write the pictures of a result document into a folder.
-
-    Returns:
-        The files.
-    """
-    return save(figures(session, result), folder)
+__all__ = ["draw_map", "draw_residuals", "draw_stations", "figures"]
 
 
 def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:

@@ -16,7 +16,7 @@ from machine_tool_calibration.reports.tables import TextTable, show_table
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["budget_document", "chosen_sums", "default_names", "show_budget", "sum_title"]
+__all__ = ["budget_document", "budget_tables", "chosen_sums", "default_names", "show_budget", "sum_title"]
 
 _ENTERS = {
     "reading": "reading",
@@ -90,19 +90,27 @@ def show_budget(screen: Console, budget: Budget, names: Sequence[str]) -> None:
         budget: what to print.
         names: quantities that were asked for; empty for those that are told of every measurement.
     """
-    show_table(screen, _contributors(budget))
+    for part in budget_tables(budget, names):
+        if isinstance(part, TextTable):
+            show_table(screen, part)
+        else:
+            screen.print()
+            screen.print(part)
+
+
+def budget_tables(budget: Budget, names: Sequence[str] = ()) -> Iterator[TextTable | str]:
+    """A budget as tables and sentences, in the order in which they are read; arguments as of `show_budget`."""
+    yield _contributors(budget)
     sums = chosen_sums(budget, names or default_names(budget))
     detailed = sums if names else [one for one in sums if one.quantity.name == POSITION_ERROR] or sums[:2]
     if detailed:
-        show_table(screen, _contributions(budget, detailed))
+        yield _contributions(budget, detailed)
     # Those in detail come first.
     if len(sums) > len(detailed):
-        show_table(screen, _overview(budget, sums[len(detailed) :]))
+        yield _overview(budget, sums[len(detailed) :])
     if budget.drawn is not None and sums:
-        show_table(screen, _check(budget, sums))
-    for text in _remarks(budget, sums):
-        screen.print()
-        screen.print(text)
+        yield _check(budget, sums)
+    yield from _remarks(budget, sums)
 
 
 def _contributors(budget: Budget) -> TextTable:
@@ -247,6 +255,7 @@ def budget_document(budget: Budget, names: Sequence[str] = ()) -> dict[str, Any]
     """
     return {
         "format": "mtcal-budget-result/1",
+        "provenance": budget.origin.document(),
         "contributors": [_line_document(line) for line in budget.lines],
         "quantities": [_sum_document(budget, one) for one in chosen_sums(budget, names or default_names(budget))],
         "draws": 0 if budget.drawn is None else len(budget.drawn.deviation),

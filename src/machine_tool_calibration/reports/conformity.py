@@ -14,7 +14,7 @@ from machine_tool_calibration.reports.tables import TextTable, show_table
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["conformity_document", "show_conformity"]
+__all__ = ["conformity_document", "conformity_table", "show_conformity"]
 
 _RULES = {
     "guarded": "pass and fail with a probability of {level} each, else undecided (ISO 14253-1)",
@@ -26,17 +26,21 @@ _RULES = {
 
 def show_conformity(screen: Console, found: Conformity) -> None:
     """Print the verdicts."""
+    show_table(screen, conformity_table(found))
+    screen.print()
+    screen.print(f"All together: {found.decision}.")
+
+
+def conformity_table(found: Conformity) -> TextTable:
+    """The verdicts, one a row."""
     rows = [_row(verdict) for verdict in found.verdicts]
     rule = _RULES[found.rule].format(level=f"{100 * found.level:g} %")
-    table = TextTable(
+    return TextTable(
         f"conformity: {rule}",
         ("figure", "tolerance", "measured ± U (k = 2)", "probability", "decision", "why"),
         tuple(rows),
         f"U of the {found.uncertainty}; probability that the true value lies within the tolerance",
     )
-    show_table(screen, table)
-    screen.print()
-    screen.print(f"All together: {found.decision}.")
 
 
 def _row(verdict: Verdict) -> tuple[str, ...]:
@@ -65,6 +69,7 @@ def conformity_document(found: Conformity) -> dict[str, Any]:
     document: dict[str, Any] = plain(
         {
             "format": "mtcal-conformity/1",
+            "provenance": found.origin.document(),
             "rule": found.rule,
             "conformance_probability": found.level,
             "uncertainty": found.uncertainty,

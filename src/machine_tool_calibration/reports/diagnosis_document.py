@@ -62,6 +62,7 @@ def diagnosis_document(
         "sessions": [] if diagnosis.labels is None else list(diagnosis.labels),
         "verdict": diagnosis.verdict,
         "suspicious": suspicions(diagnosis.sessions, diagnosis.labels),
+        "provenance": diagnosis.provenance.document(),
         "accepted": list(diagnosis.accepted),
         "observations": sum(len(session.readings) for session in diagnosis.sessions) + len(diagnosis.outliers),
         "noise": {

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Documents for programs: any record in the types of JSON, and the text of it that every parser accepts."""
+"""Documents for programs: any record in the types of JSON and its text, and tables as CSV files."""
 
 from __future__ import annotations
 
@@ -9,10 +9,15 @@ import math
 from collections.abc import Mapping, Set
 from datetime import date, datetime
 from enum import Enum
-from pathlib import PurePath
-from typing import Any
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING, Any
 
-__all__ = ["plain", "to_json"]
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from machine_tool_calibration.session.provenance import Provenance
+
+__all__ = ["plain", "to_json", "write_table"]
 
 
 def plain(value: Any) -> Any:
@@ -70,3 +75,21 @@ def _compact(value: Any) -> str:
         return json.dumps(value, allow_nan=False, ensure_ascii=False)
     except (TypeError, ValueError):
         return json.dumps(plain(value), allow_nan=False, ensure_ascii=False)
+
+
+def write_table(table: pd.DataFrame, file: Path, origin: Provenance) -> Path:
+    """Write a table as CSV, after lines with `#` that say what it was made from (`pd.read_csv(file, comment="#")`).
+
+    Args:
+        table: the columns.
+        file: its folder is made where it is missing.
+        origin: what it was made from.
+
+    Returns:
+        The file.
+    """
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with file.open("w", encoding="utf-8", newline="") as stream:
+        stream.writelines(f"# {name}: {' '.join(value.split())}\n" for name, value in origin.lines())
+        table.to_csv(stream, index=False, lineterminator="\n")
+    return file

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 __all__ = [
     "goodness_of_fit",
     "group_by_reason",
+    "readings_set_aside",
     "session_headline",
     "show_profiles",
     "show_result",
@@ -138,7 +139,7 @@ _MOST_ROWS = 40
 _MOST_NAMES = 8
 
 
-def show_result(screen: Console, document: Mapping[str, Any], opened: Iterable[Session], fit: JointFit) -> None:
+def show_result(screen: Console, document: Mapping[str, Any], opened: Sequence[Session], fit: JointFit) -> None:
     """Print a result document.
 
     Args:
@@ -174,10 +175,53 @@ def show_result(screen: Console, document: Mapping[str, Any], opened: Iterable[S
         screen.print(document["agreement"]["statement"])
     for reason, rows in group_by_reason((str(entry["row"]), entry["reason"]) for entry in document["rejected"]):
         screen.print(f"not used: {'rows' if ',' in rows else 'row'} {rows} (the first row is 0): {reason}")
+    aside = readings_set_aside(document, opened)
+    if aside.rows:
+        show_table(screen, aside)
     _show_parameters(screen, document, fit)
     for why, names in group_by_reason((entry["name"], entry["why"]) for entry in document["not_determined"]):
         screen.print(f"not determined: {names}: {why}")
     screen.print(f"datum: {document['datum']}")
+
+
+def readings_set_aside(document: Mapping[str, Any], opened: Sequence[Session]) -> TextTable:
+    """What was set aside: when, where, and how far off, row by row; without rows where nothing was.
+
+    Args:
+        document: of the result.
+        opened: the sessions that were identified, with all their readings.
+    """
+    labels = [entry["label"] for entry in document.get("sessions", [{"label": None}])]
+    by_label = dict(zip(labels, opened, strict=True))
+    rows = []
+    for entry in document["rejected"]:
+        session = by_label[entry.get("session")]
+        readings = session.readings
+        at = int(np.flatnonzero(readings.row == entry["row"])[0])
+        if not np.isfinite(readings.displacement[at]):
+            continue
+        time = readings.columns.get("time")
+        places = [f"{axis.upper()} {_place(axis, readings.columns[axis][at])}" for axis in "xyzabc"
+                  if axis in readings.columns]  # fmt: skip
+        named = [f"{name} {values[at]}" for name, values in readings.labels.items()]
+        rows.append(
+            (
+                entry.get("session", ""),
+                str(entry["row"]),
+                "" if time is None else f"{time[at]:.1f}",
+                session.setup_ids[readings.setup[at]],
+                str(readings.repeat[at]),
+                ", ".join([*named, *places]),
+                micrometres(entry["deviation"]) if "deviation" in entry else "",
+            )
+        )
+    heads = ("session", "row", "time, s", "setup", "repeat", "position, mm or °", "deviation, µm")
+    note = "deviation from what all others predict; --keep ROW puts a reading back, --keep-all all of them"
+    return TextTable("Readings set aside", heads, tuple(rows[:_MOST_ROWS]), note)
+
+
+def _place(axis: str, value: float) -> str:
+    return f"{np.degrees(value) if axis in 'abc' else 1e3 * value:.6g}"
 
 
 def show_profiles(screen: Console, document: Mapping[str, Any]) -> None:

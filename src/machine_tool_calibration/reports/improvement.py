@@ -50,6 +50,7 @@ def improvement_document(done: Improvement) -> dict[str, Any]:
             }
             for step in done.steps
         ],
+        "provenance": done.provenance.document(),
         "result": done.steps[-1].result.document(),
     }
 

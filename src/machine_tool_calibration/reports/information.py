@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from machine_tool_calibration.session.session import Session
     from machine_tool_calibration.session.summary import ColumnSummary, SessionSummary
 
-__all__ = ["measurement_document", "show_recording", "show_session"]
+__all__ = ["measurement_document", "setup_place", "show_recording", "show_session"]
 
 # Displacements that are all smaller, m, are deviations: shown in micrometres.
 _SMALL = 1e-3
@@ -102,7 +102,7 @@ def show_session(out: Console, session: Session, summary: SessionSummary) -> Non
     rows = tuple(
         (
             setup.id,
-            _where(entry),
+            setup_place(entry),
             str(setup.readings),
             str(setup.missing or ""),
             str(setup.repeats),
@@ -124,7 +124,8 @@ def show_session(out: Console, session: Session, summary: SessionSummary) -> Non
         out.print(f"Text columns: {', '.join(summary.labels)}")
 
 
-def _where(setup: Any) -> str:
+def setup_place(setup: Any) -> str:
+    """Where a setup stands, or which one it is; empty where it has no place of its own."""
     if hasattr(setup, "position"):
         return "(" + ", ".join(f"{1e3 * value:.1f}" for value in setup.position) + ") mm"
     if hasattr(setup, "direction"):

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["TextTable", "show_suspicions", "show_table"]
+__all__ = ["TextTable", "is_number", "show_suspicions", "show_table"]
 
 # Longest text that a column keeps on one line.
 _UNBROKEN = 24
@@ -40,6 +40,11 @@ class TextTable:
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     note: str = ""
+
+
+def is_number(text: str) -> bool:
+    """Whether a text of a table stands to the right: a number, a share, a bound, a dash."""
+    return _NUMBER.fullmatch(text) is not None
 
 
 def show_suspicions(screen: Console, suspicious: Iterable[str]) -> None:
@@ -115,7 +120,7 @@ def _show_part(screen: Console, table: TextTable, used: list[int]) -> None:
         screen.width - _GAP * (len(used) - 1),
     )
     for k, width in zip(used, widths, strict=True):
-        numbers = all(_NUMBER.fullmatch(row[k]) for row in table.rows if row[k])
+        numbers = all(is_number(row[k]) for row in table.rows if row[k])
         shown.add_column(Text(heads[k]), overflow="fold", width=width, justify="right" if numbers else "left")
     for row in table.rows:
         shown.add_row(*(Text(row[k]) for k in used))

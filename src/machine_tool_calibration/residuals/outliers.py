@@ -98,7 +98,7 @@ def find_outliers(session: Session, build: Callable[[Session], MethodModel]) -> 
     """Set aside the readings that stand out of all others.
 
     Args:
-        session: the measurement.
+        session: the measurement; what it says to be sound is never among them.
         build: makes the model of a session.
 
     Returns:
@@ -107,8 +107,7 @@ def find_outliers(session: Session, build: Callable[[Session], MethodModel]) -> 
     """
     found = _found(session, build)
     if found:
-        readings = session.readings
-        session = session.with_readings(readings.select(~np.isin(readings.row, [o.row for o in found])))
+        session = session.without(np.isin(session.readings.row, [o.row for o in found]))
     return found, session
 
 
@@ -124,9 +123,7 @@ def set_aside(session: Session, build: Callable[[Session], MethodModel]) -> tupl
 
 
 def _lost(session: Session, found: list[Outlier]) -> Session:
-    readings = session.readings
-    gone = np.isin(readings.row, [o.row for o in found])
-    return session.with_readings(replace(readings, displacement=np.where(gone, np.nan, readings.displacement)))
+    return session.without(np.isin(session.readings.row, [o.row for o in found]), as_lost=True)
 
 
 @single_blas()
@@ -136,7 +133,7 @@ def _found(session: Session, build: Callable[[Session], MethodModel]) -> list[Ou
     part = session
     for _ in range(_MODELS):
         try:
-            more = _Search(build(part)).outliers()
+            more = [o for o in _Search(build(part)).outliers() if o.row not in session.sound]
         except (ModelError, np.linalg.LinAlgError):
             # Too little for the model, which its own fit will say; or what was set aside leaves too little.
             return []

@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from datetime import date
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
@@ -130,6 +131,21 @@ Instrument = Literal[
     "micro_switch",
 ]
 """What can read deviations directly."""
+
+
+def _check_about(value: Any, where: str = "about") -> Any:
+    """Nested texts; what is not text, such as a number or date from a program, becomes its text."""
+    if isinstance(value, dict):
+        return {str(key): _check_about(entry, f"{where}.{key}") for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_check_about(entry, f"{where}[{k}]") for k, entry in enumerate(value)]
+    if value is None or isinstance(value, str | int | float | date):
+        return "" if value is None else value.isoformat() if isinstance(value, date) else str(value)
+    raise ValueError(f"{where} must be text, a number, a date, or a list or mapping of such")
+
+
+About = Annotated[dict[str, Any], AfterValidator(_check_about)]
+"""Free descriptive data: nested texts, as they stand in the file."""
 
 
 class Machine(Record):
@@ -271,6 +287,7 @@ class Description(Record):
 
     Attributes:
         trust_units: whether sizes, units and places are taken as they are, however implausible.
+        about: who, what, when: machine, serial numbers, instruments, certificates, operator, place, date, …
     """
 
     if TYPE_CHECKING:
@@ -282,6 +299,7 @@ class Description(Record):
     repeats: Annotated[int, Field(ge=1)] = 1
     standard_uncertainty: StandardUncertainty
     trust_units: bool = False
+    about: About = {}
 
     @model_validator(mode="after")
     def _check_ids(self) -> Any:

@@ -79,7 +79,7 @@ class MethodSpec:
         path_from_session: whether a procedure's targets follow from the session.
         further_places: of a session and its description, further setups that could be measured, as options.
         planned: of a procedure, its steps and the setup of each, what a perfect machine would show.
-        pictures: module with `draw` and `figures` for a result; those of its map and tables if absent.
+        pictures: module with `figures` of a result; those of its map and tables if absent.
         optics: of a site and a description, the simulated instrument's beam.
         unneeded: nodes that the method does not need: a probe is instrument and pointer in one, a fixed beam needs no
             pointer.

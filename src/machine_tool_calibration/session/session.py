@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import PurePath
 from typing import TYPE_CHECKING
@@ -81,11 +81,15 @@ class Session:
         description: the content of `session.yaml`.
         readings: the content of `observations.csv`.
         source: where it came from, for messages.
+        sound: rows of readings that are known to be sound: none of them is set aside, however far it stands out.
+        recorded: the measurement before any reading was left out; None where none was.
     """
 
     description: Description
     readings: Readings
     source: str = "session"
+    sound: frozenset[int] = frozenset()
+    recorded: Session | None = field(default=None, repr=False, compare=False)
 
     @property
     def method(self) -> str:
@@ -122,7 +126,37 @@ class Session:
 
     def with_readings(self, readings: Readings) -> Session:
         """The same measurement with other readings."""
-        return replace(self, readings=readings)
+        return replace(self, readings=readings, recorded=None)
+
+    def without(self, gone: BoolArray, *, as_lost: bool = False) -> Session:
+        """The same measurement with readings left out; `as_recorded` still has them.
+
+        Args:
+            gone: (n,) which.
+            as_lost: whether they stay as readings that are missing.
+        """
+        readings = self.readings
+        left = replace(readings, displacement=np.where(gone, np.nan, readings.displacement)) if as_lost else None
+        return replace(self, readings=left or readings.select(~gone), recorded=self.as_recorded)
+
+    @property
+    def as_recorded(self) -> Session:
+        """The measurement with all its readings."""
+        return self.recorded or self
+
+    def keeping(self, rows: Iterable[int]) -> Session:
+        """The same measurement, with further readings known to be sound.
+
+        Args:
+            rows: their numbers in the recording, from 0.
+
+        Raises:
+            SessionError: it has no such reading.
+        """
+        rows = frozenset(rows)
+        for row in sorted(rows.difference(self.readings.row.tolist())):
+            raise SessionError(f"{self.source}: there is no row {row} to keep; rows count from 0")
+        return replace(self, sound=self.sound | rows)
 
 
 # Large odd numbers: products and sums wrap around in 64 bits.

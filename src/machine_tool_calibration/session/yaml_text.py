@@ -32,6 +32,8 @@ _SPECIAL = {
     **dict.fromkeys(("-.inf", "-.Inf", "-.INF"), float("-inf")),
 }
 _TEXT_KEYS = frozenset({"id"})
+# Keys below which everything is text as it stands: a serial number 007 or 1e5, a version 3.10, a date.
+_VERBATIM_KEYS = frozenset({"about"})
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 Path = tuple[str | int, ...]
@@ -65,6 +67,7 @@ class _Open:
     anchor: str | None
     size_before: int
     key: str | None = None
+    verbatim: bool = False
 
 
 @dataclass
@@ -119,8 +122,9 @@ class _Builder:
     def scalar(self, event: Any) -> None:
         self.count(event)
         is_text = self.expects_key() or not event.implicit[0]
-        if not is_text and self.stack and self.stack[-1].key in _TEXT_KEYS:
-            is_text = event.value not in _SPECIAL
+        if not is_text and self.stack:
+            top = self.stack[-1]
+            is_text = top.verbatim or (top.key in _TEXT_KEYS and event.value not in _SPECIAL)
         if not self.expects_key():
             self.lines.setdefault(self.here(), event.start_mark.line + 1)
         value = event.value if is_text else _resolve(event.value, self.truth)
@@ -136,7 +140,9 @@ class _Builder:
             raise self.fail(event, f"nested deeper than {_MAX_DEPTH} levels")
         path = self.here()
         self.lines.setdefault(path, event.start_mark.line + 1)
-        self.stack.append(_Open(value, path, event.anchor, self.values))
+        top = self.stack[-1] if self.stack else None
+        verbatim = top is not None and (top.verbatim or top.key in _VERBATIM_KEYS)
+        self.stack.append(_Open(value, path, event.anchor, self.values, verbatim=verbatim))
 
     def close(self, event: Any) -> None:
         top = self.stack.pop()

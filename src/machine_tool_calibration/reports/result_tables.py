@@ -21,7 +21,7 @@ from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.session.description import Probing
 from machine_tool_calibration.session.folder import readings_frame
 
-__all__ = ["error_map", "error_motions", "parameters", "residuals", "workpiece"]
+__all__ = ["error_map", "error_motions", "parameters", "residuals", "tidy", "workpiece"]
 
 
 @dataclass(frozen=True)
@@ -244,3 +244,31 @@ def workpiece(result: Result | JointResult) -> pd.DataFrame:
         frame[flag] = frame[[name, u]].notna().all(axis=1)
         frame.loc[~frame[flag], [name, u]] = np.nan
     return frame[names].set_index("point")
+
+
+_TIDY = ("error", "position", "position_unit", "x", "y", "z", "value", "u", "U", "unit", "determined")
+
+
+def tidy(result: Result | JointResult) -> pd.DataFrame:
+    """All that was found of the machine and the part in one table, one value a row.
+
+    Returns:
+        `error`: an error motion or squareness (EXX, C0Y, …) at `position` on its axis in `position_unit`, or the
+        position error `ex`, `ey`, `ez` at the place `x y z` (m), or `workpiece_error` of a probed `point` along its
+        normal; further columns as `error_map` has them. `value`, standard uncertainty `u` and expanded uncertainty `U`
+        (k = 2) in `unit`; `determined`: where False, they are NaN.
+    """
+    places = error_map(result)
+    own = [name for name in map(str, places) if name in ("axis", "target", "a", "b", "c")]
+    frames = [error_motions(result).rename(columns={"motion": "error"})]
+    for axis in "xyz":
+        known = {"value": places[f"e{axis}"], "u": places[f"u{axis}"], "determined": places[f"determined_{axis}"]}
+        frames.append(places[[*own, "x", "y", "z"]].assign(error=f"e{axis}", unit="m", **known))
+    part = workpiece(result).reset_index()
+    if len(part):
+        kept = part[["point", "x", "y", "u", "determined"]]
+        frames.append(kept.assign(error="workpiece_error", unit="m", value=part["error"]))
+    whole = pd.concat([frame for frame in frames if len(frame)], ignore_index=True)
+    whole["U"] = 2.0 * whole["u"]
+    more = [name for name in whole if name not in _TIDY]
+    return whole.reindex(columns=[_TIDY[0], *more, *_TIDY[1:]])

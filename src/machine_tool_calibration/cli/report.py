@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`mtcal report`: a measurement and all that it tells, to hand over."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from machine_tool_calibration.cli.diagnosing import (
+    current_models,
+    history_option,
+    keeping,
+    model_options,
+    note_written,
+    own_effects,
+    search_options,
+)
+from machine_tool_calibration.cli.output import progress_bar, session_labels
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from machine_tool_calibration.diagnosis.history import Entry
+    from machine_tool_calibration.effects.effect import Effect
+    from machine_tool_calibration.report.evaluation import Chosen
+    from machine_tool_calibration.session.session import Session
+
+__all__ = ["command"]
+
+
+@click.command("report")
+@click.argument("measurements", metavar="SESSION…", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    "outputs",
+    type=click.Path(path_type=Path, dir_okay=False),
+    multiple=True,
+    help="The report: a file .html or .pdf; repeatable. By default report.html.",
+)
+@click.option("--language", default="en", show_default=True, metavar="en|de", help="Of the report.")
+@click.option(
+    "--figures", type=click.Path(path_type=Path, file_okay=False), help="Folder for the pictures as SVG files."
+)
+@click.option(
+    "--budget",
+    "budgets",
+    type=click.Path(path_type=Path),
+    multiple=True,
+    help="YAML file with contributors to the uncertainty (`mtcal budget`); repeatable.",
+)
+@click.option("--tolerances", type=click.Path(path_type=Path), help="YAML file with tolerances (`mtcal conformity`).")
+@click.option("--diagnosis/--no-diagnosis", default=True, help="Look for what the model lacks, or not.")
+@history_option
+@model_options
+@search_options
+def command(
+    measurements: tuple[Path, ...],
+    outputs: tuple[Path, ...],
+    language: str,
+    figures: Path | None,
+    budgets: tuple[Path, ...],
+    tolerances: Path | None,
+    diagnosis: bool,
+    from_history: bool,
+    effects: tuple[str, ...],
+    files: tuple[Path, ...],
+    model: str | None,
+    keep: tuple[str, ...],
+    seed: int,
+    sets: int,
+) -> None:
+    """Write a report to hand over: one file that holds all it needs.
+
+    SESSION is a session folder or a recording; several of one machine are fitted together. The report says who
+    measured what with what (`about` in session.yaml), shows the map, the error motions with their uncertainty, the
+    residuals, what the model lacks, the budget and conformity if there are any, what is not determined, and what it
+    was made from.
+
+    \b
+    mtcal report session -o report.html
+    mtcal report session -o report.html -o report.pdf --language de
+    mtcal report session --from-history --budget mine.yaml --tolerances tolerances.yaml
+    """
+    from machine_tool_calibration.recording.open import open_measurement
+    from machine_tool_calibration.report.evaluation import evaluate
+    from machine_tool_calibration.report.page import check_endings, write_report
+    from machine_tool_calibration.report.words import words
+
+    outputs = outputs or (Path("report.html"),)
+    check_endings(outputs)
+    spoken = words(language)
+    contributors, limits = [], {}
+    if budgets:
+        from machine_tool_calibration.budget.contributor import read_budget
+
+        contributors = [one for file in budgets for one in read_budget(file)]
+    if tolerances:
+        from machine_tool_calibration.budget.tolerances import read_tolerances
+
+        limits = read_tolerances(tolerances)
+    with progress_bar() as progress:
+        opened = keeping([open_measurement(path) for path in measurements], measurements, keep)
+        chosen = _chosen(opened, measurements, effects, own_effects(files), model, from_history=from_history)
+        found = evaluate(
+            chosen,
+            diagnosis=diagnosis,
+            seed=seed,
+            sets=sets,
+            contributors=contributors,
+            tolerances=limits,
+            progress=progress,
+        )
+        progress("drawing")
+        written = write_report(found, spoken, outputs, figures)
+    note_written(written)
+
+
+def _chosen(
+    opened: list[Session],
+    paths: Sequence[Path],
+    effects: Sequence[str],
+    own: Sequence[Effect],
+    model: str | None,
+    *,
+    from_history: bool,
+) -> Chosen:
+    from machine_tool_calibration.report.evaluation import Chosen
+
+    labels = tuple(session_labels(paths)) if len(opened) > 1 else None
+    if not from_history:
+        return Chosen(tuple(opened), tuple(opened), labels, model, tuple(effects), tuple(own))
+    entry, kept, _ = current_models(opened, paths, effects, model)
+    return Chosen(
+        tuple(opened),
+        tuple(kept),
+        labels,
+        entry.model,
+        entry.effects,
+        tuple(own),
+        tuple(entry.sets()),
+        keep_all=True,
+        history=_way(entry, paths),
+    )
+
+
+def _way(last: Entry, paths: Sequence[Path]) -> tuple[Entry, ...]:
+    """The models of the history from the first one to the last, each made from the one before."""
+    from machine_tool_calibration.reports.history_file import history_path, read_history
+
+    history = read_history(history_path(*paths))
+    way = [last]
+    while way[0].parent is not None:
+        way.insert(0, history.entry(way[0].parent))
+    return tuple(way)

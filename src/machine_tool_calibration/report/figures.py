@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The report's pictures as SVG, with their texts in the report's language."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from machine_tool_calibration.plots.budget import draw_budget
+from machine_tool_calibration.plots.compare import chosen_covariates, draw_against, draw_map, draw_setups
+from machine_tool_calibration.plots.improve import draw_improvement
+from machine_tool_calibration.plots.pictures import common_figures, figures
+from machine_tool_calibration.plots.style import COLORS, NOMINAL, new_figure
+from machine_tool_calibration.report.evaluation import Evaluation
+from machine_tool_calibration.report.words import Words
+from machine_tool_calibration.reports.result_tables import error_motions
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+__all__ = ["Picture", "budget_pictures", "improvement_pictures", "map_pictures", "motion_pictures", "residual_pictures"]
+
+# Width of a picture, inches, of which two stand side by side.
+_NARROW = 5.0
+# Width up to which letters can be read on a page, and how much lower a wider picture becomes at most.
+_WIDEST, _LOWEST = 9.5, 0.8
+# Dots of an inch on paper.
+_DPI = 220
+# Panels of residuals over covariates.
+_PANELS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A picture of the report.
+
+    Attributes:
+        name: of its file, without the ending.
+        caption: below it, and for those who do not see it.
+        figure: itself, with its texts in the report's language.
+    """
+
+    name: str
+    caption: str
+    figure: Figure
+
+    @property
+    def inches(self) -> float:
+        """Its width."""
+        return round(float(self.figure.get_figwidth()), 2)
+
+    @property
+    def narrow(self) -> bool:
+        """Whether two of it stand side by side."""
+        return self.inches < _NARROW
+
+    @cached_property
+    def svg(self) -> bytes:
+        """As lines and letters of any size; letters are drawn, as fonts differ from machine to machine."""
+        from matplotlib import rc_context
+
+        with rc_context({"svg.hashsalt": self.name, "svg.fonttype": "path"}):  # the same picture gives the same file
+            return self._saved("svg", metadata={"Date": None, "Creator": None})
+
+    @cached_property
+    def png(self) -> bytes:
+        """As dots, of which a PDF with many pictures is made ten times as fast."""
+        return self._saved("png", dpi=_DPI)
+
+    def address(self, *, for_paper: bool) -> str:
+        """The picture itself as an address, so that a page holds all of it."""
+        kind, content = ("png", self.png) if for_paper else ("svg+xml", self.svg)
+        return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
+
+    def _saved(self, kind: str, **options: Any) -> bytes:
+        out = io.BytesIO()
+        self.figure.savefig(out, format=kind, **options)
+        return out.getvalue()
+
+
+def _picture(name: str, caption: str, figure: Figure, words: Words) -> Picture:
+    from matplotlib.text import Text
+
+    for text in figure.findobj(Text):
+        assert isinstance(text, Text)
+        text.set_text(words.phrase(text.get_text()))
+    wide, high = (float(size) for size in figure.get_size_inches())
+    if wide > _WIDEST:
+        figure.set_size_inches(_WIDEST, high * max(_WIDEST / wide, _LOWEST))
+    return Picture(name, caption, figure)
+
+
+def map_pictures(found: Evaluation, words: Words) -> Iterator[Picture]:
+    """The map and what the method draws besides; runs by ISO 230-2."""
+    sessions = found.chosen.sessions
+    drawn = figures(sessions[0], found.document) if len(sessions) == 1 else common_figures(found.document)
+    for name, figure in drawn.items():
+        if name == "error_motions":  # one by one in motion_pictures
+            continue
+        if name.startswith("iso230_2_"):
+            yield _picture(name, words("figure_iso230_2", setup=name.removeprefix("iso230_2_")), figure, words)
+        else:
+            yield _picture(
+                name, words(f"figure_{name}" if f"figure_{name}" in words.texts else "figure"), figure, words
+            )
+
+
+def motion_pictures(found: Evaluation, words: Words) -> Iterator[Picture]:
+    """Each error motion over its axis with the band of its expanded uncertainty (k = 2)."""
+    table = error_motions(found.result)
+    for name, rows in table[table["position"].notna()].groupby("motion", sort=False):
+        caption = words("figure_motion", motion=name)
+        yield _picture(f"motion_{name}", caption, _draw_motion(str(name), rows, words), words)
+
+
+def _draw_motion(name: str, rows: pd.DataFrame, words: Words) -> Figure:
+    figure = new_figure(3.5, 2.4, name)
+    panel = figure.subplots()
+    rows = rows.sort_values("position")
+    angle, rotary = rows["unit"].iloc[0] == "rad", rows["position_unit"].iloc[0] == "rad"
+    at = np.degrees(rows["position"]) if rotary else 1e3 * rows["position"]
+    value, expanded = 1e6 * rows["value"], 2e6 * rows["u"]
+    panel.fill_between(at, value - expanded, value + expanded, color="0.85", lw=0)
+    for edge in (value - expanded, value + expanded):
+        panel.plot(at, edge, color="0.5", lw=0.7, ls="--")
+    panel.plot(at, value, "o-", color=COLORS[0], ms=3, lw=1.2)
+    lost = ~rows["determined"].to_numpy(dtype=bool)
+    panel.plot(at[lost], np.zeros(lost.sum()), "x", color="black", ms=5)
+    panel.axhline(0.0, color=NOMINAL, lw=0.8, zorder=0)
+    panel.set_xlabel(f"{name[2]}, {'°' if rotary else 'mm'}")
+    panel.set_ylabel(f"{words('error')}, {'µrad' if angle else 'µm'}")
+    return figure
+
+
+def residual_pictures(found: Evaluation, words: Words) -> Iterator[Picture]:
+    """Residuals by setup, as arrows, and over what they follow most."""
+    labels = found.chosen.labels or ("",)
+    for label, comparison in zip(labels, found.comparisons, strict=True):
+        begin = f"{label}: " if label else ""
+        named = f"{label}_" if label else ""
+        yield _picture(f"{named}setups", begin + words("figure_setups"), draw_setups(comparison), words)
+        yield _picture(f"{named}residual_map", begin + words("figure_residual_map"), draw_map(comparison), words)
+        chosen = chosen_covariates(comparison, _PANELS)
+        for names in (chosen[k : k + 2] for k in range(0, len(chosen), 2)):
+            drawn = draw_against(comparison, names)
+            yield _picture(f"{named}residuals_{'_'.join(names)}", begin + words("figure_residuals"), drawn, words)
+
+
+def improvement_pictures(found: Evaluation, words: Words) -> Iterator[Picture]:
+    """How the error falls with what the diagnosis finds."""
+    if found.improvement is not None and len(found.improvement.steps) > 1:
+        yield _picture("improve", words("figure_improve"), draw_improvement(found.improvement), words)
+
+
+def budget_pictures(found: Evaluation, words: Words) -> Iterator[Picture]:
+    """Who contributes what to the uncertainty."""
+    if found.budget is not None:
+        yield _picture("budget", words("figure_budget"), draw_budget(found.budget), words)

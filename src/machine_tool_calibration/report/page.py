@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The report as one HTML page that holds all it needs, and as a PDF of the same."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.report.figures import Picture
+from machine_tool_calibration.report.sections import Section, Turnable, sections
+from machine_tool_calibration.report.turnable import library
+from machine_tool_calibration.report.words import Words
+from machine_tool_calibration.reports.tables import TextTable, is_number
+from machine_tool_calibration.session.provenance import name_of_machine
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.report.evaluation import Evaluation
+
+__all__ = ["check_endings", "html", "save_pictures", "write_report"]
+
+
+def write_report(found: Evaluation, words: Words, files: Sequence[Path], figures: Path | None = None) -> list[Path]:
+    """Write a report.
+
+    Args:
+        found: what it tells.
+        words: of its language.
+        files: each by its ending an HTML page or a PDF.
+        figures: folder for the pictures as SVG files of their own.
+
+    Returns:
+        The files.
+
+    Raises:
+        CalibrationError: another ending, a file that cannot be written, or no Pango for PDF.
+    """
+    check_endings(files)
+    content = sections(found, words)
+    try:
+        for file in files:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            if file.suffix.lower() == ".pdf":
+                file.write_bytes(_pdf(html(found, content, words, for_paper=True)))
+            else:
+                file.write_text(html(found, content, words), encoding="utf-8")
+        return [*files, *(save_pictures(content, figures) if figures else ())]
+    except OSError as error:
+        raise CalibrationError(f"{error.filename or files[0]}: cannot be written: {error.strerror}") from None
+
+
+def check_endings(files: Sequence[Path]) -> None:
+    """Refuse what a report cannot be, before it is calculated.
+
+    Raises:
+        CalibrationError: a file that is neither .html nor .pdf.
+    """
+    for file in files:
+        if file.suffix.lower() not in (".html", ".pdf"):
+            raise CalibrationError(f"{file}: a report is an .html or a .pdf file")
+
+
+def html(found: Evaluation, content: Sequence[Section], words: Words, *, for_paper: bool = False) -> str:
+    """The page.
+
+    Args:
+        found: what it tells.
+        content: its sections.
+        words: of its language.
+        for_paper: whether nothing in it can be turned.
+    """
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader(__package__, "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.tests["picture"] = lambda block: isinstance(block, Picture)
+    environment.tests["table"] = lambda block: isinstance(block, TextTable)
+    environment.tests["turnable"] = lambda block: isinstance(block, Turnable)
+    environment.filters["numbers"] = _numbers
+    origin = found.result.provenance
+    drawings = [block.drawing for section in content for block in section.blocks if isinstance(block, Turnable)]
+    interactive = bool(drawings) and not for_paper
+    machines = [name_of_machine(one.about) for one in origin.sessions]
+    return environment.get_template("report.html").render(
+        words=words,
+        sections=content,
+        origin=origin,
+        machine=", ".join(dict.fromkeys(name for name in machines if name)),
+        measured=", ".join(dict.fromkeys(one.measured for one in origin.sessions if one.measured)),
+        for_paper=for_paper,
+        # no `</script>` in it can end the script
+        drawings=json.dumps(drawings).replace("</", "<\\/") if interactive else "",
+        library=library() if interactive else "",
+    )
+
+
+def _numbers(table: TextTable) -> list[int]:
+    """Columns with a heading that hold nothing but numbers: they stand to the right."""
+    filled = [[row[k] for row in table.rows if row[k]] for k in range(len(table.columns))]
+    return [k for k, texts in enumerate(filled) if table.columns[k] and texts and all(map(is_number, texts))]
+
+
+def save_pictures(content: Sequence[Section], folder: Path) -> list[Path]:
+    """Write the pictures as SVG files of their names."""
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    for block in (block for section in content for block in section.blocks):
+        if isinstance(block, Picture):
+            written.append(folder / f"{block.name.replace('/', '-')}.svg")
+            written[-1].write_bytes(block.svg)
+    return written
+
+
+def _pdf(page: str) -> bytes:
+    try:
+        from weasyprint import HTML  # type: ignore[import-untyped]
+        from weasyprint.urls import URLFetcher  # type: ignore[import-untyped]
+    except OSError:  # it loads Pango when it is imported
+        raise CalibrationError("a PDF needs the library Pango (Debian: libpangoft2-1.0-0); HTML does not") from None
+    # all of it is in the page
+    made: bytes = HTML(string=page, url_fetcher=URLFetcher(allowed_protocols=["data"])).write_pdf()
+    return made

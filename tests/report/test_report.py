@@ -1,0 +1,244 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A report holds all it needs, is sound HTML and PDF, and is whole in every language."""
+
+import io
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import cache
+from html.parser import HTMLParser
+from pathlib import Path
+
+import html5lib
+import pypdf
+import pytest
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.text import Text
+
+from machine_tool_calibration.budget.contributor import default_budget
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.recording.session_bag import session_from_bag, session_to_bag
+from machine_tool_calibration.report import figures
+from machine_tool_calibration.report.evaluation import Chosen, Evaluation, evaluate
+from machine_tool_calibration.report.figures import Picture
+from machine_tool_calibration.report.page import html, write_report
+from machine_tool_calibration.report.sections import Section, Turnable, sections
+from machine_tool_calibration.report.words import LANGUAGES, Words, words
+from machine_tool_calibration.reports.tables import TextTable
+from machine_tool_calibration.session.provenance import data_hash
+from machine_tool_calibration.simulation.simulate import simulate
+from machine_tool_calibration.simulation.spec import SimulationSpec
+
+PLANS = {
+    "tracking_2d": {"method": "tracking_interferometer", "dimension": 2},
+    "step_diagonal": {"method": "step_diagonal"},
+    "rotary_axis": {"method": "rotary_axis"},
+    "probing": {"method": "probing"},
+    "iso230_2": {"method": "direct", "kind": "iso230_2"},
+}
+# Of these the whole report, which takes longer.
+WHOLE = ("tracking_2d", "iso230_2")
+ABOUT = {
+    "machine": {"name": "VMC <850> & </script>", "serial": "007"},
+    "date": "2026-03-01",
+    "operator": "Erika Müller",
+}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def rough_pictures() -> Iterator[None]:
+    """The panels of pictures are not laid out, which takes most of the time: those of tests/plots are."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ConstrainedLayoutEngine, "execute", lambda self, fig: None)
+        patch.setattr(figures, "_DPI", 50)
+        yield
+
+
+@cache
+def evaluated(name: str) -> Evaluation:
+    """What a report of that plan tells."""
+    effects = [{"id": "backlash_y", "size": 2e-6}] if name == "tracking_2d" else []
+    plan = PLANS[name]
+    session = simulate(SimulationSpec.model_validate({"seed": 1, "plan": plan, "effects": effects})).session
+    if name == "tracking_2d":
+        values = session.readings.displacement.copy()
+        values[90] += 80e-6
+        described = session.description.model_copy(update={"about": ABOUT})
+        session = replace(session, description=described, readings=replace(session.readings, displacement=values))
+    whole = name in WHOLE
+    return evaluate(
+        Chosen((session,), (session,), None),
+        diagnosis=whole,
+        contributors=default_budget([session.instrument]) if whole else (),
+        tolerances={"EXX": 10e-6} if name == "iso230_2" else None,
+    )
+
+
+@cache
+def content(name: str, language: str) -> list[Section]:
+    """The sections of a report."""
+    return sections(evaluated(name), words(language))
+
+
+PLACES = re.compile(r"\{\w+\}")
+# Letters that German words do not make, and words of the catalogue's ids and formulas that stay as they are.
+ENGLISH = re.compile(r"\b(the|of|and|with|is|are|readings|error|errors|squareness|expansion|not)\b")
+
+
+class Seen(HTMLParser):
+    """What a browser would load, and what it would show."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.loaded: list[str] = []
+        self.shown: list[str] = []
+        self.inside: list[str] = []
+
+    def handle_starttag(self, tag, attrs):
+        self.loaded += [value for name, value in attrs if name in ("src", "href", "data", "action", "srcset", "poster")]
+        if tag in ("style", "script"):
+            self.inside.append(tag)
+
+    def handle_endtag(self, tag):
+        if self.inside and self.inside[-1] == tag:
+            self.inside.pop()
+
+    def handle_data(self, data):
+        if not self.inside:
+            self.shown.append(data)
+
+
+def page(name: str, language: str, **options: bool) -> str:
+    return html(evaluated(name), content(name, language), words(language), **options)
+
+
+def seen(text: str) -> Seen:
+    parser = Seen()
+    parser.feed(text)
+    return parser
+
+
+def blocks(name: str, kind: type) -> list:
+    return [block for section in content(name, "en") for block in section.blocks if isinstance(block, kind)]
+
+
+@pytest.mark.parametrize("name", PLANS)
+def test_every_method_has_a_page_that_is_sound_and_loads_nothing(name):
+    text = page(name, "en")
+    html5lib.HTMLParser(strict=True).parse(re.sub(r"[A-Za-z0-9+/]{200,}=*", "", text))  # without what takes its time
+    found = seen(text)
+    assert [address for address in found.loaded if not address.startswith(("#", "data:image/svg+xml;base64,"))] == []
+    style = "".join(re.findall(r"<style>(.*?)</style>", text, re.DOTALL))
+    assert "@page" not in style and "url(" not in style and "@import" not in style
+    shown = " ".join(found.shown)
+    for section in ("Result", "What was measured", "Map of the errors", "What does not reproduce", "Residuals"):
+        assert section in shown
+    assert evaluated(name).result.provenance.sha256 in shown
+    assert "Signatures" in shown and "approved by" in shown
+    assert len(blocks(name, Picture)) >= 3
+    assert len({picture.name for picture in blocks(name, Picture)}) == len(blocks(name, Picture))
+
+
+def test_what_people_wrote_cannot_become_part_of_the_page():
+    text = page("tracking_2d", "en")
+    assert "VMC &lt;850&gt; &amp; &lt;/script&gt;" in text
+    assert "VMC <850>" not in text
+
+
+@pytest.mark.parametrize("name", ["tracking_2d", "rotary_axis"])
+def test_the_map_can_be_turned_and_its_library_is_in_the_page(name):
+    (drawing,) = (block.drawing for block in blocks(name, Turnable))
+    marks = next(one for one in drawing["data"] if one["mode"] == "markers")
+    assert len(marks["x"]) == len(evaluated(name).result.error_map.points)
+    text = page(name, "en")
+    held = json.loads(re.search(r'id="drawings">(.*?)</script>', text, re.DOTALL)[1])
+    assert held == json.loads(json.dumps([drawing]))
+    assert 1e6 < len(re.search(r'id="plotly">(.*?)</script>', text)[1]) < 2.5e6
+    assert "plotly" not in page(name, "en", for_paper=True)
+
+
+def test_each_error_motion_has_a_picture_and_a_run_by_iso_230_2_too():
+    names = [picture.name for picture in blocks("rotary_axis", Picture)]
+    assert [name for name in names if name.startswith("motion_")] == [f"motion_E{c}C" for c in "XYZABC"]
+    assert "iso230_2_X" in [picture.name for picture in blocks("iso230_2", Picture)]
+
+
+def test_diagnosis_budget_conformity_and_readings_set_aside_are_there():
+    tables = {table.title: table for table in blocks("tracking_2d", TextTable)}
+    assert tables["Effects that were looked for, the most probable first"].rows[0][1] == "backlash_y"
+    assert [row[0] for row in tables["Step by step"].rows] == ["first model", "1 reading set aside", "backlash_y"]
+    assert [row[0] for row in tables["Readings set aside"].rows] == ["90"]
+    found = evaluated("tracking_2d")
+    assert any(title.startswith("contributors") for title in tables) and found.budget is not None
+    ids = [section.id for section in content("iso230_2", "en")]
+    assert "conformity" in ids and "conformity" not in [section.id for section in content("tracking_2d", "en")]
+
+
+def test_paper_has_its_pages_and_texts(tmp_path: Path, language: str = "de"):
+    file = tmp_path / "folder" / "report.pdf"
+    written = write_report(evaluated("tracking_2d"), words(language), [file], tmp_path / "figures")
+    assert written[0] == file and {path.suffix for path in written[1:]} == {".svg"}
+    assert all(b"<svg" in path.read_bytes() for path in written[1:])
+    paper = pypdf.PdfReader(io.BytesIO(file.read_bytes()))
+    text = "\n".join(one.extract_text() for one in paper.pages)
+    assert len(paper.pages) >= 3 and f"{len(paper.pages)} / {len(paper.pages)}" in text
+    told = words(language)
+    for section in content("tracking_2d", language):
+        assert section.title in " ".join(text.split())
+    assert told("signature") in text and "Erika Müller" in text
+    assert evaluated("tracking_2d").result.provenance.sha256 in "".join(text.split())
+
+
+def test_all_languages_have_all_texts():
+    english = words("en")
+    for language in LANGUAGES:
+        own = words(language)
+        assert set(own.texts) == set(english.texts)
+        assert all(text.strip() for text in own.texts.values())
+        for key, text in own.texts.items():
+            assert set(PLACES.findall(text)) == set(PLACES.findall(english.texts[key])), key
+        for phrase, text in own.phrases.items():
+            assert set(PLACES.findall(text)) <= set(PLACES.findall(phrase)), phrase
+
+
+@pytest.mark.parametrize("name", PLANS)
+def test_a_german_report_is_german(name):
+    """Also what other rooms write in English: tables, sentences, the datum, pictures; not the names of contributors."""
+    budget = evaluated(name).budget
+    names = {line.name for line in budget.lines} if budget else set()
+    shown: list[str] = []
+    for block in (block for section in content(name, "de") for block in section.blocks):
+        if isinstance(block, str):
+            shown.append(block)
+        elif isinstance(block, TextTable):
+            shown += [block.title, *block.columns, block.note, *(cell for row in block.rows for cell in row)]
+        elif isinstance(block, Picture):
+            shown += [block.caption, *(text.get_text() for text in block.figure.findobj(Text))]
+    assert len(shown) > 100
+    assert [text for text in shown if ENGLISH.search(text) and not any(own in text for own in names)] == []
+
+
+def test_phrases_are_found_by_what_stays_the_same():
+    made = Words("xx", {}, {"{n} of {n2}": "{n} von {n2}", "drift of {a}": "Drift: {a}", "axis {a}": "Achse {a}"})
+    assert made.phrase("3 of 12") == "3 von 12"
+    assert made.phrase("drift of axis X") == "Drift: Achse X"
+    assert made.phrase("one of them") == "one of them"
+    assert made.phrase("drift of Y\n3 of 4") == "Drift: Y\n3 von 4"
+
+
+def test_a_folder_and_a_recording_make_the_same_report(tmp_path):
+    found = evaluated("tracking_2d")
+    session_to_bag(found.chosen.sessions[0], tmp_path / "bag")
+    assert data_hash(session_from_bag(tmp_path / "bag")) == found.result.provenance.sha256
+
+
+@pytest.mark.parametrize("language", ["fr", "../en"])
+def test_an_unknown_language_is_refused(language):
+    with pytest.raises(CalibrationError, match=r"there is no language .*; there are en, de"):
+        words(language)
+
+
+def test_another_ending_is_refused(tmp_path):
+    with pytest.raises(CalibrationError, match=r"a report is an \.html or a \.pdf file"):
+        write_report(evaluated("tracking_2d"), words("en"), [tmp_path / "report.docx"])

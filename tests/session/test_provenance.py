@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a measurement says of itself goes with it everywhere, and the hash of its data is that of its files."""
+
+import datetime
+import hashlib
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.recording.session_bag import session_from_bag, session_to_bag
+from machine_tool_calibration.session.folder import description_yaml, parse_description, read_session, write_session
+from machine_tool_calibration.session.provenance import Provenance, data_hash, provenance
+from machine_tool_calibration.simulation.simulate import simulate
+from machine_tool_calibration.simulation.spec import SimulationSpec
+
+ABOUT = """about:
+  machine: {name: VMC 850, serial: 007, software: 3.10}
+  date: 2026-03-01
+  operator: Müller, "Erika"
+  instruments:
+  - {name: laser, serial: 1e5, calibrated: 2025-11-02, in_use: true}
+  place:
+  remarks: |
+    warm: 2 h
+    # not a remark
+"""
+SAID = {
+    "machine": {"name": "VMC 850", "serial": "007", "software": "3.10"},
+    "date": "2026-03-01",
+    "operator": 'Müller, "Erika"',
+    "instruments": [{"name": "laser", "serial": "1e5", "calibrated": "2025-11-02", "in_use": "true"}],
+    "place": "",
+    "remarks": "warm: 2 h\n# not a remark\n",
+}
+
+
+@pytest.fixture(scope="module")
+def session():
+    plan = {"method": "tracking_interferometer", "dimension": 2, "repeats": 1}
+    made = simulate(SimulationSpec.model_validate({"seed": 1, "plan": plan})).session
+    text = description_yaml(made.description) + ABOUT
+    labels = {"shift": np.array(["early, cold"] * len(made.readings))}
+    columns = {**made.readings.columns, "spindle_load": np.arange(float(len(made.readings)))}
+    readings = replace(made.readings, labels=labels, columns=columns)
+    return replace(made, description=parse_description(text, "session.yaml"), readings=readings)
+
+
+def test_descriptive_data_stand_as_they_were_written(session):
+    assert session.description.about == SAID
+    assert parse_description(description_yaml(session.description), "again").about == SAID
+
+
+def test_from_a_program_they_may_be_numbers_and_dates(session):
+    record = type(session.description)
+    said = {**session.description.model_dump(), "about": {"serial": 7, "date": datetime.date(2026, 3, 1)}}
+    assert record.model_validate(said).about == {"serial": "7", "date": "2026-03-01"}
+    with pytest.raises(ValueError, match="must be text, a number, a date"):
+        record.model_validate({**said, "about": {"what": object()}})
+
+
+def test_they_must_be_a_mapping(session):
+    bare = session.description.model_copy(update={"about": {}})
+    text = description_yaml(bare) + "about: [1, 2]\n"
+    with pytest.raises(SessionError, match="about must be a mapping"):
+        parse_description(text, "session.yaml")
+
+
+def test_a_folder_and_a_recording_agree(session, tmp_path: Path):
+    write_session(session, tmp_path / "folder")
+    session_to_bag(session, tmp_path / "bag")
+    folder, bag = read_session(tmp_path / "folder"), session_from_bag(tmp_path / "bag")
+    assert bag.description.about == SAID
+    assert provenance([folder], model="free") == provenance([bag], model="free")
+    files = b"".join((tmp_path / "folder" / name).read_bytes() for name in ("session.yaml", "observations.csv"))
+    assert data_hash(bag) == hashlib.sha256(files).hexdigest()
+
+
+def test_any_change_of_description_or_readings_shows(session):
+    values = session.readings.displacement.copy()
+    values[3] = np.nextafter(values[3], 1.0)
+    other = session.with_readings(replace(session.readings, displacement=values))
+    told = replace(session, description=session.description.model_copy(update={"about": {"operator": "other"}}))
+    assert len({data_hash(one) for one in (session, other, told)}) == 3
+
+
+def test_what_was_left_out_does_not_change_the_hash(session):
+    gone = np.arange(len(session.readings)) < 3
+    assert data_hash(session.without(gone).without(np.arange(141) > 100, as_lost=True)) == data_hash(session)
+
+
+def test_several_in_any_order_are_the_same_data(session):
+    other = replace(session, description=session.description.model_copy(update={"about": {}}))
+    one, two = provenance([session, other], ["a", "b"]), provenance([other, session], ["b", "a"])
+    assert one.sha256 == two.sha256 != provenance([session]).sha256
+    assert [origin.label for origin in one.sessions] == ["a", "b"]
+
+
+def test_a_result_carries_it_and_it_can_be_read_back(session):
+    result = identify(session, effects=["backlash_x"])
+    document = json.loads(json.dumps(result.document()["provenance"]))
+    read = Provenance.read(document)
+    assert read == result.provenance
+    assert (read.model, read.effects) == (result.model_name, ("backlash_x",))
+    assert read.sha256 == data_hash(session)
+    assert read.evaluated == "2026-01-01T00:00:00+00:00"  # as SOURCE_DATE_EPOCH says
+    assert read.footer.split("  ·  ") == [
+        "VMC 850", "measured 2026-03-01", "evaluated 2026-01-01", read.software, "free, backlash_x",
+        f"data {read.sha256[:12]}",
+    ]  # fmt: skip
+    assert ("instruments[1].serial", "1e5") in read.lines()
