@@ -43,6 +43,7 @@ os.environ["ROS_DOMAIN_ID"] = str(_claims.enter_context(free_domain(range(1, 102
 # their time: each stands beside one that calculates.
 _FIRST = (
     "packaging/test_lint.py",
+    "workbench/test_browser.py",
     "nodes/test_mishaps.py",
     "diagnosis/test_diagnose.py",
     "nodes/test_processes.py",

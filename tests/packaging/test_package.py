@@ -22,6 +22,8 @@ SOURCE = ROOT / "src" / PACKAGE
 EXECUTABLES = sorted(path.name for path in (ROOT / "scripts" / "nodes").iterdir())
 DATA = f"{PACKAGE}-{__version__}.data/data"
 NODES = ("axis_simulator", "rotary_pointer", "instrument", "procedure", "estimator", "recorder")
+# Libraries of the page in the browser, an extra of its own.
+WORKBENCH = re.compile(r"bokeh|panel")
 # ROS packages: exec_depend of package.xml, the extra `ros` of setup.cfg.
 ROS = re.compile(r"rclpy|ament_index_python|launch|launch_ros|std_srvs|[a-z]+_(msgs|interfaces)")
 # Name of the distribution in package.xml, where it is not python3-<name>; None where rosdep has no key for it.
@@ -55,19 +57,24 @@ def imported(path: Path) -> set[str]:
 
 
 @cache
-def all_imported() -> dict[str, Path]:
+def all_imported() -> dict[str, list[Path]]:
+    """By module, the files that import it."""
     paths = [*SOURCE.rglob("*.py"), *(ROOT / "launch").glob("*.py")]
-    return {name: path for path in sorted(paths) for name in imported(path)}
+    found: dict[str, list[Path]] = {}
+    for path in sorted(paths):
+        for name in imported(path):
+            found.setdefault(name, []).append(path)
+    return found
 
 
 def normal(name: str) -> str:
     return re.sub(r"[-_.]+", "-", name).lower()
 
 
-def required() -> set[str]:
+def required(extra: str = "") -> set[str]:
     config = configparser.ConfigParser()
     config.read(ROOT / "setup.cfg")
-    lines = config["options"]["install_requires"].split("\n")
+    lines = (config["options.extras_require"][extra] if extra else config["options"]["install_requires"]).split("\n")
     return {normal(re.split(r"[<>=!~ ;\[]", line)[0]) for line in lines if line}
 
 
@@ -81,16 +88,24 @@ def depends() -> set[str]:
 
 def test_every_imported_distribution_is_required() -> None:
     distributions = packages_distributions()
-    for module, path in all_imported().items():
+    for module, paths in all_imported().items():
         if not ROS.fullmatch(module):
             names = {normal(name) for name in distributions.get(module, [module])}
-            assert names & required(), f"{path} imports {module}: add it to install_requires in setup.cfg"
+            extra = "workbench" if WORKBENCH.fullmatch(module) else ""
+            place = "the extra workbench" if extra else "install_requires"
+            assert names & required(extra), f"{paths[0]} imports {module}: add it to {place} in setup.cfg"
+
+
+def test_only_the_workbench_imports_what_it_alone_needs() -> None:
+    room = SOURCE / "workbench"
+    importing = {path for name, paths in all_imported().items() if WORKBENCH.fullmatch(name) for path in paths}
+    assert not [path for path in importing if room not in path.parents]
 
 
 def test_every_ros_package_is_named_in_package_xml() -> None:
-    for module, path in all_imported().items():
+    for module, paths in all_imported().items():
         if ROS.fullmatch(module):
-            assert module in depends(), f"{path} imports {module}: add it to package.xml"
+            assert module in depends(), f"{paths[0]} imports {module}: add it to package.xml"
 
 
 def test_rosdep_names_every_requirement() -> None:

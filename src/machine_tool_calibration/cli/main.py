@@ -35,7 +35,7 @@ ROS_MODULES = ("rclpy", "rosgraph_msgs", "sensor_msgs", "std_msgs", "std_srvs", 
 SECTIONS = {
     "Measure": ("demo", "workpiece", "plan", "align-pointer", "run", "simulate"),
     "Identify": ("info", "identify", "features", "budget", "conformity", "compare-formulations"),
-    "Find what the model lacks": ("compare", "compare-maps", "diagnose", "improve", "history", "effects"),
+    "Find what the model lacks": ("compare", "compare-maps", "diagnose", "improve", "history", "workbench", "effects"),
     "Recordings and exchange": ("record", "play", "recover", "convert", "export"),
     "Check the software": ("validate",),
 }

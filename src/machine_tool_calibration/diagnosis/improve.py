@@ -18,7 +18,7 @@ from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.provenance import Provenance
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["Improvement", "Step", "entries", "improve", "residual_volumetric_error", "step_after"]
+__all__ = ["Improvement", "Step", "entries", "entry_of", "improve", "residual_volumetric_error", "step_after"]
 
 
 @dataclass(frozen=True)
@@ -216,40 +216,52 @@ def entries(improvement: Improvement, data: str, each: Sequence[str], made: str,
         made: date and time, ISO 8601.
         by: the command.
     """
-    out: list[Entry] = []
-    for step in improvement.steps:
-        joint = step.result.joint
-        p_value = joint.p_value
-        out.append(
-            Entry(
-                number=len(out) + 1,
-                made=made,
-                by=by,
-                model=step.result.model_name if isinstance(step.result, Result) else "joint",
-                sessions=_parts(improvement, step, each),
-                effects=step.result.effects,
-                change=step.change,
-                alternatives=tuple(
-                    Alternative(effects=one.effects, probability=one.probability) for one in step.result.averaged
-                ),
-                data=data,
-                used=joint.assembly.problem.n_readings,
-                set_aside=step.set_aside if isinstance(step.result, Result) else (),
-                kept=_kept(improvement.diagnosis.session) if isinstance(step.result, Result) else (),
-                rms_residual=step.result.rms_residual,
-                reduced_chi_square=step.reduced_chi_square,
-                degrees_of_freedom=joint.solution.degrees_of_freedom,
-                p_value=p_value if np.isfinite(p_value) else None,
-                map_rms=step.map_rms,
-                map_uncertainty_rms=step.map_uncertainty,
-                map_change_rms=step.map_change,
-                parameters=tuple(
-                    Coefficient(name=p.name, value=p.value, standard_uncertainty=p.standard_uncertainty, unit=p.unit)
-                    for p in step.parameters
-                ),
-            )
-        )
-    return out
+    return [
+        entry_of(step, data, made, by, parts=_parts(improvement, step, each), number=k)
+        for k, step in enumerate(improvement.steps, start=1)
+    ]
+
+
+def entry_of(step: Step, data: str, made: str, by: str, *, parts: tuple[Part, ...] = (), number: int = 1) -> Entry:
+    """A step as an entry of a history, which gives it its own number.
+
+    Args:
+        step: the model.
+        data: fingerprint of all readings.
+        made: date and time, ISO 8601.
+        by: the command.
+        parts: the sessions, if there are several.
+        number: of the entry.
+    """
+    joint = step.result.joint
+    p_value = joint.p_value
+    return Entry(
+        number=number,
+        made=made,
+        by=by,
+        model=step.result.model_name if isinstance(step.result, Result) else "joint",
+        sessions=parts,
+        effects=step.result.effects,
+        change=step.change,
+        alternatives=tuple(
+            Alternative(effects=one.effects, probability=one.probability) for one in step.result.averaged
+        ),
+        data=data,
+        used=joint.assembly.problem.n_readings,
+        set_aside=step.set_aside if isinstance(step.result, Result) else (),
+        kept=_kept(step.result.fit.model.observations.session) if isinstance(step.result, Result) else (),
+        rms_residual=step.result.rms_residual,
+        reduced_chi_square=step.reduced_chi_square,
+        degrees_of_freedom=joint.solution.degrees_of_freedom,
+        p_value=p_value if np.isfinite(p_value) else None,
+        map_rms=step.map_rms,
+        map_uncertainty_rms=step.map_uncertainty,
+        map_change_rms=step.map_change,
+        parameters=tuple(
+            Coefficient(name=p.name, value=p.value, standard_uncertainty=p.standard_uncertainty, unit=p.unit)
+            for p in step.parameters
+        ),
+    )
 
 
 def _parts(improvement: Improvement, step: Step, each: Sequence[str]) -> tuple[Part, ...]:

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`mtcal workbench`: the whole loop in a browser on this machine."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from machine_tool_calibration.cli.diagnosing import own_effects
+from machine_tool_calibration.cli.output import note
+from machine_tool_calibration.errors import CalibrationError
+
+__all__ = ["command"]
+
+
+@click.command("workbench")
+@click.argument("measurement", type=click.Path(path_type=Path), default=Path())
+@click.option("--model", help="Variant of the model, such as free; `mtcal info SESSION` says when which.")
+@click.option(
+    "--effects-file",
+    "files",
+    type=click.Path(path_type=Path, dir_okay=False),
+    multiple=True,
+    help="YAML file with effects of your own; they are looked for like the built-in ones.",
+)
+@click.option(
+    "--port", type=click.IntRange(0, 65535), default=0, help="Port to listen on; by default one that is free."
+)
+@click.option("--browser/--no-browser", default=True, help="Open the page in the browser, or print its address only.")
+def command(measurement: Path, model: str | None, files: tuple[Path, ...], port: int, browser: bool) -> None:
+    """Work on a measurement in the browser: compare, find what the model lacks, add it, see the error fall.
+
+    MEASUREMENT is a session folder, a recording, or a folder of such, from which one is chosen on the page; by default
+    this folder. The page is served to this machine only, under an address with a random token; nothing comes from
+    the network. The models that are tried are kept in the session's history, as `mtcal improve` does. Ctrl-C ends it.
+
+    \b
+    mtcal workbench measurements/cube
+    mtcal workbench measurements
+    """
+    if not measurement.exists():
+        raise CalibrationError(f"{measurement}: no such file or folder")
+    own = own_effects(files)
+    try:
+        from machine_tool_calibration.workbench.server import serve
+    except ModuleNotFoundError as error:
+        if error.name not in ("panel", "bokeh"):
+            raise
+        raise CalibrationError(
+            f"`mtcal workbench` needs {error.name}: pip install 'machine_tool_calibration[workbench]'"
+        ) from None
+
+    def ready(address: str) -> None:
+        click.echo(address)
+        note("Ctrl-C ends it.")
+        if browser:
+            import webbrowser
+
+            webbrowser.open(address)
+
+    serve(measurement, own, model, port=port, ready=ready)

@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page that holds the model against its readings, and sets readings aside."""
+
+from __future__ import annotations
+
+from functools import partial
+from html import escape
+
+import numpy as np
+import panel as pn
+from bokeh.models import FactorRange, Span
+
+from machine_tool_calibration.reports.comparison import in_words
+from machine_tool_calibration.reports.comparison_tables import comparison_tables
+from machine_tool_calibration.reports.tables import TextTable
+from machine_tool_calibration.workbench.look import bar_button, new_figure, paragraphs, tables, text, when_changed
+from machine_tool_calibration.workbench.readings import Readings
+from machine_tool_calibration.workbench.state import State
+from machine_tool_calibration.workbench.work import Work
+
+__all__ = ["ComparePage"]
+
+_HOVER = [
+    ("row", "@row"), ("setup", "@setup, repeat @repeat"), ("residual", "@residual{0.000} µm"),
+    ("studentized", "@studentized{0.0}"),
+]  # fmt: skip
+# Readings of the table.
+_LISTED = 14
+_DIM = {"nonselection_alpha": 0.12, "nonselection_color": "#888888"}
+
+
+class ComparePage:
+    """Residuals against covariates, by setup and as arrows, with one selection."""
+
+    title = "Compare"
+
+    def __init__(self, state: State, readings: Readings, work: Work) -> None:
+        self._state, self._readings, self._work = state, readings, work
+        source = readings.source
+        self._words, self._setups, self._more = text(), text(), text()
+        self._count = text("", min_width=150)
+        self._against = [pn.widgets.Select(name=f"Plot {k}: residuals against", width=250) for k in (1, 2)]
+        self._plane = pn.widgets.Select(name="Map in the plane", width=120)
+        self._plots = [new_figure("Residuals", "", "residual, µm", hover=_HOVER) for _ in (1, 2)]
+        for k, plot in enumerate(self._plots):
+            x = f"against{k}"
+            plot.scatter(x, "residual", source=source, size=4, color="color", alpha=0.7, **_DIM)
+            plot.scatter(x, "aside", source=source, size=8, marker="x", color="#b00020", nonselection_alpha=0.3)
+            plot.add_layout(Span(location=0.0, dimension="width", line_color="#999999", line_width=1))
+        self._map = new_figure("Residuals along the sensed direction", "", "", hover=_HOVER, match_aspect=True)
+        self._map.scatter("across", "up", source=source, size=3, color="#999999", nonselection_alpha=0.3)
+        self._map.segment(
+            "across", "up", "u", "v", source=source, color="arrow", line_width=1.3,
+            nonselection_alpha=0.12, nonselection_line_color="#888888",
+        )  # fmt: skip
+        self._strip = new_figure("Residuals by setup, worst on top", "residual, µm", "",
+                                 hover=_HOVER, y_range=FactorRange())  # fmt: skip
+        self._strip.scatter("residual", "setup", source=source, size=4, color="color", alpha=0.5, **_DIM)
+        for k, choice in enumerate(self._against):
+            when_changed(choice, partial(self._draw_against, k))
+        when_changed(self._plane, lambda _: self._draw_plane())
+        source.selected.on_change("indices", lambda attr, old, new: self._say_selected())
+        self._aside = bar_button("Set the selected aside", self._set_aside, "primary", disabled=True)
+        self._back = bar_button("Put back", self._put_back, disabled=True)
+        self._cleared = bar_button("Clear the selection", self._clear)
+        self._suggest = bar_button("Select what does not belong to the rest", self._select_suggested, visible=False)
+        self._table = text()
+        self.view = pn.Column(
+            self._words,
+            pn.Row(
+                *self._against, self._plane,
+                pn.Column(pn.Row(self._aside, self._back, self._cleared, self._suggest), self._count, margin=(12, 0)),
+            ),
+            pn.Row(self._plots[0], self._plots[1], sizing_mode="stretch_width"),
+            pn.Row(self._map, self._strip, sizing_mode="stretch_width"),
+            pn.Row(self._setups, self._table, sizing_mode="stretch_width"),
+            pn.Card(self._more, title="By repeat, region, direction of approach and covariate", collapsed=True,
+                    sizing_mode="stretch_width"),
+            sizing_mode="stretch_width",
+        )  # fmt: skip
+
+    def refresh(self) -> None:
+        """Show the model in use."""
+        found = self._state.model.comparison
+        self._words.object = paragraphs([in_words(found)])
+        self._choices()
+        for k in range(len(self._against)):
+            self._draw_against(k, self._against[k].value)
+        self._strip.y_range.factors = [share.name for share in reversed(found.setups)]
+        every = list(comparison_tables(found))
+        self._setups.object, self._more.object = tables(every[:2]), tables(every[2:])
+        self._back.disabled = not self._state.model.aside
+        self._suggest.visible = bool(set(self._state.suggested) - self._state.model.aside)
+        self._draw_plane()
+        self._say_selected()
+
+    def _choices(self) -> None:
+        """What can be drawn, where another measurement was opened."""
+        options = {self._readings.labels[name]: name for name in self._readings.ranked}
+        if self._against[0].options == options and self._plane.options == self._readings.planes:
+            return
+        self._plane.param.update(options=self._readings.planes, value=self._readings.planes[0])
+        for k, choice in enumerate(self._against):
+            chosen = self._readings.ranked[min(k, len(self._readings.ranked) - 1)]
+            choice.param.update(options=options, value=chosen)
+
+    def _draw_against(self, k: int, name: str) -> None:
+        if name in self._readings.labels:
+            self._readings.draw(**{f"against{k}": name})
+            self._plots[k].xaxis.axis_label = self._readings.labels[name]
+
+    def _draw_plane(self) -> None:
+        plane = self._plane.value
+        if not plane:
+            return
+        self._readings.draw(across=plane[0], up=plane[1], u=f"{plane}:u", v=f"{plane}:v")
+        self._map.xaxis.axis_label, self._map.yaxis.axis_label = (f"{axis}, mm" for axis in plane)
+        long = f"{1e6 * self._readings.scale:.2g} µm"
+        self._map.title.text = (
+            f"Residuals along the sensed direction (longest arrows {long}; orange: more than predicted)"
+        )
+
+    def _say_selected(self) -> None:
+        chosen, aside = self._readings.selected, self._state.model.aside
+        self._aside.disabled = not set(chosen) - aside
+        words = f"{len(chosen)} of {len(self._readings.source.data['row'])} readings selected; {len(aside)} set aside"
+        some = ", ".join(str(row) for row in sorted(aside)[:12])
+        self._count.object = escape(
+            words + (f" (rows {some}{' …' if len(aside) > 12 else ''}; × in the plots)" if aside else "")
+        )
+        self._table.object = tables([self._listed()])
+
+    def _listed(self) -> TextTable:
+        """The readings that are selected, or those that fit worst."""
+        data, chosen = self._readings.source.data, self._readings.source.selected.indices
+        size = np.abs(np.asarray(data["studentized"], dtype=float))
+        order = np.argsort(-np.nan_to_num(size, nan=np.inf if chosen else 0.0), kind="stable")
+        among = set(chosen) if chosen else set(range(len(size)))
+        first = [int(k) for k in order if int(k) in among][:_LISTED]
+        rows = tuple(
+            (
+                str(data["row"][k]),
+                f"{data['setup'][k]}, {data['repeat'][k]}",
+                ", ".join(f"{float(data[axis][k]):.1f}" for axis in "xyz"),
+                _number(data["measured"][k]),
+                _number(data["residual"][k]),
+                _number(data["studentized"][k]),
+                "" if np.isnan(data["aside"][k]) else f"set aside, was {_number(data['aside'][k])}",
+            )
+            for k in first
+        )
+        title = "Readings selected" if chosen else "Readings that fit worst"
+        heads = ("row", "setup, repeat", "x, y, z / mm", "measured / µm", "residual / µm", "studentized", " ")
+        left = len(among) - len(first)
+        return TextTable(title, heads, rows, f"and {left} more" if chosen and left else "")
+
+    def _set_aside(self) -> None:
+        rows = self._state.model.aside | set(self._readings.selected)
+        self._clear()
+        self._work.run("fitting without them", lambda progress: self._state.changed(aside=rows), lambda use: use())
+
+    def _put_back(self) -> None:
+        chosen = set(self._readings.selected) & self._state.model.aside
+        rows = self._state.model.aside - chosen if chosen else frozenset[int]()
+        self._clear()
+        self._work.run("fitting with them", lambda progress: self._state.changed(aside=rows), lambda use: use())
+
+    def _clear(self) -> None:
+        self._readings.source.selected.indices = []
+
+    def _select_suggested(self) -> None:
+        self._readings.select(list(self._state.suggested))
+
+
+def _number(value: float) -> str:
+    return "–" if np.isnan(value) else f"{value:.3f}"

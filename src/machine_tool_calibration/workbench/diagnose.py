@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page that finds what the model lacks, and lays the pattern of an effect over the residuals."""
+
+from __future__ import annotations
+
+from html import escape
+
+import numpy as np
+import panel as pn
+from bokeh.models import ColumnDataSource, FactorRange, Span
+
+from machine_tool_calibration.diagnosis.consequence import effect_estimates
+from machine_tool_calibration.effects.catalogue import catalogue
+from machine_tool_calibration.model.result import spread_document
+from machine_tool_calibration.reports.diagnosis import diagnosis_report
+from machine_tool_calibration.reports.quantities import probability, quantity, reproducibility_words, sizes_in_words
+from machine_tool_calibration.workbench.look import bar_button, new_figure, paragraphs, tables, text, when_changed
+from machine_tool_calibration.workbench.own_effect import OwnEffect
+from machine_tool_calibration.workbench.readings import Readings
+from machine_tool_calibration.workbench.state import Model, State
+from machine_tool_calibration.workbench.work import Work
+
+__all__ = ["DiagnosePage"]
+
+_HOVER = [
+    ("row", "@row"), ("setup", "@setup, repeat @repeat"), ("residual", "@residual{0.000} µm"),
+    ("pattern", "@pattern{0.000} µm"),
+]  # fmt: skip
+_DIM = {"nonselection_alpha": 0.12, "nonselection_color": "#888888"}
+_PATTERN, _FOUND, _OTHER = "#d55e00", "#009e73", "#0072b2"
+# Effects of the bars.
+_SHOWN = 12
+
+
+class DiagnosePage:
+    """Which effect is missing."""
+
+    title = "Diagnose"
+
+    def __init__(self, state: State, readings: Readings, work: Work) -> None:
+        self._state, self._readings, self._work = state, readings, work
+        self._trial: Model | None = None
+        self._words, self._more, self._said = text(), text(), text()
+        self._bars = ColumnDataSource({"effect": [], "probability": [], "color": [], "words": []})
+        self._ranking = new_figure(
+            "Probability that it is missing (click: its pattern)", "", "", height=330, y_range=FactorRange(),
+            x_range=(0, 1.15),
+        )  # fmt: skip
+        self._ranking.hbar("effect", 0.7, "probability", source=self._bars, color="color", nonselection_alpha=0.5)
+        self._ranking.text("probability", "effect", "words", source=self._bars, x_offset=4, y_offset=5,
+                           text_font_size="11px")  # fmt: skip
+        self._ranking.toolbar.active_drag = None
+        self._ranking.toolbar_location = None
+        self._bars.selected.on_change("indices", lambda attr, old, new: self._clicked(new))
+        source = readings.source
+        self._over = new_figure("Residuals, and what the effect would take out", "", "µm", height=330, hover=_HOVER)
+        self._over.scatter(
+            "over", "residual", source=source, size=4, color="color", alpha=0.6, legend_label="residual", **_DIM
+        )
+        self._over.scatter(
+            "over", "pattern", source=source, size=5, marker="diamond", color=_PATTERN, alpha=0.8,
+            legend_label="pattern", nonselection_alpha=0.15,
+        )  # fmt: skip
+        self._added = new_figure("Do the residuals follow it? (line: slope 1)", "pattern, µm", "residual, µm",
+                                 height=330, hover=_HOVER)  # fmt: skip
+        self._added.scatter("pattern", "residual", source=source, size=4, color="color", alpha=0.7, **_DIM)
+        self._line = ColumnDataSource({"x": [], "y": []})
+        self._added.line("x", "y", source=self._line, color="#555555")
+        self._over.legend.orientation = "horizontal"
+        self._over.legend.label_text_font_size = "11px"
+        self._over.legend.background_fill_alpha = 0.6
+        for plot in (self._over, self._added):
+            plot.add_layout(Span(location=0.0, dimension="width", line_color="#999999", line_width=1))
+        self._against = pn.widgets.Select(name="Residuals against", width=230)
+        when_changed(self._against, lambda _: self._draw_against())
+        self._effect = pn.widgets.Select(name="Effect", width=230, options=[""])
+        when_changed(self._effect, self._look_at)
+        self._add = bar_button("Add it to the model", self._use, "success", disabled=True)
+        self._all = bar_button("Add all that the diagnosis names", self._improve, disabled=True)
+        self._own = OwnEffect(state, self._new_effect)
+        self.view = pn.Column(
+            pn.Row(
+                pn.Column(bar_button("Look for what is missing", self._diagnose, "primary"), margin=(14, 0)),
+                self._effect,
+                self._against,
+                pn.Column(pn.Row(self._add, self._all), margin=(14, 0)),
+            ),
+            self._words,
+            self._said,
+            pn.Row(self._ranking, self._over, self._added, sizing_mode="stretch_width"),
+            self._own.view,
+            self._more,
+            sizing_mode="stretch_width",
+        )
+
+    def refresh(self) -> None:
+        """Show the model in use and its diagnosis."""
+        state = self._state
+        options = {self._readings.labels[name]: name for name in self._readings.ranked}
+        if self._against.options != options:
+            self._against.param.update(options=options, value=self._readings.ranked[0])
+        self._draw_against()
+        self._forget()
+        observations = state.model.comparison.fit.model.observations
+        every = catalogue(tuple(state.own.values()))
+        can = [name for name, effect in every.items() if effect.why_not(observations) is None]
+        self._effect.param.update(options=["", *(n for n in can if n not in state.model.fit.effects)], value="")
+        self._all.disabled = state.diagnosis is None or not state.diagnosis[0].accepted + state.diagnosis[0].outliers
+        if state.diagnosis is None:
+            said = "This model was not diagnosed yet; an effect can be looked at all the same."
+            self._words.object = paragraphs([said])
+            self._more.object = ""
+            self._bars.data = {"effect": [], "probability": [], "color": [], "words": []}
+            return
+        found, then = state.diagnosis
+        sizes = [spread_document(size) for size in state.model.fit.result.joint.stated.sizes]
+        report = diagnosis_report(found, then.advice, then.changes)
+        self._words.object = paragraphs([*report.words[:1], *reproducibility_words(sizes)])
+        self._more.object = paragraphs(report.words[1:]) + tables(report.tables)
+        ranked = [finding for finding in found.ranked if finding.rank][:_SHOWN]
+        names = [finding.name for finding in ranked]
+        self._ranking.y_range.factors = names[::-1]
+        self._bars.data = {
+            "effect": names,
+            "probability": [finding.probability for finding in ranked],
+            "color": [_FOUND if name in found.accepted else _OTHER for name in names],
+            "words": [probability(finding.probability) for finding in ranked],
+        }
+        if found.accepted and found.accepted[0] in self._effect.options:
+            self._effect.value = found.accepted[0]
+
+    def _diagnose(self) -> None:
+        self._work.run("looking for what is missing", self._state.diagnosed, lambda take: take())
+
+    def _improve(self) -> None:
+        self._work.run("adding what was found", lambda progress: self._state.improved(), lambda use: use())
+
+    def _clicked(self, chosen: list[int]) -> None:
+        if chosen:
+            name = self._bars.data["effect"][chosen[0]]
+            if name in self._effect.options:
+                self._effect.value = name
+
+    def _look_at(self, name: str) -> None:
+        self._forget()
+        if name:
+            self._work.run(f"fitting with {name}", lambda progress: self._state.tried(name), self._laid_over)
+
+    def _forget(self) -> None:
+        self._trial, self._add.disabled, self._said.object = None, True, ""
+        self._readings.show_pattern(np.zeros(0, dtype=np.int64), np.zeros(0))
+        self._line.data = {"x": [], "y": []}
+
+    def _laid_over(self, trial: Model) -> None:
+        """Show what an effect would take out of the residuals."""
+        now, then = self._state.model.comparison, trial.comparison
+        pattern = now.residual - then.residual
+        self._trial, self._add.disabled = trial, False
+        self._readings.show_pattern(now.fit.model.observations.readings.row, pattern)
+        ends = [1e6 * float(pattern.min()), 1e6 * float(pattern.max())]
+        self._line.data = {"x": ends, "y": ends}
+        name = trial.step.change
+        sizes = sizes_in_words(effect_estimates(trial.fit.result.joint, [name]))
+        moved = trial.step.map_change
+        words = (
+            f"With {name}: {sizes} (k = 2); residual {quantity(now.overall.rms, 'm')} → "
+            f"{quantity(then.overall.rms, 'm')} RMS, reduced chi-square {now.overall.reduced_chi_square:.3g} → "
+            f"{then.overall.reduced_chi_square:.3g}"
+        )
+        words += "" if moved is None else f"; the map moves by {quantity(moved, 'm')} RMS"
+        self._said.object = escape(f"{words}.")
+
+    def _use(self) -> None:
+        if self._trial is not None:
+            self._state.use(self._trial)
+
+    def _new_effect(self, name: str) -> None:
+        """Another effect of the user's own is known."""
+        if name not in self._effect.options:
+            self._effect.options = [*self._effect.options, name]
+        if self._effect.value == name:
+            self._look_at(name)
+        else:
+            self._effect.value = name
+
+    def _draw_against(self) -> None:
+        name = self._against.value
+        if name in self._readings.labels:
+            self._readings.draw(over=name)
+            self._over.xaxis.axis_label = self._readings.labels[name]

@@ -1,0 +1,234 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page where the model is made better: what was added, before and after, and the error falling."""
+
+from __future__ import annotations
+
+from functools import partial
+from html import escape
+
+import numpy as np
+import panel as pn
+from bokeh.models import ColumnDataSource, FactorRange, Span
+
+from machine_tool_calibration.diagnosis.improve import entry_of, residual_volumetric_error
+from machine_tool_calibration.effects.catalogue import catalogue
+from machine_tool_calibration.plots.style import round_down, spaced
+from machine_tool_calibration.reports.history_tables import compared_models, tried_models
+from machine_tool_calibration.reports.quantities import quantity
+from machine_tool_calibration.residuals.noise import noise_of
+from machine_tool_calibration.workbench.look import bar_button, new_figure, tables, text, when_changed
+from machine_tool_calibration.workbench.readings import Readings
+from machine_tool_calibration.workbench.state import Model, State
+from machine_tool_calibration.workbench.work import Work
+
+__all__ = ["ImprovePage", "map_arrows"]
+
+_HOVER = [("row", "@row"), ("setup", "@setup, repeat @repeat"), ("x, y, z", "@x{0.0}, @y{0.0}, @z{0.0} mm")]
+_MAP_HOVER = [
+    ("x, y, z", "@x{0.0}, @y{0.0}, @z{0.0} mm"), ("error", "@ex{0.00}, @ey{0.00}, @ez{0.00} µm"),
+    ("U (k = 2)", "@ux{0.00}, @uy{0.00}, @uz{0.00} µm"),
+]  # fmt: skip
+_DIM = {"nonselection_alpha": 0.12, "nonselection_line_color": "#888888"}
+_BEFORE, _AFTER, _BAND = "#d55e00", "#0072b2", "#e69f00"
+# Share of the map's extent that the largest error is drawn as.
+_LENGTH = 0.12
+
+
+def map_arrows(model: Model, factor: float) -> dict[str, np.ndarray]:
+    """A map as columns of a plot: places `x y z`, ends of the magnified errors `x1 y1 z1`, `wx wy wz`: width of U, mm.
+
+    Args:
+        model: whose map.
+        factor: magnification of errors.
+
+    Returns:
+        Those, and errors `ex ey ez` with expanded uncertainties `ux uy uz` (k = 2), µm; not determined is 0 in what is
+        drawn, NaN in what is said.
+    """
+    found = model.fit.result.error_map
+    error, wide = np.nan_to_num(found.error), 2 * np.nan_to_num(found.uncertainty)
+    out = {}
+    for k, axis in enumerate("xyz"):
+        out[axis] = 1e3 * found.points[:, k]
+        out[f"{axis}1"] = 1e3 * (found.points[:, k] + factor * error[:, k])
+        out[f"w{axis}"] = 2e3 * factor * wide[:, k]
+        out[f"e{axis}"], out[f"u{axis}"] = 1e6 * found.error[:, k], 2e6 * found.uncertainty[:, k]
+    return out
+
+
+class ImprovePage:
+    """Add, take away, undo, and see what becomes of it."""
+
+    title = "Improve"
+
+    def __init__(self, state: State, readings: Readings, work: Work) -> None:
+        self._state, self._readings, self._work = state, readings, work
+        self._add = pn.widgets.Select(name="Add an effect", width=210, options=[""])
+        self._take = pn.widgets.Select(name="Take an effect away", width=210, options=[""])
+        self._go = pn.widgets.Select(name="Go to a model of the history", width=210, options=[""])
+        self._before = pn.widgets.Select(name="Compare with", width=210)
+        self._plane = pn.widgets.Select(name="Maps in the plane", width=110)
+        self._undo = bar_button("Undo", self._undone)
+        self._all = bar_button("Diagnose, and add all that is found", self._improve, "primary")
+        self._table, self._history, self._note, self._scale = text(), text(), text(), text()
+        when_changed(self._add, lambda name: self._changed(add=name))
+        when_changed(self._take, lambda name: self._changed(take=name))
+        when_changed(self._go, self._gone_to)
+        when_changed(self._before, lambda _: self._draw())
+        when_changed(self._plane, lambda _: self._draw())
+        self._steps = ColumnDataSource({name: [] for name in ("step", "residual", "tool")})
+        self._fall = new_figure("The error falls", "", "µm", x_range=FactorRange(), height=320)
+        for name, color, marker, label in (
+            ("residual", _BEFORE, "circle", "residual, RMS"),
+            ("tool", _AFTER, "square", "residual volumetric error (k = 2), RMS"),
+        ):
+            self._fall.line("step", name, source=self._steps, color=color, legend_label=label)
+            self._fall.scatter("step", name, source=self._steps, color=color, size=7, marker=marker, legend_label=label)
+        self._fall.y_range.start = 0.0
+        self._fall.xaxis.major_label_orientation = 0.4
+        self._fall.legend.label_text_font_size = "11px"
+        self._fall.legend.background_fill_alpha = 0.6
+        self._declared = Span(location=0.0, dimension="width", line_dash="dotted", line_color="#333333")
+        self._fall.add_layout(self._declared)
+        self._residuals, self._maps, self._sources = {}, {}, {}
+        for name, color in (("before", _BEFORE), ("after", _AFTER)):
+            plot = new_figure("", "", "", hover=_HOVER, match_aspect=True, height=330)
+            plot.scatter("place_a", "place_b", source=readings.source, size=3, color="#999999", nonselection_alpha=0.3)
+            plot.segment(
+                "place_a", "place_b", f"{name}_u", f"{name}_v", source=readings.source, color="color", line_width=1.2,
+                **_DIM,
+            )  # fmt: skip
+            plot.toolbar_location = None
+            self._residuals[name] = plot
+            self._sources[name] = ColumnDataSource({"x": [], "y": [], "x1": [], "y1": [], "wx": [], "wy": []})
+            plot = new_figure("", "", "", hover=_MAP_HOVER, match_aspect=True, height=330)
+            base = plot.scatter("x", "y", source=self._sources[name], size=4, color="#999999")
+            arrows = plot.segment("x", "y", "x1", "y1", source=self._sources[name], color=color, line_width=1.4)
+            band = plot.ellipse(
+                "x1", "y1", "wx", "wy", source=self._sources[name], fill_color=_BAND, fill_alpha=0.25, line_color=_BAND
+            )
+            plot.toolbar_location = None
+            self._maps[name] = (plot, base, arrows, band)
+        # Both of a pair are seen in the same frame.
+        maps = {name: parts[0] for name, parts in self._maps.items()}
+        for pair in (self._residuals, maps):
+            pair["after"].x_range, pair["after"].y_range = pair["before"].x_range, pair["before"].y_range
+        self.view = pn.Column(
+            pn.Row(
+                pn.Column(pn.Row(self._all, self._undo), margin=(14, 0)),
+                self._add, self._take, self._go, self._before, self._plane,
+            ),
+            self._note,
+            pn.Row(self._fall, pn.Column(self._table, sizing_mode="stretch_width"), sizing_mode="stretch_width"),
+            pn.Row(
+                *self._residuals.values(),
+                *maps.values(),
+                sizing_mode="stretch_width",
+            ),
+            self._scale,
+            self._history,
+            sizing_mode="stretch_width",
+        )  # fmt: skip
+
+    def refresh(self) -> None:
+        """Show the model in use beside the one before it."""
+        state, model = self._state, self._state.model
+        observations = model.comparison.fit.model.observations
+        every = catalogue(tuple(state.own.values()))
+        can = [name for name, effect in every.items() if effect.why_not(observations) is None]
+        self._add.param.update(options=["", *(n for n in can if n not in model.fit.effects)], value="")
+        self._take.param.update(options=["", *model.fit.effects], value="")
+        self._go.param.update(
+            options={"": 0, **{f"{e.number}: {e.change or 'first model'}": e.number for e in state.history.models}},
+            value=0,
+        )
+        self._undo.disabled = len(state.models) < 2
+        names = {f"{k}: {one.step.label}": k for k, one in enumerate(state.models)}
+        self._plane.param.update(options=self._readings.planes, value=self._plane.value or self._readings.planes[0])
+        self._before.param.update(options=names, value=max(len(state.models) - 2, 0))
+        self._history.object = tables([tried_models(state.history)]) if state.history.models else ""
+        self._draw_fall()
+        self._draw()
+
+    def _draw_fall(self) -> None:
+        steps = [model.step for model in self._state.models]
+        labels = [f"{k}: {step.label}" for k, step in enumerate(steps)]
+        left = [residual_volumetric_error(step, steps[-1]) for step in steps]
+        self._fall.x_range.factors = labels
+        self._steps.data = {
+            "step": labels,
+            "residual": [1e6 * step.result.rms_residual for step in steps],
+            "tool": [np.nan if value is None else 1e6 * value for value in left],
+        }
+        declared = noise_of(self._state.models[0].comparison.fit).declared
+        self._declared.location = 1e6 * declared
+        self._fall.title.text = (
+            f"The error falls (dotted: declared uncertainty of a reading, {quantity(declared, 'm')})"
+        )
+
+    def _draw(self) -> None:
+        """Before and after, side by side and to the same scale."""
+        state, k, plane = self._state, self._before.value, self._plane.value
+        if plane is None or k is None or k >= len(state.models):
+            return
+        pair = {"before": state.models[k], "after": state.model}
+        entries = [
+            entry_of(model.step, "", "", "", number=model.number or position + 1)
+            for model, position in zip(pair.values(), (k, len(state.models) - 1), strict=True)
+        ]
+        self._table.object = tables([compared_models(*entries)])
+        scale = self._readings.show_side_by_side(*pair.values())
+        error = [np.nan_to_num(model.fit.result.error_map.error) for model in pair.values()]
+        points = state.model.fit.result.error_map.points
+        extent = float(np.ptp(points, axis=0).max()) if len(points) else 0.0
+        largest = max(float(np.linalg.norm(one, axis=1).max(initial=0.0)) for one in error)
+        factor = round_down(_LENGTH * extent / largest) if largest > 0 and extent > 0 else 0.0
+        self._scale.object = escape(
+            f"Longest arrows of the residuals: {quantity(scale, 'm')}, in the colour of their setup. Errors of the "
+            f"map: {spaced(factor)} times magnified; ellipses: U (k = 2)."
+        )
+        a, b = plane
+        self._readings.draw(place_a=a, place_b=b)
+        for name, model in pair.items():
+            plot = self._residuals[name]
+            self._readings.draw(**{f"{name}_{end}": f"{name}:{plane}:{end}" for end in "uv"})
+            rms = quantity(model.step.result.rms_residual, "m")
+            plot.title.text = f"Residuals {name}: {rms} RMS"
+            plot.xaxis.axis_label, plot.yaxis.axis_label = f"{a}, mm", f"{b}, mm"
+            plot, base, arrows, band = self._maps[name]
+            base.glyph.x, base.glyph.y = a, b
+            arrows.glyph.x0, arrows.glyph.y0, arrows.glyph.x1, arrows.glyph.y1 = a, b, f"{a}1", f"{b}1"
+            band.glyph.x, band.glyph.y, band.glyph.width, band.glyph.height = f"{a}1", f"{b}1", f"w{a}", f"w{b}"
+            self._sources[name].data = map_arrows(model, factor)
+            size = model.step.map_rms
+            what = "no position errors" if size is None else f"{quantity(size, 'm')} RMS"
+            plot.title.text = f"Map {name}: {what}"
+            plot.xaxis.axis_label, plot.yaxis.axis_label = f"{a}, mm", f"{b}, mm"
+
+    def _changed(self, add: str = "", take: str = "") -> None:
+        if add or take:
+            change = partial(self._state.changed, add=[add] if add else [], take=[take] if take else [])
+            words = f"with {add}" if add else f"without {take}"
+            self._work.run(f"fitting {words}", lambda progress: change(), lambda use: use())
+
+    def _gone_to(self, number: int) -> None:
+        if number:
+            self._work.run(f"fitting model {number}", lambda progress: self._state.used(number), lambda use: use())
+
+    def _undone(self) -> None:
+        self._state.undo()
+
+    def _improve(self) -> None:
+        """As `mtcal improve`: nothing is added unless the diagnosis names it."""
+
+        def take_and_add(take: object) -> None:
+            assert callable(take)
+            take()
+            assert self._state.diagnosis is not None
+            found = self._state.diagnosis[0]
+            if found.accepted or found.outliers:
+                self._work.run("adding what was found", lambda progress: self._state.improved(), lambda use: use())
+            else:
+                self._note.object = escape("Nothing was found that is missing: see Diagnose.")
+
+        self._work.run("looking for what is missing", self._state.diagnosed, take_and_add)

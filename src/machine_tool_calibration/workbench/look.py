@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One look for all pages: figures, tables of text, colours that the colour-blind distinguish."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from html import escape
+from typing import Any
+
+import panel as pn
+from bokeh.models import HoverTool
+from bokeh.plotting import figure
+
+from machine_tool_calibration.plots.style import COLORS
+from machine_tool_calibration.reports.tables import TextTable
+
+__all__ = ["CSS", "bar_button", "new_figure", "paragraphs", "setup_color", "tables", "text", "when_changed"]
+
+CSS = """
+body { font-family: Helvetica, Arial, sans-serif; font-size: 13px; margin: 0; background: #fff; color: #111; }
+"""
+
+# A pane's HTML lives in a shadow root of its own, which the page's style does not reach.
+_STYLE = """
+:host { font-family: Helvetica, Arial, sans-serif; font-size: 13px; line-height: 1.35; color: #111; }
+p { margin: 0 0 6px 0; } h3 { font-size: 13px; margin: 10px 0 3px 0; }
+table { border-collapse: collapse; font-size: 12px; margin-bottom: 4px; }
+th { text-align: left; border-bottom: 1px solid #888; padding: 1px 10px 1px 0; vertical-align: bottom; }
+td { padding: 1px 10px 1px 0; border-bottom: 1px solid #e8e8e8; vertical-align: top; }
+.note { color: #555; font-size: 11px; } .error { color: #b00020; font-weight: 600; }
+"""
+_TOOLS = "box_select,lasso_select,tap,pan,wheel_zoom,box_zoom,reset"
+_BUTTON = ".bk-btn { font-size: 13px; padding: 4px 8px; }"
+
+
+def setup_color(index: int) -> str:
+    """Of a setup, by its number."""
+    return COLORS[index % len(COLORS)]
+
+
+def text(html: str = "", **style: Any) -> Any:
+    """A pane for words and tables of text."""
+    return pn.pane.HTML(html, stylesheets=[_STYLE], sizing_mode="stretch_width", margin=(2, 6), **style)
+
+
+def paragraphs(words: Iterable[str]) -> str:
+    """Each text as a paragraph."""
+    return "".join(f"<p>{escape(one)}</p>" for one in words)
+
+
+def tables(every: Iterable[TextTable]) -> str:
+    """Tables of text one below the other, each with its title and note; columns without any text are left out."""
+    return "".join(_table(table) for table in every)
+
+
+def _table(table: TextTable) -> str:
+    used = [k for k in range(len(table.columns)) if any(row[k] for row in table.rows)]
+    head = "".join(f"<th>{escape(table.columns[k])}</th>" for k in used)
+    body = "".join("<tr>" + "".join(f"<td>{escape(row[k])}</td>" for k in used) + "</tr>" for row in table.rows)
+    note = f'<p class="note">{escape(table.note)}</p>' if table.note else ""
+    return f"<h3>{escape(table.title)}</h3><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{note}"
+
+
+def new_figure(
+    title: str, x: str, y: str, *, height: int = 300, hover: Sequence[tuple[str, str]] = (), **more: Any
+) -> Any:
+    """An empty plot.
+
+    Args:
+        title: of the plot.
+        x: label of the axis to the right.
+        y: label of the axis upwards.
+        height: pixels.
+        hover: what is said of a reading under the pointer: label and column.
+        more: for Bokeh's figure.
+    """
+    plot = figure(
+        title=title,
+        x_axis_label=x,
+        y_axis_label=y,
+        height=height,
+        sizing_mode="stretch_width",
+        tools=_TOOLS,
+        active_drag="box_select",
+        toolbar_location="above",
+        min_border=4,
+        output_backend="canvas",
+        **more,
+    )
+    plot.toolbar.logo = None
+    plot.title.text_font_size = "12px"
+    for axis in plot.axis:
+        axis.axis_label_text_font_style = "normal"
+        axis.axis_label_text_font_size = "12px"
+        axis.major_label_text_font_size = "11px"
+    plot.grid.grid_line_color = "#ececec"
+    if hover:
+        plot.add_tools(HoverTool(tooltips=list(hover)))
+    return plot
+
+
+def bar_button(name: str, act: Callable[[], object], kind: str = "default", **more: Any) -> Any:
+    """A button that does something."""
+    button = pn.widgets.Button(name=name, button_type=kind, margin=(3, 4), stylesheets=[_BUTTON], **more)
+    button.on_click(lambda event: _locked(act))
+    return button
+
+
+def when_changed(widget: Any, act: Callable[[Any], object], what: str = "value") -> None:
+    """Have something done with the new value of a widget whenever it changes."""
+    widget.param.watch(lambda event: _locked(partial(act, event.new)), what)
+
+
+def _locked(act: Callable[[], object]) -> None:
+    """Do something with the page's lock, which Bokeh asks for and Panel's own callbacks do not hold."""
+    pn.state.curdoc.add_next_tick_callback(act)

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page of what was measured: what is there, where stations and targets are, what is suspicious."""
+
+from __future__ import annotations
+
+from html import escape
+from itertools import product
+
+import numpy as np
+import panel as pn
+from bokeh.models import ColumnDataSource
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.session.summary import summarize
+from machine_tool_calibration.workbench.look import new_figure, setup_color, text, when_changed
+from machine_tool_calibration.workbench.readings import VIEWS, Readings
+from machine_tool_calibration.workbench.state import State
+from machine_tool_calibration.workbench.work import Work
+
+__all__ = ["MeasurementPage", "seen_from"]
+
+_HOVER = [("row", "@row"), ("setup", "@setup, repeat @repeat"), ("x, y, z", "@x{0.0}, @y{0.0}, @z{0.0} mm")]
+_DIM = {"nonselection_alpha": 0.12, "nonselection_color": "#888888"}
+
+
+def seen_from(position: Array, turn: float, tilt: float) -> Array:
+    """(n, 2) places to the right and upwards of (n, 3) points in a parallel projection.
+
+    Args:
+        position: any unit.
+        turn: about z, degrees: 0 looks along +y, with x to the right.
+        tilt: of the view from above, degrees: 0 is horizontal, 90 straight down.
+    """
+    a, b = np.radians(turn), np.radians(tilt)
+    right = np.array([np.cos(a), np.sin(a), 0.0])
+    up = np.array([-np.sin(a) * np.sin(b), np.cos(a) * np.sin(b), np.cos(b)])
+    return np.asarray(position @ np.column_stack([right, up]))
+
+
+class MeasurementPage:
+    """What is there."""
+
+    title = "Measurement"
+
+    def __init__(self, state: State, readings: Readings, work: Work) -> None:
+        self._state, self._readings = state, readings
+        self._words, self._report = text(), text()
+        self._stations = ColumnDataSource({name: [] for name in ("id", "x", "y", "z", "u", "v", "color")})
+        self._edges = ColumnDataSource({"u": [], "v": []})
+        self._turn = pn.widgets.IntSlider(name="Turn the view, °", start=-180, end=180, step=5, value=-30, width=220)
+        self._tilt = pn.widgets.IntSlider(name="Tilt the view, °", start=0, end=90, step=5, value=25, width=220)
+        for slider in (self._turn, self._tilt):
+            when_changed(slider, lambda _: self._look())
+        space = new_figure(
+            "Places of the readings and stations (parallel projection)",
+            "",
+            "",
+            height=420,
+            hover=_HOVER,
+            match_aspect=True,
+        )
+        space.multi_line("u", "v", source=self._edges, color="#bbbbbb")
+        space.axis.visible = False
+        space.grid.visible = False
+        self._plots = {"3d": space}
+        for view, (a, b) in VIEWS.items():
+            self._plots[view] = new_figure(
+                f"Seen in {view}", f"{'xyz'[a]}, mm", f"{'xyz'[b]}, mm", hover=_HOVER, match_aspect=True
+            )
+        for name, plot in self._plots.items():
+            across, upwards = ("3d:u", "3d:v") if name == "3d" else tuple(name)
+            plot.scatter(across, upwards, source=readings.source, size=4, color="color", alpha=0.7, **_DIM)
+            ends = ("u", "v") if name == "3d" else tuple(name)
+            plot.scatter(*ends, source=self._stations, size=11, marker="triangle", color="color", line_color="black")
+            plot.text(*ends, text="id", source=self._stations, x_offset=8, y_offset=-4, text_font_size="12px")
+        self.view = pn.Column(
+            self._words,
+            pn.Row(
+                pn.Column(pn.Row(self._turn, self._tilt), space, sizing_mode="stretch_width"),
+                pn.Column(self._report, sizing_mode="stretch_width"),
+                sizing_mode="stretch_width",
+            ),
+            pn.Row(*(self._plots[view] for view in VIEWS), sizing_mode="stretch_width"),
+            sizing_mode="stretch_width",
+        )
+
+    def refresh(self) -> None:
+        """Show the measurement."""
+        state, session = self._state, self._state.session
+        summary = summarize(session)
+        suspicious = [*summary.suspicious, *([summary.problem] if summary.problem else [])]
+        if state.suggested:
+            rows = ", ".join(str(row) for row in state.suggested[:12])
+            more = " …" if len(state.suggested) > 12 else ""
+            suspicious.append(
+                f"{len(state.suggested)} readings do not belong to the rest (rows {rows}{more}): see Compare"
+            )
+        said = "".join(f'<p class="error">Suspicious: {escape(words)}</p>' for words in suspicious)
+        assert state.measurement is not None
+        self._words.object = f"<p>{escape(state.measurement.headline)}</p>{said or '<p>Nothing is suspicious.</p>'}"
+        self._report.object = f'<pre style="font-size:11px;margin:0">{escape(state.measurement.report())}</pre>'
+        at = [
+            (s.id, s.position, setup_color(k))
+            for k, s in enumerate(session.description.setups)
+            if hasattr(s, "position")
+        ]
+        place = 1e3 * np.array([position for _, position, _ in at]).reshape(-1, 3)
+        self._stations.data = {
+            "id": [name for name, _, _ in at],
+            "color": [color for _, _, color in at],
+            **dict(zip("xyz", place.T, strict=True)),
+            "u": place[:, 0],
+            "v": place[:, 1],
+        }
+        self._look()
+
+    def _look(self) -> None:
+        """Project onto what the sliders look at."""
+        turn, tilt = self._turn.value, self._tilt.value
+        for source, names in ((self._readings.source, ("3d:u", "3d:v")), (self._stations, ("u", "v"))):
+            place = np.column_stack([np.asarray(source.data[axis], dtype=float) for axis in "xyz"])
+            source.data.update(dict(zip(names, seen_from(place, turn, tilt).T, strict=True)))
+        place = np.column_stack([np.asarray(self._readings.source.data[axis], dtype=float) for axis in "xyz"])
+        place = place[np.isfinite(place).all(axis=1)]
+        if not len(place):
+            return
+        low, high = place.min(axis=0), place.max(axis=0)
+        corners = np.array(list(product(*zip(low, high, strict=True))))
+        pairs = [(p, q) for k, p in enumerate(corners) for q in corners[k + 1 :] if np.count_nonzero(p != q) == 1]
+        lines = [seen_from(np.array(pair), turn, tilt) for pair in pairs]
+        self._edges.data = {"u": [line[:, 0].tolist() for line in lines], "v": [line[:, 1].tolist() for line in lines]}

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A form for an effect of the user's own by its formula, checked as it is typed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from html import escape
+from typing import Any
+
+import panel as pn
+
+from machine_tool_calibration.effects.catalogue import catalogue
+from machine_tool_calibration.effects.formula import FormulaEffect, formula_effect
+from machine_tool_calibration.errors import CalibrationError, ModelError
+from machine_tool_calibration.workbench.look import bar_button, text, when_changed
+from machine_tool_calibration.workbench.state import State
+
+__all__ = ["OwnEffect", "unknowns_of"]
+
+
+def unknowns_of(line: str) -> dict[str, dict[str, Any]]:
+    """Unknowns from a line such as `b m -2e-5 2e-5, q 1/K -1 1`: name, unit (SI), smallest and largest value.
+
+    Raises:
+        ModelError: a part that is not so made.
+    """
+    out: dict[str, dict[str, Any]] = {}
+    for part in (part.split() for part in line.split(",") if part.strip()):
+        try:
+            name, unit, low, high = part
+            out[name] = {"unit": unit, "low": float(low), "high": float(high)}
+        except ValueError:
+            raise ModelError(
+                f"{' '.join(part)!r}: name, unit, smallest and largest value, as in b m -2e-5 2e-5"
+            ) from None
+    return out
+
+
+class OwnEffect:
+    """The form.
+
+    Attributes:
+        view: what is shown.
+    """
+
+    def __init__(self, state: State, known: Callable[[str], None]) -> None:
+        self._state, self._known = state, known
+        self._name = pn.widgets.TextInput(name="Name", value="my_effect", width=130)
+        self._enters = pn.widgets.Select(name="Enters", options=["x", "y", "z", "reading"], value="y", width=90)
+        self._formula = pn.widgets.TextInput(name="Formula (a length, m)", value="b * dir_y", width=330)
+        self._linear = pn.widgets.TextInput(name="Unknowns: name unit low high, …", value="b m -2e-5 2e-5", width=270)
+        self._shape = pn.widgets.TextInput(name="One that is not linear (tau s 10 1e4)", value="", width=250)
+        self._said = text()
+        self._look = bar_button("Lay it over the residuals", self._take)
+        # As typed so far: a field's own value follows only when it is left.
+        self._typed = {field: field.value for field in (self._name, self._formula, self._linear, self._shape)}
+        for field in self._typed:
+            when_changed(field, partial(self._type, field), "value_input")
+        when_changed(self._enters, lambda _: self._check())
+        self.view = pn.Card(
+            pn.Row(self._name, self._enters, self._formula, self._linear, self._shape,
+                   pn.Column(self._look, margin=(14, 0))),
+            self._said,
+            title="An effect of your own by its formula",
+            collapsed=True,
+            sizing_mode="stretch_width",
+        )  # fmt: skip
+
+    def effect(self) -> FormulaEffect:
+        """What the form says.
+
+        Raises:
+            ModelError: it cannot be, or not with this measurement; one line that says why.
+        """
+        name, formula, linear, shape = self._typed.values()
+        made = formula_effect(
+            {
+                "id": name,
+                "enters": self._enters.value,
+                "formula": formula,
+                "coefficients": unknowns_of(linear),
+                "shapes": unknowns_of(shape),
+            }
+        )
+        if made.id in catalogue():
+            raise ModelError(f"{made.id} is an effect of the catalogue: give yours another name")
+        why = made.why_not(self._state.model.comparison.fit.model.observations)
+        if why is not None:
+            raise ModelError(f"{made.id}: {why}")
+        return made
+
+    def _type(self, field: Any, value: str) -> None:
+        self._typed[field] = value
+        self._check()
+
+    def _check(self) -> None:
+        try:
+            self._said.object = f"<p>{escape(self.effect().formula)}: it can be looked for.</p>"
+            self._look.disabled = False
+        except CalibrationError as error:
+            self._said.object = f'<p class="error" role="alert">{escape(str(error))}</p>'
+            self._look.disabled = True
+
+    def _take(self) -> None:
+        self._check()
+        if not self._look.disabled:
+            made = self.effect()
+            self._state.own[made.id] = made
+            self._known(made.id)

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The server of the pages: this machine only, and only for who knows the token in its address."""
+
+from __future__ import annotations
+
+import logging
+import secrets
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import panel as pn
+from panel.io.server import get_server
+
+from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
+from machine_tool_calibration.workbench.look import CSS
+from machine_tool_calibration.workbench.page import window
+
+__all__ = ["serve"]
+
+_HERE = "127.0.0.1"
+# Panel keeps a page that was closed for a while; a window's work is not needed after a lost connection's time.
+_KEPT = 60_000  # ms
+
+
+def serve(
+    target: Path,
+    own: Sequence[PhysicalEffect] = (),
+    variant: str | None = None,
+    *,
+    port: int = 0,
+    ready: Callable[[str], None],
+) -> None:
+    """Serve until the process is interrupted.
+
+    The token is the first part of every path that is answered, pages, scripts and websocket alike: whoever does not
+    know it is told that there is nothing. The scripts come from the installed packages.
+
+    Args:
+        target: a session, a recording, or a folder of such.
+        own: effects of the user's own.
+        variant: of the method's model; its default if absent.
+        port: to listen on; one that is free for 0.
+        ready: told the address, with the token, for a browser.
+
+    Raises:
+        OSError: the port is taken.
+    """
+    # A browser asks for files that are not there, an icon first; the terminal need not hear of it.
+    logging.getLogger("tornado.access").setLevel(logging.ERROR)
+    pn.extension(raw_css=[CSS], notifications=False)
+    token = secrets.token_urlsafe(24)
+    server = get_server(
+        {"workbench": lambda: window(target, own, variant)},
+        port=port,
+        address=_HERE,
+        title="mtcal workbench",
+        prefix=token,
+        unused_session_lifetime_milliseconds=_KEPT,
+        use_index=False,
+        ico_path="none",
+    )
+    # Only pages of this very address may open the websocket; its port is not known before.
+    server._tornado.websocket_origins.clear()
+    server._tornado.websocket_origins.add(f"{_HERE}:{server.port}")
+    server.start()
+    ready(f"http://{_HERE}:{server.port}/{token}/workbench")
+    # Panel's own handler of Ctrl-C ends the loop.
+    server.io_loop.start()
+    server.stop()

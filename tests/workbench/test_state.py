@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One window's work: models that are added, taken away and undone, and kept with the session."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.reports.history_file import history_path, read_history
+from machine_tool_calibration.workbench.readings import Readings
+from machine_tool_calibration.workbench.state import State, measurements_in
+
+
+def opened(path: Path) -> State:
+    state = State()
+    state.opened(path)()
+    return state
+
+
+def test_an_effect_is_added_and_undone_and_the_history_holds_it(hidden: Path) -> None:
+    state = opened(hidden)
+    first = state.model.fit.rms_residual
+    assert not history_path(hidden).exists(), "to look at a session leaves nothing in it"
+    state.changed(add=["backlash_y"])()
+    assert state.model.fit.effects == ("backlash_y",)
+    assert state.model.fit.rms_residual < 0.5 * first
+    kept = read_history(history_path(hidden))
+    assert kept.in_use is not None and kept.in_use.effects == ("backlash_y",) and kept.in_use.by == "workbench"
+    state.undo()
+    assert state.model.fit.rms_residual == first
+    assert read_history(history_path(hidden)).current == 1
+    state.undo()
+    assert "nothing to undo" in state.remark and len(state.models) == 1
+
+
+def test_what_was_added_and_taken_away_again_is_the_first_model_of_the_history(hidden: Path) -> None:
+    state = opened(hidden)
+    state.changed(add=["backlash_y"])()
+    state.changed(take=["backlash_y"])()
+    assert [model.number for model in state.models] == [1, 2, 1]
+    assert read_history(history_path(hidden)).current == 1
+
+
+def test_a_window_opened_later_goes_on_where_the_history_is(hidden: Path) -> None:
+    state = opened(hidden)
+    state.changed(aside=[5, 6])()
+    state.changed(add=["backlash_y"])()
+    again = opened(hidden)
+    assert again.model.fit.effects == ("backlash_y",) and again.model.aside == {5, 6}
+    assert [model.number for model in again.models] == [1, 2, 3]
+    np.testing.assert_array_equal(again.model.comparison.residual, state.model.comparison.residual)
+
+
+def test_two_windows_do_not_disturb_each_other(hidden: Path) -> None:
+    one, two = opened(hidden), opened(hidden)
+    one.changed(add=["backlash_y"])()
+    assert two.model.fit.effects == ()
+    two.changed(add=["backlash_x"])()
+    assert one.model.fit.effects == ("backlash_y",) and two.model.fit.effects == ("backlash_x",)
+    kept = {entry.effects for entry in read_history(history_path(hidden)).models}
+    assert kept == {(), ("backlash_y",), ("backlash_x",)}
+    two.undo()
+    assert one.model.fit.effects == ("backlash_y",)
+
+
+def test_a_history_that_cannot_be_written_leaves_the_window_working(hidden: Path) -> None:
+    history_path(hidden).write_text("- damaged\n", encoding="utf-8")
+    state = opened(hidden)
+    assert "is no history of models" in state.remark
+    state.changed(add=["backlash_y"])()
+    assert state.model.fit.effects == ("backlash_y",) and "in this window only" in state.remark
+    assert history_path(hidden).read_text(encoding="utf-8") == "- damaged\n"
+
+
+def test_an_unknown_effect_changes_nothing(hidden: Path) -> None:
+    state = opened(hidden)
+    with pytest.raises(ModelError, match="backlash_q"):
+        state.changed(add=["backlash_q"])
+    assert len(state.models) == 1
+
+
+def test_readings_set_aside_stay_in_the_source_and_come_back(hidden: Path) -> None:
+    state = opened(hidden)
+    readings = Readings(state)
+    state.watch(readings.refresh)
+    readings.refresh()
+    before = np.array(readings.source.data["residual"])
+    readings.select([5, 6])
+    state.changed(aside=readings.selected)()
+    residual, aside = (np.array(readings.source.data[name]) for name in ("residual", "aside"))
+    assert np.flatnonzero(np.isnan(residual)).tolist() == [5, 6] == np.flatnonzero(np.isfinite(aside)).tolist()
+    np.testing.assert_array_equal(aside[[5, 6]], before[[5, 6]])
+    assert readings.selected == [5, 6], "a selection outlives another model"
+    state.changed(aside=[])()
+    np.testing.assert_allclose(readings.source.data["residual"], before, atol=1e-9)
+
+
+def test_arrows_point_along_what_is_sensed(hidden: Path) -> None:
+    state = opened(hidden)
+    readings = Readings(state)
+    readings.refresh()
+    data = readings.source.data
+    ends = {"xy:u": "x", "xy:v": "y"}
+    drawn = np.column_stack([np.array(data[end]) - np.array(data[axis]) for end, axis in ends.items()])
+    sensed = state.model.comparison.fit.model.observations.direction[:, :2]
+    residual = np.array(data["residual"])
+    scale = 0.12 * 400.0 / (1e6 * readings.scale)
+    np.testing.assert_allclose(drawn, scale * residual[:, None] * sensed, atol=1e-9)
+    assert set(np.array(data["arrow"])[residual > 0]) == {"#d55e00"}
+
+
+def test_measurements_are_found_in_a_folder(hidden: Path) -> None:
+    assert measurements_in(hidden) == [hidden]
+    assert measurements_in(hidden.parent) == [hidden]
+    assert measurements_in(hidden / "nothing") == []
