@@ -4,7 +4,7 @@
 
     python3 scripts/bootstrap.py demo [OPTIONS]     install, then `mtcal demo`
     python3 scripts/bootstrap.py test [OPTIONS]     install with the tests' tools, then pytest, which runs
-                                                    ruff and mypy, too; in two processes (-n 0: in this one)
+                                                    ruff and mypy, too; in three processes (-n 0: in this one)
     python3 scripts/bootstrap.py install            install only; the command is then .venv/bin/mtcal
 
 Everything goes into the checkout's folder .venv; the system's Python is not touched, root is not needed. Where a ROS 2
@@ -37,7 +37,8 @@ NOT_SOURCES = ("__pycache__", "*.egg-info", "*.pyc")
 NOT_COPIED = (".git", ".venv", "build", "install", "log", ".*_cache", *NOT_SOURCES)
 ROS_CHECK = "import rclpy, diagnostic_msgs.msg, rosgraph_msgs.msg, sensor_msgs.msg, std_srvs.srv, trajectory_msgs.msg"
 # Tests of one module run in one process, which makes their fixtures once; tests/conftest.py has the modules' order.
-TWO_AT_A_TIME = ("-n", "2", "--dist", "loadscope", "--no-loadscope-reorder")
+# Those of nodes wait much of their time: three processes keep two cores busy.
+AT_ONCE = ("-n", "3", "--dist", "loadscope", "--no-loadscope-reorder")
 WHEELS_MARK = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 
 
@@ -65,7 +66,7 @@ def main() -> None:
     if action == "demo":
         hand_over(environment, ["mtcal", "demo", *arguments])
     elif action == "test":
-        hand_over(environment, ["python", "-m", "pytest", *TWO_AT_A_TIME, *arguments], ROOT)
+        hand_over(environment, ["python", "-m", "pytest", *AT_ONCE, *arguments], ROOT)
     else:
         say(f"the command is {environment / 'bin' / 'mtcal'}")
 

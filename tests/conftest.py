@@ -46,6 +46,7 @@ _FIRST = (
     "workbench/test_browser.py",
     "nodes/test_mishaps.py",
     "diagnosis/test_diagnose.py",
+    "report/test_report.py",
     "nodes/test_processes.py",
     "diagnosis/test_direct.py",
     "nodes/test_commands.py",
