@@ -79,7 +79,7 @@ def _fall(panel: Axes, steps: Sequence[Step], declared: float) -> None:
     panel.margins(x=0.15)
     panel.set_ylabel("µm")
     panel.set_title("The error falls", fontsize=10)
-    panel.legend(fontsize=8)
+    panel.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.22), frameon=False)
 
 
 def _size(step: Step) -> float:
@@ -101,11 +101,11 @@ def _arrows(panel: Axes, step: Step, size: float) -> None:
     quiver = panel.quiver(
         *place.T, *(scale * arrow.T), color=colors, angles="xy", scale_units="xy", scale=1.0, width=0.003, alpha=0.8
     )
-    panel.quiverkey(quiver, 0.9, 1.03, scale * size, quantity(size, "m"), labelpos="W", color="0.2")
+    panel.quiverkey(quiver, 0.9, 0.95, scale * size, quantity(size, "m"), labelpos="W", color="0.2")
     for k in np.unique(pool.setup):
         panel.plot([], [], "-", color=color(int(k)), label=pool.setup_names[int(k)])
     if len(np.unique(pool.setup)) <= _LISTED:
-        panel.legend(fontsize=7, ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.11), frameon=False)
+        panel.legend(fontsize=7, ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.2), frameon=False)
     # Room for the arrows, which do not count as data.
     corners = np.array([place.min(axis=0), place.max(axis=0)]) + 1.6 * _LENGTH * extent * np.array([[-1.0], [1.0]])
     panel.plot(*corners.T, ls="")

@@ -8,6 +8,7 @@ import io
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -87,14 +88,30 @@ class Picture:
 
 def _picture(name: str, caption: str, figure: Figure, words: Words) -> Picture:
     from matplotlib.text import Text
+    from matplotlib.ticker import FixedLocator
 
     for text in figure.findobj(Text):
         assert isinstance(text, Text)
         text.set_text(words.phrase(text.get_text()))
+    for axis in (axis for panel in figure.axes for axis in (panel.xaxis, panel.yaxis)):
+        # Names of places are written anew whenever the figure is drawn.
+        if isinstance(axis.get_major_locator(), FixedLocator):
+            axis.set_ticklabels([words.phrase(label.get_text()) for label in axis.get_majorticklabels()])
     wide, high = (float(size) for size in figure.get_size_inches())
     if wide > _WIDEST:
         figure.set_size_inches(_WIDEST, high * max(_WIDEST / wide, _LOWEST))
+        _wrap_titles(figure)
     return Picture(name, caption, figure)
+
+
+def _wrap_titles(figure: Figure) -> None:
+    """Break the titles of panels that are wider than these, now that the figure is narrower."""
+    figure.draw_without_rendering()
+    for panel in figure.axes:
+        text = panel.get_title()
+        room = panel.get_window_extent().width / max(panel.title.get_window_extent().width, 1.0)
+        if text and room < 1.0:
+            panel.set_title("\n".join(wrap(text, max(int(room * len(text)), 12))), fontsize=panel.title.get_fontsize())
 
 
 def map_pictures(found: Evaluation, words: Words) -> Iterator[Picture]:
