@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import keeping, model_options, note_written, own_effects
+from machine_tool_calibration.cli.diagnosing import Command, keeping, model_options, note_written, own_effects
 from machine_tool_calibration.cli.output import console, json_option, progress_bar, session_labels, write_json
 
 if TYPE_CHECKING:
@@ -19,18 +20,17 @@ if TYPE_CHECKING:
     from machine_tool_calibration.methods.fitted import FittedSessions
     from machine_tool_calibration.session.session import Session
 
-__all__ = ["command", "contributors_of", "fitted"]
+__all__ = ["budget_option", "command", "contributors_of", "fitted"]
+
+
+def budget_option(text: str) -> Callable[[Command], Command]:
+    """Add `--budget`, which may be repeated, as the keyword argument `budgets`."""
+    return click.option("--budget", "budgets", type=click.Path(path_type=Path), multiple=True, help=text)
 
 
 @click.command("budget")
 @click.argument("measurements", metavar="[SESSION]…", nargs=-1, type=click.Path(path_type=Path))
-@click.option(
-    "--budget",
-    "budgets",
-    type=click.Path(path_type=Path),
-    multiple=True,
-    help="YAML file with the contributors; that of the session's instrument to begin with, if absent.",
-)
+@budget_option("YAML file with the contributors; that of the session's instrument to begin with, if absent.")
 @click.option("--template", "instrument", metavar="INSTRUMENT", help="Print an instrument's contributors, to edit.")
 @click.option(
     "--quantity",

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from machine_tool_calibration.budget.conformity import RULES, conformity
-from machine_tool_calibration.cli.budget import contributors_of, fitted
+from machine_tool_calibration.cli.budget import budget_option, contributors_of, fitted
 from machine_tool_calibration.cli.diagnosing import model_options
 from machine_tool_calibration.cli.output import console, json_option, progress_bar, write_json
 
@@ -35,13 +35,7 @@ __all__ = ["command"]
     show_default=True,
     help="Conformance probability of the rule.",
 )
-@click.option(
-    "--budget",
-    "budgets",
-    type=click.Path(path_type=Path),
-    multiple=True,
-    help="Take the uncertainties of this budget (`mtcal budget`) instead of those of the identification.",
-)
+@budget_option("Take the uncertainties of this budget (`mtcal budget`) instead of those of the identification.")
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of random draws.")
 @model_options
 @json_option

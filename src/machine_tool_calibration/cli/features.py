@@ -9,7 +9,14 @@ from typing import Any
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import current_model, keeping, model_options, note_written, own_effects
+from machine_tool_calibration.cli.diagnosing import (
+    current_models,
+    history_option,
+    keeping,
+    model_options,
+    note_written,
+    own_effects,
+)
 from machine_tool_calibration.cli.output import console, json_option, note, write_json
 
 __all__ = ["command"]
@@ -81,11 +88,7 @@ def _through(context: click.Context, parameter: click.Parameter, value: tuple[st
 )
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of the draws.")
 @model_options
-@click.option(
-    "--from-history",
-    is_flag=True,
-    help="Model, effects and outliers as in the session's current model (`mtcal improve`, `mtcal history`).",
-)
+@history_option
 @click.option("-p", "--plot", type=click.Path(path_type=Path, dir_okay=False), help="Draw them into this file.")
 @json_option
 def command(
@@ -126,12 +129,10 @@ def command(
     from machine_tool_calibration.reports.features import features_document, show_features
     from machine_tool_calibration.session.feature_points import read_feature_points
 
-    if from_history and (effects or model):
-        raise click.UsageError("--from-history is without --effect and --model.")
     named, own = None if listed is None else read_feature_points(listed), own_effects(files)
     (opened,) = keeping([open_measurement(session)], [session], keep)
     if from_history:
-        entry, kept, _ = current_model(opened, session)
+        entry, (kept,), _ = current_models([opened], [session], effects, model)
         result = identify(kept, model=entry.model, effects=entry.effects, own=own, keep_all=True)
         unused = None
     else:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from machine_tool_calibration.cli.budget import budget_option
 from machine_tool_calibration.cli.diagnosing import (
     current_models,
     history_option,
@@ -44,13 +45,7 @@ __all__ = ["command"]
 @click.option(
     "--figures", type=click.Path(path_type=Path, file_okay=False), help="Folder for the pictures as SVG files."
 )
-@click.option(
-    "--budget",
-    "budgets",
-    type=click.Path(path_type=Path),
-    multiple=True,
-    help="YAML file with contributors to the uncertainty (`mtcal budget`); repeatable.",
-)
+@budget_option("YAML file with contributors to the uncertainty (`mtcal budget`); repeatable.")
 @click.option("--tolerances", type=click.Path(path_type=Path), help="YAML file with tolerances (`mtcal conformity`).")
 @click.option("--diagnosis/--no-diagnosis", default=True, help="Look for what the model lacks, or not.")
 @history_option
