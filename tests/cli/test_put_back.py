@@ -89,3 +89,20 @@ def test_tables_and_pictures_say_what_they_were_made_from(hidden, capsys, tmp_pa
     folder = tmp_path / "tables"
     assert run(["export", str(hidden), "--format", "csv", "-o", str(folder)]) == 0
     assert "# machine: VMC 850" in (folder / "compensation.csv").read_text()
+
+
+def test_the_history_keeps_an_effect_of_the_users_own_by_its_formula(tmp_path, capsys):
+    session, file = tmp_path / "session", tmp_path / "mine.yaml"
+    assert run(["simulate", "--preset", "tracking_2d", "--seed", "3", str(session)]) == 0
+    file.write_text(
+        "effects:\n- {id: mine, enters: y, formula: b * dir_y, coefficients: {b: {unit: m, low: -2e-5, high: 2e-5}}}\n"
+    )
+    improve = ["improve", str(session), "-o", str(tmp_path / "improve"), "--effects-file", str(file)]
+    assert run([*improve, "--effect", "mine"]) == 0
+    with_file = document(capsys, "identify", session, "--effect", "mine", "--effects-file", file)
+    file.unlink()
+    for verb in ("identify", "compare", "diagnose"):
+        found = document(capsys, verb, session, "--from-history")
+        assert found["provenance"]["effects"] == ["mine"]
+    again = document(capsys, "identify", session, "--from-history")
+    assert again["effects"] == ["mine"] and again["rms_residual"] == with_file["rms_residual"]

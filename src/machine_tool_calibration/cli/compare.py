@@ -72,7 +72,7 @@ def command(
     own = own_effects(files)
     if from_history:
         entry, sessions = current_models(sessions, measurements, effects, model)[:2]
-        model, effects = entry.model, entry.effects
+        model, effects, own = entry.model, entry.effects, entry.own_effects(own)
     if len(sessions) > 1:
         labels = session_labels(measurements)
         with progress_bar() as progress:

@@ -68,11 +68,11 @@ def command(
     from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
 
     sessions = keeping([open_measurement(path) for path in measurements], measurements, keep)
+    own = own_effects(files)
     if from_history:
         entry, sessions = current_models(sessions, measurements, effects, model)[:2]
-        model, effects = entry.model, entry.effects
+        model, effects, own = entry.model, entry.effects, entry.own_effects(own)
     labels = session_labels(measurements) if len(sessions) > 1 else None
-    own = own_effects(files)
     with progress_bar() as progress:
         found = diagnose(
             sessions,

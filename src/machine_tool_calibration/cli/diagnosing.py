@@ -88,6 +88,11 @@ def current_models(
             by_data.get(fingerprint(session), by_label.get(label))
             for session, label in zip(sessions, labels, strict=True)
         ]
+    # What was put back belongs to the model, as what was set aside does.
+    sessions = [
+        session if own is None else session.keeping(set(own.kept).intersection(session.readings.row.tolist()))
+        for session, own in zip(sessions, said, strict=True)
+    ]
     rows = [
         [] if own is None else [row for row in own.set_aside if row not in session.sound]
         for session, own in zip(sessions, said, strict=True)

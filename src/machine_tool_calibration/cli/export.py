@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -228,6 +228,7 @@ def _identified(paths: tuple[Path, ...], chosen: _Chosen, topics: dict[str, str]
     if chosen.from_history:
         entry, session, _ = current_model(session, paths[0])
         effects = tuple(entry.effects)
+        chosen = replace(chosen, own=entry.own_effects(chosen.own))
         model = model or (None if entry.model == "free" else entry.model)
         note(f"with {', '.join(effects) or 'no effects'}, as in model {entry.number} of the history")
     model = model or session.spec.with_tables

@@ -133,6 +133,7 @@ def command(
     (opened,) = keeping([open_measurement(session)], [session], keep)
     if from_history:
         entry, (kept,), _ = current_models([opened], [session], effects, model)
+        own = entry.own_effects(own)
         result = identify(kept, model=entry.model, effects=entry.effects, own=own, keep_all=True)
         unused = None
     else:

@@ -150,7 +150,7 @@ def _by_history(
     from machine_tool_calibration.methods.identify import identify, identify_sessions
 
     entry, kept, asides = current_models(opened, paths, effects, model)
-    labels = session_labels(paths)
+    labels, own = session_labels(paths), entry.own_effects(own)
     result: Result | JointResult
     if len(kept) == 1:
         result = identify(kept[0], model=entry.model, effects=entry.effects, own=own, keep_all=True, sets=entry.sets())

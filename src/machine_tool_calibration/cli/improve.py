@@ -24,6 +24,7 @@ from machine_tool_calibration.errors import CalibrationError, SessionError
 if TYPE_CHECKING:
     from machine_tool_calibration.diagnosis.history import History
     from machine_tool_calibration.diagnosis.improve import Improvement
+    from machine_tool_calibration.effects.effect import Effect
     from machine_tool_calibration.session.session import Session
 
 __all__ = ["HistoryUpdate", "command", "draw", "keep_models"]
@@ -44,19 +45,23 @@ class HistoryUpdate:
     failure: str = ""
 
 
-def keep_models(done: Improvement, sessions: Sequence[Session], path: Path) -> HistoryUpdate:
+def keep_models(
+    done: Improvement, sessions: Sequence[Session], path: Path, own: Sequence[Effect] = ()
+) -> HistoryUpdate:
     """Put the models into the history; a failure is returned, and loses nothing else.
 
     Args:
         done: what was done.
         sessions: of which readings.
         path: the history's file.
+        own: the user's own effects.
     """
     from machine_tool_calibration.diagnosis.improve import entries
     from machine_tool_calibration.reports.history_file import fingerprint, update_history
 
     prints = [fingerprint(session) for session in sessions]
-    made = entries(done, fingerprint(*sessions), prints, datetime.now(UTC).isoformat(timespec="seconds"), "improve")
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    made = entries(done, fingerprint(*sessions), prints, now, "improve", own)
     before: list[History] = []
 
     def grown(old: History) -> History:
@@ -134,7 +139,7 @@ def command(
 
     sessions = keeping([open_measurement(path) for path in measurements], measurements, keep)
     labels = session_labels(measurements) if len(sessions) > 1 else None
-    kept = history_path(*measurements)
+    own, kept = own_effects(files), history_path(*measurements)
     if history:
         # A damaged history is reported before a long calculation, not after it.
         read_history(kept)
@@ -144,13 +149,13 @@ def command(
             labels,
             model=model,
             effects=effects,
-            own=own_effects(files),
+            own=own,
             seed=seed,
             sets=sets,
             progress=progress,
         )
     # What is to be kept is written before anything is printed: the reader of the output may go away.
-    update = keep_models(done, sessions, kept) if history else HistoryUpdate()
+    update = keep_models(done, sessions, kept, own) if history else HistoryUpdate()
     if output is None:
         names = "+".join(path.absolute().name for path in measurements)
         output = Path("mtcal_output") / f"improve_{names}"

@@ -134,7 +134,7 @@ def _chosen(
         labels,
         entry.model,
         entry.effects,
-        tuple(own),
+        tuple(entry.own_effects(own)),
         tuple(entry.sets()),
         keep_all=True,
         history=_way(entry, paths),

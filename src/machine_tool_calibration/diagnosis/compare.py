@@ -26,7 +26,7 @@ from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.build import sharing_variant
 from machine_tool_calibration.methods.fitted import fit_sessions
-from machine_tool_calibration.methods.identify import gross_errors
+from machine_tool_calibration.methods.identify import JointResult, gross_errors
 from machine_tool_calibration.model.fit import Fit, screen
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.residuals.covariates import bins, covariates, rank_covariates, sensed
@@ -35,7 +35,7 @@ from machine_tool_calibration.residuals.noise import FEWEST_REPEATS, Noise, nois
 from machine_tool_calibration.residuals.outliers import Outlier
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["Sums", "compare", "compare_sessions", "residual_sums"]
+__all__ = ["Sums", "compare", "compare_joint", "compare_sessions", "residual_sums"]
 
 
 # Sums of one pass: few enough for the memory of large sessions.
@@ -135,6 +135,14 @@ def compare(
     else:
         fit = subject
     return _Look(fit).comparison(tuple(effects), outliers, variant)
+
+
+@single_blas()
+def compare_joint(result: JointResult) -> JointComparison:
+    """Hold the model of several sessions that was identified against the readings of each, as `compare` does for one."""
+    pairs = zip(result.fit.fits, result.model_names, strict=True)
+    each = tuple(_Look(fit).comparison(result.effects, (), variant) for fit, variant in pairs)
+    return JointComparison(result.fit, result.labels, each)
 
 
 @single_blas()

@@ -214,9 +214,7 @@ def diagnose(
     present = find_effects(effects, own)
     known = [effect for effect in catalogue(own).values() if effect.id not in effects]
 
-    def fit_of(parts: Sequence[Session], added: Sequence[Effect]) -> FittedSessions:
-        ids = [*effects, *(effect.id for effect in added)]
-        return fit_sessions(parts, labels, model=model, effects=ids, own=own)
+    fit_of = partial(_fitted_with, labels=labels, model=model, effects=tuple(effects), own=tuple(own))
 
     def outliers_beside(added: Sequence[Effect]) -> tuple[tuple[tuple[Outlier, ...], ...], tuple[Session, ...]]:
         """Outliers of each session, judged by itself, and the sessions without them."""
@@ -247,6 +245,20 @@ def diagnose(
     if verdict == "adequate" and any(aside):
         verdict = "outliers"
     return replace(found, sessions=kept, verdict=verdict, set_aside=aside)
+
+
+def _fitted_with(
+    parts: Sequence[Session],
+    added: Sequence[Effect],
+    *,
+    labels: Sequence[str] | None,
+    model: str | None,
+    effects: Sequence[str],
+    own: Sequence[Effect],
+) -> FittedSessions:
+    """The model with further effects; not a function inside another, so that a diagnosis goes from process to process."""
+    ids = [*effects, *(effect.id for effect in added)]
+    return fit_sessions(parts, labels, model=model, effects=ids, own=own)
 
 
 def _alone(session: Session, variant: str | None, effects: Sequence[Effect], several: bool) -> MethodModel:
@@ -320,7 +332,7 @@ def _search(
         refused=refused,
         excluded=excluded,
         set_aside=tuple(() for _ in sessions),
-        fit_with=lambda added: fit_of(parts, added),
+        fit_with=partial(fit_of, parts),
     )
 
 

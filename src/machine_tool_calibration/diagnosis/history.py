@@ -5,13 +5,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from machine_tool_calibration.errors import ModelError
 
 if TYPE_CHECKING:
+    from machine_tool_calibration.effects.effect import Effect
     from machine_tool_calibration.model.result import EffectSet, Estimate
 
 __all__ = ["Alternative", "Coefficient", "Entry", "History", "Part"]
@@ -68,6 +69,7 @@ class Entry(_Record):
         model: the method's variant; of several sessions the one that was asked for, or `joint`.
         sessions: those that were fitted together; empty for one session.
         effects: ids of the effects that were added to it.
+        own: definitions of those of them, and of the alternatives, that are the user's own by formula.
         change: what it has and its parent has not, in a few words.
         alternatives: sets of effects that the readings do not distinguish, over which its map is the mean.
         data: fingerprint of the readings; another one means other readings.
@@ -91,6 +93,7 @@ class Entry(_Record):
     model: str
     sessions: tuple[Part, ...] = ()
     effects: tuple[str, ...] = ()
+    own: tuple[dict[str, Any], ...] = ()
     change: str = ""
     alternatives: tuple[Alternative, ...] = ()
     data: str
@@ -119,10 +122,30 @@ class Entry(_Record):
 
         return [Estimate(p.name, p.value, p.standard_uncertainty, p.unit) for p in self.parameters]
 
+    def own_effects(self, known: Sequence[Effect] = ()) -> list[Effect]:
+        """Effects of the user's own: those given, and those that the model has by formula.
+
+        Args:
+            known: given at present; they take the place of the history's of the same name.
+
+        Raises:
+            ModelError: a definition cannot be.
+        """
+        there = {effect.id for effect in known}
+        kept = [definition for definition in self.own if definition.get("id") not in there]
+        if not kept:
+            return list(known)
+        from machine_tool_calibration.effects.formula import formula_effect
+
+        return [*known, *(formula_effect(one, f"model {self.number} of the history") for one in kept)]
+
     def same_model(self, other: Entry) -> bool:
         """Whether another entry is the same model of the same readings, with the same outcome."""
         mine, its = (
-            (entry.data, entry.model, frozenset(entry.sessions), frozenset(entry.effects), entry.set_aside, entry.kept)
+            (
+                *(entry.data, entry.model, frozenset(entry.sessions), frozenset(entry.effects), entry.own),
+                *(entry.set_aside, entry.kept),
+            )
             for entry in (self, other)
         )
         return mine == its and math.isclose(self.rms_residual, other.rms_residual, rel_tol=1e-6)

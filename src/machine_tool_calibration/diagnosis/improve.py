@@ -206,7 +206,9 @@ def step_after(before: Step | None, change: str, result: Result | JointResult, a
     )
 
 
-def entries(improvement: Improvement, data: str, each: Sequence[str], made: str, by: str) -> list[Entry]:
+def entries(
+    improvement: Improvement, data: str, each: Sequence[str], made: str, by: str, own: Sequence[Effect] = ()
+) -> list[Entry]:
     """The steps as entries of a history.
 
     Args:
@@ -215,14 +217,24 @@ def entries(improvement: Improvement, data: str, each: Sequence[str], made: str,
         each: fingerprints of the readings of each session.
         made: date and time, ISO 8601.
         by: the command.
+        own: the user's own effects.
     """
     return [
-        entry_of(step, data, made, by, parts=_parts(improvement, step, each), number=k)
+        entry_of(step, data, made, by, parts=_parts(improvement, step, each), number=k, own=own)
         for k, step in enumerate(improvement.steps, start=1)
     ]
 
 
-def entry_of(step: Step, data: str, made: str, by: str, *, parts: tuple[Part, ...] = (), number: int = 1) -> Entry:
+def entry_of(
+    step: Step,
+    data: str,
+    made: str,
+    by: str,
+    *,
+    parts: tuple[Part, ...] = (),
+    number: int = 1,
+    own: Sequence[Effect] = (),
+) -> Entry:
     """A step as an entry of a history, which gives it its own number.
 
     Args:
@@ -232,8 +244,10 @@ def entry_of(step: Step, data: str, made: str, by: str, *, parts: tuple[Part, ..
         by: the command.
         parts: the sessions, if there are several.
         number: of the entry.
+        own: the user's own effects; the entry keeps the formulas of those that are in the model.
     """
     joint = step.result.joint
+    used = {*step.result.effects, *(name for one in step.result.averaged for name in one.effects)}
     p_value = joint.p_value
     return Entry(
         number=number,
@@ -242,6 +256,7 @@ def entry_of(step: Step, data: str, made: str, by: str, *, parts: tuple[Part, ..
         model=step.result.model_name if isinstance(step.result, Result) else "joint",
         sessions=parts,
         effects=step.result.effects,
+        own=tuple(dict(e.definition) for e in own if e.id in used and e.definition is not None),
         change=step.change,
         alternatives=tuple(
             Alternative(effects=one.effects, probability=one.probability) for one in step.result.averaged

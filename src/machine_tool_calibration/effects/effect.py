@@ -6,7 +6,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -77,6 +77,7 @@ class Effect(ABC):
         covariates: what the readings depend on through the effect; its columns if empty.
         setup_level: whether its coefficients belong to single setups, which then are the sample.
         contains: ids of simpler effects that are a special case of it: a model does not hold both.
+        definition: of one by formula, what makes it anew; None of one that is a class.
     """
 
     id: str
@@ -92,6 +93,7 @@ class Effect(ABC):
     covariates: tuple[str, ...] = ()
     setup_level: bool = False
     contains: tuple[str, ...] = ()
+    definition: Mapping[str, Any] | None = None
 
     @property
     def of_session(self) -> bool:

@@ -101,6 +101,7 @@ class FormulaEffect(Effect):
 
     def _build(self, definition: _Definition) -> None:
         self._definition = definition
+        self.definition = definition.model_dump(mode="json", exclude_defaults=True)
         self._expression = parse(definition.formula)
         self.id = definition.id
         self.title = definition.title or definition.id
@@ -200,13 +201,17 @@ class FormulaEffect(Effect):
         return np.asarray(columns * (observations.direction @ axis_unit(self._definition.enters)))
 
 
-def formula_effect(definition: dict[str, Any]) -> FormulaEffect:
+def formula_effect(definition: dict[str, Any], source: str = "formula") -> FormulaEffect:
     """An effect from its definition.
+
+    Args:
+        definition: what a file says of it.
+        source: what messages begin with.
 
     Raises:
         ModelError: something in it is wrong; one line that says what and where.
     """
-    return FormulaEffect(checked_definition(definition, "formula"))
+    return FormulaEffect(checked_definition(definition, source))
 
 
 def checked_definition(definition: dict[str, Any], source: str) -> _Definition:
