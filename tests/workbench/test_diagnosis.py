@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the pages show of a diagnosis and of an effect of the user's own."""
 
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from machine_tool_calibration.effects.formula import formula_effect
 from machine_tool_calibration.errors import CalibrationError, ModelError
 from machine_tool_calibration.workbench.improve import map_arrows
 from machine_tool_calibration.workbench.measurement import seen_from
+from machine_tool_calibration.workbench.models import Model
 from machine_tool_calibration.workbench.own_effect import unknowns_of
 from machine_tool_calibration.workbench.state import State
 
@@ -25,7 +27,9 @@ def test_what_the_diagnosis_names_is_added_as_improve_does(state: State) -> None
     with pytest.raises(CalibrationError, match="no diagnosis"):
         state.improved()
     told: list[float] = []
-    state.diagnosed(lambda what, share: told.append(share))()
+    # As it goes to another process and comes back.
+    job = pickle.loads(pickle.dumps(state.diagnosed().work))
+    state.diagnosed().take(pickle.loads(pickle.dumps(job(lambda what, share: told.append(share)))))
     assert state.diagnosis is not None and state.diagnosis[0].accepted == ("backlash_y",)
     assert told == sorted(told) and told[-1] <= 1.0
     first = state.model.fit.rms_residual
@@ -36,8 +40,11 @@ def test_what_the_diagnosis_names_is_added_as_improve_does(state: State) -> None
 
 def test_the_pattern_of_an_effect_of_the_users_own_is_that_of_the_same_effect_of_the_catalogue(state: State) -> None:
     coefficients = {"coefficients": unknowns_of("b m -2e-5 2e-5")}
-    state.own["mine"] = formula_effect({"id": "mine", "enters": "y", "formula": "b * dir_y", **coefficients})
-    ours, theirs = state.tried("mine"), state.tried("backlash_y")
+    state.know(formula_effect({"id": "mine", "enters": "y", "formula": "b * dir_y", **coefficients}))
+    looked: list[Model] = []
+    for name in ("mine", "backlash_y"):
+        state.tried(name, looked.append)()
+    ours, theirs = looked
     assert len(state.models) == 1, "to look at an effect puts it into no model"
     np.testing.assert_allclose(ours.comparison.residual, theirs.comparison.residual, atol=1e-12)
     assert np.ptp(state.model.comparison.residual - ours.comparison.residual) > 2e-6

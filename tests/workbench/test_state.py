@@ -1,21 +1,36 @@
 # SPDX-License-Identifier: Apache-2.0
 """One window's work: models that are added, taken away and undone, and kept with the session."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from machine_tool_calibration.effects.formula import formula_effect
 from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.interface.session import simulate
 from machine_tool_calibration.reports.history_file import history_path, read_history
+from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.workbench.readings import Readings
 from machine_tool_calibration.workbench.state import State, measurements_in
 
 
-def opened(path: Path) -> State:
+def opened(*paths: Path) -> State:
     state = State()
-    state.opened(path)()
+    state.opened(*paths)()
     return state
+
+
+@pytest.fixture
+def struck(tmp_path: Path) -> Path:
+    """A session with three gross errors."""
+    folder = tmp_path / "struck"
+    session = simulate("tracking_2d", seed=3).sessions[0]
+    wrong = session.readings.displacement.copy()
+    wrong[[20, 90, 150]] += 80e-6
+    write_session(session.with_readings(replace(session.readings, displacement=wrong)), folder)
+    return folder
 
 
 def test_an_effect_is_added_and_undone_and_the_history_holds_it(hidden: Path) -> None:
@@ -76,7 +91,7 @@ def test_a_history_that_cannot_be_written_leaves_the_window_working(hidden: Path
 def test_an_unknown_effect_changes_nothing(hidden: Path) -> None:
     state = opened(hidden)
     with pytest.raises(ModelError, match="backlash_q"):
-        state.changed(add=["backlash_q"])
+        state.changed(add=["backlash_q"])()
     assert len(state.models) == 1
 
 
@@ -103,7 +118,7 @@ def test_arrows_point_along_what_is_sensed(hidden: Path) -> None:
     data = readings.source.data
     ends = {"xy:u": "x", "xy:v": "y"}
     drawn = np.column_stack([np.array(data[end]) - np.array(data[axis]) for end, axis in ends.items()])
-    sensed = state.model.comparison.fit.model.observations.direction[:, :2]
+    sensed = state.model.each[0].fit.model.observations.direction[:, :2]
     residual = np.array(data["residual"])
     scale = 0.12 * 400.0 / (1e6 * readings.scale)
     np.testing.assert_allclose(drawn, scale * residual[:, None] * sensed, atol=1e-9)
@@ -114,3 +129,56 @@ def test_measurements_are_found_in_a_folder(hidden: Path) -> None:
     assert measurements_in(hidden) == [hidden]
     assert measurements_in(hidden.parent) == [hidden]
     assert measurements_in(hidden / "nothing") == []
+
+
+def test_what_a_search_set_aside_is_shown_and_put_back_for_good(struck: Path) -> None:
+    state = opened(struck)
+    assert state.model.aside == {20, 90, 150} == state.found.keys() and "3 readings set aside" in state.remark
+    assert not state.models[0].aside, "the first model has all readings, and can be gone back to"
+    np.testing.assert_allclose(list(state.found.values()), 80e-6, atol=10e-6)
+    state.changed(aside=[20, 150])()
+    assert state.model.aside == {20, 150} and state.model.kept == {90}
+    assert read_history(history_path(struck)).models[-1].kept == (90,)
+    assert state.model.fit.measurement.sessions[0].sound == {90}, "no search sets it aside again"
+    assert opened(struck).model.kept == {90}
+    state.changed(aside=[20, 90, 150])()
+    assert state.model.kept == frozenset()
+
+
+def test_an_effect_of_the_users_own_comes_back_with_the_history(hidden: Path) -> None:
+    state = opened(hidden)
+    unknown = {"b": {"unit": "m", "low": -1, "high": 1}}
+    state.know(formula_effect({"id": "mine", "enters": "y", "formula": "b * dir_y", "coefficients": unknown}))
+    state.changed(add=["mine"])()
+    found = state.model.fit.rms_residual
+    state.undo()
+    again = opened(hidden)
+    again.used(2)()
+    assert again.model.fit.effects == ("mine",) and again.model.fit.rms_residual == found
+    assert len(read_history(history_path(hidden)).models) == 2, "the same formula is the same model"
+
+
+def test_several_sessions_are_fitted_together(struck: Path, hidden: Path) -> None:
+    state = opened(hidden, struck)
+    count = len(state.sessions[0].readings)
+    assert state.model.aside == {count + 20, count + 90, count + 150}
+    names = [state.subject.name(number) for number in sorted(state.model.aside)]
+    assert names == ["struck:20", "struck:90", "struck:150"]
+    readings = Readings(state)
+    state.watch(readings.refresh)
+    readings.refresh()
+    data = readings.source.data
+    assert len(data["row"]) == 2 * count and data["row"][count] == "struck:0"
+    assert np.flatnonzero(np.isfinite(np.array(data["aside"]))).tolist() == sorted(state.model.aside)
+    for found, part in zip(state.model.each, (slice(0, count), slice(count, None)), strict=True):
+        held = np.array(data["residual"][part])
+        np.testing.assert_allclose(held[np.isfinite(held)], 1e6 * found.residual)
+    state.changed(add=["backlash_y"], aside=state.model.aside - {count + 90})()
+    kept = read_history(history_path(hidden, struck))
+    assert kept.in_use is not None
+    assert [(part.label, part.set_aside, part.kept) for part in kept.in_use.sessions] == [
+        ("cube", (), ()), ("struck", (20, 150), (90,)),
+    ]  # fmt: skip
+    again = opened(hidden, struck)
+    assert again.model.aside == state.model.aside and again.model.number == state.model.number == 3
+    np.testing.assert_array_equal(again.model.each[1].residual, state.model.each[1].residual)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from machine_tool_calibration.diagnosis.history import Entry, Part
+    from machine_tool_calibration.diagnosis.history import Entry
     from machine_tool_calibration.effects.effect import Effect
     from machine_tool_calibration.model.fit import JointFit
     from machine_tool_calibration.session.session import Session
@@ -79,15 +79,7 @@ def current_models(
         raise no_model(paths)
     if entry.data != fingerprint(*sessions):
         note(f"the readings have changed since model {entry.number} was made of them")
-    said: list[Entry | Part | None] = [entry]
-    if len(sessions) > 1:
-        by_data = {part.data: part for part in entry.sessions}
-        by_label = {part.label: part for part in entry.sessions}
-        labels = session_labels(paths)
-        said = [
-            by_data.get(fingerprint(session), by_label.get(label))
-            for session, label in zip(sessions, labels, strict=True)
-        ]
+    said = entry.of_sessions([fingerprint(session) for session in sessions], session_labels(paths))
     # What was put back belongs to the model, as what was set aside does.
     sessions = [
         session if own is None else session.keeping(set(own.kept).intersection(session.readings.row.tolist()))

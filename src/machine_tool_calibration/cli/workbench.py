@@ -15,7 +15,7 @@ __all__ = ["command"]
 
 
 @click.command("workbench")
-@click.argument("measurement", type=click.Path(path_type=Path), default=Path())
+@click.argument("measurements", metavar="[MEASUREMENT…]", nargs=-1, type=click.Path(path_type=Path))
 @click.option("--model", help="Variant of the model, such as free; `mtcal info SESSION` says when which.")
 @click.option(
     "--effects-file",
@@ -28,19 +28,25 @@ __all__ = ["command"]
     "--port", type=click.IntRange(0, 65535), default=0, help="Port to listen on; by default one that is free."
 )
 @click.option("--browser/--no-browser", default=True, help="Open the page in the browser, or print its address only.")
-def command(measurement: Path, model: str | None, files: tuple[Path, ...], port: int, browser: bool) -> None:
+def command(
+    measurements: tuple[Path, ...], model: str | None, files: tuple[Path, ...], port: int, browser: bool
+) -> None:
     """Work on a measurement in the browser: compare, find what the model lacks, add it, see the error fall.
 
     MEASUREMENT is a session folder, a recording, or a folder of such, from which one is chosen on the page; by default
-    this folder. The page is served to this machine only, under an address with a random token; nothing comes from
-    the network. The models that are tried are kept in the session's history, as `mtcal improve` does. Ctrl-C ends it.
+    this folder. Several sessions or recordings of one machine are fitted together. The page is served to this machine
+    only, under an address with a random token; nothing comes from the network. The models that are tried are kept in
+    the session's history, as `mtcal improve` does. Ctrl-C ends it.
 
     \b
     mtcal workbench measurements/cube
     mtcal workbench measurements
+    mtcal workbench measurements/cube measurements/cube_again
     """
-    if not measurement.exists():
-        raise CalibrationError(f"{measurement}: no such file or folder")
+    measurements = measurements or (Path(),)
+    for measurement in measurements:
+        if not measurement.exists():
+            raise CalibrationError(f"{measurement}: no such file or folder")
     own = own_effects(files)
     try:
         from machine_tool_calibration.workbench.server import serve
@@ -59,4 +65,4 @@ def command(measurement: Path, model: str | None, files: tuple[Path, ...], port:
 
             webbrowser.open(address)
 
-    serve(measurement, own, model, port=port, ready=ready)
+    serve(measurements, own, model, port=port, ready=ready)

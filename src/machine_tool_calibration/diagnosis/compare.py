@@ -139,7 +139,7 @@ def compare(
 
 @single_blas()
 def compare_joint(result: JointResult) -> JointComparison:
-    """Hold the model of several sessions that was identified against the readings of each, as `compare` does for one."""
+    """Hold the model by which several sessions were identified against the readings of each."""
     pairs = zip(result.fit.fits, result.model_names, strict=True)
     each = tuple(_Look(fit).comparison(result.effects, (), variant) for fit, variant in pairs)
     return JointComparison(result.fit, result.labels, each)

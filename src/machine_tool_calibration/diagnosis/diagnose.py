@@ -256,7 +256,7 @@ def _fitted_with(
     effects: Sequence[str],
     own: Sequence[Effect],
 ) -> FittedSessions:
-    """The model with further effects; not a function inside another, so that a diagnosis goes from process to process."""
+    """The model with further effects; a function of its own, so that a diagnosis goes from process to process."""
     ids = [*effects, *(effect.id for effect in added)]
     return fit_sessions(parts, labels, model=model, effects=ids, own=own)
 

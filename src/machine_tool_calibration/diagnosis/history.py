@@ -122,6 +122,19 @@ class Entry(_Record):
 
         return [Estimate(p.name, p.value, p.standard_uncertainty, p.unit) for p in self.parameters]
 
+    def of_sessions(self, prints: Sequence[str], labels: Sequence[str]) -> list[Entry | Part | None]:
+        """What it says of each session: itself of a single one, of several the part of the same readings or name.
+
+        Args:
+            prints: fingerprints of the readings.
+            labels: names of the sessions.
+        """
+        if len(prints) == 1:
+            return [self]
+        by_data = {part.data: part for part in self.sessions}
+        by_label = {part.label: part for part in self.sessions}
+        return [by_data.get(data, by_label.get(label)) for data, label in zip(prints, labels, strict=True)]
+
     def own_effects(self, known: Sequence[Effect] = ()) -> list[Effect]:
         """Effects of the user's own: those given, and those that the model has by formula.
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import partial
 from html import escape
 
@@ -10,8 +11,9 @@ import numpy as np
 import panel as pn
 from bokeh.models import FactorRange, Span
 
-from machine_tool_calibration.reports.comparison import in_words
-from machine_tool_calibration.reports.comparison_tables import comparison_tables
+from machine_tool_calibration.diagnosis.comparison import Comparison
+from machine_tool_calibration.reports.comparison import in_words, joint_in_words
+from machine_tool_calibration.reports.comparison_tables import comparison_tables, joint_tables
 from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.workbench.look import bar_button, new_figure, paragraphs, tables, text, when_changed
 from machine_tool_calibration.workbench.readings import Readings
@@ -24,7 +26,7 @@ _HOVER = [
     ("row", "@row"), ("setup", "@setup, repeat @repeat"), ("residual", "@residual{0.000} µm"),
     ("studentized", "@studentized{0.0}"),
 ]  # fmt: skip
-# Readings of the table.
+# Readings of a table.
 _LISTED = 14
 _DIM = {"nonselection_alpha": 0.12, "nonselection_color": "#888888"}
 
@@ -62,18 +64,23 @@ class ComparePage:
         source.selected.on_change("indices", lambda attr, old, new: self._say_selected())
         self._aside = bar_button("Set the selected aside", self._set_aside, "primary", disabled=True)
         self._back = bar_button("Put back", self._put_back, disabled=True)
+        self._look = bar_button("Select those set aside", self._select_aside, visible=False)
         self._cleared = bar_button("Clear the selection", self._clear)
         self._suggest = bar_button("Select what does not belong to the rest", self._select_suggested, visible=False)
-        self._table = text()
+        self._table, self._left = text(), text()
         self.view = pn.Column(
             self._words,
             pn.Row(
                 *self._against, self._plane,
-                pn.Column(pn.Row(self._aside, self._back, self._cleared, self._suggest), self._count, margin=(12, 0)),
+                pn.Column(
+                    pn.Row(self._aside, self._back, self._look, self._cleared, self._suggest),
+                    self._count, margin=(12, 0),
+                ),
             ),
             pn.Row(self._plots[0], self._plots[1], sizing_mode="stretch_width"),
             pn.Row(self._map, self._strip, sizing_mode="stretch_width"),
-            pn.Row(self._setups, self._table, sizing_mode="stretch_width"),
+            pn.Row(self._setups, pn.Column(self._left, self._table, sizing_mode="stretch_width"),
+                   sizing_mode="stretch_width"),
             pn.Card(self._more, title="By repeat, region, direction of approach and covariate", collapsed=True,
                     sizing_mode="stretch_width"),
             sizing_mode="stretch_width",
@@ -81,16 +88,25 @@ class ComparePage:
 
     def refresh(self) -> None:
         """Show the model in use."""
-        found = self._state.model.comparison
-        self._words.object = paragraphs([in_words(found)])
+        model = self._state.model
+        found = model.comparison
+        if isinstance(found, Comparison):
+            words, every = in_words(found), list(comparison_tables(found))
+            setups = [share.name for share in found.setups]
+        else:
+            words, every = joint_in_words(found), list(joint_tables(found))
+            setups = [f"{label}/{share.name}" for label, share in found.setups]
+        self._words.object = paragraphs([words])
         self._choices()
         for k in range(len(self._against)):
             self._draw_against(k, self._against[k].value)
-        self._strip.y_range.factors = [share.name for share in reversed(found.setups)]
-        every = list(comparison_tables(found))
-        self._setups.object, self._more.object = tables(every[:2]), tables(every[2:])
-        self._back.disabled = not self._state.model.aside
-        self._suggest.visible = bool(set(self._state.suggested) - self._state.model.aside)
+        self._strip.y_range.factors = setups[::-1]
+        first = 2 if isinstance(found, Comparison) else 3
+        self._setups.object, self._more.object = tables(every[:first]), tables(every[first:])
+        self._back.disabled = not model.aside
+        self._look.visible = bool(model.aside)
+        self._suggest.visible = bool(self._state.found.keys() - model.aside - model.kept)
+        self._left.object = tables(self._set_aside_or_kept())
         self._draw_plane()
         self._say_selected()
 
@@ -121,13 +137,13 @@ class ComparePage:
         )
 
     def _say_selected(self) -> None:
-        chosen, aside = self._readings.selected, self._state.model.aside
+        chosen, model = self._readings.selected, self._state.model
+        aside = model.aside
         self._aside.disabled = not set(chosen) - aside
         words = f"{len(chosen)} of {len(self._readings.source.data['row'])} readings selected; {len(aside)} set aside"
-        some = ", ".join(str(row) for row in sorted(aside)[:12])
-        self._count.object = escape(
-            words + (f" (rows {some}{' …' if len(aside) > 12 else ''}; × in the plots)" if aside else "")
-        )
+        words += " (× in the plots)" if aside else ""
+        words += f"; {len(model.kept)} kept" if model.kept else ""
+        self._count.object = escape(words)
         self._table.object = tables([self._listed()])
 
     def _listed(self) -> TextTable:
@@ -139,7 +155,7 @@ class ComparePage:
         first = [int(k) for k in order if int(k) in among][:_LISTED]
         rows = tuple(
             (
-                str(data["row"][k]),
+                data["row"][k],
                 f"{data['setup'][k]}, {data['repeat'][k]}",
                 ", ".join(f"{float(data[axis][k]):.1f}" for axis in "xyz"),
                 _number(data["measured"][k]),
@@ -154,22 +170,49 @@ class ComparePage:
         left = len(among) - len(first)
         return TextTable(title, heads, rows, f"and {left} more" if chosen and left else "")
 
+    def _set_aside_or_kept(self) -> Iterator[TextTable]:
+        """The readings that are set aside and those that are kept though a search had set them aside, if there are."""
+        state = self._state
+        data = self._readings.source.data
+        names = {name: k for k, name in enumerate(data["row"])}
+        for title, numbers, note in (
+            ("Set aside", state.model.aside, "select some to put them back alone; none is selected: all come back"),
+            ("Kept: put back, so that no search sets them aside again", state.model.kept, ""),
+        ):
+            rows = []
+            for number in sorted(numbers)[:_LISTED]:
+                name = state.subject.name(number)
+                k = names.get(name)
+                setup = "" if k is None else f"{data['setup'][k]}, {data['repeat'][k]}"
+                place = [] if k is None else [f"{float(data[axis][k]):.1f}" for axis in "xyz"]
+                away = state.found.get(number)
+                by = "by you" if away is None else f"a search: {1e6 * away:.3g} µm from what all others predict"
+                rows.append((name, setup, ", ".join(place), by))
+            if rows:
+                left = len(numbers) - len(rows)
+                more = f"and {left} more; " if left else ""
+                heads = ("row", "setup, repeat", "x, y, z / mm", "set aside by")
+                yield TextTable(title, heads, tuple(rows), (more + note).removesuffix("; "))
+
     def _set_aside(self) -> None:
         rows = self._state.model.aside | set(self._readings.selected)
         self._clear()
-        self._work.run("fitting without them", lambda progress: self._state.changed(aside=rows), lambda use: use())
+        self._work.run("fitting without them", self._state.changed(aside=rows))
 
     def _put_back(self) -> None:
         chosen = set(self._readings.selected) & self._state.model.aside
         rows = self._state.model.aside - chosen if chosen else frozenset[int]()
         self._clear()
-        self._work.run("fitting with them", lambda progress: self._state.changed(aside=rows), lambda use: use())
+        self._work.run("fitting with them", self._state.changed(aside=rows))
 
     def _clear(self) -> None:
         self._readings.source.selected.indices = []
 
     def _select_suggested(self) -> None:
-        self._readings.select(list(self._state.suggested))
+        self._readings.select(self._state.found.keys() - self._state.model.aside - self._state.model.kept)
+
+    def _select_aside(self) -> None:
+        self._readings.select(self._state.model.aside)
 
 
 def _number(value: float) -> str:

@@ -10,14 +10,14 @@ import panel as pn
 from bokeh.models import ColumnDataSource, FactorRange, Span
 
 from machine_tool_calibration.diagnosis.consequence import effect_estimates
-from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.model.result import spread_document
 from machine_tool_calibration.reports.diagnosis import diagnosis_report
 from machine_tool_calibration.reports.quantities import probability, quantity, reproducibility_words, sizes_in_words
 from machine_tool_calibration.workbench.look import bar_button, new_figure, paragraphs, tables, text, when_changed
-from machine_tool_calibration.workbench.own_effect import OwnEffect
+from machine_tool_calibration.workbench.models import Model
+from machine_tool_calibration.workbench.own_effect import OwnEffect, addable
 from machine_tool_calibration.workbench.readings import Readings
-from machine_tool_calibration.workbench.state import Model, State
+from machine_tool_calibration.workbench.state import State
 from machine_tool_calibration.workbench.work import Work
 
 __all__ = ["DiagnosePage"]
@@ -101,10 +101,7 @@ class DiagnosePage:
             self._against.param.update(options=options, value=self._readings.ranked[0])
         self._draw_against()
         self._forget()
-        observations = state.model.comparison.fit.model.observations
-        every = catalogue(tuple(state.own.values()))
-        can = [name for name, effect in every.items() if effect.why_not(observations) is None]
-        self._effect.param.update(options=["", *(n for n in can if n not in state.model.fit.effects)], value="")
+        self._effect.param.update(options=["", *addable(state)], value="")
         self._all.disabled = state.diagnosis is None or not state.diagnosis[0].accepted + state.diagnosis[0].outliers
         if state.diagnosis is None:
             said = "This model was not diagnosed yet; an effect can be looked at all the same."
@@ -130,10 +127,10 @@ class DiagnosePage:
             self._effect.value = found.accepted[0]
 
     def _diagnose(self) -> None:
-        self._work.run("looking for what is missing", self._state.diagnosed, lambda take: take())
+        self._work.run("looking for what is missing", self._state.diagnosed())
 
     def _improve(self) -> None:
-        self._work.run("adding what was found", lambda progress: self._state.improved(), lambda use: use())
+        self._work.run("adding what was found", self._state.improved())
 
     def _clicked(self, chosen: list[int]) -> None:
         if chosen:
@@ -144,28 +141,27 @@ class DiagnosePage:
     def _look_at(self, name: str) -> None:
         self._forget()
         if name:
-            self._work.run(f"fitting with {name}", lambda progress: self._state.tried(name), self._laid_over)
+            self._work.run(f"fitting with {name}", self._state.tried(name, self._laid_over))
 
     def _forget(self) -> None:
         self._trial, self._add.disabled, self._said.object = None, True, ""
-        self._readings.show_pattern(np.zeros(0, dtype=np.int64), np.zeros(0))
+        self._readings.show_pattern(None)
         self._line.data = {"x": [], "y": []}
 
     def _laid_over(self, trial: Model) -> None:
         """Show what an effect would take out of the residuals."""
-        now, then = self._state.model.comparison, trial.comparison
-        pattern = now.residual - then.residual
+        now, then = self._state.model.fit, trial.fit
         self._trial, self._add.disabled = trial, False
-        self._readings.show_pattern(now.fit.model.observations.readings.row, pattern)
-        ends = [1e6 * float(pattern.min()), 1e6 * float(pattern.max())]
+        pattern = self._readings.show_pattern(trial)
+        ends = [float(np.nanmin(pattern)), float(np.nanmax(pattern))]
         self._line.data = {"x": ends, "y": ends}
         name = trial.step.change
         sizes = sizes_in_words(effect_estimates(trial.fit.result.joint, [name]))
         moved = trial.step.map_change
         words = (
-            f"With {name}: {sizes} (k = 2); residual {quantity(now.overall.rms, 'm')} → "
-            f"{quantity(then.overall.rms, 'm')} RMS, reduced chi-square {now.overall.reduced_chi_square:.3g} → "
-            f"{then.overall.reduced_chi_square:.3g}"
+            f"With {name}: {sizes} (k = 2); residual {quantity(now.rms_residual, 'm')} → "
+            f"{quantity(then.rms_residual, 'm')} RMS, reduced chi-square {now.reduced_chi_square:.3g} → "
+            f"{then.reduced_chi_square:.3g}"
         )
         words += "" if moved is None else f"; the map moves by {quantity(moved, 'm')} RMS"
         self._said.object = escape(f"{words}.")

@@ -3,22 +3,25 @@
 
 from __future__ import annotations
 
-from functools import partial
+from dataclasses import replace
 from html import escape
 
 import numpy as np
 import panel as pn
 from bokeh.models import ColumnDataSource, FactorRange, Span
 
-from machine_tool_calibration.diagnosis.improve import entry_of, residual_volumetric_error
-from machine_tool_calibration.effects.catalogue import catalogue
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis
+from machine_tool_calibration.diagnosis.improve import residual_volumetric_error
+from machine_tool_calibration.planning.what_to_measure import Conclusions
 from machine_tool_calibration.plots.style import round_down, spaced
 from machine_tool_calibration.reports.history_tables import compared_models, tried_models
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.residuals.noise import noise_of
 from machine_tool_calibration.workbench.look import bar_button, new_figure, tables, text, when_changed
+from machine_tool_calibration.workbench.models import Model
+from machine_tool_calibration.workbench.own_effect import addable
 from machine_tool_calibration.workbench.readings import Readings
-from machine_tool_calibration.workbench.state import Model, State
+from machine_tool_calibration.workbench.state import State
 from machine_tool_calibration.workbench.work import Work
 
 __all__ = ["ImprovePage", "map_arrows"]
@@ -133,10 +136,7 @@ class ImprovePage:
     def refresh(self) -> None:
         """Show the model in use beside the one before it."""
         state, model = self._state, self._state.model
-        observations = model.comparison.fit.model.observations
-        every = catalogue(tuple(state.own.values()))
-        can = [name for name, effect in every.items() if effect.why_not(observations) is None]
-        self._add.param.update(options=["", *(n for n in can if n not in model.fit.effects)], value="")
+        self._add.param.update(options=["", *addable(state)], value="")
         self._take.param.update(options=["", *model.fit.effects], value="")
         self._go.param.update(
             options={"": 0, **{f"{e.number}: {e.change or 'first model'}": e.number for e in state.history.models}},
@@ -160,7 +160,7 @@ class ImprovePage:
             "residual": [1e6 * step.result.rms_residual for step in steps],
             "tool": [np.nan if value is None else 1e6 * value for value in left],
         }
-        declared = noise_of(self._state.models[0].comparison.fit).declared
+        declared = noise_of(self._state.models[0].each[0].fit).declared
         self._declared.location = 1e6 * declared
         self._fall.title.text = (
             f"The error falls (dotted: declared uncertainty of a reading, {quantity(declared, 'm')})"
@@ -172,9 +172,10 @@ class ImprovePage:
         if plane is None or k is None or k >= len(state.models):
             return
         pair = {"before": state.models[k], "after": state.model}
+        every = state.entries()
         entries = [
-            entry_of(model.step, "", "", "", number=model.number or position + 1)
-            for model, position in zip(pair.values(), (k, len(state.models) - 1), strict=True)
+            every[at].model_copy(update={"number": model.number or at + 1})
+            for model, at in zip(pair.values(), (k, len(every) - 1), strict=True)
         ]
         self._table.object = tables([compared_models(*entries)])
         scale = self._readings.show_side_by_side(*pair.values())
@@ -207,28 +208,26 @@ class ImprovePage:
 
     def _changed(self, add: str = "", take: str = "") -> None:
         if add or take:
-            change = partial(self._state.changed, add=[add] if add else [], take=[take] if take else [])
+            change = self._state.changed(add=[add] if add else [], take=[take] if take else [])
             words = f"with {add}" if add else f"without {take}"
-            self._work.run(f"fitting {words}", lambda progress: change(), lambda use: use())
+            self._work.run(f"fitting {words}", change)
 
     def _gone_to(self, number: int) -> None:
         if number:
-            self._work.run(f"fitting model {number}", lambda progress: self._state.used(number), lambda use: use())
+            self._work.run(f"fitting model {number}", self._state.used(number))
 
     def _undone(self) -> None:
         self._state.undo()
 
     def _improve(self) -> None:
         """As `mtcal improve`: nothing is added unless the diagnosis names it."""
+        job = self._state.diagnosed()
 
-        def take_and_add(take: object) -> None:
-            assert callable(take)
-            take()
-            assert self._state.diagnosis is not None
-            found = self._state.diagnosis[0]
-            if found.accepted or found.outliers:
-                self._work.run("adding what was found", lambda progress: self._state.improved(), lambda use: use())
+        def take_and_add(found: tuple[Diagnosis, Conclusions]) -> None:
+            job.take(found)
+            if found[0].accepted or found[0].outliers:
+                self._work.run("adding what was found", self._state.improved())
             else:
                 self._note.object = escape("Nothing was found that is missing: see Diagnose.")
 
-        self._work.run("looking for what is missing", self._state.diagnosed, take_and_add)
+        self._work.run("looking for what is missing", replace(job, take=take_and_add))

@@ -86,24 +86,22 @@ class MeasurementPage:
 
     def refresh(self) -> None:
         """Show the measurement."""
-        state, session = self._state, self._state.session
-        summary = summarize(session)
-        suspicious = [*summary.suspicious, *([summary.problem] if summary.problem else [])]
-        if state.suggested:
-            rows = ", ".join(str(row) for row in state.suggested[:12])
-            more = " …" if len(state.suggested) > 12 else ""
-            suspicious.append(
-                f"{len(state.suggested)} readings do not belong to the rest (rows {rows}{more}): see Compare"
-            )
+        state, measurement = self._state, self._state.subject.measurement
+        suspicious = []
+        for label, session in zip(measurement.labels, measurement.sessions, strict=True):
+            summary = summarize(session)
+            named = f"{label}: " if len(measurement.sessions) > 1 else ""
+            problems = [summary.problem] if summary.problem else []
+            suspicious += [named + words for words in (*summary.suspicious, *problems)]
+        if state.found:
+            rows = ", ".join(state.subject.name(number) for number in sorted(state.found)[:12])
+            more = " …" if len(state.found) > 12 else ""
+            suspicious.append(f"{len(state.found)} readings do not belong to the rest (rows {rows}{more}): see Compare")
         said = "".join(f'<p class="error">Suspicious: {escape(words)}</p>' for words in suspicious)
-        assert state.measurement is not None
-        self._words.object = f"<p>{escape(state.measurement.headline)}</p>{said or '<p>Nothing is suspicious.</p>'}"
-        self._report.object = f'<pre style="font-size:11px;margin:0">{escape(state.measurement.report())}</pre>'
-        at = [
-            (s.id, s.position, setup_color(k))
-            for k, s in enumerate(session.description.setups)
-            if hasattr(s, "position")
-        ]
+        self._words.object = f"<p>{escape(measurement.headline)}</p>{said or '<p>Nothing is suspicious.</p>'}"
+        self._report.object = f'<pre style="font-size:11px;margin:0">{escape(measurement.report())}</pre>'
+        setups = [setup for session in measurement.sessions for setup in session.description.setups]
+        at = [(s.id, s.position, setup_color(k)) for k, s in enumerate(setups) if hasattr(s, "position")]
         place = 1e3 * np.array([position for _, position, _ in at]).reshape(-1, 3)
         self._stations.data = {
             "id": [name for name, _, _ in at],

@@ -16,7 +16,17 @@ from machine_tool_calibration.errors import CalibrationError, ModelError
 from machine_tool_calibration.workbench.look import bar_button, text, when_changed
 from machine_tool_calibration.workbench.state import State
 
-__all__ = ["OwnEffect", "unknowns_of"]
+__all__ = ["OwnEffect", "addable", "unknowns_of"]
+
+
+def addable(state: State) -> list[str]:
+    """Ids of the effects that can act in the measurement and are not in the model in use."""
+    observations = [one.fit.model.observations for one in state.model.each]
+    return [
+        name
+        for name, effect in catalogue(tuple(state.own.values())).items()
+        if name not in state.model.fit.effects and any(effect.why_not(each) is None for each in observations)
+    ]
 
 
 def unknowns_of(line: str) -> dict[str, dict[str, Any]]:
@@ -85,9 +95,9 @@ class OwnEffect:
         )
         if made.id in catalogue():
             raise ModelError(f"{made.id} is an effect of the catalogue: give yours another name")
-        why = made.why_not(self._state.model.comparison.fit.model.observations)
-        if why is not None:
-            raise ModelError(f"{made.id}: {why}")
+        why = [made.why_not(one.fit.model.observations) for one in self._state.model.each]
+        if all(why):
+            raise ModelError(f"{made.id}: {why[0]}")
         return made
 
     def _type(self, field: Any, value: str) -> None:
@@ -106,5 +116,5 @@ class OwnEffect:
         self._check()
         if not self._look.disabled:
             made = self.effect()
-            self._state.own[made.id] = made
+            self._state.know(made)
             self._known(made.id)

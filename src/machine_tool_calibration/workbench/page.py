@@ -12,6 +12,7 @@ from typing import Any, Protocol
 import panel as pn
 
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
+from machine_tool_calibration.session.session import distinct_labels
 from machine_tool_calibration.workbench.compare import ComparePage
 from machine_tool_calibration.workbench.diagnose import DiagnosePage
 from machine_tool_calibration.workbench.improve import ImprovePage
@@ -50,14 +51,14 @@ _TEMPLATE = """{% extends base %}
 """
 
 
-def window(target: Path, own: Sequence[PhysicalEffect] = (), variant: str | None = None) -> Any:
+def window(targets: Sequence[Path], own: Sequence[PhysicalEffect] = (), variant: str | None = None) -> Any:
     """A new window with its own state.
 
     Every block of every page is a root of the document: whatever changes in a block, a browser lays out the whole root
     that it is in, figures of hidden pages too, which took seconds.
 
     Args:
-        target: a session, a recording, or a folder of such.
+        targets: a session, a recording, or a folder of such; or several sessions and recordings of one machine.
         own: effects of the user's own.
         variant: of the method's model; its default if absent.
 
@@ -65,13 +66,13 @@ def window(target: Path, own: Sequence[PhysicalEffect] = (), variant: str | None
         What Panel serves.
     """
     page = pn.Template(_TEMPLATE)
-    for number, root in enumerate(_Window(target, own, variant).roots):
+    for number, root in enumerate(_Window(targets, own, variant).roots):
         page.add_panel(f"block{number}", root)
     return page
 
 
 class _Window:
-    def __init__(self, target: Path, own: Sequence[PhysicalEffect], variant: str | None) -> None:
+    def __init__(self, targets: Sequence[Path], own: Sequence[PhysicalEffect], variant: str | None) -> None:
         self._state, self._work = State(own, variant), Work()
         self._readings = Readings(self._state)
         self._state.watch(self._changed)
@@ -84,8 +85,11 @@ class _Window:
         self._head = text()
         for page in made:
             _set_visible(page, page.title == self._shown)
-        found = measurements_in(target)
-        options = {path.name or str(path): path for path in found}
+        found = [path for target in targets for path in measurements_in(target)]
+        names = distinct_labels([path.name or str(path) for path in found])
+        options: dict[str, tuple[Path, ...]] = {name: (path,) for name, path in zip(names, found, strict=True)}
+        if len(targets) > 1:
+            options = {" + ".join(options): tuple(found), **options}
         self._choice = pn.widgets.Select(name="Measurement", options=options, width=260, visible=len(found) > 1)
         when_changed(self._choice, lambda _: self._open())
         bar = pn.Row(*self._buttons.values(), self._choice, self._work.view, sizing_mode="stretch_width")
@@ -93,11 +97,12 @@ class _Window:
         if found:
             pn.state.onload(self._open)
         else:
-            self._work.say(f"{target}: neither a session nor a recording, nor a folder with any")
+            named = ", ".join(str(target) for target in targets)
+            self._work.say(f"{named}: neither a session nor a recording, nor a folder with any")
 
     def _open(self) -> None:
-        path = self._choice.value
-        self._work.run(f"reading {path.name}", lambda progress: self._state.opened(path), lambda show: show())
+        paths = self._choice.value
+        self._work.run(f"reading {', '.join(path.name for path in paths)}", self._state.opened(*paths))
 
     def _changed(self) -> None:
         """Another model is in use, or another measurement."""
@@ -106,7 +111,10 @@ class _Window:
         self._stale = set(self._pages)
         model = state.model
         number = "" if model.number is None else f" (model {model.number} of the history)"
-        self._head.object = f"<b>{escape(str(state.path))}</b>{number}: {escape(model.fit.headline)}"
+        named = " + ".join(str(path) for path in state.paths)
+        aside = f"; {len(model.aside)} readings set aside" if model.aside else ""
+        aside += f"; kept: {', '.join(map(state.subject.name, sorted(model.kept)))}" if model.kept else ""
+        self._head.object = f"<b>{escape(named)}</b>{number}: {escape(model.fit.headline + aside)}"
         self._show(self._shown)
         if state.remark:
             self._work.say(state.remark)

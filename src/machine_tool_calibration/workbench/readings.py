@@ -3,13 +3,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from bokeh.models import ColumnDataSource
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.diagnosis.comparison import Comparison
 from machine_tool_calibration.plots.residuals import axis_label, planes
 from machine_tool_calibration.workbench.look import setup_color
-from machine_tool_calibration.workbench.state import Model, State
+from machine_tool_calibration.workbench.models import Model
+from machine_tool_calibration.workbench.state import State
 
 __all__ = ["DRAWN", "VIEWS", "Readings"]
 
@@ -21,13 +25,13 @@ _MORE, _LESS = "#d55e00", "#0072b2"
 
 
 class Readings:
-    """All readings of the window's measurement, those set aside too.
+    """All readings of the window's measurement, those set aside too; of several sessions one after the other.
 
-    Columns of the source: `row`, `setup`, `repeat`, `color` of the setup; places `x y z` (mm); every covariate under
-    `c:NAME` in the unit of its label; `measured`, `predicted`, `residual` (µm; NaN where set aside), `studentized`;
-    `aside` (µm, of one that is set aside the residual that it had before); `pattern` (µm, what an effect that is looked
-    at would take out); for each plane of `VIEWS` the end of the residual's arrow, such as `xy:u`, `xy:v` (mm), and
-    `arrow`, its colour.
+    Columns of the source: `row` (with the session's name where there are several), `setup`, `repeat`, `color` of the
+    setup; places `x y z` (mm); every covariate under `c:NAME` in the unit of its label; `measured`, `predicted`,
+    `residual` (µm; NaN where set aside), `studentized`; `aside` (µm, of one that is set aside the residual that it had
+    before); `pattern` (µm, what an effect that is looked at would take out); for each plane of `VIEWS` the end of the
+    residual's arrow, such as `xy:u`, `xy:v` (mm), and `arrow`, its colour.
 
     Attributes:
         source: what plots draw.
@@ -43,14 +47,15 @@ class Readings:
         self.scale = 0.0
         self._state = state
         self._measurement: object = None
-        self._row = np.zeros(0, dtype=np.int64)
+        self._number = np.zeros(0, dtype=np.int64)
         self._place = self._direction = np.zeros((0, 3))
         self.planes: list[str] = ["xy"]
 
     def refresh(self) -> None:
         """Draw the model in use."""
-        if self._state.measurement is not self._measurement:
-            self._measurement = self._state.measurement
+        measurement = self._state.subject.measurement
+        if measurement is not self._measurement:
+            self._measurement = measurement
             data = self._fixed()
             self.source.selected.indices = []
             self.source.data = data | self._changing()
@@ -59,12 +64,21 @@ class Readings:
 
     @property
     def selected(self) -> list[int]:
-        """Rows of the readings that are selected."""
-        return [int(self._row[k]) for k in self.source.selected.indices]
+        """Numbers of the readings that are selected."""
+        return [int(self._number[k]) for k in self.source.selected.indices]
 
-    def show_pattern(self, rows: IntArray, pattern: Array) -> None:
-        """Lay what an effect would take out of some readings (m) over the residuals."""
-        self.source.data["pattern"] = self._at(rows, 1e6 * pattern)
+    def show_pattern(self, trial: Model | None) -> Array:
+        """Lay what a model with one effect more would take out over the residuals; nothing if there is none.
+
+        Returns:
+            (n,) that, µm, NaN where a reading is not in the model.
+        """
+        if trial is None:
+            pattern = np.full(len(self._number), np.nan)
+        else:
+            pattern = 1e6 * (self._of(self._state.model, "residual") - self._of(trial, "residual"))
+        self.source.data["pattern"] = pattern
+        return pattern
 
     def draw(self, **columns: str) -> None:
         """Have the plots' own columns (`DRAWN`) hold what other columns do.
@@ -73,50 +87,57 @@ class Readings:
         """
         self.source.data.update({name: self.source.data[column] for name, column in columns.items()})
 
-    def select(self, rows: list[int]) -> None:
+    def select(self, numbers: Iterable[int]) -> None:
         """Light up readings."""
-        self.source.selected.indices = np.flatnonzero(np.isin(self._row, rows)).tolist()
+        self.source.selected.indices = np.flatnonzero(np.isin(self._number, sorted(numbers))).tolist()
 
     def _fixed(self) -> dict[str, object]:
         """Of the first model, which has every reading that can be used unless its history begins later."""
-        session = self._state.session
-        readings = session.readings
-        first = self._state.models[0].comparison
-        observations = first.fit.model.observations
-        there = np.isfinite(readings.displacement)
-        self._row = readings.row[there]
-        self._place = np.column_stack([self._at(observations.readings.row, o) for o in observations.position.T])
-        self._direction = np.column_stack([self._at(observations.readings.row, o) for o in observations.direction.T])
-        self.planes = ["xyz"[a] + "xyz"[b] for a, b in planes(observations.position, observations.direction)]
-        self.labels = {f"c:{name}": axis_label(name)[0] for name in first.covariates}
-        self.ranked = [f"c:{name}" for name, _ in first.ranked]
+        state, subject = self._state, self._state.subject
+        first = state.models[0]
+        there = [np.isfinite(session.readings.displacement) for session in state.sessions]
+        taken = [session.readings.select(one) for session, one in zip(state.sessions, there, strict=True)]
+        self._number = np.concatenate([subject.numbers(k, one.row) for k, one in enumerate(taken)])
+        seen = [one.fit.model.observations for one in first.each]
+        place, direction = (np.concatenate([getattr(o, what) for o in seen]) for what in ("position", "direction"))
+        self.planes = ["xyz"[a] + "xyz"[b] for a, b in planes(place, direction)]
+        self._place = np.column_stack([self._of(first, f"position.{k}") for k in range(3)])
+        self._direction = np.column_stack([self._of(first, f"direction.{k}") for k in range(3)])
+        self.labels = {f"c:{name}": axis_label(name)[0] for one in first.each for name in one.covariates}
+        share: dict[str, float] = {}
+        for one in first.each:
+            for name, value in one.ranked:
+                share[f"c:{name}"] = max(value, share.get(f"c:{name}", 0.0))
+        self.ranked = sorted(share, key=lambda name: -share[name])
         self.ranked += [name for name in self.labels if name not in self.ranked]
-        setup = readings.setup[there]
+        color = 0
+        setups, colors = [], []
+        for k, (session, readings) in enumerate(zip(state.sessions, taken, strict=True)):
+            named = "" if first.labels is None else f"{first.labels[k]}/"
+            setups += [named + session.setup_ids[int(s)] for s in readings.setup]
+            colors += [setup_color(color + int(s)) for s in readings.setup]
+            color += len(session.setup_ids)
         return {
-            **dict.fromkeys(_OF_PAGES, np.full(len(self._row), np.nan)),
-            "row": self._row,
-            "setup": [session.setup_ids[int(k)] for k in setup],
-            "repeat": readings.repeat[there],
-            "color": [setup_color(int(k)) for k in setup],
-            "measured": 1e6 * readings.displacement[there],
+            **dict.fromkeys(_OF_PAGES, np.full(len(self._number), np.nan)),
+            "row": [subject.name(int(number)) for number in self._number],
+            "setup": setups,
+            "repeat": np.concatenate([one.repeat for one in taken]),
+            "color": colors,
+            "measured": 1e6 * np.concatenate([one.displacement for one in taken]),
             **{name: 1e3 * values for name, values in zip("xyz", self._place.T, strict=True)},
-            **{
-                f"c:{name}": self._at(observations.readings.row, axis_label(name)[1] * values)
-                for name, values in first.covariates.items()
-            },
+            **{column: axis_label(column[2:])[1] * self._of(first, column) for column in self.labels},
         }
 
     def _changing(self) -> dict[str, object]:
-        found = self._state.model.comparison
-        rows = found.fit.model.observations.readings.row
-        residual = self._at(rows, found.residual)
+        model = self._state.model
+        residual = self._of(model, "residual")
         self.scale = _bulk(residual)
         return {
             "aside": self._before(residual),
-            "predicted": self._at(rows, 1e6 * found.predicted),
+            "predicted": 1e6 * self._of(model, "predicted"),
             "residual": 1e6 * residual,
-            "studentized": self._at(rows, found.studentized),
-            "pattern": np.full(len(self._row), np.nan),
+            "studentized": self._of(model, "studentized"),
+            "pattern": np.full(len(self._number), np.nan),
             "arrow": np.where(residual > 0, _MORE, _LESS).tolist(),
             **self._arrows(residual, self.scale),
         }
@@ -127,10 +148,7 @@ class Readings:
         Returns:
             What the longest arrows stand for, m.
         """
-        both = {}
-        for name, model in (("before", before), ("after", after)):
-            found = model.comparison
-            both[name] = self._at(found.fit.model.observations.readings.row, found.residual)
+        both = {"before": self._of(before, "residual"), "after": self._of(after, "residual")}
         scale = max(_bulk(residual) for residual in both.values())
         for name, residual in both.items():
             self.source.data.update({f"{name}:{end}": at for end, at in self._arrows(residual, scale).items()})
@@ -145,21 +163,32 @@ class Readings:
 
     def _before(self, residual: Array) -> Array:
         """(n,) residual of the readings that are set aside in the last model that had them, µm; NaN of all others."""
-        out = np.where(np.isin(self._row, sorted(self._state.model.aside)), np.nan, 0.0)
+        out = np.where(np.isin(self._number, sorted(self._state.model.aside)), np.nan, 0.0)
         for model in reversed(self._state.models[:-1]):
             if not np.isnan(out).any():
                 break
-            found = model.comparison
-            then = 1e6 * self._at(found.fit.model.observations.readings.row, found.residual)
-            out = np.where(np.isnan(out), then, out)
+            out = np.where(np.isnan(out), 1e6 * self._of(model, "residual"), out)
         return np.where(np.isnan(residual), out, np.nan)
 
-    def _at(self, rows: IntArray, values: Array) -> Array:
-        """(n,) values of some rows at all rows of the source, NaN at the others."""
-        out = np.full(len(self._row), np.nan)
-        place = np.searchsorted(self._row, rows)
-        out[place] = values
+    def _of(self, model: Model, what: str) -> Array:
+        """(n,) what a model says of every reading: a quantity of `_value`; NaN of those that it does not have."""
+        out = np.full(len(self._number), np.nan)
+        for k, found in enumerate(model.each):
+            values = _value(found, what)
+            if values is not None:
+                numbers = self._state.subject.numbers(k, found.fit.model.observations.readings.row)
+                out[np.searchsorted(self._number, numbers)] = values
         return out
+
+
+def _value(found: Comparison, what: str) -> Array | None:
+    """An attribute of a comparison, `position.0` to `direction.2`, or a covariate by its column, such as `c:time`."""
+    if what.startswith("c:"):
+        return found.covariates.get(what[2:])
+    name, _, axis = what.partition(".")
+    if axis:
+        return np.asarray(getattr(found.fit.model.observations, name)[:, int(axis)])
+    return np.asarray(getattr(found, name))
 
 
 def _bulk(residual: Array) -> float:

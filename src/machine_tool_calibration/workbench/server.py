@@ -14,6 +14,7 @@ from panel.io.server import get_server
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.workbench.look import CSS
 from machine_tool_calibration.workbench.page import window
+from machine_tool_calibration.workbench.work import warm_up
 
 __all__ = ["serve"]
 
@@ -23,7 +24,7 @@ _KEPT = 60_000  # ms
 
 
 def serve(
-    target: Path,
+    targets: Sequence[Path],
     own: Sequence[PhysicalEffect] = (),
     variant: str | None = None,
     *,
@@ -36,7 +37,7 @@ def serve(
     know it is told that there is nothing. The scripts come from the installed packages.
 
     Args:
-        target: a session, a recording, or a folder of such.
+        targets: a session, a recording, or a folder of such; or several sessions and recordings of one machine.
         own: effects of the user's own.
         variant: of the method's model; its default if absent.
         port: to listen on; one that is free for 0.
@@ -48,9 +49,10 @@ def serve(
     # A browser asks for files that are not there, an icon first; the terminal need not hear of it.
     logging.getLogger("tornado.access").setLevel(logging.ERROR)
     pn.extension(raw_css=[CSS], notifications=False)
+    warm_up()
     token = secrets.token_urlsafe(24)
     server = get_server(
-        {"workbench": lambda: window(target, own, variant)},
+        {"workbench": lambda: window(targets, own, variant)},
         port=port,
         address=_HERE,
         title="mtcal workbench",

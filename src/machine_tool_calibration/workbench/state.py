@@ -6,26 +6,29 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
+from typing import Any
 
-import numpy as np
-
-from machine_tool_calibration.diagnosis.compare import compare
-from machine_tool_calibration.diagnosis.comparison import Comparison
-from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.history import Entry, History
-from machine_tool_calibration.diagnosis.improve import Step, entry_of, step_after
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.errors import CalibrationError, SessionError
-from machine_tool_calibration.interface.identification import Fit
-from machine_tool_calibration.interface.session import Measurement, load
-from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.model.result import EffectSet
-from machine_tool_calibration.planning.what_to_measure import SEARCH, Conclusions, conclude
-from machine_tool_calibration.reports.history_file import fingerprint, history_path, read_history, update_history
+from machine_tool_calibration.planning.what_to_measure import Conclusions
+from machine_tool_calibration.reports.history_file import history_path, update_history
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.workbench.models import (
+    Model,
+    Opened,
+    Progress,
+    Subject,
+    ancestors,
+    diagnosed,
+    improved,
+    opened,
+)
 
-__all__ = ["Model", "State", "measurements_in"]
+__all__ = ["Job", "State", "measurements_in"]
 
 
 def measurements_in(folder: Path) -> list[Path]:
@@ -42,50 +45,46 @@ def measurements_in(folder: Path) -> list[Path]:
 
 
 @dataclass(frozen=True)
-class Model:
-    """A model that was tried.
+class Job:
+    """Something to be calculated, perhaps in another process, and what takes the outcome.
 
     Attributes:
-        fit: to the readings that are not set aside.
-        step: what it is on the way.
-        comparison: it, held against its readings.
-        number: in the history; None while it is not kept.
+        work: the calculation, given what it reports its progress to. It knows nothing of the page.
+        take: shows the outcome.
     """
 
-    fit: Fit
-    step: Step
-    comparison: Comparison
-    number: int | None = None
+    work: Callable[[Progress], Any]
+    take: Callable[[Any], None]
 
-    @property
-    def aside(self) -> frozenset[int]:
-        """Rows of the readings that are set aside."""
-        return frozenset(self.step.set_aside)
+    def __call__(self) -> None:
+        """Do it here and now."""
+        self.take(self.work(lambda what, share: None))
 
 
 class State:
-    """One window's work. Everything that changes it returns nothing and tells those who watch it.
+    """One window's work. Everything that changes it tells those who watch it.
 
     Attributes:
-        path: of the measurement; None before one is open.
-        measurement: with all its readings.
+        paths: of the measurement; several are of one machine. Empty before one is open.
+        subject: the measurement with all its readings.
         models: on the way from the first one to the one in use.
-        own: the user's own effects.
         diagnosis: of the model in use, with what follows from it; None before it was made.
-        suggested: rows of readings that do not belong to the rest, as `mtcal identify` finds them.
+        found: the readings that a search found not to belong to the rest, by number: what they deviate by from what all
+            others predict, m.
         remark: what the page should say.
     """
 
     def __init__(self, own: Sequence[PhysicalEffect] = (), variant: str | None = None) -> None:
-        self.path: Path | None = None
-        self.measurement: Measurement | None = None
+        self.paths: tuple[Path, ...] = ()
         self.models: list[Model] = []
-        self.own = {effect.id: effect for effect in own}
         self.variant = variant
         self.diagnosis: tuple[Diagnosis, Conclusions] | None = None
-        self.suggested: tuple[int, ...] = ()
+        self.found: dict[int, float] = {}
         self.remark = ""
         self.history = History()
+        self._given = tuple(own)
+        self._subject: Subject | None = None
+        self._prints: tuple[str, ...] = ()
         self._watchers: list[Callable[[], None]] = []
 
     def watch(self, tell: Callable[[], None]) -> None:
@@ -93,15 +92,20 @@ class State:
         self._watchers.append(tell)
 
     @property
-    def session(self) -> Session:
-        """The measurement's session, with all its readings.
+    def subject(self) -> Subject:
+        """The measurement with all its readings, and the user's own effects.
 
         Raises:
             CalibrationError: none is open.
         """
-        if self.measurement is None:
+        if self._subject is None:
             raise CalibrationError("no measurement is open")
-        return self.measurement.sessions[0]
+        return self._subject
+
+    @property
+    def sessions(self) -> tuple[Session, ...]:
+        """The sessions, with all their readings."""
+        return self.subject.measurement.sessions
 
     @property
     def model(self) -> Model:
@@ -114,140 +118,94 @@ class State:
             raise CalibrationError("no measurement is open")
         return self.models[-1]
 
-    def opened(self, path: Path) -> Callable[[], None]:
-        """Read a measurement and fit its models; may be done in a thread.
+    @property
+    def own(self) -> dict[str, PhysicalEffect]:
+        """The user's own effects, by id."""
+        known = self._given if self._subject is None else self._subject.own
+        return {effect.id: effect for effect in known}
 
-        Returns:
-            What puts it in the place of the one that is open.
-        """
-        measurement = load(path)
-        session = measurement.sessions[0]
-        entry, history, remark = self._kept(path, session)
-        suggested = Fit(measurement, identify(session, model=self.variant, own=self._own)).rejected["row"]
-        chain = [] if entry is None else _ancestors(history, entry)
-        models: list[Model] = []
-        try:
-            for one in chain:
-                models.append(self._refitted(measurement, one, models))
-        except CalibrationError as error:
-            models, remark = [], f"the history's model {one.number} cannot be fitted ({error}): the first one is in use"
-        if not models:
-            models = [self._tried(measurement, None, "", (), frozenset())]
+    def know(self, effect: PhysicalEffect) -> None:
+        """Take up an effect of the user's own, in the place of one of that name."""
+        own = self.own | {effect.id: effect}
+        self._subject = replace(self.subject, own=tuple(own.values()))
 
-        def show() -> None:
-            self.path, self.measurement, self.models = path, measurement, models
-            self.suggested = tuple(int(row) for row in suggested)
-            self.history, self.remark, self.diagnosis = history, remark, None
+    def opened(self, *paths: Path) -> Job:
+        """Read a measurement, or several of one machine, and fit its models."""
+
+        def take(found: Opened) -> None:
+            self.paths, self._subject, self._prints = paths, found.subject, found.prints
+            self.models, self.found = found.models, found.found
+            self.history, self.remark, self.diagnosis = found.history, found.remark, None
             self._tell()
 
-        return show
+        return Job(partial(opened, paths, self.variant, self._given), take)
 
     def changed(
-        self,
-        *,
-        add: Iterable[str] = (),
-        take: Iterable[str] = (),
-        aside: Iterable[int] | None = None,
-        over: Sequence[EffectSet] = (),
-    ) -> Callable[[], None]:
-        """Fit the model in use with a change; may be done in a thread.
+        self, *, add: Iterable[str] = (), take: Iterable[str] = (), aside: Iterable[int] | None = None
+    ) -> Job:
+        """Fit the model in use with a change.
 
         Args:
             add: ids of effects.
             take: ids of effects that it has.
-            aside: rows of all readings that are to be set aside; those of the model in use if absent.
-            over: sets of effects over which the map is to be averaged.
-
-        Returns:
-            What puts the changed model into use.
+            aside: numbers of all readings that are to be set aside; those of the model in use if absent. What a search
+                had set aside and is put back is kept: no search sets it aside again.
         """
         now = self.model
         rows = now.aside if aside is None else frozenset(aside)
         added, taken = list(add), set(take)
         effects = [*(name for name in now.fit.effects if name not in taken), *added]
+        back = now.aside - rows
         words = [*added, *(f"without {name}" for name in taken)]
-        more, fewer = len(rows - now.aside), len(now.aside - rows)
         words += [
-            f"{k} reading{'s' if k > 1 else ''} {what}" for k, what in ((more, "set aside"), (fewer, "put back")) if k
+            f"{k} reading{'s' if k > 1 else ''} {what}"
+            for k, what in ((len(rows - now.aside), "set aside"), (len(back), "put back"))
+            if k
         ]
-        assert self.measurement is not None
-        model = self._tried(self.measurement, now, " + ".join(words), effects, rows, over)
-        return lambda: self.use(model)
-
-    def diagnosed(self, progress: Callable[[str, float], None]) -> Callable[[], None]:
-        """Look for effects that the model in use lacks, and for what would tell them apart; may be done in a thread.
-
-        Args:
-            progress: called with what is being done and the share that is finished.
-
-        Returns:
-            What takes the diagnosis.
-        """
-        fit = self.model.fit
-        found = diagnose(
-            fit.measurement.sessions,
-            model=self.variant,
-            effects=fit.effects,
-            own=self._own,
-            progress=lambda what, share: progress(what, SEARCH * share),
+        kept = (now.kept | back.intersection(self.found)) - rows
+        return Job(
+            partial(_quiet, self.subject.tried, now, " + ".join(words), now.fit.variant, effects, rows, kept), self.use
         )
-        then = conclude(found, model=self.variant, own=self._own, progress=progress)
 
-        def take() -> None:
-            self.diagnosis = found, then
+    def diagnosed(self) -> Job:
+        """Look for effects that the model in use lacks, and for what would tell them apart."""
+
+        def take(found: tuple[Diagnosis, Conclusions]) -> None:
+            self.diagnosis = found
+            for number, outlier in self._outliers(found[0]):
+                self.found.setdefault(number, outlier)
             self._tell()
 
-        return take
+        return Job(partial(diagnosed, self.subject, self.model), take)
 
-    def tried(self, effect: str) -> Model:
-        """The model in use with one effect more, which is not put into use; may be done in a thread."""
-        assert self.measurement is not None
+    def tried(self, effect: str, show: Callable[[Model], None]) -> Job:
+        """The model in use with one effect more, which is shown and not put into use."""
         now = self.model
-        return self._tried(self.measurement, now, effect, (*now.fit.effects, effect), now.aside)
+        effects = (*now.fit.effects, effect)
+        asked = (effect, now.fit.variant, effects, now.aside, now.kept)
+        return Job(partial(_quiet, self.subject.tried, now, *asked), show)
 
-    def used(self, number: int) -> Callable[[], None]:
-        """Fit a model of the history and those that it was made from; may be done in a thread.
+    def used(self, number: int) -> Job:
+        """Fit a model of the history and those that it was made from, and put it into use."""
 
-        Returns:
-            What puts it into use.
-        """
-        assert self.measurement is not None
-        models: list[Model] = []
-        for entry in _ancestors(self.history, self.history.entry(number)):
-            models.append(self._refitted(self.measurement, entry, models))
-
-        def use() -> None:
+        def use(models: list[Model]) -> None:
             self.models, self.diagnosis = models, None
             self._keep(lambda old: old.using(number))
             self._tell()
 
-        return use
+        way = ancestors(self.history, self.history.entry(number))
+        return Job(partial(_quiet, self.subject.on_the_way, way, self._prints), use)
 
-    def improved(self) -> Callable[[], None]:
+    def improved(self) -> Job:
         """Set aside and add what the diagnosis of the model in use names, one by one, as `mtcal improve` does.
-
-        Returns:
-            What puts the models into use.
 
         Raises:
             CalibrationError: there is no diagnosis yet.
         """
-        if self.diagnosis is None or self.measurement is None:
+        if self.diagnosis is None:
             raise CalibrationError("there is no diagnosis of this model yet: make one first")
-        found, made = self.diagnosis[0], [self.model]
-        start = self.model.fit.effects
-        aside = self.model.aside | {outlier.row for outlier in found.outliers}
-        if aside != self.model.aside:
-            count = len(aside - self.model.aside)
-            words = f"{count} reading{'s' if count > 1 else ''} set aside"
-            made.append(self._tried(self.measurement, made[-1], words, start, aside))
-        for k, name in enumerate(found.accepted):
-            last = k + 1 == len(found.accepted)
-            over = [EffectSet((*start, *one.effects), one.probability) for one in found.sets] if last else []
-            effects = (*start, *found.accepted[: k + 1])
-            made.append(self._tried(self.measurement, made[-1], name, effects, aside, over))
-
-        return lambda: self.use(*made[1:])
+        work = partial(improved, self.subject, self.model, self.diagnosis[0])
+        return Job(work, lambda models: self.use(*models))
 
     def undo(self) -> None:
         """Go back to the model that the one in use was made from."""
@@ -261,20 +219,11 @@ class State:
         self.diagnosis = None
         self._tell()
 
-    @property
-    def _own(self) -> tuple[PhysicalEffect, ...]:
-        return tuple(self.own.values())
-
-    def _tell(self) -> None:
-        for tell in self._watchers:
-            tell()
-
     def use(self, *models: Model) -> None:
         """Put models, each made from the one before, into use, and keep them in the history."""
         self.models += models
         self.diagnosis = None
-        prints, made = fingerprint(self.session), datetime.now(UTC).isoformat(timespec="seconds")
-        entries = [entry_of(one.step, prints, made, "workbench") for one in self.models]
+        entries = self.entries()
         self._keep(lambda old: old.grown(entries))
         kept = self.history.models
         self.models = [
@@ -283,61 +232,28 @@ class State:
         ]
         self._tell()
 
+    def entries(self) -> list[Entry]:
+        """The models as entries of a history."""
+        return self.subject.entries(self.models, self._prints, datetime.now(UTC).isoformat(timespec="seconds"))
+
+    def _outliers(self, found: Diagnosis) -> Iterable[tuple[int, float]]:
+        for k, own in enumerate(found.set_aside):
+            for outlier in own:
+                yield self.subject.first[k] + outlier.row, outlier.deviation
+
+    def _tell(self) -> None:
+        for tell in self._watchers:
+            tell()
+
     def _keep(self, change: Callable[[History], History]) -> None:
         """Change the history; where its file cannot be written this window's own."""
-        assert self.path is not None
         try:
-            self.history = update_history(history_path(self.path), change)
+            self.history = update_history(history_path(*self.paths), change)
         except SessionError as error:
             self.history = change(self.history)
             self.remark = f"{error}; the models are kept in this window only"
 
-    def _kept(self, path: Path, session: Session) -> tuple[Entry | None, History, str]:
-        try:
-            history = read_history(history_path(path))
-        except SessionError as error:
-            return None, History(), f"{error}; this window begins with the first model"
-        entry, remark = history.in_use, ""
-        if entry is not None and entry.data != fingerprint(session):
-            remark = f"the readings have changed since model {entry.number} was made of them"
-        return entry, history, remark
 
-    def _tried(
-        self,
-        measurement: Measurement,
-        before: Model | None,
-        words: str,
-        effects: Sequence[str],
-        aside: frozenset[int],
-        over: Sequence[EffectSet] = (),
-    ) -> Model:
-        session = measurement.sessions[0]
-        left = np.isin(session.readings.row, sorted(aside))
-        if left.any():
-            measurement = replace(measurement, sessions=(session.with_readings(session.readings.select(~left)),))
-        result = identify(
-            measurement.sessions[0], model=self.variant, effects=effects, own=self._own, keep_all=True, sets=over
-        )
-        fit = Fit(measurement, result, self.variant, self._own, keep_all=True)
-        step = step_after(before.step if before else None, words, result, tuple(sorted(aside)))
-        return Model(fit, step, compare(result))
-
-    def _refitted(self, measurement: Measurement, entry: Entry, before: Sequence[Model]) -> Model:
-        model = self._tried(
-            measurement,
-            before[-1] if before else None,
-            entry.change,
-            entry.effects,
-            frozenset(entry.set_aside),
-            entry.sets(),
-        )
-        return replace(model, number=entry.number)
-
-
-def _ancestors(history: History, entry: Entry | None) -> list[Entry]:
-    """A model of a history after all those that it was made from, the first one first."""
-    out: list[Entry] = []
-    while entry is not None:
-        out.append(entry)
-        entry = None if entry.parent is None else history.entry(entry.parent)
-    return out[::-1]
+def _quiet(calculate: Callable[..., Any], *args: Any) -> Any:
+    """Calculate what reports no progress; that comes last in what is given."""
+    return calculate(*args[:-1])

@@ -1,44 +1,76 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Work beside the page: in a thread, with its progress, a button to stop it, and its errors said on the page."""
+"""Work beside the page: in a process of its own, with its progress, a button that ends it, and its errors said."""
 
 from __future__ import annotations
 
 import logging
+import multiprocessing
+import pickle
+import signal
 import threading
 from collections.abc import Callable
 from functools import partial
 from html import escape
-from typing import Any, TypeVar
+from multiprocessing import forkserver
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from typing import Any
 
 import panel as pn
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.workbench.look import bar_button, text
+from machine_tool_calibration.workbench.models import Progress
+from machine_tool_calibration.workbench.state import Job
 
-__all__ = ["Progress", "Work"]
+__all__ = ["Work", "warm_up"]
 
-Progress = Callable[[str, float], None]
-Outcome = TypeVar("Outcome")
+# Processes are forked off one that has loaded what calculates and does nothing else: they are there in a few
+# milliseconds, and no thread of the page's process was in the middle of anything.
+_PROCESSES = multiprocessing.get_context("forkserver")
+_PRELOADED = ["machine_tool_calibration.workbench.models"]
 
 
-class _StoppedError(Exception):
-    """The user does not wait for it any longer."""
+def warm_up() -> None:
+    """Have what calculates loaded while the page is on its way."""
+    _PROCESSES.set_forkserver_preload(_PRELOADED)
+    forkserver.ensure_running()
+
+
+def _work(pipe: Connection, work: Callable[[Progress], Any]) -> None:
+    """In the process: calculate, and send progress and the outcome."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the page's process, which ends this one
+    try:
+        pipe.send((True, work(lambda what, share: pipe.send((None, (what, share))))))
+    except BrokenPipeError:
+        return
+    except Exception as error:
+        if not isinstance(error, CalibrationError | OSError):
+            logging.getLogger(__name__).error("a fault of the workbench", exc_info=error)
+            error = _FaultError(repr(error))
+        try:
+            pickle.loads(pickle.dumps(error))
+        except Exception:
+            error = CalibrationError(str(error))
+        pipe.send((False, error))
+
+
+class _FaultError(Exception):
+    """A fault of the package itself."""
 
 
 class Work:
-    """One piece of work at a time of one window.
-
-    The thread ends where the work next reports its progress; what it would have found is not used, and the page can be
-    used at once.
-    """
+    """One piece of work at a time of one window."""
 
     def __init__(self) -> None:
         self._document = pn.state.curdoc
         self._job: object | None = None
+        self._process: BaseProcess | None = None
         self._bar = pn.indicators.Progress(value=0, max=100, width=220, height=16, visible=False, margin=(10, 6))
         self._stop = bar_button("Stop", self.stop, "danger", visible=False)
         self._words = text("", min_width=200)
         self.view = pn.Row(self._words, self._bar, self._stop, sizing_mode="stretch_width", min_height=36)
+        self._document.on_session_destroyed(lambda context: self._rest())
 
     def say(self, words: str) -> None:
         """A remark, in place of the last one."""
@@ -49,17 +81,17 @@ class Work:
         if isinstance(error, CalibrationError | OSError):
             said = str(error)
         else:
-            said = f"unexpected {error!r} (a fault of mtcal itself; the terminal shows where it comes from)"
-            logging.getLogger(__name__).error("a fault of the workbench", exc_info=error)
+            said = f"unexpected {error} (a fault of mtcal itself; the terminal shows where it comes from)"
+            if not isinstance(error, _FaultError):
+                logging.getLogger(__name__).error("a fault of the workbench", exc_info=error)
         self._words.object = f'<span class="error" role="alert">{escape(" ".join(said.split()))}</span>'
 
-    def run(self, what: str, job: Callable[[Progress], Outcome], then: Callable[[Outcome], None]) -> None:
+    def run(self, what: str, job: Job) -> None:
         """Do something beside the page.
 
         Args:
             what: is being done, in words.
-            job: the work, given what it reports its progress to: what is being done and the share that is finished.
-            then: takes the outcome, on the page again.
+            job: the calculation, done in a process of its own, and what takes the outcome, on the page again.
         """
         if self._job is not None:
             self.say("One thing at a time: wait for what is running, or stop it.")
@@ -67,26 +99,30 @@ class Work:
         mine = self._job = object()
         self.say(f"{what} …")
         self._bar.value, self._bar.visible, self._stop.visible = -1, True, True
+        ours, theirs = _PROCESSES.Pipe()
+        process = _PROCESSES.Process(target=_work, args=(theirs, job.work), name=f"workbench: {what}", daemon=True)
+        self._process = process
 
-        def report(what: str, share: float) -> None:
-            if self._job is not mine:
-                raise _StoppedError
-            self._later(mine, partial(self._show, what, share))
-
-        def whole() -> None:
+        def follow() -> None:
+            process.start()
+            theirs.close()
+            if self._job is not mine:  # stopped before there was anything to end
+                process.kill()
             try:
-                outcome = job(report)
-            except _StoppedError:
-                return
-            except Exception as error:
-                self._later(mine, partial(self._done, self.fail, error))
-            else:
-                self._later(mine, partial(self._done, then, outcome))
+                while True:
+                    done, said = ours.recv()
+                    if done is None:
+                        self._later(mine, partial(self._show, *said))
+                        continue
+                    break
+            except EOFError:
+                done, said = False, CalibrationError(f"{what}: the process that calculated it has ended")
+            self._later(mine, partial(self._done, job.take if done else self.fail, said))
 
-        threading.Thread(target=whole, name=f"workbench: {what}", daemon=True).start()
+        threading.Thread(target=follow, name=f"workbench: {what}", daemon=True).start()
 
     def stop(self) -> None:
-        """Wait for it no longer."""
+        """End it, wherever it is."""
         self._rest()
         self.say("Stopped.")
 
@@ -112,5 +148,7 @@ class Work:
             self.fail(error)
 
     def _rest(self) -> None:
-        self._job = None
+        if self._process is not None and self._process.pid is not None:
+            self._process.kill()
+        self._job = self._process = None
         self._bar.visible = self._stop.visible = False

@@ -1,0 +1,332 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Models of a measurement, and all that is calculated of them: none of it knows the page or its state.
+
+What is here goes from process to process, so that the page can calculate in another one and end it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from machine_tool_calibration.arrays import IntArray
+from machine_tool_calibration.diagnosis.compare import compare, compare_joint
+from machine_tool_calibration.diagnosis.comparison import Comparison, JointComparison
+from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
+from machine_tool_calibration.diagnosis.history import Entry, History, Part
+from machine_tool_calibration.diagnosis.improve import Step, entry_of, step_after
+from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.errors import CalibrationError, SessionError
+from machine_tool_calibration.interface.identification import Fit
+from machine_tool_calibration.interface.session import Measurement, load
+from machine_tool_calibration.methods.build import sharing_variant
+from machine_tool_calibration.methods.identify import JointResult, gross_errors, identify, identify_sessions
+from machine_tool_calibration.model.result import EffectSet, Result
+from machine_tool_calibration.planning.what_to_measure import SEARCH, Conclusions, conclude
+from machine_tool_calibration.reports.history_file import fingerprint, history_path, read_history
+
+__all__ = ["Model", "Opened", "Progress", "Subject", "ancestors", "diagnosed", "improved", "opened"]
+
+Progress = Callable[[str, float], None]
+"""Told what is being done, and the share that is finished."""
+
+
+@dataclass(frozen=True)
+class Model:
+    """A model that was tried.
+
+    Attributes:
+        fit: to the readings that are not set aside.
+        step: what it is on the way.
+        comparison: it, held against its readings.
+        aside: numbers of the readings that are set aside.
+        kept: numbers of the readings that are not to be set aside, however far they stand out.
+        number: in the history; None while it is not kept.
+    """
+
+    fit: Fit
+    step: Step
+    comparison: Comparison | JointComparison
+    aside: frozenset[int] = frozenset()
+    kept: frozenset[int] = frozenset()
+    number: int | None = None
+
+    @property
+    def each(self) -> tuple[Comparison, ...]:
+        """The comparisons of the sessions."""
+        return (self.comparison,) if isinstance(self.comparison, Comparison) else self.comparison.sessions
+
+    @property
+    def labels(self) -> tuple[str, ...] | None:
+        """Names of several sessions; None of a single one."""
+        return self.fit.measurement.labels if len(self.fit.measurement.sessions) > 1 else None
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A measurement with all its readings, and the user's own effects.
+
+    Readings have a number: the row of the recording, counted on from session to session where there are several.
+
+    Attributes:
+        measurement: one session or several.
+        own: effects beside the catalogue.
+    """
+
+    measurement: Measurement
+    own: tuple[Effect, ...] = ()
+
+    @cached_property
+    def first(self) -> tuple[int, ...]:
+        """The number of each session's first reading."""
+        counts = [len(session.readings) for session in self.measurement.sessions]
+        return tuple(sum(counts[:k]) for k in range(len(counts)))
+
+    def numbers(self, session: int, rows: IntArray) -> IntArray:
+        """Numbers of rows of a session's recording."""
+        return np.asarray(rows + self.first[session])
+
+    def name(self, number: int) -> str:
+        """Of a reading: its row, of several sessions with the session's name, as `--keep` takes it."""
+        k = int(np.searchsorted(self.first, number, side="right")) - 1
+        row = str(number - self.first[k])
+        return row if len(self.first) == 1 else f"{self.measurement.labels[k]}:{row}"
+
+    def without(self, aside: Iterable[int], kept: Iterable[int] = ()) -> Measurement:
+        """The measurement without some readings, others being known to be sound."""
+        sessions = []
+        for k, session in enumerate(self.measurement.sessions):
+            mine = self.numbers(k, session.readings.row)
+            sound = session.keeping(session.readings.row[np.isin(mine, sorted(kept))].tolist())
+            gone = np.isin(mine, sorted(aside))
+            sessions.append(sound.without(gone) if gone.any() else sound)
+        return replace(self.measurement, sessions=tuple(sessions))
+
+    def tried(
+        self,
+        before: Model | None,
+        words: str,
+        variant: str | None,
+        effects: Sequence[str],
+        aside: frozenset[int],
+        kept: frozenset[int],
+        over: Sequence[EffectSet] = (),
+    ) -> Model:
+        """A model, fitted.
+
+        Args:
+            before: what it is made from.
+            words: what it has and that one has not.
+            variant: of the method's model; its default if None.
+            effects: ids.
+            aside: numbers of the readings that are left out.
+            kept: numbers of those that are known to be sound.
+            over: sets of effects over which the map is averaged.
+
+        Raises:
+            ModelError: the data does not allow it.
+        """
+        measurement = self.without(aside, kept)
+        sessions, own = measurement.sessions, self.own
+        result: Result | JointResult
+        held: Comparison | JointComparison
+        if len(sessions) == 1:
+            result = identify(sessions[0], model=variant, effects=effects, own=own, keep_all=True, sets=over)
+            held = compare(result)
+        else:
+            result = identify_sessions(
+                sessions, measurement.labels, model=variant, effects=effects, own=own, keep_all=True, sets=over
+            )
+            held = compare_joint(result)
+        step = step_after(before.step if before else None, words, result, tuple(sorted(aside)))
+        return Model(Fit(measurement, result, variant, own, keep_all=True), step, held, aside, kept)
+
+    def on_the_way(self, entries: Sequence[Entry], prints: Sequence[str]) -> list[Model]:
+        """Models of a history, each made from the one before.
+
+        Args:
+            entries: them.
+            prints: fingerprints of the sessions.
+        """
+        models: list[Model] = []
+        for entry in entries:
+            said = entry.of_sessions(prints, self.measurement.labels)
+            aside, kept = (
+                frozenset(
+                    int(number)
+                    for k, one in enumerate(said)
+                    if one is not None
+                    for number in self.numbers(k, np.array(getattr(one, what), dtype=np.int64))
+                )
+                for what in ("set_aside", "kept")
+            )
+            before = models[-1] if models else None
+            made = self.tried(before, entry.change, entry.model, entry.effects, aside, kept, entry.sets())
+            models.append(replace(made, number=entry.number))
+        return models
+
+    def entries(self, models: Sequence[Model], prints: Sequence[str], made: str) -> list[Entry]:
+        """Models as entries of a history.
+
+        Args:
+            models: each made from the one before.
+            prints: fingerprints of the sessions.
+            made: date and time, ISO 8601.
+        """
+        data = prints[0] if len(prints) == 1 else fingerprint(*self.measurement.sessions)
+        return [
+            entry_of(one.step, data, made, "workbench", parts=self._parts(one, prints), own=self.own) for one in models
+        ]
+
+    def _parts(self, model: Model, prints: Sequence[str]) -> tuple[Part, ...]:
+        result = model.fit.result
+        if not isinstance(result, JointResult):
+            return ()
+        return tuple(
+            Part(
+                label=name,
+                model=variant,
+                data=data,
+                set_aside=self._rows(k, model.aside),
+                kept=self._rows(k, model.kept),
+            )
+            for k, (name, variant, data) in enumerate(zip(result.labels, result.model_names, prints, strict=True))
+        )
+
+    def _rows(self, session: int, numbers: Iterable[int]) -> tuple[int, ...]:
+        """Those of the readings that are of one session, as rows of its recording."""
+        first, count = self.first[session], len(self.measurement.sessions[session].readings)
+        return tuple(sorted(number - first for number in numbers if 0 <= number - first < count))
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A measurement that was read.
+
+    Attributes:
+        subject: it.
+        prints: fingerprints of the sessions.
+        models: on the way to the one in use.
+        found: the readings that do not belong to the rest, by number: what they deviate by from what all others
+            predict, m.
+        history: of models.
+        remark: what is to be said.
+    """
+
+    subject: Subject
+    prints: tuple[str, ...]
+    models: list[Model]
+    found: dict[int, float]
+    history: History
+    remark: str
+
+
+def opened(paths: Sequence[Path], variant: str | None, own: Sequence[Effect], progress: Progress) -> Opened:
+    """Read a measurement and fit its models: those of the history, or the first one.
+
+    Readings that do not belong to the rest are set aside in a second model, as `mtcal identify` does.
+
+    Args:
+        paths: of a session or a recording, or of several of one machine.
+        variant: of the first model.
+        own: effects of the user's own.
+        progress: told what is being done.
+    """
+    progress("reading", 0.0)
+    measurement = load(*paths)
+    sessions = measurement.sessions
+    prints = tuple(fingerprint(session) for session in sessions)
+    history, remark = History(), ""
+    try:
+        history = read_history(history_path(*paths))
+    except SessionError as error:
+        remark = f"{error}; this window begins with the first model"
+    entry = history.in_use
+    known = list(own)
+    for one in history.models:
+        known = one.own_effects(known)
+    subject = Subject(measurement, tuple(known))
+    if entry is not None and entry.data != (prints[0] if len(prints) == 1 else fingerprint(*sessions)):
+        remark = f"the readings have changed since model {entry.number} was made of them"
+    progress("readings that do not belong to the rest", 0.2)
+    found = {}
+    for k, session in enumerate(sessions):
+        asked = variant if len(sessions) == 1 else sharing_variant(session, variant)
+        for outlier in gross_errors(session, asked, (), own)[0]:
+            found[int(subject.numbers(k, np.array(outlier.row)))] = outlier.deviation
+    progress("fitting", 0.5)
+    models: list[Model] = []
+    if entry is not None:
+        try:
+            models = subject.on_the_way(ancestors(history, entry), prints)
+        except CalibrationError as error:
+            remark = f"the history's model {entry.number} cannot be fitted ({error}): the first one is in use"
+    if not models:
+        models.append(subject.tried(None, "", variant, (), frozenset(), frozenset()))
+        if found:
+            words = f"{len(found)} reading{'s' if len(found) > 1 else ''} set aside"
+            aside = frozenset(found)
+            models.append(subject.tried(models[0], words, variant, (), aside, frozenset()))
+            remark = remark or f"{words}, which do not belong to the rest: Compare shows them, and puts them back."
+    return Opened(subject, prints, models, found, history, remark)
+
+
+def ancestors(history: History, entry: Entry) -> list[Entry]:
+    """A model of a history after all those that it was made from, the first one first."""
+    out = [entry]
+    while out[0].parent is not None:
+        out.insert(0, history.entry(out[0].parent))
+    return out
+
+
+def diagnosed(subject: Subject, model: Model, progress: Progress) -> tuple[Diagnosis, Conclusions]:
+    """Effects that a model lacks, and what would tell them apart.
+
+    Args:
+        subject: the measurement.
+        model: the model.
+        progress: told what is being done.
+    """
+    fit = model.fit
+    found = diagnose(
+        fit.measurement.sessions,
+        model.labels,
+        model=fit.variant,
+        effects=fit.effects,
+        own=subject.own,
+        progress=lambda what, share: progress(what, SEARCH * share),
+    )
+    return found, conclude(found, model=fit.variant, own=subject.own, progress=progress)
+
+
+def improved(subject: Subject, model: Model, found: Diagnosis, progress: Progress) -> list[Model]:
+    """Set aside and add what a diagnosis names, one by one, as `mtcal improve` does.
+
+    Args:
+        subject: the measurement.
+        model: that was diagnosed.
+        found: the diagnosis of it.
+        progress: told what is being done.
+
+    Returns:
+        The models, each made from the one before.
+    """
+    made, start, variant = [model], model.fit.effects, model.fit.variant
+    more = {
+        int(subject.numbers(k, np.array(outlier.row))) for k, own in enumerate(found.set_aside) for outlier in own
+    }
+    aside = model.aside | more
+    if more:
+        words = f"{len(more)} reading{'s' if len(more) > 1 else ''} set aside"
+        made.append(subject.tried(made[-1], words, variant, start, aside, model.kept))
+    for k, name in enumerate(found.accepted):
+        progress(f"adding {name}", k / len(found.accepted))
+        last = k + 1 == len(found.accepted)
+        over = [EffectSet((*start, *one.effects), one.probability) for one in found.sets] if last else []
+        effects = (*start, *found.accepted[: k + 1])
+        made.append(subject.tried(made[-1], name, variant, effects, aside, model.kept, over))
+    return made[1:]
