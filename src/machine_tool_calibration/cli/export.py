@@ -20,11 +20,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from machine_tool_calibration.effects.effect import Effect
-    from machine_tool_calibration.export.error_states import ErrorStates
-    from machine_tool_calibration.export.preview import ResidualError
-    from machine_tool_calibration.methods.axis_tables import AxisTables
+    from machine_tool_calibration.export.compensation import Compensation, Exported
     from machine_tool_calibration.model.fit import JointFit
-    from machine_tool_calibration.session.provenance import Provenance
 
 __all__ = ["bad_fit", "command"]
 
@@ -109,8 +106,6 @@ def command(
     mtcal export session --format isg --from-history   with the effects that `mtcal improve` found
     """
     from machine_tool_calibration.effects.formula import read_effects
-    from machine_tool_calibration.export import read_tables, write_tables
-    from machine_tool_calibration.export.preview import residual_errors, summary
     from machine_tool_calibration.reports.identification import group_by_reason
     from machine_tool_calibration.reports.tables import show_suspicions
 
@@ -120,52 +115,46 @@ def command(
     with progress_bar() as progress:
         progress("identifying")
         found = _identified(measurements, chosen, topic_names(topics))
-        tables, states, models = found.tables, found.states, found.models
         progress("writing and reading tables")
-        told = (f"{name}: {value}" for name, value in found.origin.lines() if name != "model")  # in every head already
-        source = "\n".join([found.source, *told])
-        files = write_tables(form, tables, source)
-        held = read_tables(form, files, tables)
-        errors = residual_errors(states.error_map, held, states.directions)
-        left = summary(errors)
-    absent = _absent(tables, held, states.effects)
+        made = found.compensation.exported(form)
+    origin, tables = found.compensation.origin, found.compensation.tables
     folder = output or Path(f"compensation_{form}")
     picture = folder / _PICTURE
-    _save(folder, files, pictures=(_PICTURE,) if plot else ())
+    _save(folder, made.files, pictures=(_PICTURE,) if plot else ())
     if plot:
         from machine_tool_calibration.plots.compensation import draw_compensation
         from machine_tool_calibration.plots.style import save_as
 
-        save_as(draw_compensation(errors, f"{form}: {found.source}"), picture, found.origin)
+        save_as(draw_compensation(made.errors, f"{form}: {found.compensation.source}"), picture, origin)
     if as_json:
         write_json(
             {
                 "format": "mtcal-exported/1",
                 "to": form,
                 "folder": folder,
-                "files": list(files),
+                "files": list(made.files),
                 "pictures": [picture] if plot else [],
-                "model": models[0] if len(models) == 1 else list(models),
+                "model": found.models[0] if len(found.models) == 1 else list(found.models),
                 "reduced_chi_square": found.fit.reduced_chi_square,
                 "p_value": found.fit.p_value,
                 "suspicious": found.suspicious,
-                "provenance": found.origin.document(),
+                "provenance": origin.document(),
                 "tables": [table.name for table in tables.tables],
                 "squareness": list(tables.squareness),
                 "not_determined": tables.left_out,
-                "not_in_tables": absent,
-                "preview": left,
-                "worse": left[-1].worse,
+                "not_in_tables": made.absent,
+                "preview": made.left,
+                "worse": made.worse,
             }
         )
     else:
-        _show(console(), [*(folder / name for name in files), *([picture] if plot else [])], left, absent)
+        _show(console(), [*(folder / name for name in made.files), *([picture] if plot else [])], made)
         show_suspicions(console(), found.suspicious)
         for why, names in group_by_reason((entry.name, entry.why) for entry in tables.left_out):
             note(f"not determined: {names}: {why}")
     for text in found.warnings:
         note(text)
-    if left[-1].worse:
+    if made.worse:
         note("warning: the errors would grow; do not load these files")
 
 
@@ -183,20 +172,15 @@ class _Chosen:
 class _Found:
     """What was identified of one measurement or of several together, what they are called, and what to say of it."""
 
-    tables: AxisTables
-    states: ErrorStates
+    compensation: Compensation
     models: tuple[str, ...]
-    source: str
     fit: JointFit
     warnings: tuple[str, ...]
     suspicious: list[str]
-    origin: Provenance
 
 
 def _identified(paths: tuple[Path, ...], chosen: _Chosen, topics: dict[str, str]) -> _Found:
-    from machine_tool_calibration.effects.catalogue import find_effects
-    from machine_tool_calibration.export.error_states import error_states
-    from machine_tool_calibration.methods.axis_tables import axis_tables, joint_axis_tables
+    from machine_tool_calibration.export.compensation import compensation
     from machine_tool_calibration.methods.identify import identify, identify_sessions
     from machine_tool_calibration.recording.open import open_measurement
     from machine_tool_calibration.session.checks.suspicion import suspicions
@@ -208,22 +192,13 @@ def _identified(paths: tuple[Path, ...], chosen: _Chosen, topics: dict[str, str]
             sessions, session_labels(paths), model=chosen.model, effects=chosen.effects, own=chosen.own
         )
         note(joint.agreement.statement)
-        states = error_states(joint.error_map, joint.fit.fits, find_effects(chosen.effects, chosen.own))
         said = [bad_fit(joint.fit, joint.error_map.content)]
         for opened, path in zip(sessions, paths, strict=True):
             said.append(unused_model([opened], [path], chosen.effects, None, effects_only=True))
         warnings = tuple(text for text in said if text)
         suspicious = suspicions(sessions, session_labels(paths))
-        return _Found(
-            joint_axis_tables(joint),
-            states,
-            joint.model_names,
-            source,
-            joint.fit,
-            warnings,
-            suspicious,
-            joint.provenance,
-        )
+        made = compensation(joint, source, chosen.own)
+        return _Found(made, joint.model_names, joint.fit, warnings, suspicious)
     session, model, effects = sessions[0], chosen.model, chosen.effects
     if chosen.from_history:
         entry, session, _ = current_model(session, paths[0])
@@ -233,34 +208,13 @@ def _identified(paths: tuple[Path, ...], chosen: _Chosen, topics: dict[str, str]
         note(f"with {', '.join(effects) or 'no effects'}, as in model {entry.number} of the history")
     model = model or session.spec.with_tables
     result = identify(session, model=model, effects=effects, own=chosen.own, keep_all=chosen.from_history)
-    states = error_states(result.error_map, [result.fit], find_effects(effects, chosen.own))
     fit = result.fit.joint
     said = [bad_fit(fit, result.error_map.content)]
     if not chosen.from_history:
         said.append(unused_model([session], paths, effects, fit))
     warnings = tuple(text for text in said if text)
-    return _Found(
-        axis_tables(result),
-        states,
-        (result.model_name,),
-        source,
-        fit,
-        warnings,
-        suspicions([session]),
-        result.provenance,
-    )
-
-
-def _absent(tables: AxisTables, held: AxisTables, effects: Sequence[str]) -> list[str]:
-    """What is in the model, displaces the tool, and is not in the files: effects first, then error motions."""
-    from machine_tool_calibration.methods.axis_tables import SLOPES
-
-    taken = {f"backlash_{axis.lower()}" for axis in held.backlash}
-    named = {*(table.name for table in held.tables), *held.squareness}
-    # where squareness is not said apart, it is the slope of a straightness
-    named |= {name for name, slope in SLOPES.items() if slope in named}
-    known = [*(table.name for table in tables.tables), *tables.squareness]
-    return [*(e for e in effects if e not in taken), *(name for name in known if name not in named)]
+    made = compensation(result, source, chosen.own)
+    return _Found(made, (result.model_name,), fit, warnings, suspicions([session]))
 
 
 def _save(folder: Path, files: dict[str, str], pictures: Sequence[str]) -> None:
@@ -272,28 +226,12 @@ def _save(folder: Path, files: dict[str, str], pictures: Sequence[str]) -> None:
         (folder / name).write_text(text, encoding="utf-8")
 
 
-def _show(out: Console, written: Sequence[Path], left: Sequence[ResidualError], absent: Sequence[str]) -> None:
-    from rich.table import Table
-
-    from machine_tool_calibration.reports.quantities import micrometres
+def _show(out: Console, written: Sequence[Path], made: Exported) -> None:
+    from machine_tool_calibration.reports.compensation import absent_words, left_table
+    from machine_tool_calibration.reports.tables import show_table
 
     for path in written:
         out.print(f"[bold]{path}[/]")
-    title = "Position error over the measured points, µm, without shift and turn of the whole"
-    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
-    table.add_column("direction")
-    for column in ("RMS now", "RMS compensated", "largest now", "largest compensated", "U (k = 2), RMS"):
-        table.add_column(column, justify="right")
-    for row in left:
-        errors = (row.rms_before, row.rms_after, row.largest_before, row.largest_after, 2 * row.uncertainty)
-        table.add_row(row.name, *(micrometres(error) for error in errors))
-    out.print(table)
-    out.print(
-        "Compensated: what the tables leave of the errors that were identified. What was not identified comes on top: "
-        "U, and what the machine does not repeat."
-    )
-    if absent:
-        out.print(
-            f"In the model and not in these files: {', '.join(absent)}. What they do to the position is in the errors "
-            "above, before and after."
-        )
+    show_table(out, left_table(made))
+    if made.absent:
+        out.print(absent_words(made))

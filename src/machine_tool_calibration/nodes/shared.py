@@ -11,7 +11,7 @@ from pathlib import Path
 
 from machine_tool_calibration.errors import CalibrationError
 
-__all__ = ["procedure_file", "shared_file"]
+__all__ = ["procedure_file", "procedure_names", "shared_file"]
 
 _PACKAGE = "machine_tool_calibration"
 
@@ -53,10 +53,14 @@ def procedure_file(name: str) -> Path:
     path = Path(name)
     if path.is_file() or path.suffix or path.parent != Path():
         return path
-    known: set[str] = set()
     for share in _shares():
         file = share / "config" / "procedures" / f"{name}.yaml"
         if file.is_file():
             return file
-        known |= {entry.stem for entry in (share / "config" / "procedures").glob("*.yaml")}
-    raise CalibrationError(f"{name}: no such file, and no procedure of that name; known are {', '.join(sorted(known))}")
+    known = ", ".join(procedure_names())
+    raise CalibrationError(f"{name}: no such file, and no procedure of that name; known are {known}")
+
+
+def procedure_names() -> list[str]:
+    """Names of the procedures that the package brings."""
+    return sorted({file.stem for share in _shares() for file in (share / "config" / "procedures").glob("*.yaml")})

@@ -34,7 +34,7 @@ from machine_tool_calibration.planning.option import Option
 from machine_tool_calibration.planning.options import further_options
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["ANGULAR", "DRIFT", "Dominant", "Remedy", "dominant", "limits_of"]
+__all__ = ["ANGULAR", "DRIFT", "Dominant", "Remedy", "dominant", "expected_model", "limits_of"]
 
 ANGULAR = 5e-6
 """Root mean square of a usual machining centre's angular errors, rad."""
@@ -196,12 +196,7 @@ def _uncertainty(session: Session, model: str | None, angular: float, drift: flo
 
     Angular errors are in it with an expected size.
     """
-    built = build_model(session, model)[0]
-    if isinstance(built, StepDiagonalModel) and built.spread is not None:
-        # Of this size, whatever the readings say: those of a further measurement are not there yet.
-        expected = [angular**2 * mean_shape(angle.table.nodes) for angle in built.spread.angles]
-        spread = replace(built.spread, posterior=None)
-        built = replace(built, spread=spread, priors=angular_priors(spread.names, expected))
+    built = expected_model(session, model, angular)
     still = _map(built)
     square = still.uncertainty**2
     if drift:
@@ -212,6 +207,24 @@ def _uncertainty(session: Session, model: str | None, angular: float, drift: flo
     # Neither what is not determined nor what the datum fixes.
     known = square[np.isfinite(square) & (still.uncertainty > 0)]
     return float(np.sqrt(np.mean(known))) if len(known) else float("nan")
+
+
+def expected_model(session: Session, model: str | None, angular: float = ANGULAR) -> MethodModel:
+    """The model of a session with angular errors of an expected size, whatever the readings say of them.
+
+    The readings of a further measurement are not there yet.
+
+    Args:
+        session: the measurement.
+        model: variant of the method's model.
+        angular: expected root mean square of the machine's angular errors, rad.
+    """
+    built = build_model(session, model)[0]
+    if isinstance(built, StepDiagonalModel) and built.spread is not None:
+        expected = [angular**2 * mean_shape(angle.table.nodes) for angle in built.spread.angles]
+        spread = replace(built.spread, posterior=None)
+        built = replace(built, spread=spread, priors=angular_priors(spread.names, expected))
+    return built
 
 
 def _map(model: MethodModel) -> ErrorMap:

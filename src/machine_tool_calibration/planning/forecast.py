@@ -3,28 +3,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray
-from machine_tool_calibration.diagnosis.search.candidates import Candidate, effect_candidates
-from machine_tool_calibration.diagnosis.search.findings import smallest_signal
-from machine_tool_calibration.diagnosis.search.priors import EFFECT
+from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.effects.catalogue import catalogue
-from machine_tool_calibration.effects.effect import Coefficient, Effect
+from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.instruments.touch import Part
 from machine_tool_calibration.instruments.tracking import pointing
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.model.fit import Fit, screen
 from machine_tool_calibration.model.result import Result
+from machine_tool_calibration.planning.detectable import POWER, Visible, detectable
 from machine_tool_calibration.planning.dominant import ANGULAR, DRIFT, Dominant, dominant
 from machine_tool_calibration.procedure.description import Procedure
 from machine_tool_calibration.procedure.plan import Step, plan, sensing_direction
-from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.description import (
     Description,
@@ -40,7 +36,6 @@ from machine_tool_calibration.session.session import Readings, Session
 __all__ = [
     "Forecast",
     "Planned",
-    "Visible",
     "along_diagonals",
     "directly",
     "forecast",
@@ -187,32 +182,6 @@ def _zeros(description: Description, setup: IntArray, repeat: IntArray, labels: 
     return np.asarray(first[group.reshape(-1)])
 
 
-# Share of a column's squared norm that the model must leave for the effect to be seen.
-_SEEN = 1e-4
-_POWER = 0.8
-# Numbers in the columns of effects that are kept in memory at a time.
-_HELD = 20_000_000
-
-
-@dataclass(frozen=True)
-class Visible:
-    """The smallest size of an effect that a plan finds with a power of 80 %.
-
-    Attributes:
-        effect: its id.
-        coefficient: the one of its coefficients that is seen best, the others being zero.
-        size: smallest detectable size, in the unit; None if the model's own unknowns take the effect up.
-        unit: SI.
-        reading: largest change of a reading that this makes, m.
-    """
-
-    effect: str
-    coefficient: str
-    size: float | None
-    unit: str
-    reading: float | None
-
-
 @dataclass(frozen=True)
 class Forecast:
     """What a measurement will determine.
@@ -231,7 +200,7 @@ class Forecast:
     seconds: float
     visible: tuple[Visible, ...]
     absorbed: tuple[str, ...]
-    excluded: dict[str, str]
+    excluded: Mapping[str, str]
     warming: float
     dominant: Dominant | None = None
 
@@ -254,9 +223,9 @@ class Forecast:
                 for v in self.visible
             ],
             "absorbed": list(self.absorbed),
-            "excluded": self.excluded,
+            "excluded": dict(self.excluded),
             "dominant": None if self.dominant is None else self.dominant.document(),
-            "power": _POWER,
+            "power": POWER,
             "assumed": {"warming_per_hour": self.warming, "spread_between_setups": 0.0, "machine": "without errors"},
         }
 
@@ -288,79 +257,9 @@ def forecast(
     planned = planned_session(procedure, warming)
     progress("uncertainties", 0.2)
     result = identify(planned.session, model=model, keep_all=True)
-    screened, excluded = _screened(result.fit, list(catalogue(own).values()), progress)
-    needed = float(np.log(max(len(screened), 1.0 / EFFECT)))
-    visible, absorbed = [], []
-    for candidate in screened:
-        best = candidate.smallest(needed)
-        if best is None:
-            absorbed.append(candidate.effect)
-        else:
-            visible.append(best)
+    found = detectable(
+        result.joint, list(catalogue(own).values()), progress=lambda what, share: progress(what, 0.3 + 0.55 * share)
+    )
     progress("what dominates", 0.85)
     limits = dominant(planned.session, model=model, angular=angular, drift=DRIFT * abs(warming))
-    return Forecast(result, planned.seconds, tuple(visible), tuple(absorbed), excluded, warming, limits)
-
-
-@dataclass(frozen=True)
-class _Screened:
-    """What a model leaves of a candidate's columns.
-
-    Attributes:
-        effect: its id.
-        count: sets of nonlinear coefficients over which its prior is spread.
-        blocks: for each set of nonlinear coefficients the coefficients, and of each one's column the squared norm
-            outside the model, whether that is seen at all, and the largest change of a reading.
-    """
-
-    effect: str
-    count: int
-    blocks: tuple[tuple[Sequence[Coefficient], Array, BoolArray, Array], ...]
-
-    def smallest(self, needed: float) -> Visible | None:
-        """The coefficient that is seen best, and its smallest size; None if none is seen."""
-        best: Visible | None = None
-        for named, inner, seen, largest in self.blocks:
-            strength = inner * np.array([max(abs(c.low), abs(c.high)) / 2.0 for c in named]) ** 2
-            for k in np.flatnonzero(seen).tolist():
-                signal = smallest_signal(strength[seen], float(strength[k]), needed + np.log(self.count), _POWER)
-                size = float(signal / np.sqrt(inner[k]))
-                reading = size * float(largest[k])
-                if best is None or best.reading is None or reading < best.reading:
-                    best = Visible(self.effect, named[k].name, size, named[k].unit, reading)
-        return best
-
-
-def _screened(
-    fit: Fit, effects: Sequence[Effect], progress: Callable[[str, float], object]
-) -> tuple[list[_Screened], dict[str, str]]:
-    """Every effect that can act, and why the others cannot; as many in one pass as fit into memory."""
-    pool = Pool(fit.joint)
-    found: list[_Screened] = []
-    excluded: dict[str, str] = {}
-    waiting: list[Candidate] = []
-    for number, effect in enumerate(effects, 1):
-        progress("effects that would show", 0.3 + 0.55 * number / len(effects))
-        candidates, without = effect_candidates(pool, [effect])
-        excluded |= without
-        waiting += candidates
-        held = sum(block.columns.size for candidate in waiting for block in candidate.shapes)
-        if waiting and (held > _HELD or number == len(effects)):
-            found += _outside(fit, waiting)
-            waiting = []
-    return found, excluded
-
-
-def _outside(fit: Fit, candidates: Sequence[Candidate]) -> list[_Screened]:
-    """The columns outside the model, in one pass: the model is the same for all."""
-    stacked = [block.columns for candidate in candidates for block in candidate.shapes]
-    projected = screen(fit, np.concatenate(stacked))
-    inner = np.diag(projected.gram)[:-1]
-    seen = np.asarray(inner > _SEEN * projected.squares[:-1])
-    ends = np.cumsum([len(columns) for columns in stacked])[:-1]
-    largest = (np.abs(columns).max(axis=1) for columns in stacked)
-    each = zip(np.split(inner, ends), np.split(seen, ends), largest, strict=True)
-    return [
-        _Screened(found.name, found.count, tuple((block.coefficients, *next(each)) for block in found.shapes))
-        for found in candidates
-    ]
+    return Forecast(result, planned.seconds, found.visible, found.absorbed, found.excluded, warming, limits)

@@ -173,11 +173,7 @@ class ImprovePage:
             return
         pair = {"before": state.models[k], "after": state.model}
         every = state.entries()
-        entries = [
-            every[at].model_copy(update={"number": model.number or at + 1})
-            for model, at in zip(pair.values(), (k, len(every) - 1), strict=True)
-        ]
-        self._table.object = tables([compared_models(*entries)])
+        self._table.object = tables([compared_models(every[k], every[-1])])
         scale = self._readings.show_side_by_side(*pair.values())
         error = [np.nan_to_num(model.fit.result.error_map.error) for model in pair.values()]
         points = state.model.fit.result.error_map.points

@@ -179,7 +179,16 @@ class Subject:
         """
         data = prints[0] if len(prints) == 1 else fingerprint(*self.measurement.sessions)
         return [
-            entry_of(one.step, data, made, "workbench", parts=self._parts(one, prints), own=self.own) for one in models
+            entry_of(
+                one.step,
+                data,
+                made,
+                "workbench",
+                parts=self._parts(one, prints),
+                number=one.number or k,
+                own=self.own,
+            )
+            for k, one in enumerate(models, 1)
         ]
 
     def _parts(self, model: Model, prints: Sequence[str]) -> tuple[Part, ...]:

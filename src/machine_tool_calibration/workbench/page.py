@@ -15,9 +15,11 @@ from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.session.session import distinct_labels
 from machine_tool_calibration.workbench.compare import ComparePage
 from machine_tool_calibration.workbench.diagnose import DiagnosePage
+from machine_tool_calibration.workbench.export import ExportPage
 from machine_tool_calibration.workbench.improve import ImprovePage
 from machine_tool_calibration.workbench.look import bar_button, text, when_changed
 from machine_tool_calibration.workbench.measurement import MeasurementPage
+from machine_tool_calibration.workbench.plan import PlanPage
 from machine_tool_calibration.workbench.readings import Readings
 from machine_tool_calibration.workbench.state import State, measurements_in
 from machine_tool_calibration.workbench.work import Work
@@ -40,7 +42,14 @@ class Page(Protocol):
         """Show the model in use."""
 
 
-_PAGES: tuple[Callable[[State, Readings, Work], Page], ...] = (MeasurementPage, ComparePage, DiagnosePage, ImprovePage)
+_PAGES: tuple[Callable[[State, Readings, Work], Page], ...] = (
+    MeasurementPage,
+    ComparePage,
+    DiagnosePage,
+    ImprovePage,
+    PlanPage,
+    ExportPage,
+)
 
 
 # All roots one below the other.

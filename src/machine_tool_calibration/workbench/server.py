@@ -14,6 +14,7 @@ from panel.io.server import get_server
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.workbench.look import CSS
 from machine_tool_calibration.workbench.page import window
+from machine_tool_calibration.workbench.saved import PATTERNS
 from machine_tool_calibration.workbench.work import warm_up
 
 __all__ = ["serve"]
@@ -59,6 +60,7 @@ def serve(
         prefix=token,
         unused_session_lifetime_milliseconds=_KEPT,
         use_index=False,
+        extra_patterns=PATTERNS,
         ico_path="none",
     )
     # Only pages of this very address may open the websocket; its port is not known before.

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From an identification to a controller's files, and to what they would leave of the errors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from machine_tool_calibration.effects.catalogue import find_effects
+from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.export import read_tables, write_tables
+from machine_tool_calibration.export.error_states import ErrorStates, error_states
+from machine_tool_calibration.export.preview import ResidualError, ResidualErrors, residual_errors, summary
+from machine_tool_calibration.methods.axis_tables import SLOPES, AxisTables, axis_tables, joint_axis_tables
+from machine_tool_calibration.methods.identify import JointResult
+from machine_tool_calibration.model.result import Result
+from machine_tool_calibration.session.provenance import Provenance
+
+__all__ = ["Compensation", "Exported", "compensation"]
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What a controller is given.
+
+    Attributes:
+        files: texts by name.
+        errors: at the points of the map before and after, as the controller reads the files.
+        left: figures of them.
+        absent: what is in the model, displaces the tool, and is not in the files: effects first, then error motions.
+    """
+
+    files: dict[str, str]
+    errors: ResidualErrors
+    left: tuple[ResidualError, ...]
+    absent: list[str]
+
+    @property
+    def worse(self) -> bool:
+        """Whether the errors would grow."""
+        return self.left[-1].worse
+
+
+@dataclass(frozen=True)
+class Compensation:
+    """What can be compensated of a machine's errors.
+
+    Attributes:
+        tables: it.
+        states: the errors at the points of the map, with what effects do in each direction of approach.
+        source: which measurement it is from.
+        origin: what it was made from.
+    """
+
+    tables: AxisTables
+    states: ErrorStates
+    source: str
+    origin: Provenance
+
+    def exported(self, form: str) -> Exported:
+        """The files of a controller, read back as it does.
+
+        Args:
+            form: one of `export.FORMATS`.
+
+        Raises:
+            CalibrationError: no such format, or one that cannot hold these tables.
+        """
+        told = (f"{name}: {value}" for name, value in self.origin.lines() if name != "model")  # in every head already
+        files = write_tables(form, self.tables, "\n".join([self.source, *told]))
+        held = read_tables(form, files, self.tables)
+        errors = residual_errors(self.states.error_map, held, self.states.directions)
+        return Exported(files, errors, summary(errors), _absent(self.tables, held, self.states.effects))
+
+
+def compensation(result: Result | JointResult, source: str, own: Sequence[Effect] = ()) -> Compensation:
+    """What can be compensated of the errors that were identified.
+
+    Args:
+        result: of one session or several, by a model with tables.
+        source: what it is called in the files' heads.
+        own: the user's own effects.
+    """
+    tables = joint_axis_tables(result) if isinstance(result, JointResult) else axis_tables(result)
+    states = error_states(result.error_map, result.joint.fits, find_effects(result.effects, own))
+    return Compensation(tables, states, source, result.provenance)
+
+
+def _absent(tables: AxisTables, held: AxisTables, effects: Sequence[str]) -> list[str]:
+    taken = {f"backlash_{axis.lower()}" for axis in held.backlash}
+    named = {*(table.name for table in held.tables), *held.squareness}
+    # where squareness is not said apart, it is the slope of a straightness
+    named |= {name for name, slope in SLOPES.items() if slope in named}
+    known = [*(table.name for table in tables.tables), *tables.squareness]
+    return [*(e for e in effects if e not in taken), *(name for name in known if name not in named)]

@@ -1,0 +1,290 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page that says what the next measurement would tell, how long it takes, and what it looks like."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from html import escape
+from typing import Any
+
+import numpy as np
+import panel as pn
+from bokeh.models import ColumnDataSource
+
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.interface.show import printed
+from machine_tool_calibration.planning.dominant import ANGULAR
+from machine_tool_calibration.planning.forecast import forecast
+from machine_tool_calibration.planning.outlook import Outlook, current, outlook_of, outlooks
+from machine_tool_calibration.plots.style import round_down, spaced
+from machine_tool_calibration.procedure import Procedure
+from machine_tool_calibration.reports.forecast import show_forecast
+from machine_tool_calibration.reports.outlook import outlook_table, sizes_table
+from machine_tool_calibration.reports.quantities import duration
+from machine_tool_calibration.session.catalogue import method_spec
+from machine_tool_calibration.session.description import DESCRIPTION_FILE, OBSERVATIONS_FILE
+from machine_tool_calibration.session.folder import write_session
+from machine_tool_calibration.workbench.look import bar_button, new_figure, setup_color, tables, text, when_changed
+from machine_tool_calibration.workbench.models import Model, Progress, Subject
+from machine_tool_calibration.workbench.procedure_form import ProcedureForm
+from machine_tool_calibration.workbench.readings import Readings
+from machine_tool_calibration.workbench.saved import Saved, refuse_others
+from machine_tool_calibration.workbench.state import Job, State
+from machine_tool_calibration.workbench.work import Work
+
+__all__ = ["PlanPage", "looked_ahead", "planned"]
+
+_HOVER = [("setup", "@setup"), ("x, y, z", "@x{0.0}, @y{0.0}, @z{0.0} mm")]
+_MAP_HOVER = [("x, y, z", "@x{0.0}, @y{0.0}, @z{0.0} mm"), ("U (k = 2)", "@ux{0.00}, @uy{0.00}, @uz{0.00} µm")]
+_NOW, _THEN = "#d55e00", "#0072b2"
+# Share of the map's extent that the largest uncertainty is drawn as.
+_LENGTH = 0.1
+
+
+def looked_ahead(subject: Subject, model: Model, progress: Progress) -> list[Outlook]:
+    """What is known with a model, and what would be after each further measurement."""
+    fit = model.fit
+    return outlooks(
+        fit.measurement.sessions,
+        model.labels,
+        model=fit.variant,
+        effects=fit.effects,
+        own=subject.own,
+        progress=progress,
+    )
+
+
+def planned(
+    subject: Subject,
+    model: Model | None,
+    procedure: Procedure,
+    variant: str | None,
+    warming: float,
+    angular: float,
+    progress: Progress,
+) -> tuple[Outlook | None, Outlook, str]:
+    """What a procedure would tell by itself, and that in the words of `mtcal plan`.
+
+    Args:
+        subject: for the user's own effects.
+        model: of which to say what is known now as well; None if that is known.
+        procedure: what would be measured.
+        variant: of its method's model.
+        warming: of the air, K per hour.
+        angular: errors of the machine that are assumed, rad.
+        progress: told what is being done.
+    """
+    own = subject.own
+    found = forecast(procedure, model=variant, own=own, warming=warming, angular=angular, progress=progress)
+    now = None
+    if model is not None:
+        fit = model.fit
+        now = current(fit.measurement.sessions, model.labels, model=fit.variant, effects=fit.effects, own=own)
+    words = f"procedure {procedure.name}, by itself"
+    return now, outlook_of(found, words), printed(lambda screen: show_forecast(screen, found))
+
+
+class PlanPage:
+    """What to measure next, and what that would tell."""
+
+    title = "Plan"
+
+    def __init__(self, state: State, readings: Readings, work: Work) -> None:
+        self._state, self._readings, self._work = state, readings, work
+        self._every: list[Outlook] = []
+        # The text of a procedure's file, where an outlook is that of a procedure.
+        self._procedures: dict[int, str] = {}
+        self._words, self._table, self._sizes, self._plan = text(), text(), text(), text()
+        self._choice = pn.widgets.Select(name="Measurement that is shown", options={"": 0}, width=420)
+        self._plane = pn.widgets.Select(name="Drawn in the plane", width=120)
+        self._saved = Saved("Save its plan into the folder")
+        self._save = bar_button("Save the plan", self._write, disabled=True)
+        for choice in (self._choice, self._plane):
+            when_changed(choice, lambda _: self._draw())
+        self._forecast = bar_button("Forecast it", self._forecast_it, disabled=True)
+        self._form = ProcedureForm(self._formed)
+        self._variant = pn.widgets.Select(name="Model", options=["default"], width=130)
+        self._warming = pn.widgets.FloatInput(name="Warming of the air, K/h", value=1.0, step=0.5, width=150)
+        self._angular = pn.widgets.FloatInput(
+            name="Angular errors, µrad RMS", value=1e6 * ANGULAR, start=0.0, end=1000.0, step=1.0, width=160
+        )
+        names = ("x", "y", "z", "setup", "color")
+        self._new = ColumnDataSource({name: [] for name in names})
+        self._stations = ColumnDataSource({name: [] for name in ("x", "y", "z", "id", "color")})
+        self._where = new_figure("What is measured", "", "", height=360, hover=_HOVER, match_aspect=True)
+        self._old = self._where.scatter(
+            "place_a", "place_b", source=readings.source, size=9, marker="square", color="#d8d8d8", legend_label="now"
+        )
+        self._dots = self._where.scatter(
+            "x", "y", source=self._new, size=5, color="color", legend_label="with it"
+        )
+        self._marks = self._where.scatter(
+            "x", "y", source=self._stations, size=11, marker="triangle", color="color", line_color="black"
+        )
+        self._names = self._where.text(
+            "x", "y", text="id", source=self._stations, x_offset=8, y_offset=-4, text_font_size="12px"
+        )
+        self._maps = {}
+        self._map = new_figure("Uncertainty of the map", "", "", height=360, hover=_MAP_HOVER, match_aspect=True)
+        for name, color, label in (("now", _NOW, "U now"), ("then", _THEN, "U with it")):
+            source = ColumnDataSource({column: [] for column in ("x", "y", "z", "wx", "wy", "wz", "ux", "uy", "uz")})
+            glyph = self._map.ellipse(
+                "x", "y", "wx", "wy", source=source, fill_color=color, fill_alpha=0.15, line_color=color,
+                legend_label=label,
+            )  # fmt: skip
+            self._maps[name] = (source, glyph)
+        for plot in (self._where, self._map):
+            plot.legend.orientation = "horizontal"
+            plot.legend.label_text_font_size = "11px"
+            plot.legend.background_fill_alpha = 0.6
+        self.view = pn.Column(
+            pn.Row(
+                pn.Column(bar_button("Look ahead", self._look_ahead, "primary"), margin=(14, 0)),
+                self._choice, self._plane, self._saved.folder, pn.Column(self._save, margin=(14, 0)),
+            ),
+            self._saved.list,
+            self._words,
+            pn.Card(
+                pn.Row(
+                    self._form.view, self._variant, self._warming, self._angular,
+                    pn.Column(self._forecast, margin=(14, 0)),
+                ),
+                self._plan,
+                title="Another measurement, by a procedure (as mtcal plan forecasts it)",
+                collapsed=True,
+                sizing_mode="stretch_width",
+            ),
+            self._table,
+            pn.Row(self._where, self._map, sizing_mode="stretch_width"),
+            self._sizes,
+            sizing_mode="stretch_width",
+        )  # fmt: skip
+
+    def refresh(self) -> None:
+        """Forget what was calculated for another model; a procedure by itself does not depend on it."""
+        if not self._saved.folder.value:
+            self._saved.folder.value = "mtcal_output/plan"
+        self._plane.param.update(options=self._readings.planes, value=self._readings.planes[0])
+        self._show([])
+        self._words.object = (
+            "<p>Look ahead tries on paper what can be measured next: the same again, backwards, warmer, from another "
+            "station, and says how much smaller the uncertainty of the map and the smallest detectable effects would "
+            "be. What would tell confounded effects apart, Diagnose says.</p>"
+        )
+
+    def _show(self, every: list[Outlook], chosen: int = 0) -> None:
+        self._every = every
+        options = {one.words: k for k, one in enumerate(every) if one.words}
+        self._table.object = tables([outlook_table(every)]) if every else ""
+        self._choice.param.update(options=options or {"": 0}, value=chosen or next(iter(options.values()), 0))
+        self._draw()
+
+    def _look_ahead(self) -> None:
+        def take(every: list[Outlook]) -> None:
+            self._words.object = ""
+            self._procedures = {}
+            self._show(every)
+
+        self._work.run("looking ahead", Job(partial(looked_ahead, self._state.subject, self._state.model), take))
+
+    def _formed(self, good: bool) -> None:
+        self._forecast.disabled = not good
+        if good:
+            models = list(method_spec(self._form.procedure().session.method).models)
+            if self._variant.options != ["default", *models]:
+                self._variant.param.update(options=["default", *models], value="default")
+
+    def _forecast_it(self) -> None:
+        content, state = self._form.text, self._state
+        variant = None if self._variant.value == "default" else self._variant.value
+        known = None if self._every else state.model
+        asked = (state.subject, known, self._form.procedure(), variant, self._warming.value, 1e-6 * self._angular.value)
+
+        def take(found: tuple[Outlook | None, Outlook, str]) -> None:
+            now, then, words = found
+            self._plan.object = f'<pre style="font-size:11px;margin:0">{escape(words)}</pre>'
+            every = [*self._every, then] if now is None else [now, then]
+            self._procedures[len(every) - 1] = content
+            self._show(every, len(every) - 1)
+
+        self._work.run("forecasting", Job(partial(planned, *asked), take))
+
+    def _draw(self) -> None:
+        """The measurement that is chosen, beside what is known now."""
+        k, plane = self._choice.value, self._plane.value
+        there = bool(self._every) and bool(k)
+        self._save.disabled = not there
+        if not plane:
+            return
+        a, b = plane
+        self._readings.draw(place_a=a, place_b=b)
+        for plot in (self._where, self._map):
+            plot.xaxis.axis_label, plot.yaxis.axis_label = f"{a}, mm", f"{b}, mm"
+        for glyph in (self._dots, self._marks, self._names):
+            glyph.glyph.x, glyph.glyph.y = a, b
+        for _, glyph in self._maps.values():
+            glyph.glyph.update(x=a, y=b, width=f"w{a}", height=f"w{b}")
+        if not there:
+            for source in (self._new, self._stations, *(source for source, _ in self._maps.values())):
+                source.data = {name: [] for name in source.data}
+            self._sizes.object = ""
+            return
+        now, then = self._every[0], self._every[k]
+        self._draw_places(then)
+        largest = max(float(np.nanmax(one.uncertainty, initial=0.0)) for one in (now, then))
+        extent = float(np.ptp(now.points, axis=0).max()) if len(now.points) else 0.0
+        factor = round_down(_LENGTH * extent / (2 * largest)) if largest > 0 and extent > 0 else 0.0
+        for one, (source, _) in zip((now, then), self._maps.values(), strict=True):
+            source.data = _ellipses(one, factor)
+        self._where.title.text = (
+            f"What is measured: {len(then.session.readings)} readings in {duration(then.seconds)}"
+            f"{f'; besides: {then.aside}' if then.aside else ''}"
+        )
+        self._map.title.text = f"Uncertainty of the map: U (k = 2), {spaced(factor)} times magnified"
+        self._sizes.object = tables([sizes_table(now, then)])
+
+    def _draw_places(self, then: Outlook) -> None:
+        session = then.session
+        used = sorted({int(s) for s in session.readings.setup})
+        self._new.data = {
+            **dict(zip("xyz", 1e3 * then.places.T, strict=True)),
+            "setup": [session.setup_ids[int(s)] for s in session.readings.setup],
+            "color": [setup_color(int(s)) for s in session.readings.setup],
+        }
+        setups: Sequence[Any] = session.description.setups
+        at = [(setups[s].id, setups[s].position, setup_color(s)) for s in used if hasattr(setups[s], "position")]
+        place = 1e3 * np.array([position for _, position, _ in at]).reshape(-1, 3)
+        self._stations.data = {
+            **dict(zip("xyz", place.T, strict=True)),
+            "id": [name for name, _, _ in at],
+            "color": [color for _, _, color in at],
+        }
+
+    def _write(self) -> None:
+        """The procedure's file, or a session folder whose readings are to be filled in."""
+        k = self._choice.value
+        then = self._every[k]
+        try:
+            folder = self._saved.place
+            if k in self._procedures:
+                name = then.words.split(",")[0].removeprefix("procedure ")
+                self._saved.write(folder, {f"{name}.yaml": self._procedures[k]})
+                return
+            paths = [folder / DESCRIPTION_FILE, folder / OBSERVATIONS_FILE]
+            refuse_others(paths, self._saved.written)
+            write_session(then.session, folder, overwrite=True)
+            self._saved.offer(paths)
+        except (CalibrationError, OSError) as error:
+            self._work.fail(error)
+
+
+def _ellipses(one: Outlook, factor: float) -> dict[str, np.ndarray]:
+    """Expanded uncertainties at the places of a map as columns of a plot, mm, and in µm for what is said."""
+    wide = 2.0 * one.uncertainty
+    out = {}
+    for k, axis in enumerate("xyz"):
+        out[axis] = 1e3 * one.points[:, k]
+        out[f"w{axis}"] = 2e3 * factor * np.nan_to_num(wide[:, k])
+        out[f"u{axis}"] = 1e6 * wide[:, k]
+    return out

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files that a page writes: where they are, and links by which the browser downloads them."""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Mapping, Sequence
+from html import escape
+from pathlib import Path
+from urllib.parse import quote
+
+import panel as pn
+from tornado.web import HTTPError, RequestHandler
+
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.workbench.look import text
+
+__all__ = ["PATTERNS", "Saved", "refuse_others"]
+
+# What may be downloaded, by the part of its address that nobody guesses.
+_OFFERED: dict[str, Path] = {}
+
+
+class _Download(RequestHandler):
+    """Gives out a file that a page has written."""
+
+    def get(self, key: str) -> None:
+        path = _OFFERED.get(key)
+        if path is None or not path.is_file():
+            raise HTTPError(404)
+        self.set_header("Content-Type", "application/octet-stream")
+        self.set_header("Content-Disposition", f"attachment; filename*=UTF-8''{quote(path.name)}")
+        self.write(path.read_bytes())
+
+
+PATTERNS = [(r"/saved/([\w-]+)/[^/]+", _Download)]
+"""Addresses of the files, behind the server's token."""
+
+
+def refuse_others(paths: Sequence[Path], mine: Sequence[Path]) -> None:
+    """Refuse to overwrite what is there, unless it was written from here.
+
+    Raises:
+        CalibrationError: a file is there already.
+    """
+    for path in paths:
+        if path.exists() and path not in mine:
+            raise CalibrationError(f"{path}: is there already; choose another folder")
+
+
+class Saved:
+    """The folder into which a page writes, and what it has written.
+
+    Attributes:
+        folder: a field for it.
+        list: the files with their links.
+        written: all files that this window has written.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.folder = pn.widgets.TextInput(name=name, width=300)
+        self.list = text()
+        self.written: tuple[Path, ...] = ()
+
+    @property
+    def place(self) -> Path:
+        """The folder.
+
+        Raises:
+            CalibrationError: none is given.
+        """
+        if not self.folder.value.strip():
+            raise CalibrationError("give the folder into which it is to be saved")
+        return Path(self.folder.value.strip()).expanduser()
+
+    def offer(self, paths: Sequence[Path]) -> None:
+        """Say what was written, with a link to download each."""
+        self.written = (*self.written, *(path for path in paths if path not in self.written))
+        links = []
+        for path in paths:
+            key = secrets.token_urlsafe(12)
+            _OFFERED[key] = path.absolute()
+            address = f"saved/{key}/{quote(path.name)}"
+            name = escape(path.name)
+            links.append(f'<li>{escape(str(path))} <a href="{address}" download="{name}">Download {name}</a></li>')
+        self.list.object = f"<p>Saved:</p><ul style='margin:0'>{''.join(links)}</ul>"
+
+    def write(self, folder: Path, files: Mapping[str, str | bytes]) -> list[Path]:
+        """Write files and offer them.
+
+        Args:
+            folder: made where it is missing.
+            files: contents by name.
+
+        Raises:
+            CalibrationError: a file is there that was not written from here.
+            OSError: it cannot be written.
+        """
+        paths = [folder / name for name in files]
+        refuse_others(paths, self.written)
+        folder.mkdir(parents=True, exist_ok=True)
+        for path, content in zip(paths, files.values(), strict=True):
+            path.write_bytes(content.encode() if isinstance(content, str) else content)
+        self.offer(paths)
+        return paths
