@@ -35,6 +35,7 @@ class ComparePage:
     """Residuals against covariates, by setup and as arrows, with one selection."""
 
     title = "Compare"
+    blocks = 6
 
     def __init__(self, state: State, readings: Readings, work: Work) -> None:
         self._state, self._readings, self._work = state, readings, work

@@ -36,6 +36,7 @@ class DiagnosePage:
     """Which effect is missing."""
 
     title = "Diagnose"
+    blocks = 6
 
     def __init__(self, state: State, readings: Readings, work: Work) -> None:
         self._state, self._readings, self._work = state, readings, work

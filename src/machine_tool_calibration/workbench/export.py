@@ -7,34 +7,22 @@ from collections.abc import Sequence
 from functools import partial
 from html import escape
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
-import pandas as pd
 import panel as pn
 
-from machine_tool_calibration.diagnosis.comparison import Comparison
-from machine_tool_calibration.diagnosis.history import Entry
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.export import FORMATS
-from machine_tool_calibration.export.compensation import Exported, compensation
-from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.plots.compensation import draw_compensation
-from machine_tool_calibration.plots.style import save_as
-from machine_tool_calibration.report.evaluation import Chosen, evaluate
-from machine_tool_calibration.report.page import write_report
-from machine_tool_calibration.report.words import LANGUAGES, words
-from machine_tool_calibration.reports.comparison import comparison_columns, joint_columns
+from machine_tool_calibration.export.compensation import Exported
+from machine_tool_calibration.report.words import LANGUAGES
 from machine_tool_calibration.reports.compensation import absent_words, left_table
-from machine_tool_calibration.reports.documents import to_json, write_table
-from machine_tool_calibration.reports.result_tables import tidy
+from machine_tool_calibration.workbench.handed_over import PICTURE, TABLES, left, reported, written_tables
 from machine_tool_calibration.workbench.look import bar_button, tables, text, when_changed
-from machine_tool_calibration.workbench.models import Model, Progress, Subject
 from machine_tool_calibration.workbench.readings import Readings
 from machine_tool_calibration.workbench.saved import Saved, refuse_others
 from machine_tool_calibration.workbench.state import Job, State
 from machine_tool_calibration.workbench.work import Work
 
-__all__ = ["ExportPage", "reported", "written_tables"]
+__all__ = ["ExportPage"]
 
 _LANGUAGES = {"en": "English", "de": "Deutsch"}
 _CONTROLLERS = {
@@ -47,94 +35,11 @@ _CONTROLLERS = {
     "csv": "tables as CSV",
     "json": "tables as JSON",
 }
-_PICTURE = "what_is_left.png"
-
-
-def reported(
-    subject: Subject,
-    model: Model,
-    history: Sequence[Entry],
-    language: str,
-    files: Sequence[Path],
-    diagnosis: bool,
-    progress: Progress,
-) -> list[Path]:
-    """Write the report of a model.
-
-    Args:
-        subject: the measurement.
-        model: the model.
-        history: the models on the way to it, and itself.
-        language: of the report.
-        files: each by its ending an HTML page or a PDF.
-        diagnosis: whether to look for what the model lacks.
-        progress: told what is being done.
-
-    Returns:
-        The files.
-    """
-    fit = model.fit
-    chosen = Chosen(
-        subject.without((), model.kept).sessions,
-        fit.measurement.sessions,
-        model.labels,
-        fit.variant,
-        fit.effects,
-        subject.own,
-        tuple(fit.result.averaged),
-        keep_all=True,
-        history=tuple(history) if len(history) > 1 else (),
-    )
-    found = evaluate(chosen, diagnosis=diagnosis, progress=lambda what, share: progress(what, 0.9 * share))
-    progress("drawing", 0.9)
-    return write_report(found, words(language), files)
-
-
-def written_tables(model: Model, folder: Path, progress: Progress) -> list[Path]:
-    """Write what a model found: errors with their U, every reading with its residual, and the document for programs.
-
-    Returns:
-        The files.
-    """
-    result, origin, held = model.fit.result, model.fit.result.provenance, model.comparison
-    columns = comparison_columns(held) if isinstance(held, Comparison) else joint_columns(held)
-    errors = write_table(tidy(result), folder / _TABLES[0], origin)
-    progress("readings", 0.5)
-    readings = write_table(pd.DataFrame(dict(columns)), folder / _TABLES[1], origin)
-    document = folder / _TABLES[2]
-    document.write_text(to_json(result.document()) + "\n", encoding="utf-8")
-    return [errors, readings, document]
-
-
-_TABLES = ("errors.csv", "readings.csv", "result.json")
-
-
-def left(subject: Subject, model: Model, form: str, progress: Progress) -> tuple[Exported, bytes]:
-    """A controller's files, and the picture of what they would leave (PNG).
-
-    A model without tables is fitted as the one that has them, with the same effects and readings.
-    """
-    fit, result = model.fit, model.fit.result
-    sessions = fit.measurement.sessions
-    if len(sessions) == 1:
-        variant = sessions[0].spec.with_tables
-        if variant is not None and variant != result.model_name:
-            progress(f"fitting with the model {variant}", 0.1)
-            result = identify(sessions[0], model=variant, effects=fit.effects, own=subject.own, keep_all=True)
-    source = " + ".join(session.source for session in sessions)
-    made = compensation(result, source, subject.own)
-    progress("writing and reading the tables", 0.5)
-    found = made.exported(form)
-    with TemporaryDirectory() as folder:
-        picture = Path(folder) / _PICTURE
-        save_as(draw_compensation(found.errors, f"{form}: {source}"), picture, made.origin)
-        return found, picture.read_bytes()
-
-
 class ExportPage:
     """Report, tables and controller files of the model in use."""
 
     title = "Export"
+    blocks = 10
 
     def __init__(self, state: State, readings: Readings, work: Work) -> None:
         self._state, self._work = state, work
@@ -166,8 +71,8 @@ class ExportPage:
                 ),
             ),
             text(
-                f"<h3>Tables and documents</h3><p>{_TABLES[0]}: all errors with their U (k = 2); {_TABLES[1]}: every "
-                f"reading with its residual; {_TABLES[2]}: the map with all that was found, for programs.</p>"
+                f"<h3>Tables and documents</h3><p>{TABLES[0]}: all errors with their U (k = 2); {TABLES[1]}: every "
+                f"reading with its residual; {TABLES[2]}: the map with all that was found, for programs.</p>"
             ),
             bar_button("Save the tables", self._tables, "primary"),
             text("<h3>Compensation for a controller</h3>"),
@@ -209,7 +114,7 @@ class ExportPage:
             self._work.run("writing the report", Job(partial(reported, *asked), self._saved.offer))
 
     def _tables(self) -> None:
-        files = self._paths(_TABLES)
+        files = self._paths(TABLES)
         if files is not None:
             job = Job(partial(written_tables, self._state.model, files[0].parent), self._saved.offer)
             self._work.run("writing the tables", job)
@@ -234,6 +139,6 @@ class ExportPage:
         if self._left is not None:
             form, exported, picture = self._left
             try:
-                self._saved.write(self._saved.place / form, {**exported.files, _PICTURE: picture})
+                self._saved.write(self._saved.place / form, {**exported.files, PICTURE: picture})
             except (CalibrationError, OSError) as error:
                 self._work.fail(error)

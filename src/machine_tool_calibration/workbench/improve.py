@@ -63,6 +63,7 @@ class ImprovePage:
     """Add, take away, undo, and see what becomes of it."""
 
     title = "Improve"
+    blocks = 6
 
     def __init__(self, state: State, readings: Readings, work: Work) -> None:
         self._state, self._readings, self._work = state, readings, work

@@ -41,6 +41,7 @@ class MeasurementPage:
     """What is there."""
 
     title = "Measurement"
+    blocks = 3
 
     def __init__(self, state: State, readings: Readings, work: Work) -> None:
         self._state, self._readings = state, readings

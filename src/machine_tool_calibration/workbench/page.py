@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from html import escape
 from pathlib import Path
@@ -32,17 +32,22 @@ class Page(Protocol):
 
     Attributes:
         title: what it is called.
+        blocks: how many.
         view: the blocks that are shown, one below the other.
     """
 
     title: str
+    blocks: int
     view: Any
+
+    def __init__(self, state: State, readings: Readings, work: Work) -> None:
+        """An empty one."""
 
     def refresh(self) -> None:
         """Show the model in use."""
 
 
-_PAGES: tuple[Callable[[State, Readings, Work], Page], ...] = (
+_PAGES: tuple[type[Page], ...] = (
     MeasurementPage,
     ComparePage,
     DiagnosePage,
@@ -63,8 +68,8 @@ _TEMPLATE = """{% extends base %}
 def window(targets: Sequence[Path], own: Sequence[PhysicalEffect] = (), variant: str | None = None) -> Any:
     """A new window with its own state.
 
-    Every block of every page is a root of the document: whatever changes in a block, a browser lays out the whole root
-    that it is in, figures of hidden pages too, which took seconds.
+    The place of every block of every page is a root of the document: whatever changes in a block, a browser lays out
+    the whole root that it is in, figures of hidden pages too, which took seconds.
 
     Args:
         targets: a session, a recording, or a folder of such; or several sessions and recordings of one machine.
@@ -76,7 +81,7 @@ def window(targets: Sequence[Path], own: Sequence[PhysicalEffect] = (), variant:
     """
     page = pn.Template(_TEMPLATE)
     for number, root in enumerate(_Window(targets, own, variant).roots):
-        page.add_panel(f"block{number}", root)
+        page.add_panel(f"_block{number}", root)  # with another name Panel describes all of them anew for each
     return page
 
 
@@ -85,15 +90,16 @@ class _Window:
         self._state, self._work = State(own, variant), Work()
         self._readings = Readings(self._state)
         self._state.watch(self._changed)
-        # All pages are there from the start, hidden; one is filled when it is looked at and stale.
-        made = [maker(self._state, self._readings, self._work) for maker in _PAGES]
-        self._pages = {page.title: page for page in made}
+        # A page is made when it is first looked at, and filled when it is looked at and stale: what a browser does not
+        # show costs it nearly as much as what it shows.
+        self._pages: dict[str, Page] = {}
+        self._places = {
+            maker.title: [pn.Column(sizing_mode="stretch_width") for _ in range(maker.blocks)] for maker in _PAGES
+        }
         self._stale: set[str] = set()
-        self._buttons = {title: bar_button(title, partial(self._show, title)) for title in self._pages}
-        self._shown = made[0].title
+        self._buttons = {title: bar_button(title, partial(self._show, title)) for title in self._places}
+        self._shown = _PAGES[0].title
         self._head = text()
-        for page in made:
-            _set_visible(page, page.title == self._shown)
         found = [path for target in targets for path in measurements_in(target)]
         names = distinct_labels([path.name or str(path) for path in found])
         options: dict[str, tuple[Path, ...]] = {name: (path,) for name, path in zip(names, found, strict=True)}
@@ -102,7 +108,7 @@ class _Window:
         self._choice = pn.widgets.Select(name="Measurement", options=options, width=260, visible=len(found) > 1)
         when_changed(self._choice, lambda _: self._open())
         bar = pn.Row(*self._buttons.values(), self._choice, self._work.view, sizing_mode="stretch_width")
-        self.roots = [bar, self._head, *(block for page in made for block in page.view)]
+        self.roots = [bar, self._head, *(place for places in self._places.values() for place in places)]
         if found:
             pn.state.onload(self._open)
         else:
@@ -115,16 +121,16 @@ class _Window:
 
     def _changed(self) -> None:
         """Another model is in use, or another measurement."""
-        state = self._state
-        self._readings.refresh()
-        self._stale = set(self._pages)
-        model = state.model
+        state, model = self._state, self._state.model
+        self._stale = set(self._places)
         number = "" if model.number is None else f" (model {model.number} of the history)"
         named = " + ".join(str(path) for path in state.paths)
         aside = f"; {len(model.aside)} readings set aside" if model.aside else ""
         aside += f"; kept: {', '.join(map(state.subject.name, sorted(model.kept)))}" if model.kept else ""
         self._head.object = f"<b>{escape(named)}</b>{number}: {escape(model.fit.headline + aside)}"
-        self._show(self._shown)
+        with self._readings.at_once():
+            self._readings.refresh()
+            self._show(self._shown)
         if state.remark:
             self._work.say(state.remark)
             state.remark = ""
@@ -135,11 +141,15 @@ class _Window:
             button.button_type = "primary" if name == title else "default"
         if title in self._stale:
             self._stale.discard(title)
-            self._pages[title].refresh()
-        for name, page in self._pages.items():
-            _set_visible(page, name == title)
-
-
-def _set_visible(page: Page, visible: bool) -> None:
-    for block in page.view:
-        block.visible = visible
+            new = title not in self._pages
+            if new:
+                maker = next(maker for maker in _PAGES if maker.title == title)
+                self._pages[title] = maker(self._state, self._readings, self._work)
+            with self._readings.at_once():
+                self._pages[title].refresh()
+            if new:
+                for place, block in zip(self._places[title], self._pages[title].view, strict=True):
+                    place.append(block)
+        for name, places in self._places.items():
+            for place in places:
+                place.visible = name == title

@@ -13,27 +13,23 @@ import panel as pn
 from bokeh.models import ColumnDataSource
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.interface.show import printed
 from machine_tool_calibration.planning.dominant import ANGULAR
-from machine_tool_calibration.planning.forecast import forecast
-from machine_tool_calibration.planning.outlook import Outlook, current, outlook_of, outlooks
+from machine_tool_calibration.planning.outlook import Outlook
 from machine_tool_calibration.plots.style import round_down, spaced
-from machine_tool_calibration.procedure import Procedure
-from machine_tool_calibration.reports.forecast import show_forecast
 from machine_tool_calibration.reports.outlook import outlook_table, sizes_table
 from machine_tool_calibration.reports.quantities import duration
 from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.description import DESCRIPTION_FILE, OBSERVATIONS_FILE
 from machine_tool_calibration.session.folder import write_session
+from machine_tool_calibration.workbench.ahead import looked_ahead, planned
 from machine_tool_calibration.workbench.look import bar_button, new_figure, setup_color, tables, text, when_changed
-from machine_tool_calibration.workbench.models import Model, Progress, Subject
 from machine_tool_calibration.workbench.procedure_form import ProcedureForm
 from machine_tool_calibration.workbench.readings import Readings
 from machine_tool_calibration.workbench.saved import Saved, refuse_others
 from machine_tool_calibration.workbench.state import Job, State
 from machine_tool_calibration.workbench.work import Work
 
-__all__ = ["PlanPage", "looked_ahead", "planned"]
+__all__ = ["PlanPage"]
 
 _HOVER = [("setup", "@setup"), ("x, y, z", "@x{0.0}, @y{0.0}, @z{0.0} mm")]
 _MAP_HOVER = [("x, y, z", "@x{0.0}, @y{0.0}, @z{0.0} mm"), ("U (k = 2)", "@ux{0.00}, @uy{0.00}, @uz{0.00} µm")]
@@ -42,53 +38,11 @@ _NOW, _THEN = "#d55e00", "#0072b2"
 _LENGTH = 0.1
 
 
-def looked_ahead(subject: Subject, model: Model, progress: Progress) -> list[Outlook]:
-    """What is known with a model, and what would be after each further measurement."""
-    fit = model.fit
-    return outlooks(
-        fit.measurement.sessions,
-        model.labels,
-        model=fit.variant,
-        effects=fit.effects,
-        own=subject.own,
-        progress=progress,
-    )
-
-
-def planned(
-    subject: Subject,
-    model: Model | None,
-    procedure: Procedure,
-    variant: str | None,
-    warming: float,
-    angular: float,
-    progress: Progress,
-) -> tuple[Outlook | None, Outlook, str]:
-    """What a procedure would tell by itself, and that in the words of `mtcal plan`.
-
-    Args:
-        subject: for the user's own effects.
-        model: of which to say what is known now as well; None if that is known.
-        procedure: what would be measured.
-        variant: of its method's model.
-        warming: of the air, K per hour.
-        angular: errors of the machine that are assumed, rad.
-        progress: told what is being done.
-    """
-    own = subject.own
-    found = forecast(procedure, model=variant, own=own, warming=warming, angular=angular, progress=progress)
-    now = None
-    if model is not None:
-        fit = model.fit
-        now = current(fit.measurement.sessions, model.labels, model=fit.variant, effects=fit.effects, own=own)
-    words = f"procedure {procedure.name}, by itself"
-    return now, outlook_of(found, words), printed(lambda screen: show_forecast(screen, found))
-
-
 class PlanPage:
     """What to measure next, and what that would tell."""
 
     title = "Plan"
+    blocks = 7
 
     def __init__(self, state: State, readings: Readings, work: Work) -> None:
         self._state, self._readings, self._work = state, readings, work

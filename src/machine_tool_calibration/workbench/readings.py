@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 from bokeh.models import ColumnDataSource
@@ -50,6 +52,7 @@ class Readings:
         self._number = np.zeros(0, dtype=np.int64)
         self._place = self._direction = np.zeros((0, 3))
         self.planes: list[str] = ["xy"]
+        self._waiting: dict[str, Any] | None = None
 
     def refresh(self) -> None:
         """Draw the model in use."""
@@ -60,7 +63,7 @@ class Readings:
             self.source.selected.indices = []
             self.source.data = data | self._changing()
         else:
-            self.source.data.update(self._changing())
+            self._send(self._changing())
 
     @property
     def selected(self) -> list[int]:
@@ -77,7 +80,7 @@ class Readings:
             pattern = np.full(len(self._number), np.nan)
         else:
             pattern = 1e6 * (self._of(self._state.model, "residual") - self._of(trial, "residual"))
-        self.source.data["pattern"] = pattern
+        self._send({"pattern": pattern})
         return pattern
 
     def draw(self, **columns: str) -> None:
@@ -85,7 +88,8 @@ class Readings:
 
         A plot that is told to draw another column goes on looking for its points where they were.
         """
-        self.source.data.update({name: self.source.data[column] for name, column in columns.items()})
+        held = {**self.source.data, **(self._waiting or {})}
+        self._send({name: held[column] for name, column in columns.items()})
 
     def select(self, numbers: Iterable[int]) -> None:
         """Light up readings."""
@@ -151,15 +155,39 @@ class Readings:
         both = {"before": self._of(before, "residual"), "after": self._of(after, "residual")}
         scale = max(_bulk(residual) for residual in both.values())
         for name, residual in both.items():
-            self.source.data.update({f"{name}:{end}": at for end, at in self._arrows(residual, scale).items()})
+            self._send({f"{name}:{end}": at for end, at in self._arrows(residual, scale).items()})
         return scale
+
+    @contextmanager
+    def at_once(self) -> Iterator[None]:
+        """Whatever is changed meanwhile goes to the browser in one piece: all plots draw themselves anew for each."""
+        if self._waiting is not None:
+            yield
+            return
+        self._waiting = {}
+        try:
+            yield
+        finally:
+            waiting, self._waiting = self._waiting, None
+            self._send(waiting)
+
+    def _send(self, columns: Mapping[str, Any]) -> None:
+        """Change columns of the source; those that stay the same are not sent."""
+        if self._waiting is not None:
+            self._waiting |= columns
+            return
+        changed = {name: values for name, values in columns.items() if not _same(self.source.data[name], values)}
+        if changed:
+            self.source.data.update(changed)
 
     def _arrows(self, residual: Array, scale: float) -> dict[str, Array]:
         """Ends of the arrows of residuals (m) in every plane, mm."""
         extent = float(np.nanmax(np.ptp(self._place, axis=0))) if len(self._place) else 1.0
         factor = 1e3 * _LENGTH * extent / max(scale, 1e-12)
         tip = 1e3 * self._place + factor * residual[:, None] * self._direction
-        return {f"{view}:{end}": tip[:, k] for view, pair in VIEWS.items() for end, k in zip("uv", pair, strict=True)}
+        return {
+            f"{view}:{end}": tip[:, k] for view in self.planes for end, k in zip("uv", VIEWS[view], strict=True)
+        }
 
     def _before(self, residual: Array) -> Array:
         """(n,) residual of the readings that are set aside in the last model that had them, µm; NaN of all others."""
@@ -189,6 +217,13 @@ def _value(found: Comparison, what: str) -> Array | None:
     if axis:
         return np.asarray(getattr(found.fit.model.observations, name)[:, int(axis)])
     return np.asarray(getattr(found, name))
+
+
+def _same(one: Any, other: Any) -> bool:
+    if one is other:
+        return True
+    a, b = np.asarray(one), np.asarray(other)
+    return a.shape == b.shape and np.array_equal(a, b, equal_nan=a.dtype.kind == b.dtype.kind == "f")
 
 
 def _bulk(residual: Array) -> float:

@@ -14,8 +14,8 @@ from panel.io.server import get_server
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.workbench.look import CSS
 from machine_tool_calibration.workbench.page import window
+from machine_tool_calibration.workbench.process import warm_up
 from machine_tool_calibration.workbench.saved import PATTERNS
-from machine_tool_calibration.workbench.work import warm_up
 
 __all__ = ["serve"]
 

@@ -4,59 +4,20 @@
 from __future__ import annotations
 
 import logging
-import multiprocessing
-import pickle
-import signal
 import threading
 from collections.abc import Callable
 from functools import partial
 from html import escape
-from multiprocessing import forkserver
-from multiprocessing.connection import Connection
-from multiprocessing.process import BaseProcess
 from typing import Any
 
 import panel as pn
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.workbench.look import bar_button, text
-from machine_tool_calibration.workbench.models import Progress
+from machine_tool_calibration.workbench.process import Calculation, FaultError
 from machine_tool_calibration.workbench.state import Job
 
-__all__ = ["Work", "warm_up"]
-
-# Processes are forked off one that has loaded what calculates and does nothing else: they are there in a few
-# milliseconds, and no thread of the page's process was in the middle of anything.
-_PROCESSES = multiprocessing.get_context("forkserver")
-_PRELOADED = ["machine_tool_calibration.workbench.models"]
-
-
-def warm_up() -> None:
-    """Have what calculates loaded while the page is on its way."""
-    _PROCESSES.set_forkserver_preload(_PRELOADED)
-    forkserver.ensure_running()
-
-
-def _work(pipe: Connection, work: Callable[[Progress], Any]) -> None:
-    """In the process: calculate, and send progress and the outcome."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the page's process, which ends this one
-    try:
-        pipe.send((True, work(lambda what, share: pipe.send((None, (what, share))))))
-    except BrokenPipeError:
-        return
-    except Exception as error:
-        if not isinstance(error, CalibrationError | OSError):
-            logging.getLogger(__name__).error("a fault of the workbench", exc_info=error)
-            error = _FaultError(repr(error))
-        try:
-            pickle.loads(pickle.dumps(error))
-        except Exception:
-            error = CalibrationError(str(error))
-        pipe.send((False, error))
-
-
-class _FaultError(Exception):
-    """A fault of the package itself."""
+__all__ = ["Work"]
 
 
 class Work:
@@ -65,11 +26,12 @@ class Work:
     def __init__(self) -> None:
         self._document = pn.state.curdoc
         self._job: object | None = None
-        self._process: BaseProcess | None = None
+        self._calculation: Calculation | None = None
         self._bar = pn.indicators.Progress(value=0, max=100, width=220, height=16, visible=False, margin=(10, 6))
         self._stop = bar_button("Stop", self.stop, "danger", visible=False)
         self._words = text("", min_width=200)
         self.view = pn.Row(self._words, self._bar, self._stop, sizing_mode="stretch_width", min_height=36)
+        # For a window that was closed nobody waits.
         self._document.on_session_destroyed(lambda context: self._rest())
 
     def say(self, words: str) -> None:
@@ -82,7 +44,7 @@ class Work:
             said = str(error)
         else:
             said = f"unexpected {error} (a fault of mtcal itself; the terminal shows where it comes from)"
-            if not isinstance(error, _FaultError):
+            if not isinstance(error, FaultError):
                 logging.getLogger(__name__).error("a fault of the workbench", exc_info=error)
         self._words.object = f'<span class="error" role="alert">{escape(" ".join(said.split()))}</span>'
 
@@ -99,25 +61,15 @@ class Work:
         mine = self._job = object()
         self.say(f"{what} …")
         self._bar.value, self._bar.visible, self._stop.visible = -1, True, True
-        ours, theirs = _PROCESSES.Pipe()
-        process = _PROCESSES.Process(target=_work, args=(theirs, job.work), name=f"workbench: {what}", daemon=True)
-        self._process = process
+        calculation = self._calculation = Calculation(job.work)
 
         def follow() -> None:
-            process.start()
-            theirs.close()
-            if self._job is not mine:  # stopped before there was anything to end
-                process.kill()
             try:
-                while True:
-                    done, said = ours.recv()
-                    if done is None:
-                        self._later(mine, partial(self._show, *said))
-                        continue
-                    break
-            except EOFError:
-                done, said = False, CalibrationError(f"{what}: the process that calculated it has ended")
-            self._later(mine, partial(self._done, job.take if done else self.fail, said))
+                found = calculation.outcome(lambda *said: self._later(mine, partial(self._show, *said)))
+            except Exception as error:
+                self._later(mine, partial(self._done, self.fail, error))
+            else:
+                self._later(mine, partial(self._done, job.take, found))
 
         threading.Thread(target=follow, name=f"workbench: {what}", daemon=True).start()
 
@@ -148,7 +100,7 @@ class Work:
             self.fail(error)
 
     def _rest(self) -> None:
-        if self._process is not None and self._process.pid is not None:
-            self._process.kill()
-        self._job = self._process = None
+        if self._calculation is not None:
+            self._calculation.end()
+        self._job = self._calculation = None
         self._bar.visible = self._stop.visible = False

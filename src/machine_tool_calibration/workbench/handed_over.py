@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is handed over of a model: the report, tables, and files for a controller."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import pandas as pd
+
+from machine_tool_calibration.diagnosis.comparison import Comparison
+from machine_tool_calibration.diagnosis.history import Entry
+from machine_tool_calibration.export.compensation import Exported, compensation
+from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.plots.compensation import draw_compensation
+from machine_tool_calibration.plots.style import save_as
+from machine_tool_calibration.report.evaluation import Chosen, evaluate
+from machine_tool_calibration.report.page import write_report
+from machine_tool_calibration.report.words import words
+from machine_tool_calibration.reports.comparison import comparison_columns, joint_columns
+from machine_tool_calibration.reports.documents import to_json, write_table
+from machine_tool_calibration.reports.result_tables import tidy
+from machine_tool_calibration.workbench.models import Model, Progress, Subject
+
+__all__ = ["PICTURE", "TABLES", "left", "reported", "written_tables"]
+
+PICTURE = "what_is_left.png"
+"""Of the errors before and after."""
+TABLES = ("errors.csv", "readings.csv", "result.json")
+"""Errors with their uncertainty, readings with their residuals, and all that was found for programs."""
+
+
+def reported(
+    subject: Subject,
+    model: Model,
+    history: Sequence[Entry],
+    language: str,
+    files: Sequence[Path],
+    diagnosis: bool,
+    progress: Progress,
+) -> list[Path]:
+    """Write the report of a model.
+
+    Args:
+        subject: the measurement.
+        model: the model.
+        history: the models on the way to it, and itself.
+        language: of the report.
+        files: each by its ending an HTML page or a PDF.
+        diagnosis: whether to look for what the model lacks.
+        progress: told what is being done.
+
+    Returns:
+        The files.
+    """
+    fit = model.fit
+    chosen = Chosen(
+        subject.without((), model.kept).sessions,
+        fit.measurement.sessions,
+        model.labels,
+        fit.variant,
+        fit.effects,
+        subject.own,
+        tuple(fit.result.averaged),
+        keep_all=True,
+        history=tuple(history) if len(history) > 1 else (),
+    )
+    found = evaluate(chosen, diagnosis=diagnosis, progress=lambda what, share: progress(what, 0.9 * share))
+    progress("drawing", 0.9)
+    return write_report(found, words(language), files)
+
+
+def written_tables(model: Model, folder: Path, progress: Progress) -> list[Path]:
+    """Write what a model found: errors with their U, every reading with its residual, and the document for programs.
+
+    Returns:
+        The files.
+    """
+    result, origin, held = model.fit.result, model.fit.result.provenance, model.comparison
+    columns = comparison_columns(held) if isinstance(held, Comparison) else joint_columns(held)
+    errors = write_table(tidy(result), folder / TABLES[0], origin)
+    progress("readings", 0.5)
+    readings = write_table(pd.DataFrame(dict(columns)), folder / TABLES[1], origin)
+    document = folder / TABLES[2]
+    document.write_text(to_json(result.document()) + "\n", encoding="utf-8")
+    return [errors, readings, document]
+
+
+def left(subject: Subject, model: Model, form: str, progress: Progress) -> tuple[Exported, bytes]:
+    """A controller's files, and the picture of what they would leave (PNG).
+
+    A model without tables is fitted as the one that has them, with the same effects and readings.
+    """
+    fit, result = model.fit, model.fit.result
+    sessions = fit.measurement.sessions
+    if len(sessions) == 1:
+        variant = sessions[0].spec.with_tables
+        if variant is not None and variant != result.model_name:
+            progress(f"fitting with the model {variant}", 0.1)
+            result = identify(sessions[0], model=variant, effects=fit.effects, own=subject.own, keep_all=True)
+    source = " + ".join(session.source for session in sessions)
+    made = compensation(result, source, subject.own)
+    progress("writing and reading the tables", 0.5)
+    found = made.exported(form)
+    with TemporaryDirectory() as folder:
+        picture = Path(folder) / PICTURE
+        save_as(draw_compensation(found.errors, f"{form}: {source}"), picture, made.origin)
+        return found, picture.read_bytes()
