@@ -2,10 +2,10 @@
 """What is known of an effect's size before the readings, and what a fit says with that.
 
 A fit by least squares lets an effect be of any size. Where the readings hardly tell a coefficient from the model's own
-unknowns (a fixed point of an expansion, where the temperature hardly changed), it comes out larger than any machine or
-instrument has it, and takes the map of errors with it. The limits of its coefficients say what is plausible: before the
-readings each is normal about zero, with half of its limit as standard deviation or a scale of that smaller by steps. How
-small, the readings say: what is published is the mean over the scales (GUM, type B beside type A).
+unknowns (the fixed point of an expansion, where the temperature hardly changed), it comes out larger than on any
+machine, and takes the map of errors with it. The limits of its coefficients say what is plausible: before the readings
+each is normal about zero, with half its limit as standard deviation or with less by steps. Which, the readings say:
+published is the mean over these (GUM, type B beside type A).
 """
 
 from __future__ import annotations
