@@ -26,6 +26,9 @@ SCALE_STEP, SMALLEST_SIGNAL = 5.0, 2.0
 steps of this factor, all equally probable, down to where its signal is this many standard uncertainties: the prior
 spans the sizes that occur, so that an effect with wide limits is not at a disadvantage."""
 
+# That an effect is beyond what is plausible, and the scale that it then has: what the readings say clearly holds.
+_RARE, _BEYOND = 0.01, SCALE_STEP**2
+
 
 @dataclass(frozen=True)
 class EffectSize:
@@ -84,11 +87,14 @@ def with_sizes(mean: Array, covariance: Array, sizes: Sequence[EffectSize]) -> t
         inner = covariance[np.ix_(place, place)] / np.outer(unit, unit)
         value = mean[place] / unit
         signal = np.sqrt(1.0 / max(float(np.linalg.eigvalsh(inner)[0]), 1e-300))
-        steps = int(np.log(max(signal / SMALLEST_SIGNAL, 1.0)) / np.log(SCALE_STEP)) if scaled.any() else 0
+        steps = int(np.log(max(signal / SMALLEST_SIGNAL, 1.0)) / np.log(SCALE_STEP))
+        scales = np.append(SCALE_STEP ** -np.arange(steps + 1.0), _BEYOND)
+        share = np.append(np.full(steps + 1, (1.0 - _RARE) / (steps + 1)), _RARE)
         logs, gains = [], []
-        for scale in SCALE_STEP ** -np.arange(steps + 1.0):
+        for scale, probability in zip(scales, share, strict=True):
             total = inner + np.diag(np.where(scaled, scale, 1.0) ** 2)
-            logs.append(-0.5 * (np.linalg.slogdet(total)[1] + value @ np.linalg.solve(total, value)))
+            fit = np.linalg.slogdet(total)[1] + value @ np.linalg.solve(total, value)
+            logs.append(np.log(probability) - 0.5 * fit)
             gains.append(np.linalg.inv(total))
         weights = np.exp(np.array(logs) - logsumexp(logs))
         cross = covariance[:, place] / unit
