@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.model.model import Kind, Parameter
 
 __all__ = ["SCALE_STEP", "SMALLEST_SIGNAL", "EffectSize", "effect_sizes", "with_sizes"]
@@ -43,10 +43,10 @@ class EffectSize:
 
     place: IntArray
     unit: Array
-    scaled: Array
+    scaled: BoolArray
 
 
-def effect_sizes(parameters: Sequence[Parameter], determined: Array) -> list[EffectSize]:
+def effect_sizes(parameters: Sequence[Parameter], determined: BoolArray) -> list[EffectSize]:
     """Those of the effects in a model whose unknowns the readings determine.
 
     Args:
