@@ -82,7 +82,7 @@ class MapPlot:
             factor: magnification of errors.
             title: of the plot.
         """
-        a, b = plane
+        a, b = plane[0], plane[1]
         self._base.glyph.x, self._base.glyph.y = a, b
         arrows, band = self._arrows.glyph, self._band.glyph
         arrows.x0, arrows.y0, arrows.x1, arrows.y1 = a, b, f"{a}1", f"{b}1"
