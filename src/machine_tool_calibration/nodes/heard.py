@@ -260,22 +260,27 @@ class Heard:
         with self._lock:
             return [call for _, call in reversed(self._calls.items())]
 
-    def nodes(self, now: float) -> list[NodeState]:
-        """How the nodes are, by name.
+    def nodes(self) -> list[NodeState]:
+        """How the nodes are, by name, each as it was said last.
 
-        A status on a topic of its own, which a replay has too, stands for a node only where none speaks for it, or has
+        A status on a topic of its own, which a replay has too, stands for a node where none speaks for it, or has
         not for long.
-
-        Args:
-            now: s of the clock that `NodeState.at` is of.
         """
         with self._lock:
             spoken, said = list(self._spoken.values()), list(self._said.values())
-        heard = {one.kind: max(other.at for other in spoken if other.kind == one.kind) for one in spoken}
-        alone = [one for one in said if one.at > heard.get(one.kind, -np.inf) + _SILENT]
-        replaced = {one.kind for one in alone}
-        kept = [one for one in spoken if one.kind not in replaced]
-        return sorted(kept + alone, key=lambda one: one.node)
+        out: list[NodeState] = []
+        for kind in dict.fromkeys(one.kind for one in (*spoken, *said)):
+            speaking, topics = ([one for one in every if one.kind == kind] for every in (spoken, said))
+            last = max((one.at for one in speaking), default=-np.inf)
+            newer = [one for one in topics if one.at > last]
+            if any(one.at > last + _SILENT for one in newer):
+                out += topics
+            elif newer and len(speaking) == 1:
+                (topic,) = newer[-1:]
+                out.append(replace(topic, node=speaking[0].node, at=speaking[0].at, repeats=True))
+            else:
+                out += speaking
+        return sorted(out, key=lambda one: one.node)
 
     def newest(self, kind: str) -> NodeState | None:
         """What was said last of what is of a kind, such as `procedure`; None if nothing was."""

@@ -12,6 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.srv import GetParameters
 from rclpy.client import Client
 from rclpy.clock import Clock, ClockType
+from rclpy.node import NodeNameNonExistentError
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -134,20 +135,30 @@ class Listener:
         """Which services there are, and whether their nodes allow them to move axes."""
         node, heard = self._node, self._heard
         heard.ignore(sum(node.ignored.values()), str(node.ignored_entries["ignored_last"]))
-        prefix = f"/{self._space}/" if self._space else "/"
-        there = {name.removeprefix(prefix) for name, _ in node.get_service_names_and_types() if name.startswith(prefix)}
         offers, refusing = [], []
-        for state in heard.nodes(time.monotonic()):
+        for state in heard.nodes():
+            if state.kind not in SERVICES:
+                continue
+            there = self._services(state.node)
             allowed = self._allows(state.node, there) if state.kind == "procedure" else True
             if allowed is False:
                 refusing.append(state.node)
-            for verb, moves in SERVICES.get(state.kind, {}).items():
+            for verb, moves in SERVICES[state.kind].items():
                 service = f"{state.node}/{verb}"
                 if service in there and (allowed or not moves):
                     if service not in self._clients:
                         self._clients[service] = node.create_client(Trigger, service)
                     offers.append(Offer(service, verb, moves))
         heard.offer(offers, refusing)
+
+    def _services(self, name: str) -> set[str]:
+        """Those that a node has, without the graph's namespace; the graph's list has those that only we ask for too."""
+        space = self._node.get_namespace()
+        try:
+            found = self._node.get_service_names_and_types_by_node(name, space)
+        except NodeNameNonExistentError:
+            return set()
+        return {service.removeprefix(space).lstrip("/") for service, _ in found}
 
     def _allows(self, name: str, there: set[str]) -> bool | None:
         """Whether a node allows its services to move axes; None as long as it has not said so."""

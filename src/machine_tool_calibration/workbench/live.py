@@ -22,7 +22,7 @@ from machine_tool_calibration.plots.residuals import planes
 from machine_tool_calibration.plots.style import spaced
 from machine_tool_calibration.reports.identification import summary_rows
 from machine_tool_calibration.reports.quantities import quantity, rounded
-from machine_tool_calibration.workbench.live_feed import Feed, LiveMap
+from machine_tool_calibration.workbench.live_feed import Feed
 from machine_tool_calibration.workbench.look import bar_button, new_figure, setup_color, text, when_changed
 from machine_tool_calibration.workbench.map_plot import MapPlot, magnification
 from machine_tool_calibration.workbench.state import State
@@ -33,12 +33,12 @@ __all__ = ["LivePage", "Thinned", "answer_words", "node_table"]
 _PERIOD = 500  # ms between looks at what was heard
 _DRAWN = 2000  # readings in a plot
 _LONG = 1e-3  # m; displacements beyond are shown in millimetres
-# What is told of a node beside its message.
+# What is told of a node beside its message; of a replay, s.
 _TOLD = {
     "procedure": ("state", "setup", "repeat", "waiting_for"),
     "estimator": ("readings", "missing", "step"),
     "recorder": ("messages", "lost", "bag"),
-    "player": ("position", "duration", "rate"),
+    "player": ("position", "duration"),
     "instrument": ("driver",),
 }
 _LEVELS = (("●", "#0072b2", "in order"), ("▲", "#b36b00", "attention"), ("■", "#b00020", "error"))
@@ -91,8 +91,8 @@ class LivePage:
         self._offers: tuple[tuple[Offer, ...], tuple[str, ...]] = ((), ())
         self._where, self._nodes, self._answers, self._setups = text(), text(), text(), text()
         self._map_words, self._refusing = text(), text()
-        self._bar = pn.indicators.Progress(value=0, max=100, width=240, height=16, margin=(12, 6))
-        self._count = text("", min_width=260)
+        self._bar = pn.indicators.Progress(value=0, max=100, width=240, height=16, margin=(10, 6))
+        self._count = text()
         self._take = bar_button("Open in the other pages", self._take_over, "primary", disabled=True)
         self._services = pn.FlexBox(sizing_mode="stretch_width")
         self._question = text("", min_width=300)
@@ -105,16 +105,18 @@ class LivePage:
         self._readings = new_figure("Readings as they come", "number of the reading", "", hover=_HOVER)
         self._residuals = new_figure("Residuals of the map", "number of the reading", "residual, µm", hover=_HOVER)
         for plot, source in ((self._readings, self._points), (self._residuals, self._left)):
+            plot.visible = False
             plot.scatter("number", "value", source=source, size=4, color="color", alpha=0.7)
         self._residuals.add_layout(Span(location=0.0, dimension="width", line_color="#999999", line_width=1))
         # Both show the same readings one above the other in time.
         self._residuals.x_range = self._readings.x_range
         self._map = MapPlot("#0072b2")
-        self._plane = pn.widgets.Select(name="Map in the plane", width=120, options=["xy"])
+        self._map.plot.visible = False
+        self._plane = pn.widgets.Select(name="Map in the plane", width=120, options=["xy"], visible=False)
         when_changed(self._plane, lambda _: self._draw_map())
         self.view = pn.Column(
             self._where,
-            pn.Row(self._bar, self._count, self._take, sizing_mode="stretch_width"),
+            pn.Row(self._take, self._bar, self._count, sizing_mode="stretch_width"),
             pn.Row(
                 pn.Column(self._nodes, sizing_mode="stretch_width"),
                 pn.Column(
@@ -140,15 +142,15 @@ class LivePage:
             return
         feed, now = self._feed, time.monotonic()
         feed.look(now)
-        states = feed.heard.nodes(now)
+        states = feed.heard.nodes()
         self._where.object = _where(feed, states)
         self._nodes.object = node_table(states, now)
         self._answers.object = "".join(_call(call) for call in feed.heard.calls)
         self._offer()
         self._draw_readings()
-        if feed.map is not None and feed.number != self._map_number:
+        if feed.number != self._map_number:
             self._map_number = feed.number
-            self._draw_residuals(feed.map)
+            self._draw_residuals()
             self._draw_map()
         self._say_progress()
 
@@ -161,6 +163,8 @@ class LivePage:
         self._bar.visible = total > 0
         self._bar.value = min(100 * count // total, 100) if total else 0
         words = f"{count} of {total} readings" if total else f"{count} readings"
+        words += f", {entries['state']}" if entries.get("state") else ""
+        words += f": {procedure.message}" if procedure and procedure.level else ""
         if heard.missing:
             words += f"; {heard.missing} more were published before anybody listened, or were lost"
         drawn = self._thinned.step
@@ -224,6 +228,7 @@ class LivePage:
         else:
             self._points.stream(self._columns(rows, known, total))
         self._known = total
+        self._readings.visible = self._residuals.visible = True
         self._readings.yaxis.axis_label = f"displacement, {'mm' if self._factor == 1e3 else 'µm'}"
 
     def _columns(self, rows: Sequence[tuple[int, float]], first: int, total: int) -> dict[str, list[Any]]:
@@ -238,7 +243,12 @@ class LivePage:
             "shown": [quantity(value, "m") for _, value in some],
         }
 
-    def _draw_residuals(self, found: LiveMap) -> None:
+    def _draw_residuals(self) -> None:
+        found = self._feed.map
+        if found is None:
+            self._left.data = {name: [] for name in _COLUMNS}
+            self._residuals.title.text = "Residuals of the map"
+            return
         step = -(-len(found.row) // _DRAWN) or 1
         row, setup, residual = found.row[::step], found.setup[::step].astype(int).tolist(), found.residual[::step]
         self._left.data = {
@@ -252,12 +262,9 @@ class LivePage:
 
     def _draw_map(self) -> None:
         found = self._feed.map
-        if found is None:
-            return
-        points = found.error_map.points
-        has = len(points) > 0
-        self._map.plot.visible = self._plane.visible = has
-        if has:
+        points = found.error_map.points if found is not None else np.zeros((0, 3))
+        self._map.plot.visible = self._plane.visible = len(points) > 0
+        if found is not None and len(points):
             options = ["xyz"[a] + "xyz"[b] for a, b in planes(points, np.zeros_like(points))]
             if self._plane.options != options:
                 self._plane.param.update(options=options, value=options[0])
@@ -339,7 +346,7 @@ def node_table(states: Sequence[NodeState], now: float) -> str:
         device = f' <span class="note">({escape(one.device)})</span>' if one.device else ""
         rows += (
             f'<tr><td><span style="color:{color}">{mark}</span> {escape(one.node)}{device}</td>'
-            f"<td>{escape(word)}</td><td>{escape(one.message)}{more}</td></tr>"
+            f'<td style="white-space:nowrap">{escape(word)}</td><td>{escape(one.message)}{more}</td></tr>'
         )
     head = "<th>node</th><th>state</th><th>what it says</th>"
     return f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>" if rows else ""

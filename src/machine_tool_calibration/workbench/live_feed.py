@@ -105,7 +105,7 @@ class Feed:
         domain: ROS domain id; None for that of the environment.
         namespace: of the graph; empty for none.
         trouble: why nothing is heard; empty if nothing is wrong.
-        map: the newest map; None as long as there is none.
+        map: the newest map of the present session; None as long as there is none.
         number: grows with every map.
         why_not: why there is no map of the newest readings; empty if there is.
 
@@ -133,7 +133,8 @@ class Feed:
         self._listener: Listener | None = None
         self._starting: threading.Thread | None = None
         self._working: threading.Thread | None = None
-        self._done: tuple[int, int] = (0, 0)
+        self._run = 0
+        self._done: tuple[object, ...] = (0, 0, "")
         self._shown = 0
         self._due = 0.0
         self._kept: tuple[tuple[int, int], Path] | None = None
@@ -147,13 +148,18 @@ class Feed:
         if self._starting is None:
             self._starting = threading.Thread(target=self._start, name="listener's start", daemon=True)
             self._starting.start()
+        run, count = self.heard.count
+        if run != self._run:
+            self._run = run
+            self._show(None)
         published = self.heard.published
         if published.number != self._shown:
             self._shown = published.number
             with suppress(ValueError):
                 self._show(LiveMap.of_messages(published))
-        if self._working is None and now >= self._due and self.heard.count != self._done:
-            self._done = self.heard.count
+        there = run, count, self.heard.description
+        if self._working is None and now >= self._due and count and there != self._done:
+            self._done = there
             self._working = threading.Thread(target=self._calculate, name="live map", daemon=True)
             self._working.start()
 
@@ -229,7 +235,7 @@ class Feed:
         self._due = end + max(_EVERY, _SHARE * (end - begin))
         self._working = None
 
-    def _show(self, found: LiveMap) -> None:
+    def _show(self, found: LiveMap | None) -> None:
         self.map, self.number = found, self.number + 1
 
 
