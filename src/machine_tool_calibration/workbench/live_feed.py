@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 __all__ = ["Feed", "LiveMap"]
 
 _EVERY = 3.0  # s from the end of one calculation to the next
-_SHARE = 5.0  # of the time that one takes: the page is not to be kept waiting by large sessions
+_SHARE = 10.0  # of the time that one takes: the page is not to be kept waiting by large sessions
 
 
 @dataclass(frozen=True)
