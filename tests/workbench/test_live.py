@@ -151,12 +151,19 @@ def test_however_many_readings_come_a_bounded_number_is_drawn_evenly(most: int) 
     thinned, drawn, known = Thinned(most), list[int](), 0
     for total in (0, 1, 3, 4, 9, 10, 11, 60, 61, 1000):
         if thinned.grow(total):
-            drawn = list(thinned.of(0, total))
+            drawn = thinned.of(0, total)
         else:
             drawn += thinned.of(known, total)
         known = total
-        assert drawn == list(range(0, total, thinned.step)) and len(drawn) <= most
-        assert total <= most or len(drawn) > most / 2 - 1
+        assert drawn == thinned.of(0, total) == sorted(drawn)
+        whole = total // thinned.step
+        assert [number // thinned.step for number in drawn][:whole] == list(range(whole)) and len(drawn) <= most
+
+
+def test_of_a_procedure_that_repeats_itself_every_target_is_drawn() -> None:
+    thinned = Thinned(2000)
+    thinned.grow(32 * 2000)
+    assert {number % 32 for number in thinned.of(0, 32 * 2000)} == set(range(32))
 
 
 def test_the_map_comes_as_soon_as_it_can_be_calculated_and_not_more_often_than_it_may(

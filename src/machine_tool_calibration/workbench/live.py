@@ -32,6 +32,8 @@ __all__ = ["LivePage", "Thinned", "answer_words", "node_table"]
 
 _PERIOD = 500  # ms between looks at what was heard
 _DRAWN = 2000  # readings in a plot
+_GOLDEN = 0.618034  # its multiples are spread most evenly
+_SLOW = 2.0  # s; a calculation that takes longer is told of
 _LONG = 1e-3  # m; displacements beyond are shown in millimetres
 # What is told of a node beside its message; of a replay, s.
 _TOLD = {
@@ -53,10 +55,13 @@ _COLUMNS = ("number", "value", "color", "setup", "shown")
 
 
 class Thinned:
-    """Which of a growing number of readings are drawn: all, then every second one, and so on.
+    """Which of a growing number of readings are drawn: all, then one of every two, and so on.
+
+    Which one of those beside each other varies: procedures repeat themselves, and every eighth reading could be that of
+    one and the same target.
 
     Attributes:
-        step: from one that is drawn to the next.
+        step: how many stand for one that is drawn.
 
     Args:
         most: that are drawn.
@@ -73,9 +78,11 @@ class Thinned:
             self.step *= 2
         return self.step != before
 
-    def of(self, first: int, total: int) -> range:
+    def of(self, first: int, total: int) -> list[int]:
         """Numbers of those that are drawn, from one on."""
-        return range(-(-first // self.step) * self.step, total, self.step)
+        groups = np.arange(first // self.step, -(-total // self.step))
+        numbers = groups * self.step + (self.step * (groups * _GOLDEN % 1.0)).astype(int)
+        return [int(number) for number in numbers if first <= number < total]
 
 
 class LivePage:
@@ -177,6 +184,9 @@ class LivePage:
     def _about_map(self) -> str:
         found, why_not = self._feed.map, self._feed.why_not
         said = f'<p class="note">No map of these readings yet: {escape(why_not)}</p>' if why_not else ""
+        since, count = self._feed.calculating
+        if count and time.monotonic() - since > _SLOW:
+            said += f'<p class="note">The map of {count} readings is being calculated …</p>'
         if found is None:
             return said
         factor = magnification([found.error_map])
@@ -236,7 +246,7 @@ class LivePage:
         numbers = self._thinned.of(first, total)
         some = [rows[number - first] for number in numbers]
         return {
-            "number": list(numbers),
+            "number": numbers,
             "value": [self._factor * value for _, value in some],
             "color": [setup_color(setup) for setup, _ in some],
             "setup": [self._name(setup) for setup, _ in some],
@@ -249,8 +259,10 @@ class LivePage:
             self._left.data = {name: [] for name in _COLUMNS}
             self._residuals.title.text = "Residuals of the map"
             return
-        step = -(-len(found.row) // _DRAWN) or 1
-        row, setup, residual = found.row[::step], found.setup[::step].astype(int).tolist(), found.residual[::step]
+        thinned = Thinned(_DRAWN)
+        thinned.grow(len(found.row))
+        drawn = thinned.of(0, len(found.row))
+        row, setup, residual = found.row[drawn], found.setup[drawn].astype(int).tolist(), found.residual[drawn]
         self._left.data = {
             "number": row,
             "value": 1e6 * residual,

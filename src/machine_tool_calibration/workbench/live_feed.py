@@ -107,6 +107,7 @@ class Feed:
         trouble: why nothing is heard; empty if nothing is wrong.
         map: the newest map of the present session; None as long as there is none.
         number: grows with every map.
+        calculating: since when a map is being calculated, and from how many readings; 0 if none is.
         why_not: why there is no map of the newest readings; empty if there is.
 
     Args:
@@ -130,6 +131,7 @@ class Feed:
         self.map: LiveMap | None = None
         self.number = 0
         self.why_not = ""
+        self.calculating = (0.0, 0)
         self._listener: Listener | None = None
         self._starting: threading.Thread | None = None
         self._working: threading.Thread | None = None
@@ -159,7 +161,7 @@ class Feed:
                 self._show(LiveMap.of_messages(published))
         there = run, count, self.heard.description
         if self._working is None and now >= self._due and count and there != self._done:
-            self._done = there
+            self._done, self.calculating = there, (now, count)
             self._working = threading.Thread(target=self._calculate, name="live map", daemon=True)
             self._working.start()
 
@@ -233,7 +235,7 @@ class Feed:
             logging.getLogger(__name__).error("a fault of the live map", exc_info=error)
         end = time.monotonic()
         self._due = end + max(_EVERY, _SHARE * (end - begin))
-        self._working = None
+        self._working, self.calculating = None, (0.0, 0)
 
     def _show(self, found: LiveMap | None) -> None:
         self.map, self.number = found, self.number + 1
