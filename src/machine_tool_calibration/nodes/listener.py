@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import re
 import threading
 import time
 from functools import partial
@@ -36,8 +37,10 @@ from machine_tool_calibration.session.collect import Reading
 __all__ = ["Listener"]
 
 _SPIN = 0.1  # s
-_LOOK = 1.0  # s between looks at which services there are
+_LOOK = 0.5  # s between looks at which services there are
 _PATIENCE = 5  # looks; a first answer is lost where the server does not know its client yet
+_NAME = re.compile("[A-Za-z_][A-Za-z0-9_]*")
+_TYPES = {"std_srvs/srv/Trigger", "rcl_interfaces/srv/GetParameters"}
 _PERMISSION = "services_move_axes"
 _FIELDS = {"error_map": FIELDS, "residuals": ("row", "setup", "residual")}
 _STATUSES = {
@@ -154,11 +157,13 @@ class Listener:
     def _services(self, name: str) -> set[str]:
         """Those that a node has, without the graph's namespace; the graph's list has those that only we ask for too."""
         space = self._node.get_namespace()
+        if not _NAME.fullmatch(name):
+            return set()
         try:
             found = self._node.get_service_names_and_types_by_node(name, space)
         except NodeNameNonExistentError:
             return set()
-        return {service.removeprefix(space).lstrip("/") for service, _ in found}
+        return {service.removeprefix(space).lstrip("/") for service, types in found if set(types) & _TYPES}
 
     def _allows(self, name: str, there: set[str]) -> bool | None:
         """Whether a node allows its services to move axes; None as long as it has not said so."""
@@ -169,9 +174,10 @@ class Listener:
         if name not in self._allowed and self._asked.get(name, 0) <= 0:
             if service not in self._clients:
                 self._clients[service] = self._node.create_client(GetParameters, service)
-            asked = self._clients[service].call_async(GetParameters.Request(names=[_PERMISSION]))
-            asked.add_done_callback(lambda done: self._permitted(name, done.result().values))
-            self._asked[name] = _PATIENCE
+            if self._clients[service].service_is_ready():
+                asked = self._clients[service].call_async(GetParameters.Request(names=[_PERMISSION]))
+                asked.add_done_callback(lambda done: self._permitted(name, done.result().values))
+                self._asked[name] = _PATIENCE
         self._asked[name] = self._asked.get(name, 0) - 1
         return self._allowed.get(name)
 

@@ -218,6 +218,8 @@ class Feed:
                 f"To see a running graph needs ROS 2 ({error.name} is missing): source your ROS 2 installation, or "
                 "pip install 'machine_tool_calibration[ros]'. Everything else works without it."
             )
+        except CalibrationError as error:
+            self.trouble = str(error)
         except Exception as error:
             self.trouble = f"ROS 2 does not start here: {' '.join(str(error).split())}"
 

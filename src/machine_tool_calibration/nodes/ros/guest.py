@@ -4,8 +4,11 @@
 from __future__ import annotations
 
 from rclpy.context import Context
+from rclpy.exceptions import InvalidNamespaceException
 from rclpy.experimental import EventsExecutor
+from rclpy.validate_namespace import validate_namespace
 
+from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.ros.node import GuardedNode
 from machine_tool_calibration.nodes.ros.process import default_environment
 
@@ -24,13 +27,22 @@ class Guest:
         name: of the node, which others in the graph must not have.
         domain: ROS domain id; None for that of the environment.
         namespace: of the graph.
+
+    Raises:
+        CalibrationError: the namespace is none.
     """
 
     def __init__(self, name: str, domain: int | None, namespace: str = "") -> None:
         default_environment()
+        space = f"/{namespace.strip('/')}"
+        try:
+            validate_namespace(space)
+        except InvalidNamespaceException as error:
+            why = str(error).partition("\n")[0].removeprefix("Invalid namespace: ").rstrip(":")
+            raise CalibrationError(f"{namespace!r} is no namespace ({why})") from None
         self.context = Context()
         self.context.init(domain_id=domain)
-        self.node = GuardedNode(name, context=self.context, namespace=namespace or None)
+        self.node = GuardedNode(name, context=self.context, namespace=space)
         self.executor = EventsExecutor(context=self.context)
         self.executor.add_node(self.node)
         self.node._post = self.executor.create_task  # type: ignore[attr-defined]
