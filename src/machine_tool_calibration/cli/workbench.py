@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from machine_tool_calibration.cli.diagnosing import own_effects
+from machine_tool_calibration.cli.measuring import graph_place
 from machine_tool_calibration.cli.output import note
 from machine_tool_calibration.errors import CalibrationError
 
@@ -16,6 +17,8 @@ __all__ = ["command"]
 
 @click.command("workbench")
 @click.argument("measurements", metavar="[MEASUREMENT…]", nargs=-1, type=click.Path(path_type=Path))
+@click.option("--live", is_flag=True, help="Begin beside a running graph or a replay: the page Live.")
+@graph_place
 @click.option("--model", help="Variant of the model, such as free; `mtcal info SESSION` says when which.")
 @click.option(
     "--effects-file",
@@ -29,21 +32,31 @@ __all__ = ["command"]
 )
 @click.option("--browser/--no-browser", default=True, help="Open the page in the browser, or print its address only.")
 def command(
-    measurements: tuple[Path, ...], model: str | None, files: tuple[Path, ...], port: int, browser: bool
+    measurements: tuple[Path, ...],
+    live: bool,
+    domain_id: int | None,
+    namespace: str,
+    model: str | None,
+    files: tuple[Path, ...],
+    port: int,
+    browser: bool,
 ) -> None:
     """Work on a measurement in the browser: compare, find what the model lacks, add it, see the error fall.
 
     MEASUREMENT is a session folder, a recording, or a folder of such, from which one is chosen on the page; by default
-    this folder. Several sessions or recordings of one machine are fitted together. The page is served to this machine
-    only, under an address with a random token; nothing comes from the network. The models that are tried are kept in
-    the session's history, as `mtcal improve` does. Ctrl-C ends it.
+    this folder. Several sessions or recordings of one machine are fitted together. With --live the page begins beside a
+    running graph or a replay. It is served to this machine only, under an address with a random token; nothing comes
+    from the network. The models that are tried are kept in the session's history, as `mtcal improve` does. Ctrl-C ends
+    it.
 
     \b
     mtcal workbench measurements/cube
     mtcal workbench measurements
     mtcal workbench measurements/cube measurements/cube_again
+    mtcal workbench --live
     """
-    measurements = measurements or (Path(),)
+    if not measurements and not live:
+        measurements = (Path(),)
     for measurement in measurements:
         if not measurement.exists():
             raise CalibrationError(f"{measurement}: no such file or folder")
@@ -65,4 +78,4 @@ def command(
 
             webbrowser.open(address)
 
-    serve(measurements, own, model, port=port, ready=ready)
+    serve(measurements, own, model, live=live, domain=domain_id, namespace=namespace, port=port, ready=ready)

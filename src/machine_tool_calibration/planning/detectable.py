@@ -24,7 +24,7 @@ POWER = 0.8
 # Share of a column's squared norm that the model must leave for the effect to be seen.
 _SEEN = 1e-4
 # Numbers in the columns of effects that are kept in memory at a time.
-_HELD = 20_000_000
+_HELD = 8_000_000
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from html import escape
 from pathlib import Path
@@ -17,6 +17,8 @@ from machine_tool_calibration.workbench.compare import ComparePage
 from machine_tool_calibration.workbench.diagnose import DiagnosePage
 from machine_tool_calibration.workbench.export import ExportPage
 from machine_tool_calibration.workbench.improve import ImprovePage
+from machine_tool_calibration.workbench.live import LivePage
+from machine_tool_calibration.workbench.live_feed import Feed
 from machine_tool_calibration.workbench.look import bar_button, text, when_changed
 from machine_tool_calibration.workbench.measurement import MeasurementPage
 from machine_tool_calibration.workbench.plan import PlanPage
@@ -65,41 +67,63 @@ _TEMPLATE = """{% extends base %}
 """
 
 
-def window(targets: Sequence[Path], own: Sequence[PhysicalEffect] = (), variant: str | None = None) -> Any:
+def window(
+    targets: Sequence[Path],
+    own: Sequence[PhysicalEffect] = (),
+    variant: str | None = None,
+    *,
+    feed: Feed,
+    live: bool = False,
+) -> Any:
     """A new window with its own state.
 
     The place of every block of every page is a root of the document: whatever changes in a block, a browser lays out
     the whole root that it is in, figures of hidden pages too, which took seconds.
 
     Args:
-        targets: a session, a recording, or a folder of such; or several sessions and recordings of one machine.
+        targets: a session, a recording, or a folder of such; or several sessions and recordings of one
+            machine; none for a window that only listens at first.
         own: effects of the user's own.
         variant: of the method's model; its default if absent.
+        feed: what is heard of a running graph.
+        live: begin with the page that shows it.
 
     Returns:
         What Panel serves.
     """
     page = pn.Template(_TEMPLATE)
-    for number, root in enumerate(_Window(targets, own, variant).roots):
+    for number, root in enumerate(_Window(targets, own, variant, feed, live).roots):
         page.add_panel(f"_block{number}", root)  # with another name Panel describes all of them anew for each
     return page
 
 
 class _Window:
-    def __init__(self, targets: Sequence[Path], own: Sequence[PhysicalEffect], variant: str | None) -> None:
+    def __init__(
+        self,
+        targets: Sequence[Path],
+        own: Sequence[PhysicalEffect],
+        variant: str | None,
+        feed: Feed,
+        live: bool,
+    ) -> None:
         self._state, self._work = State(own, variant), Work()
         self._readings = Readings(self._state)
         self._state.watch(self._changed)
         # A page is made when it is first looked at, and filled when it is looked at and stale: what a browser does not
         # show costs it nearly as much as what it shows.
+        pages: tuple[type[Page] | type[LivePage], ...] = (*_PAGES, LivePage)
+        self._makers: dict[str, Callable[[], Page]] = {
+            page.title: partial(page, self._state, self._readings, self._work) for page in _PAGES
+        }
+        self._makers[LivePage.title] = partial(LivePage, self._state, self._work, feed)
         self._pages: dict[str, Page] = {}
         self._places = {
-            maker.title: [pn.Column(sizing_mode="stretch_width") for _ in range(maker.blocks)] for maker in _PAGES
+            page.title: [pn.Column(sizing_mode="stretch_width") for _ in range(page.blocks)] for page in pages
         }
         self._stale: set[str] = set()
         self._buttons = {title: bar_button(title, partial(self._show, title)) for title in self._places}
-        self._shown = _PAGES[0].title
         self._head = text()
+        self._show(LivePage.title if live else _PAGES[0].title)
         found = [path for target in targets for path in measurements_in(target)]
         names = distinct_labels([path.name or str(path) for path in found])
         options: dict[str, tuple[Path, ...]] = {name: (path,) for name, path in zip(names, found, strict=True)}
@@ -111,7 +135,7 @@ class _Window:
         self.roots = [bar, self._head, *(place for places in self._places.values() for place in places)]
         if found:
             pn.state.onload(self._open)
-        else:
+        elif targets:
             named = ", ".join(str(target) for target in targets)
             self._work.say(f"{named}: neither a session nor a recording, nor a folder with any")
 
@@ -139,17 +163,16 @@ class _Window:
         self._shown = title
         for name, button in self._buttons.items():
             button.button_type = "primary" if name == title else "default"
+        new = title not in self._pages
+        if new:
+            self._pages[title] = self._makers[title]()
         if title in self._stale:
             self._stale.discard(title)
-            new = title not in self._pages
-            if new:
-                maker = next(maker for maker in _PAGES if maker.title == title)
-                self._pages[title] = maker(self._state, self._readings, self._work)
             with self._readings.at_once():
                 self._pages[title].refresh()
-            if new:
-                for place, block in zip(self._places[title], self._pages[title].view, strict=True):
-                    place.append(block)
-        for name, places in self._places.items():
-            for place in places:
-                place.visible = name == title
+        if new:
+            for place, block in zip(self._places[title], self._pages[title].view, strict=True):
+                place.append(block)
+        for name, page in self._pages.items():
+            for block in page.view:
+                block.visible = name == title
