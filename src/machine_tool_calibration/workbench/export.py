@@ -47,7 +47,9 @@ class ExportPage:
         self._language = pn.widgets.Select(
             name="Language", options={_LANGUAGES.get(name, name): name for name in LANGUAGES}, width=110
         )
-        self._diagnosis = pn.widgets.Checkbox(name="with a diagnosis", value=True, margin=(26, 6))
+        self._diagnosis = pn.widgets.Select(
+            name="Diagnosis in the report", options={"made": True, "left out": False}, width=170
+        )
         self._form = pn.widgets.Select(
             name="Controller", options={_CONTROLLERS.get(form, form): form for form in FORMATS}, width=260
         )

@@ -84,7 +84,7 @@ class PlanPage:
         for name, color, label in (("now", _NOW, "U now"), ("then", _THEN, "U with it")):
             source = ColumnDataSource({column: [] for column in ("x", "y", "z", "wx", "wy", "wz", "ux", "uy", "uz")})
             glyph = self._map.ellipse(
-                "x", "y", "wx", "wy", source=source, fill_color=color, fill_alpha=0.15, line_color=color,
+                "x", "y", "wx", "wy", source=source, fill_color=None, line_color=color, line_width=1.5,
                 legend_label=label,
             )  # fmt: skip
             self._maps[name] = (source, glyph)
