@@ -15,7 +15,17 @@ from bokeh.plotting import figure
 from machine_tool_calibration.plots.style import COLORS
 from machine_tool_calibration.reports.tables import TextTable
 
-__all__ = ["CSS", "bar_button", "new_figure", "paragraphs", "setup_color", "tables", "text", "when_changed"]
+__all__ = [
+    "CSS",
+    "bar_button",
+    "in_order",
+    "new_figure",
+    "paragraphs",
+    "setup_color",
+    "tables",
+    "text",
+    "when_changed",
+]
 
 CSS = """
 body { font-family: Helvetica, Arial, sans-serif; font-size: 13px; margin: 0; background: #fff; color: #111; }
@@ -114,4 +124,18 @@ def when_changed(widget: Any, act: Callable[[Any], object], what: str = "value")
 
 def _locked(act: Callable[[], object]) -> None:
     """Do something with the page's lock, which Bokeh asks for and Panel's own callbacks do not hold."""
-    pn.state.curdoc.add_next_tick_callback(act)
+    document = pn.state.curdoc
+    document.add_next_tick_callback(partial(in_order, document, act))
+
+
+def in_order(document: Any, act: Callable[[], object]) -> None:
+    """Do something, and tell the browser of all that it changed when it is done, in the order in which it was changed.
+
+    Panel sends what changes in its own models by another way than Bokeh, which may be faster: of a plot that is new the
+    browser would hear what changes in it before it hears of it.
+    """
+    document.hold("combine")
+    try:
+        act()
+    finally:
+        document.unhold()

@@ -13,7 +13,7 @@ from typing import Any
 import panel as pn
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.workbench.look import bar_button, text
+from machine_tool_calibration.workbench.look import bar_button, in_order, text
 from machine_tool_calibration.workbench.process import Calculation, FaultError
 from machine_tool_calibration.workbench.state import Job
 
@@ -83,7 +83,7 @@ class Work:
 
         def now() -> None:
             if self._job is mine:
-                act()
+                in_order(self._document, act)
 
         self._document.add_next_tick_callback(now)
 
