@@ -76,12 +76,14 @@ def status(address: str, path: str, **headers: str) -> int:
 # Controls that are seen and cannot be reached with Tab, or have no words: all shadow roots are looked through.
 UNREACHABLE = """() => {
     const found = []
+    const text = one => one.matches && one.matches('style, link') ? ''
+        : [...one.childNodes, ...(one.shadowRoot ? [one.shadowRoot] : [])].map(n => n.nodeValue || text(n)).join('')
     const look = root => root.querySelectorAll('*').forEach(one => {
         if (one.shadowRoot) look(one.shadowRoot)
         if (!one.matches('button, input, select, textarea, a') || one.disabled || !one.getClientRects().length) return
         const label = one.labels && one.labels.length ? one.labels[0].innerText : ''
-        const own = one.matches('button, a') ? one.innerText : ''
-        const words = label || one.getAttribute('aria-label') || one.title || own
+        const own = one.matches('button, a') ? text(one) : ''
+        const words = label || one.getAttribute('aria-label') || one.title || own.trim()
         if (one.tabIndex < 0 || !words) found.push(one.outerHTML.slice(0, 200))
     })
     look(document)
