@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import closing
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
@@ -72,7 +73,9 @@ def status(address: str, path: str, **headers: str) -> int:
     return connection.getresponse().status
 
 
-def test_from_opening_to_the_improved_fit(hidden: Path, address: str, browser: "playwright.Browser") -> None:
+def test_from_opening_to_the_improved_fit(
+    hidden: Path, address: str, browser: "playwright.Browser", ros_domain: int
+) -> None:
     asked: list[str] = []
     faults: list[str] = []
 
@@ -132,24 +135,23 @@ def test_from_opening_to_the_improved_fit(hidden: Path, address: str, browser: "
     press(one, "Undo")
     one.get_by_text("model free: 288 readings").wait_for()
 
+    if find_spec("rclpy") is not None:
+        beside_a_graph(two, hidden, ros_domain)
+        assert one.get_by_text("model free: 288 readings").is_visible()
+
     place = urlsplit(address)
     elsewhere = [url for url in asked if urlsplit(url).netloc not in ("", place.netloc)]
     assert not elsewhere, "nothing comes from the network"
     assert not faults
 
 
-def test_readings_of_a_graph_become_a_map_and_are_opened(
-    hidden: Path, address: str, browser: "playwright.Browser", ros_domain: int
-) -> None:
-    pytest.importorskip("rclpy", reason="the graph needs ROS 2")
+def beside_a_graph(page: "playwright.Page", hidden: Path, domain: int) -> None:
+    """Readings that come are drawn, become a map, and are opened in the other pages."""
     from machine_tool_calibration.nodes.ros.guest import Guest
 
-    page = browser.new_page(viewport={"width": 1400, "height": 900})
-    page.set_default_timeout(WAIT)
-    page.goto(address)
     page.get_by_role("button", name="Live", exact=True).click()
-    page.get_by_text(f"Nothing is heard in ROS domain {ros_domain} yet").wait_for()
-    with closing(Guest("procedure_of_the_test", ros_domain)) as guest:
+    page.get_by_text(f"Nothing is heard in ROS domain {domain} yet").wait_for()
+    with closing(Guest("procedure_of_the_test", domain)) as guest:
         kept = publish(guest, hidden)
         page.get_by_text("The map, calculated here from 288 readings").wait_for()
         assert kept
