@@ -140,7 +140,7 @@ def test_answers_are_told_in_the_units_of_people() -> None:
     assert answer_words("measuring 288 readings") == "measuring 288 readings"
     content = {"observations": 288, "rms_residual": 2.5e-7, "accepted": [], "reduced_chi_square": 1.04321, "missing": 0}
     assert answer_words(json.dumps(content)) == (
-        "observations 288; rms residual 0.250 µm; accepted none; reduced chi square 1.04"
+        "observations 288; RMS residual 0.250 µm; accepted none; reduced chi square 1.04"
     )
     assert answer_words('{"summary": "All is well.", "p_value": 0.5}') == "All is well."
     assert answer_words("[1]") == "[1]"

@@ -35,14 +35,15 @@ _DRAWN = 2000  # readings in a plot
 _GOLDEN = 0.618034  # its multiples are spread most evenly
 _SLOW = 2.0  # s; a calculation that takes longer is told of
 _LONG = 1e-3  # m; displacements beyond are shown in millimetres
-# What is told of a node beside its message; of a replay, s.
+# What is told of a node beside its message.
 _TOLD = {
-    "procedure": ("state", "setup", "repeat", "waiting_for"),
+    "procedure": ("state", "setup", "repeat"),
     "estimator": ("readings", "missing", "step"),
     "recorder": ("messages", "lost", "bag"),
     "player": ("position", "duration"),
     "instrument": ("driver",),
 }
+_UNITS = {"position": " s", "duration": " s"}
 _LEVELS = (("●", "#0072b2", "in order"), ("▲", "#b36b00", "attention"), ("■", "#b00020", "error"))
 _SILENT = ("○", "#666666")
 _CONFIRM = {
@@ -166,12 +167,16 @@ class LivePage:
         heard, why_not = self._feed.heard, self._feed.why_not
         procedure, count = heard.newest("procedure"), self._known
         entries = procedure.entries if procedure else {}
-        total = int(entries["total"]) if entries.get("total", "").isdecimal() else 0
+        captured, total = (
+            int(entries[key]) if entries.get(key, "").isdecimal() else 0 for key in ("captured", "total")
+        )
         self._bar.visible = total > 0
-        self._bar.value = min(100 * count // total, 100) if total else 0
-        words = f"{count} of {total} readings" if total else f"{count} readings"
-        words += f", {entries['state']}" if entries.get("state") else ""
-        words += f": {procedure.message}" if procedure and procedure.level else ""
+        self._bar.value = min(100 * captured // total, 100) if total else 0
+        words = f"{count} readings"
+        if procedure and total:
+            words = f"{captured} of {total} readings, {entries.get('state', '')}"
+            words += f": {procedure.message}" if procedure.level else ""
+            words += f"; {count} received" if count != captured else ""
         if heard.missing:
             words += f"; {heard.missing} more were published before anybody listened, or were lost"
         drawn = self._thinned.step
@@ -351,13 +356,14 @@ def node_table(states: Sequence[NodeState], now: float) -> str:
             mark, color, word = *_SILENT, f"silent for {silent:.0f} s"
         else:
             mark, color, word = _LEVELS[min(one.level, 2)]
-        told = [f"{key.replace('_', ' ')} {one.entries[key]}" for key in _TOLD.get(one.kind, ()) if _says(one, key)]
+        told = [f"{key} {one.entries[key]}{_UNITS.get(key, '')}" for key in _TOLD.get(one.kind, ()) if _says(one, key)]
         if _says(one, "ignored"):
             told.append(f"{one.entries['ignored']} messages ignored ({one.entries.get('ignored_last', '')})")
         more = f' <span class="note">{escape("; ".join(told))}</span>' if told else ""
         device = f' <span class="note">({escape(one.device)})</span>' if one.device else ""
         rows += (
-            f'<tr><td><span style="color:{color}">{mark}</span> {escape(one.node)}{device}</td>'
+            f'<tr><td><span style="white-space:nowrap"><span style="color:{color}">{mark}</span> {escape(one.node)}</span>'
+            f"{device}</td>"
             f'<td style="white-space:nowrap">{escape(word)}</td><td>{escape(one.message)}{more}</td></tr>'
         )
     head = "<th>node</th><th>state</th><th>what it says</th>"
@@ -387,7 +393,7 @@ def answer_words(message: str) -> str:
         return str(content["summary"])
     told = []
     for key, value in content.items():
-        name = key.replace("_", " ")
+        name = key.replace("_", " ").replace("rms", "RMS")
         if isinstance(value, float):
             told.append(f"{name} {quantity(value, 'm') if key.startswith('rms') else rounded(value)}")
         elif isinstance(value, list):
