@@ -362,8 +362,8 @@ def node_table(states: Sequence[NodeState], now: float) -> str:
         more = f' <span class="note">{escape("; ".join(told))}</span>' if told else ""
         device = f' <span class="note">({escape(one.device)})</span>' if one.device else ""
         rows += (
-            f'<tr><td><span style="white-space:nowrap"><span style="color:{color}">{mark}</span> {escape(one.node)}</span>'
-            f"{device}</td>"
+            f'<tr><td><span style="white-space:nowrap"><span style="color:{color}">{mark}</span> '
+            f"{escape(one.node)}</span>{device}</td>"
             f'<td style="white-space:nowrap">{escape(word)}</td><td>{escape(one.message)}{more}</td></tr>'
         )
     head = "<th>node</th><th>state</th><th>what it says</th>"
