@@ -224,11 +224,12 @@ class Feed:
             self.trouble = f"ROS 2 does not start here: {' '.join(str(error).split())}"
 
     def _calculate(self) -> None:
-        begin, published = time.monotonic(), self.heard.published.number
+        begin, run, published = time.monotonic(), self.heard.count[0], self.heard.published.number
         try:
             found = LiveMap.of_session(_session(*self.heard.session()), self._variant, self._own)
             self.why_not = ""
-            if published == self.heard.published.number:  # else the estimator's map is newer
+            # Else another session has begun, or the estimator's map is newer.
+            if (run, published) == (self.heard.count[0], self.heard.published.number):
                 self._show(found)
         except CalibrationError as error:
             self.why_not = str(error)
