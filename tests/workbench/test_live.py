@@ -82,6 +82,15 @@ def test_what_is_no_reading_or_no_description_is_refused_and_changes_nothing(ses
     assert heard.count[1] == 3 and heard.setups == session.setup_ids
 
 
+def test_readings_of_earlier_releases_name_their_setup_in_the_header(session: Session) -> None:
+    heard = Heard()
+    for k, frame in enumerate(("first", "second", "first")):
+        heard.read(START + k, Reading(frame, ("displacement",), (1e-3,)))
+    heard.describe(description_yaml(session.description))
+    heard.read(START + 9, Reading(session.setup_ids[2], ("displacement",), (1e-3,)))
+    assert [setup for setup, _ in heard.rows(-1, 0)[2]] == [0, 1, 0, 2]
+
+
 def state(node: str, kind: str, at: float, *, repeats: bool, message: str = "measuring") -> NodeState:
     return NodeState(node, kind, 0, message, at=at, repeats=repeats)
 
@@ -219,6 +228,10 @@ def test_what_was_heard_becomes_a_session_once(
     monkeypatch.chdir(tmp_path)
     with pytest.raises(CalibrationError, match="no readings"):
         feed.keep()
+    tell(feed.heard, session, slice(0, 20))
+    with pytest.raises(CalibrationError, match="needs at least 2"):
+        feed.keep()
+    assert not list(tmp_path.iterdir()), "what does not suffice is not written"
     tell(feed.heard, session)
     kept = feed.keep()
     assert feed.keep() == kept
@@ -241,9 +254,9 @@ def test_the_graphs_own_recording_is_opened_where_it_is_finished_and_whole(
     assert feed.keep() != bag, "it lacks what was heard"
     whole = tmp_path / "whole"
     session_to_bag(session, whole, start=START)
-    tell(feed.heard, session, slice(0, 260))
     feed.heard.say(NodeState("recorder", "recorder", 0, "recording", {"bag": str(whole)}, at=2.0, repeats=True))
-    assert feed.keep() == whole
+    tell(feed.heard, session, slice(0, 20), start=START + 10**12)
+    assert feed.keep() == whole, "though what was heard does not suffice"
 
 
 def test_without_ros_the_page_says_so_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -164,7 +164,7 @@ class LivePage:
 
     def _say_progress(self) -> None:
         """How far the measurement is, and what became of its readings."""
-        heard, why_not = self._feed.heard, self._feed.why_not
+        heard = self._feed.heard
         procedure, count = heard.newest("procedure"), self._known
         entries = procedure.entries if procedure else {}
         captured, total = (
@@ -182,7 +182,7 @@ class LivePage:
         drawn = self._thinned.step
         words += f"; of {drawn} one is drawn" if drawn > 1 else ""
         self._count.object = escape(words)
-        self._take.disabled = not count or bool(why_not) or self._feed.map is None
+        self._take.disabled = not count
         self._map_words.object = self._about_map()
         self._setups.object = self._setup_table()
 

@@ -181,14 +181,13 @@ class Feed:
         """A file or folder with the readings so far: the graph's own recording if it is finished, else a new session.
 
         Raises:
-            CalibrationError: they are no session, or it cannot be written.
+            CalibrationError: they do not suffice, or cannot be written.
         """
         count = self.heard.count
         if self._kept is not None and self._kept[0] == count and self._kept[1].exists():
             return self._kept[1]
-        description, readings = self.heard.session()
-        session = _session(description, readings)
-        path = self._recording(session) or _written(session)
+        heard = self.heard.session()
+        path = self._recording(_session(*heard, check=False)) or _written(_session(*heard))
         self._kept = count, path
         return path
 
@@ -244,12 +243,12 @@ class Feed:
         self.map, self.number = found, self.number + 1
 
 
-def _session(description: str, readings: Sequence[Reading]) -> Session:
+def _session(description: str, readings: Sequence[Reading], *, check: bool = True) -> Session:
     if not readings:
         raise CalibrationError("no readings have come yet")
     if not description:
         raise CalibrationError("no session has been described yet (topic session)")
-    return live_session(description, readings)
+    return live_session(description, readings, check=check)
 
 
 def _written(session: Session) -> Path:
