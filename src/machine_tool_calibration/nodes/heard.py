@@ -6,6 +6,7 @@ One thread hears, others look. Needs no ROS.
 
 from __future__ import annotations
 
+import re
 import threading
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -17,7 +18,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.session.collect import Reading, Received
 from machine_tool_calibration.session.parse import parse_description
 
-__all__ = ["SERVICES", "Call", "Heard", "NodeState", "Offer", "Published"]
+__all__ = ["SERVICES", "Call", "Heard", "NodeState", "Offer", "Published", "whole_number"]
 
 SERVICES: Mapping[str, Mapping[str, bool]] = {
     "estimator": dict.fromkeys(("identify", "compare", "diagnose", "improve", "reset"), False),
@@ -28,6 +29,11 @@ SERVICES: Mapping[str, Mapping[str, bool]] = {
 _SILENT = 5.0  # s; a node says how it is once a second
 _NODES = 200  # that are kept
 _CALLS = 6
+
+
+def whole_number(text: str) -> int:
+    """A count as a status holds it; 0 for anything else."""
+    return int(text) if re.fullmatch("[0-9]{1,18}", text) else 0
 
 
 @dataclass(frozen=True)
@@ -53,6 +59,10 @@ class NodeState:
     device: str = ""
     at: float = 0.0
     repeats: bool = False
+
+    def number(self, key: str) -> int:
+        """A count among the values; 0 where it is missing or none."""
+        return whole_number(self.entries.get(key, ""))
 
     def silent(self, now: float) -> float:
         """How long a node has said nothing that should have spoken, s; 0 if it speaks."""

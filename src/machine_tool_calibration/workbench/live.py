@@ -20,7 +20,6 @@ from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.nodes.heard import Call, NodeState, Offer
 from machine_tool_calibration.plots.residuals import planes
 from machine_tool_calibration.plots.style import spaced
-from machine_tool_calibration.reports.identification import summary_rows
 from machine_tool_calibration.reports.quantities import quantity, rounded
 from machine_tool_calibration.workbench.live_feed import Feed
 from machine_tool_calibration.workbench.look import bar_button, new_figure, setup_color, text, when_changed
@@ -166,15 +165,12 @@ class LivePage:
         """How far the measurement is, and what became of its readings."""
         heard = self._feed.heard
         procedure, count = heard.newest("procedure"), self._known
-        entries = procedure.entries if procedure else {}
-        captured, total = (
-            int(entries[key]) if entries.get(key, "").isdecimal() else 0 for key in ("captured", "total")
-        )
+        captured, total = (procedure.number(key) if procedure else 0 for key in ("captured", "total"))
         self._bar.visible = total > 0
         self._bar.value = min(100 * captured // total, 100) if total else 0
         words = f"{count} readings"
         if procedure and total:
-            words = f"{captured} of {total} readings, {entries.get('state', '')}"
+            words = f"{captured} of {total} readings, {procedure.entries.get('state', '')}"
             words += f": {procedure.message}" if procedure.level else ""
             words += f"; {count} received" if count != captured else ""
         if heard.missing:
@@ -195,7 +191,7 @@ class LivePage:
         if found is None:
             return said
         factor = magnification([found.error_map])
-        rows = summary_rows(dict(found.document)) if found.document else []
+        rows = list(found.rows)
         if factor:
             rows.append(("drawn", f"{spaced(factor)} times magnified; ellipses: U (k = 2)"))
         body = "".join(f"<tr><td>{escape(name)}</td><td>{escape(value)}</td></tr>" for name, value in rows)
@@ -206,16 +202,16 @@ class LivePage:
         if not self._counts:
             return ""
         found = self._feed.map
-        unit, rows = ("mm" if self._factor == 1e3 else "µm"), ""
+        rows = ""
         for setup, (count, last) in sorted(self._counts.items()):
             own = found.residual[found.setup == setup] if found is not None else np.zeros(0)
             left = f"{1e6 * rms(own):.3f}" if len(own) else ""
             mark = f'<span style="color:{setup_color(setup)}">■</span>'
             rows += (
                 f"<tr><td>{mark} {escape(self._name(setup))}</td><td>{count}</td>"
-                f"<td>{self._factor * last:.4f}</td><td>{left}</td></tr>"
+                f"<td>{_displacement(last)}</td><td>{left}</td></tr>"
             )
-        head = "".join(f"<th>{one}</th>" for one in ("setup", "readings", f"last / {unit}", "RMS residual / µm"))
+        head = "".join(f"<th>{one}</th>" for one in ("setup", "readings", "last one", "RMS residual / µm"))
         return f"<h3>Setups</h3><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
 
     def _name(self, setup: int) -> str:
@@ -255,7 +251,7 @@ class LivePage:
             "value": [self._factor * value for _, value in some],
             "color": [setup_color(setup) for setup, _ in some],
             "setup": [self._name(setup) for setup, _ in some],
-            "shown": [quantity(value, "m") for _, value in some],
+            "shown": [_displacement(value) for _, value in some],
         }
 
     def _draw_residuals(self) -> None:
@@ -324,6 +320,13 @@ class LivePage:
             self._work.say(f"{path} is open in the other pages.")
 
         self._work.run("taking the readings over", lambda progress: open_it(self._feed.keep()), use)
+
+
+def _displacement(value: float) -> str:
+    """To a tenth of a micrometre, as long as it may be."""
+    if np.isnan(value):
+        return "lost"
+    return f"{1e3 * value:.4f} mm" if abs(value) > _LONG else quantity(value, "m")
 
 
 def _where(feed: Feed, states: Sequence[NodeState]) -> str:
