@@ -66,6 +66,15 @@ def test_readings_come_once_however_often_they_are_sent_and_another_session_begi
     assert again != run and known == 0 and len(rows) == 2
 
 
+def test_a_replay_that_begins_anew_is_seen_to_grow_again(session: Session) -> None:
+    heard = Heard()
+    for _ in range(2):
+        tell(heard, session, slice(0, 6))
+    tell(heard, session, slice(0, 2))
+    run, _, rows = heard.rows(-1, 0)
+    assert (run, len(rows), heard.count) == (2, 2, (2, 2))
+
+
 def test_readings_that_were_missed_are_counted(session: Session) -> None:
     heard = Heard()
     tell(heard, session, slice(4, 10))

@@ -125,6 +125,7 @@ class Heard:
         self._received = Received()
         self._rows: list[tuple[int, float]] = []
         self._run = 0
+        self._first: int | None = None
         self._frames: list[str] = []
         self._spoken: dict[str, NodeState] = {}
         self._said: dict[str, NodeState] = {}
@@ -162,10 +163,15 @@ class Heard:
         columns = dict(zip(reading.names, reading.values, strict=True))
         index, displacement = columns.get("setup_index", np.nan), columns.get("displacement", np.nan)
         with self._lock:
-            if self._received.add(stamp, reading):
+            # The first one again: a replay has begun anew.
+            again = stamp == self._first and len(self._received) > 1
+            received = Received() if again else self._received
+            if received.add(stamp, reading) or again:
+                self._received = received
                 self._rows, self._frames, self._run = [], [], self._run + 1
             if len(self._received) > len(self._rows):
                 setup = int(index) if np.isfinite(index) else self._of_frame(reading.frame)
+                self._first = stamp if not self._rows else self._first
                 self._rows.append((setup, displacement))
 
     def _of_frame(self, frame: str) -> int:
