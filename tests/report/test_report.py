@@ -14,7 +14,7 @@ from typing import Any
 import html5lib
 import pypdf
 import pytest
-from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from machine_tool_calibration.budget.contributor import default_budget
@@ -60,7 +60,7 @@ def rough_pictures() -> Iterator[None]:
         return drawn[alike]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ConstrainedLayoutEngine, "execute", lambda self, fig: None)
+        patch.setattr(Figure, "get_layout_engine", lambda figure: None)
         patch.setattr(figures, "_DPI", 50)
         patch.setattr(Picture, "_saved", saved)
         yield
