@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+import importlib.metadata
 import shutil
 import signal
 import subprocess
@@ -39,7 +40,6 @@ Write = Callable[..., None]
 def verb(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Write:
     """Writes a verb into a folder of verbs of its own."""
     monkeypatch.setattr(cli, "__path__", [str(tmp_path)])
-    monkeypatch.setattr(verbs.Verbs, "_modules", lambda self: verbs._built_in())
     monkeypatch.setattr(group, "_plugins", None)
 
     def write(name: str, body: str = "pass", source: str | None = None) -> None:
@@ -97,6 +97,19 @@ def test_help_imports_no_verb(verb: Write, capsys: pytest.CaptureFixture[str]) -
     verb("bad", source='raise RuntimeError("imported")\ndef command():\n    """A verb."""\n')
     assert run(["--help"]) == 0
     assert "A verb" in capsys.readouterr().out
+
+
+def test_only_the_verb_that_is_asked_for_is_read(verb: Write, monkeypatch: pytest.MonkeyPatch) -> None:
+    verb("good")
+    verb("other")
+    read = []
+    summary = verbs._summary
+    monkeypatch.setattr(verbs, "_summary", lambda source: read.append(source.stem) or summary(source))
+    assert run(["good"]) == 0
+    assert run(["good", "--help"]) == 0
+    assert set(read) == {"good"}
+    assert run(["--help"]) == 0
+    assert set(read) == {"good", "other"}
 
 
 @pytest.mark.parametrize(
@@ -207,7 +220,7 @@ def test_exit_status_of_a_verb(verb: Write, body: str, status: int) -> None:
 
 def plugins(monkeypatch: pytest.MonkeyPatch, **values: str) -> None:
     found = [EntryPoint(name, value, verbs.PLUGIN_GROUP) for name, value in values.items()]
-    monkeypatch.setattr(verbs, "entry_points", lambda *, group: found if group == verbs.PLUGIN_GROUP else [])
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda *, group: found if group == verbs.PLUGIN_GROUP else [])
 
 
 def test_plugins(verb: Write, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.cli.main import run
+from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.planning.forecast import forecast, planned_session
 from machine_tool_calibration.procedure import plan, read_procedure
@@ -86,6 +87,16 @@ def test_a_plan_that_cannot_be(tmp_path: Path, capsys: pytest.CaptureFixture[str
     (tmp_path / "wrong.yaml").write_text(text.replace("last: 0.4, count: 6}\n    y", "last: 0.9, count: 6}\n    y"))
     assert run(["plan", str(tmp_path / "wrong.yaml")]) == 1
     assert "outside the travel" in capsys.readouterr().err
+
+
+def test_a_plan_too_large_to_forecast_is_refused_before_its_steps_are_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("machine_tool_calibration.planning.forecast._MOST_READINGS", 999)
+    procedure = read_procedure(ROOT / "config" / "procedures" / "tracking_3d.yaml")
+    with pytest.raises(SessionError, match="has more than 999 readings, which are too many to forecast"):
+        planned_session(procedure)
+    steps = plan(procedure).steps
+    assert len(steps) == 1000
+    assert plan(procedure, 1000).steps == steps
 
 
 def test_points_of_a_description(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

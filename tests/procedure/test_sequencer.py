@@ -123,6 +123,45 @@ def test_a_partner_that_died_is_named_and_the_procedure_can_be_resumed(partner):
     world.check()
 
 
+class Slow(World):
+    """Its instrument answers every request later than the procedure repeats it."""
+
+    DELAY = 1.2 * QUICK.answer
+
+    def run(self, turns=200_000):
+        self.late = []
+        super().run(turns)
+
+    def post(self, to, content):
+        if to == "procedure" and hasattr(content, "token"):
+            self.late.append((self.wall + self.DELAY, content))
+        else:
+            super().post(to, content)
+
+    def heartbeat(self):
+        super().heartbeat()
+        for due, content in [entry for entry in self.late if entry[0] <= self.wall]:
+            self.late.remove((due, content))
+            self.deliver("procedure", content)
+
+
+@pytest.mark.parametrize("mishap", ["", "lose_datum", "restart_instrument", "restart_axes"])
+def test_an_instrument_that_answers_late_is_heard(mishap):
+    world = Slow(small(), timing=QUICK)
+    deliver, mishaps = world.deliver, [mishap] if mishap else []
+
+    def delivered(to, content):
+        if len(world.emitted) == 9 and mishaps:
+            getattr(world, mishaps.pop())()
+        deliver(to, content)
+
+    world.deliver = delivered
+    world.run()
+    assert world.sequencer.state is State.FINISHED, world.sequencer.message
+    world.check()
+    assert world.sequencer.counters.resent >= len(world.plan.steps)
+
+
 def test_pause_and_resume():
     world = World(small())
     deliver = world.deliver

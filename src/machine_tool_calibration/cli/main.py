@@ -3,7 +3,7 @@
 
 A verb is a module of this package that defines `command`, or a plugin of the entry-point group
 `machine_tool_calibration.commands`. Verbs are imported when they run; the list of `mtcal --help` is read from their
-source, so that it comes at once and a broken verb harms no other.
+source, so that it comes at once and a broken verb harms no other. What is not asked for is neither read nor imported.
 """
 
 from __future__ import annotations
@@ -17,15 +17,17 @@ import sys
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
 from machine_tool_calibration import __version__, cli
 from machine_tool_calibration.cli.output import note, one_line
 from machine_tool_calibration.errors import CalibrationError, did_you_mean
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 __all__ = ["PLUGIN_GROUP", "OutputClosedError", "Verbs", "group", "main", "run"]
 
@@ -60,7 +62,6 @@ class Verbs(click.Group):
 
     def __init__(self, *args: object, **kwargs: object) -> None:
         super().__init__(*args, **kwargs)  # type: ignore[arg-type]
-        self._found: dict[str, _BuiltIn] | None = None
         self._plugins: dict[str, EntryPoint] | None = None
 
     def invoke(self, ctx: click.Context) -> Any:
@@ -78,7 +79,8 @@ class Verbs(click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Names of the verbs, plugins last."""
-        return [*sorted(self._modules()), *sorted(self._entry_points())]
+        own = sorted(_built_in())
+        return [*own, *sorted(set(self._entry_points()) - set(own))]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """The verb of that name; None if there is none.
@@ -86,8 +88,9 @@ class Verbs(click.Group):
         Raises:
             CalibrationError: the verb is there but cannot be loaded.
         """
-        if cmd_name in self._modules():
-            return _load(cmd_name, self._modules()[cmd_name].module)
+        verb = _built_in(cmd_name).get(cmd_name)
+        if verb is not None:
+            return _load(cmd_name, verb.module)
         if cmd_name in self._entry_points():
             return _load_plugin(self._entry_points()[cmd_name])
         return None
@@ -100,7 +103,7 @@ class Verbs(click.Group):
         if name in _LIGHT:
             # To start the threads of a linear algebra that is not needed takes a tenth of a second.
             os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-        if name not in self._modules():
+        if name not in _built_in(name):
             hint = did_you_mean(name, self.list_commands(ctx))
             if hint and not ctx.resilient_parsing and self.get_command(ctx, name) is None:
                 ctx.fail(f"No such command {name!r}{hint}")
@@ -108,7 +111,7 @@ class Verbs(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the verbs by what they are for, without importing those of this package."""
-        summaries = {name: verb.summary for name, verb in self._modules().items()}
+        summaries = {name: verb.summary for name, verb in _built_in().items()}
         known = [name for names in SECTIONS.values() for name in names]
         sections = SECTIONS | {"More": tuple(sorted(set(summaries) - set(known)))}
         for title, names in sections.items():
@@ -116,33 +119,33 @@ class Verbs(click.Group):
             if rows:
                 with formatter.section(title):
                     formatter.write_dl(rows)
-        plugins = [(name, _load_plugin(entry)) for name, entry in sorted(self._entry_points().items())]
+        entries = sorted(self._entry_points().items())
+        plugins = [(name, _load_plugin(entry)) for name, entry in entries if name not in summaries]
         rows = [(name, _first_sentence(_paragraph(command.help))) for name, command in plugins if command is not None]
         if rows:
             with formatter.section("Plugins"):
                 formatter.write_dl(rows)
 
-    def _modules(self) -> dict[str, _BuiltIn]:
-        if self._found is None:
-            self._found = _built_in()
-        return self._found
-
     def _entry_points(self) -> dict[str, EntryPoint]:
         if self._plugins is None:
-            found = entry_points(group=PLUGIN_GROUP)
-            self._plugins = {entry.name: entry for entry in found if entry.name not in self._modules()}
+            from importlib.metadata import entry_points  # here, because most starts ask for a verb of this package
+
+            self._plugins = {entry.name: entry for entry in entry_points(group=PLUGIN_GROUP)}
         return self._plugins
 
 
-def _built_in() -> dict[str, _BuiltIn]:
-    """The verbs among the modules of this package, by name."""
+def _built_in(only: str | None = None) -> dict[str, _BuiltIn]:
+    """The verbs among the modules of this package, by name; with `only` that one alone, if it is a verb."""
     verbs = {}
     for path in cli.__path__:
         for module in pkgutil.iter_modules([path]):
+            name = module.name.replace("_", "-")
+            if module.name.startswith("_") or only not in (None, name):
+                continue
             file = f"{module.name}/__init__.py" if module.ispkg else f"{module.name}.py"
             summary = _summary(Path(path) / file)
-            if summary is not None and not module.name.startswith("_"):
-                verbs[module.name.replace("_", "-")] = _BuiltIn(f"{cli.__name__}.{module.name}", summary)
+            if summary is not None:
+                verbs[name] = _BuiltIn(f"{cli.__name__}.{module.name}", summary)
     return verbs
 
 
@@ -240,6 +243,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
         line; 130 interrupted; 141 the reader of standard output went away.
     """
     _show_what_the_terminal_can()
+    # To look for them goes through every installed package, and no record of ours is changed by one.
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     try:
         with warnings.catch_warnings():
             # NumPy's, of an overflow or a 0 in a divisor: what comes of it is judged where it is used.

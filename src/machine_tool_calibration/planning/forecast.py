@@ -55,6 +55,8 @@ _SEED = 0
 # How fast machine, table and workpiece follow the air.
 _FOLLOWS = {"air": 1.0, "x": 0.7, "y": 0.6, "z": 0.5, "table": 0.4, "work": 0.8}
 _OFF = 0.5  # K above 20 degrees Celsius at the start
+# More than a day of stops of a second each; ten seconds of computing and less than a gigabyte.
+_MOST_READINGS = 100_000
 
 
 @dataclass(frozen=True)
@@ -78,14 +80,14 @@ def planned_session(procedure: Procedure, warming: float = 1.0) -> Planned:
         warming: change of the air's temperature that is assumed, K per hour; the machine follows more slowly.
 
     Raises:
-        SessionError: the procedure cannot be run, or gives no map.
+        SessionError: the procedure cannot be run, gives no map, or has more readings than can be forecast.
     """
     if procedure.path.azimuth is not None:
         raise SessionError(
             f"procedure {procedure.name}: path.azimuth is to find a pointer's centre or zero (mtcal align-pointer); no "
             "errors of the machine come out of it that could be forecast"
         )
-    made = plan(procedure)
+    made = plan(procedure, _MOST_READINGS)
     steps, description = made.steps, procedure.session
     setups: tuple[Any, ...] = description.setups
     ids = {entry.id: k for k, entry in enumerate(setups)}
@@ -191,7 +193,7 @@ def _zeros(description: Description, setup: IntArray, repeat: IntArray, labels: 
 _SEEN = 1e-4
 _POWER = 0.8
 # Numbers in the columns of effects that are kept in memory at a time.
-_HELD = 20_000_000
+_HELD = 8_000_000
 
 
 @dataclass(frozen=True)

@@ -273,7 +273,7 @@ _SPEED = {"linear": 0.25, "rotary": 1.0}
 _ACCELERATION = {"linear": 1.0, "rotary": 5.0}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Step:
     """One target to be measured.
 
@@ -324,12 +324,16 @@ class Plan:
         return self.ends[-1] if self.ends else 0.0
 
 
-def plan(procedure: Procedure) -> Plan:
+def plan(procedure: Procedure, most: int | None = None) -> Plan:
     """Make the steps of a procedure.
 
+    Args:
+        procedure: what is to be measured.
+        most: refuse more readings than these.
+
     Raises:
-        SessionError: a target is outside the machine's travel or names an axis that the machine does not have, or the
-            path is not one of the method.
+        SessionError: a target is outside the machine's travel or names an axis that the machine does not have, the
+            path is not one of the method, or there are too many readings.
     """
     maker = method_spec(procedure.session.method).steps
     if maker is None:
@@ -341,7 +345,12 @@ def plan(procedure: Procedure) -> Plan:
             f"procedure {procedure.name}: path.azimuth is for an open-loop pointer in the plane, to find its rotation "
             "centre and zero angle"
         )
-    steps = tuple(load(maker)(procedure))
+    steps = tuple(itertools.islice(load(maker)(procedure), None if most is None else most + 1))
+    if most is not None and len(steps) > most:
+        raise SessionError(
+            f"procedure {procedure.name}: has more than {most} readings, which are too many to forecast; a coarser grid, "
+            "fewer repeats or fewer setups tell as much: uncertainties fall with the root of the number of readings"
+        )
     limits = axis_limits(procedure)
     return Plan(procedure, steps, limits, _ends(steps, limits, procedure.motion.dwell))
 

@@ -84,7 +84,11 @@ class Visit:
 
 @dataclass
 class Pending:
-    """Answers that the current phase waits for."""
+    """Answers that the current phase waits for.
+
+    A request that was sent again, because its answer was late, has several tokens: `first` to `token`; whichever of
+    them is answered counts. `zeroing` is the first token of the datum that was asked for at this place.
+    """
 
     phase: Phase = Phase.NONE
     motion: Motion | None = None
@@ -93,6 +97,8 @@ class Pending:
     arrived: Arrived | None = None
     aimed: int | None = None
     token: int = -1
+    first: int = -1
+    zeroing: int = -1
     reason: str = ""
     stale: int = 0
     since: float = 0.0

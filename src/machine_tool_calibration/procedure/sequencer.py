@@ -168,7 +168,7 @@ class Sequencer:
         self.counters.resent += 1
         pending.sent = wall
         if pending.phase is not Phase.MOVE:
-            return self._ask(pending.phase, wall, again=True)
+            return self._ask(pending.phase, wall, repeated=True)
         actions: list[Action] = []
         if pending.arrived is None and pending.motion is not None:
             actions.append(pending.motion)
@@ -273,19 +273,27 @@ class Sequencer:
         self.waiting_for = ""
         return self._ask(Phase.DATUM if self._visits[0].datum else Phase.CAPTURE, wall)
 
-    def _ask(self, phase: Phase, wall: float, *, again: bool = False) -> list[Action]:
+    def _ask(self, phase: Phase, wall: float, *, repeated: bool = False) -> list[Action]:
+        """Ask the instrument; a repeated request is the same one, whose answer may only be late."""
         self._token += 1
         pending = self._pending
         pending.token = self._token
+        if not repeated:
+            pending.first = self._token
         if pending.phase is not phase:
-            pending.since = wall
+            pending.since, pending.expected = wall, 0.0
+            if phase is Phase.DATUM:
+                pending.zeroing = self._token
         pending.phase, pending.sent = phase, wall
-        if not again:
-            pending.expected = 0.0
         return [SetDatum(self._token) if phase is Phase.DATUM else Capture(self._token)]
 
     def _datum_set(self, event: DatumSet, now: int, wall: float) -> list[Action]:
-        if self._pending.phase is not Phase.DATUM or event.token != self._pending.token:
+        pending = self._pending
+        if pending.phase is Phase.CAPTURE and 0 <= pending.zeroing <= event.token < pending.first:
+            # the request was repeated and is carried out twice: readings count from the later datum
+            self._group.datum = event.datum
+            return []
+        if pending.phase is not Phase.DATUM or not self._is_asked(event.token):
             return []
         if self._is_stale(event):
             return self._ask_again(now, wall)
@@ -295,7 +303,7 @@ class Sequencer:
 
     def _captured(self, event: Captured, now: int, wall: float) -> list[Action]:
         pending = self._pending
-        if pending.phase is not Phase.CAPTURE or event.token != pending.token:
+        if pending.phase is not Phase.CAPTURE or not self._is_asked(event.token):
             return []
         if event.datum != self._group.datum:
             return self._recover("the instrument has lost its datum", now, wall)
@@ -318,7 +326,11 @@ class Sequencer:
         pending.stale += 1
         if pending.stale % _STALE_BEFORE_HOLD == 0:
             return self._hold(now, wall)
-        return self._ask(pending.phase, wall, again=True)
+        return self._ask(pending.phase, wall)
+
+    def _is_asked(self, token: int) -> bool:
+        """Whether an answer belongs to the present request, as it was first sent or repeated."""
+        return self._pending.first <= token <= self._pending.token
 
     def _is_stale(self, event: Captured | DatumSet) -> bool:
         """Whether the reading began before the axes and the beam were at rest, or does not know it yet."""
@@ -353,7 +365,7 @@ class Sequencer:
     # --- what goes wrong
 
     def _capture_failed(self, event: CaptureFailed, now: int, wall: float) -> list[Action]:
-        if self._pending.phase not in (Phase.DATUM, Phase.CAPTURE) or event.token != self._pending.token:
+        if self._pending.phase not in (Phase.DATUM, Phase.CAPTURE) or not self._is_asked(event.token):
             return []
         if event.kind == "unstable":
             self.counters.unstable += 1

@@ -25,7 +25,6 @@ from mcap.records import (
     Footer,
     Header,
     McapRecord,
-    MessageIndex,
     Metadata,
     MetadataIndex,
     Schema,
@@ -38,6 +37,8 @@ __all__ = ["MAGIC", "McapFile"]
 MAGIC = b"\x89MCAP0\r\n"
 _MESSAGE = struct.Struct("<BQHIQQ")
 _BEFORE_DATA = 22  # bytes of a message record between its length and its data
+_INDEX = struct.Struct("<BQHI")
+_BEFORE_ENTRIES = 6  # bytes of a message index between its length and its entries
 _LIBRARY = "libmcap 1.3.1; machine_tool_calibration"  # rosbag2's library in Jazzy, whose layout this is
 
 
@@ -73,11 +74,10 @@ class McapFile:
         self._channels: dict[int, Channel] = {}
         self._counts: defaultdict[int, int] = defaultdict(int)
         self._chunk = bytearray()
-        self._index: defaultdict[int, list[tuple[int, int]]] = defaultdict(list)
+        self._index: defaultdict[int, list[int]] = defaultdict(list)  # time and place in the chunk, in turn
         self._chunk_indexes: list[ChunkIndex] = []
         self._metadata_indexes: list[MetadataIndex] = []
         self._first, self._last = 2**64 - 1, 0
-        self._chunk_first, self._chunk_last = 2**64 - 1, 0
         self._write(MAGIC + _bytes(Header("ros2", _LIBRARY)))
 
     @property
@@ -92,12 +92,12 @@ class McapFile:
 
     @property
     def messages(self) -> int:
-        """Messages so far."""
+        """Messages in the chunks that are written."""
         return sum(self._counts.values())
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """Messages so far by topic."""
+        """Messages in the chunks that are written, by topic."""
         return {self._channels[channel].topic: count for channel, count in self._counts.items()}
 
     def add_schema(self, name: str, encoding: str, text: bytes) -> int:
@@ -122,14 +122,11 @@ class McapFile:
 
     def add_message(self, channel: int, data: bytes, log_time: int, publish_time: int, sequence: int) -> None:
         """Put a message into the chunk; times in ns."""
-        self._index[channel].append((log_time, len(self._chunk)))
+        self._index[channel] += (log_time, len(self._chunk))
         self._chunk += _MESSAGE.pack(
             Opcode.MESSAGE, _BEFORE_DATA + len(data), channel, sequence & 0xFFFFFFFF, log_time, publish_time
         )
         self._chunk += data
-        self._counts[channel] += 1
-        self._chunk_first = min(self._chunk_first, log_time)
-        self._chunk_last = max(self._chunk_last, log_time)
 
     def end_chunk(self) -> None:
         """Compress and write what is pending, with its index; registrations alone wait for a message.
@@ -138,11 +135,11 @@ class McapFile:
             OSError: it could not be written; the chunk is lost and the file ends before it.
         """
         content, index = bytes(self._chunk), self._index
-        first, last = self._chunk_first, self._chunk_last
         if not index:
             return
+        first = min(min(entries[::2]) for entries in index.values())
+        last = max(max(entries[::2]) for entries in index.values())
         self._chunk, self._index = bytearray(), defaultdict(list)
-        self._chunk_first, self._chunk_last = 2**64 - 1, 0
         packed = self._compressor.compress(content)
         chunk = _bytes(
             Chunk(
@@ -156,20 +153,22 @@ class McapFile:
         )
         start = self._size
         offsets: dict[int, int] = {}
-        builder = RecordBuilder()
+        indexes = bytearray()
         for channel, entries in index.items():
-            offsets[channel] = start + len(chunk) + builder.count
-            MessageIndex(channel_id=channel, records=entries).write(builder)
-        indexes = _end(builder)
+            offsets[channel] = start + len(chunk) + len(indexes)
+            # by the million: the library's MessageIndex writes one number after the other
+            size = 8 * len(entries)
+            indexes += _INDEX.pack(Opcode.MESSAGE_INDEX, _BEFORE_ENTRIES + size, channel, size)
+            indexes += struct.pack(f"<{len(entries)}Q", *entries)
         try:
             # one write, so that a kill hardly ever falls into it
             self._write(chunk + indexes)
         except OSError:
-            for channel, entries in index.items():
-                self._counts[channel] -= len(entries)
             # the registrations may have been lost with the chunk, and a file without its end needs them
             self._chunk += _bytes(*self._schemas.values(), *self._channels.values())
             raise
+        for channel, entries in index.items():
+            self._counts[channel] += len(entries) // 2
         self._first, self._last = min(self._first, first), max(self._last, last)
         self._chunk_indexes.append(
             ChunkIndex(

@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, NamedTuple
 
 from mcap.records import Channel
 
@@ -57,8 +57,7 @@ class Topic:
         return bool(known.type_hash) and self.encoding == "cdr" and self.type_hash in ("", known.type_hash)
 
 
-@dataclass(frozen=True, slots=True)
-class Message:
+class Message(NamedTuple):
     """A message of a bag, still serialized; times in ns."""
 
     topic: str
@@ -115,15 +114,11 @@ class BagReader:
             return wanted is None or channel.topic in wanted
 
         for reader in self._readers:
-            for channel, message in reader.messages(None if wanted is None else is_wanted):
-                yield Message(
-                    channel.topic,
-                    self.topics[channel.topic].type,
-                    message.log_time,
-                    message.publish_time,
-                    message.sequence,
-                    message.data,
-                )
+            for channel, (_, sequence, log_time, publish_time, data) in reader.messages(
+                None if wanted is None else is_wanted
+            ):
+                topic = channel.topic
+                yield Message(topic, self.topics[topic].type, log_time, publish_time, sequence, data)
 
     def decode(self, message: Message) -> Any:
         """A message of a standard type, as the `rosbags` library gives it.

@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO, Protocol, TypeVar
+from typing import BinaryIO, NamedTuple, Protocol, TypeVar
 
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
@@ -145,15 +145,15 @@ def parse(path: Path, record: RawRecord, read: _Readable[Parsed]) -> Parsed:
 
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
+_IS_MESSAGE = int(Opcode.MESSAGE)  # what is compared for every message
 _CHUNK = struct.Struct("<QQQII")
 _LARGEST_CHUNK = 256 << 20
 _FREE = 1 << 30  # what a file may unpack to, whatever its size
 _RATIO = 200  # and per byte beyond that
 
 
-@dataclass(frozen=True, slots=True)
-class RawMessage:
-    """One message as it stands in the file; times in ns."""
+class RawMessage(NamedTuple):
+    """One message as it stands in the file; times in ns. They come by the million."""
 
     channel: int
     sequence: int
@@ -262,16 +262,17 @@ def messages_in(
         RecordingError: the chunk is damaged.
     """
     offset, end = 0, len(content)
+    heads, messages = _HEAD.unpack_from, _MESSAGE.unpack_from
     while offset < end:
         if end - offset < _HEAD.size:
             raise RecordingError(f"{path}: the chunk at byte {record.offset} is damaged")
-        opcode, length = _HEAD.unpack_from(content, offset)
+        opcode, length = heads(content, offset)
         start = offset + _HEAD.size
         offset = start + length
-        if offset > end or (opcode == Opcode.MESSAGE and length < _MESSAGE.size):
+        if offset > end or (opcode == _IS_MESSAGE and length < _MESSAGE.size):
             raise RecordingError(f"{path}: the chunk at byte {record.offset} is damaged")
-        if opcode == Opcode.MESSAGE:
-            channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(content, start)
+        if opcode == _IS_MESSAGE:
+            channel, sequence, log_time, publish_time = messages(content, start)
             if wanted is None or channel in wanted:
                 data = content[start + _MESSAGE.size : offset]
                 yield RawMessage(channel, sequence, log_time, publish_time, data)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Collection, Iterator
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -130,15 +131,22 @@ def _any(bag: BagReader, message: Message) -> list[dict[str, Any]]:
     row = _times(message)
     fields: dict[str, Any] = {}
     _fields(bag.decode(message), "", fields, 0)
-    row.update({_free(name, row): value for name, value in fields.items()})
-    return [row]
+    if not row.keys().isdisjoint(fields):
+        fields = {_free(name, row): value for name, value in fields.items()}
+    return [{**row, **fields}]
+
+
+@lru_cache(maxsize=1024)
+def _field_names(kind: type) -> tuple[str, ...]:
+    """The fields of a message's class; none of another value's."""
+    return tuple(name for name in getattr(kind, "__dataclass_fields__", ()) if not name.startswith("_"))
 
 
 def _fields(value: Any, name: str, row: dict[str, Any], depth: int) -> None:
-    if hasattr(value, "__dataclass_fields__") and depth < _DEPTH:
-        for field in value.__dataclass_fields__:
-            if not field.startswith("_"):
-                _fields(getattr(value, field), f"{name}.{field}" if name else field, row, depth + 1)
+    names = _field_names(value.__class__) if depth < _DEPTH else ()
+    if names:
+        for field in names:
+            _fields(getattr(value, field), f"{name}.{field}" if name else field, row, depth + 1)
     elif isinstance(value, list | np.ndarray | tuple):
         row[name] = json.dumps(_plain(value, depth), ensure_ascii=False)
     elif isinstance(value, bytes | bytearray):
@@ -153,7 +161,7 @@ def _plain(value: Any, depth: int) -> Any:
     if isinstance(value, list | tuple):
         return [_plain(entry, depth + 1) for entry in value]
     if hasattr(value, "__dataclass_fields__"):
-        fields = [field for field in value.__dataclass_fields__ if not field.startswith("_")]
+        fields = _field_names(value.__class__)
         return {field: _plain(getattr(value, field), depth + 1) for field in fields} if depth < _DEPTH else None
     if isinstance(value, float) and not math.isfinite(value):
         return None
@@ -211,7 +219,7 @@ def save_tables(
 
 
 def save_table(pieces: Iterator[pd.DataFrame], path: Path) -> None:
-    """Write a table in pieces; the ending says whether CSV or Parquet.
+    """Write a table in pieces; the ending says whether CSV or Parquet. Nothing is left of one that cannot be ended.
 
     Raises:
         RecordingError: it cannot be written, or Parquet is not installed.
@@ -223,6 +231,9 @@ def save_table(pieces: Iterator[pd.DataFrame], path: Path) -> None:
         part.replace(path)
     except OSError as error:
         raise RecordingError(f"{path}: cannot be written: {error.strerror}") from None
+    finally:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
 
 
 def _csv(pieces: Iterator[pd.DataFrame], path: Path) -> None:

@@ -73,6 +73,7 @@ class BagWriter:
         self._flush = flush_seconds
         self._chunk_bytes = chunk_bytes
         self._split_bytes, self._split_time = split_bytes, int(split_seconds * 1e9)
+        self._splits = bool(self._split_bytes or self._split_time)
         self._custom, self._distro = custom, distro
         self._topics: dict[str, _Topic] = {}
         self._channels: dict[str, int] = {}
@@ -166,16 +167,19 @@ class BagWriter:
         """
         if topic not in self._topics:
             raise RecordingError(f"{self.folder}: the topic {topic!r} was not registered")
-        file = self._open_file()
-        log_time = max(0, log_time)
-        summary = self._files[-1]
-        if self._is_full(file, summary, log_time):
+        file, summary = self._open_file(), self._files[-1]
+        if log_time < 0:
+            log_time = 0
+        if self._splits and self._is_full(file, summary, log_time):
             self._next()
             file, summary = self._open_file(), self._files[-1]
         file.add_message(self._channels[topic], data, log_time, max(0, publish_time or log_time), sequence)
         summary.messages += 1
         summary.by_topic[topic] = summary.by_topic.get(topic, 0) + 1
-        summary.first, summary.last = min(summary.first, log_time), max(summary.last, log_time)
+        if log_time < summary.first:
+            summary.first = log_time
+        if log_time > summary.last:
+            summary.last = log_time
         if file.pending >= self._chunk_bytes:
             self.flush()
         else:
