@@ -6,7 +6,6 @@ log, environment, arguments, middleware and exit status. Started as a program th
 argument is the name by which it is asked.
 """
 
-import gc
 import os
 import signal
 import subprocess
@@ -16,9 +15,6 @@ from functools import cache
 from importlib import import_module
 from multiprocessing.connection import Client, Connection, Listener
 from pathlib import Path
-
-from rcl_interfaces.msg import ParameterEvent
-from rclpy.type_support import check_for_type_support
 
 from machine_tool_calibration.nodes.graph import Graph, end_with_parent
 
@@ -84,8 +80,6 @@ def address() -> str:
 def serve(name: str) -> None:
     for node in NODES:
         import_module(f"machine_tool_calibration.nodes.{node}")
-    check_for_type_support(ParameterEvent)  # which every node publishes; loads what all types of messages need
-    gc.freeze()  # no node has to look through what all of them have imported
     with Listener("\0" + name, "AF_UNIX", backlog=20) as listener:
         signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # who keeps a node needs no keeper
         os.write(1, b"ready")
