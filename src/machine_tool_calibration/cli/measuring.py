@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from machine_tool_calibration.cli.output import error_console
+from machine_tool_calibration.cli.output import RosName, error_console
 from machine_tool_calibration.reports.identification import summary_rows
 
 if TYPE_CHECKING:
@@ -26,7 +26,9 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 def graph_options(function: Command) -> Command:
     """Add `--output`, `--domain-id` and `--namespace` to a verb."""
     for option in (
-        click.option("--namespace", default="", help="Namespace of all nodes, such as cell_1."),
+        click.option(
+            "--namespace", type=RosName(space=True), default="", help="Namespace of all nodes, such as cell_1."
+        ),
         click.option(
             "--domain-id",
             type=click.IntRange(0, 232),
