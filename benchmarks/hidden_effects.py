@@ -29,6 +29,7 @@ from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.methods.identify import build_model, identify
 from machine_tool_calibration.model.fit import fit_models, screen
+from machine_tool_calibration.model.result import EffectSet
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import FLAWS, PRESETS, FlawSpec, SimulationSpec, Spread, simulate
@@ -170,7 +171,9 @@ def run(trial: Trial) -> Outcome:
         seconds = time.perf_counter() - start
         outcome = _judged(trial, found, seconds)
         if trial.kind.startswith(("one", "two")):
-            before, after, known = map_ratios(base, session, ((), found.accepted, trial.effects))
+            # Published is the map over the sets of effects that the diagnosis holds possible, as `improve` does it.
+            added = (found.accepted, found.sets if found.accepted else ())
+            before, after, known = map_ratios(base, session, (((), ()), added, (trial.effects, ())))
             outcome = replace(outcome, before=before, after=after, known=known)
         return outcome
 
@@ -206,7 +209,9 @@ def _judged(trial: Trial, found: Diagnosis, seconds: float) -> Outcome:
     )
 
 
-def map_ratios(base: SimulationSpec, session: Session, models: Sequence[tuple[str, ...]]) -> list[float]:
+def map_ratios(
+    base: SimulationSpec, session: Session, models: Sequence[tuple[tuple[str, ...], tuple[EffectSet, ...]]]
+) -> list[float]:
     """Error of the map with some effects in the model, over its error in a session without any hidden effect.
 
     The reference is the map of the same machine from readings without noise and hidden effects, so that all have the
@@ -215,7 +220,7 @@ def map_ratios(base: SimulationSpec, session: Session, models: Sequence[tuple[st
     Args:
         base: the machine and the plan.
         session: the session with the hidden effects.
-        models: effects that are in each model.
+        models: effects that are in each model, and the sets over which its map is the mean; none for its own alone.
 
     Returns:
         One ratio for each; NaN where the session does not determine the model.
@@ -228,16 +233,16 @@ def map_ratios(base: SimulationSpec, session: Session, models: Sequence[tuple[st
         return float(np.sqrt(np.nanmean(((values - reference) / uncertainty) ** 2)))
 
     ratios = []
-    for effects in models:
+    for effects, sets in models:
         try:
-            ratios.append(error(_map(session, effects)[0]) / error(without))
+            ratios.append(error(_map(session, effects, sets)[0]) / error(without))
         except CalibrationError:
             ratios.append(np.nan)
     return ratios
 
 
-def _map(session: Session, effects: tuple[str, ...]) -> tuple[Array, Array]:
-    values = identify(session, effects=effects).document()["error_map"]
+def _map(session: Session, effects: tuple[str, ...], sets: Sequence[EffectSet] = ()) -> tuple[Array, Array]:
+    values = identify(session, effects=effects, sets=sets).document()["error_map"]
     names = [name for name in values if f"{name}_u" in values]
     arrays = [np.asarray(values[name], dtype=float).ravel() for name in names]
     stated = [np.asarray(values[f"{name}_u"], dtype=float).ravel() for name in names]

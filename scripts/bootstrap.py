@@ -39,6 +39,9 @@ ROS_CHECK = "import rclpy, diagnostic_msgs.msg, rosgraph_msgs.msg, sensor_msgs.m
 # Tests of one module run in one process, which makes their fixtures once; tests/conftest.py has the modules' order.
 # Those of nodes wait much of their time: three processes keep two cores busy.
 AT_ONCE = ("-n", "3", "--dist", "loadscope", "--no-loadscope-reorder")
+# Of a whole run: to rewrite all assertions takes each process longer than to import the tests. What failed, called by its
+# name, says its values; here it says its variables.
+WHOLE = ("--assert=plain", "--showlocals")
 WHEELS_MARK = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 
 
@@ -66,7 +69,7 @@ def main() -> None:
     if action == "demo":
         hand_over(environment, ["mtcal", "demo", *arguments])
     elif action == "test":
-        hand_over(environment, ["python", "-m", "pytest", *AT_ONCE, *arguments], ROOT)
+        hand_over(environment, ["python", "-m", "pytest", *AT_ONCE, *(arguments or WHOLE)], ROOT)
     else:
         say(f"the command is {environment / 'bin' / 'mtcal'}")
 

@@ -16,8 +16,8 @@ def made(bench, name, **parameters):
     """A node that says its name and answers with it, beside the bench's operator."""
     operator = bench.operator()
     given = [Parameter(key, value=value) for key, value in parameters.items()]
-    node = rclpy.create_node(name, context=operator._context, parameter_overrides=given)
-    operator._executor.add_node(node)
+    node = rclpy.create_node(name, context=operator._guest.context, parameter_overrides=given)
+    operator._guest.executor.add_node(node)
     bench.stack.callback(node.destroy_node)
     OwnPublisher(node, "estimator", "words", String, LATCHED).publish(String(data=name))
     offer(node, "estimator", "reset", Trigger, lambda answer: answer.send(True, name))

@@ -4,6 +4,7 @@
 import json
 import subprocess
 import sys
+from contextlib import closing
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,10 +12,13 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 
 from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.nodes.heard import SERVICES, Heard
+from machine_tool_calibration.nodes.listener import Listener
 from machine_tool_calibration.recording.cdr import joint_state
 from machine_tool_calibration.recording.graph import GRAPH_TOPICS
 from machine_tool_calibration.recording.reader import BagReader
 from machine_tool_calibration.recording.session_bag import session_from_bag
+from machine_tool_calibration.session.collect import live_session
 
 from .conftest import ORIGIN, PATIENCE, PROCEDURE, SITE, Bench, begin, collected, ended
 from .heard import check_content, check_ends, check_services, check_topics, hear
@@ -61,6 +65,8 @@ def whole(tmp_path_factory, ros_domain):
         graph.stop(["estimator"])
         operator = bench.operator(graph)
         heard = hear(operator)
+        beside = Heard()
+        listener = bench.stack.enter_context(closing(Listener(beside, ros_domain)))
         assert operator.wait(lambda: operator.recorder.message == "recording", PATIENCE)
         begin(operator)
         ended(operator)
@@ -78,6 +84,7 @@ def whole(tmp_path_factory, ros_domain):
         assert operator.wait(lambda: operator.document != first, PATIENCE)
         yield SimpleNamespace(
             graph=graph, operator=operator, heard=heard, identified=identified, document=json.loads(first),
+            beside=beside, listener=listener,
             second_program=json.loads(printed.stdout), improved=improved,
             bag=bench.folder / "bag1", logs=bench.folder / "log1",
         )  # fmt: skip
@@ -138,6 +145,27 @@ def test_diagnostics_name_every_node_and_its_device(whole):
     assert told["instrument: instrument"].hardware_id == "simulated interferometer"
     assert told["estimator: estimator"].hardware_id == "none"
     assert told["estimator: estimator"].values == whole.heard["estimator/status"].status[0].values
+
+
+def test_a_listener_hears_the_readings_the_nodes_and_the_map_and_asks(whole):
+    beside, operator = whole.beside, whole.operator
+    assert operator.wait(lambda: beside.published.document == operator.document, PATIENCE)
+    _, _, rows = beside.rows(-1, 0)
+    table = readings(operator)
+    assert rows == list(zip(table["setup_index"].astype(int).tolist(), table["displacement"].tolist(), strict=True))
+    assert len(live_session(*beside.session()).readings) == 128 and beside.missing == 0
+    columns = {name: values.tolist() for name, values in beside.published.error_map.items()}
+    heard = json.loads(operator.document)["error_map"]
+    assert list(zip(columns["ex"], columns["ey"], strict=True)) == [tuple(row[:2]) for row in heard["position_error"]]
+    assert len(beside.published.residuals["residual"]) == 128
+    assert operator.wait(lambda: {one.node for one in beside.nodes()} == set(NODES), PATIENCE), beside.nodes()
+    assert beside.ignored == (0, "")
+    wanted = {f"{node}/{verb}" for node, verbs in SERVICES.items() for verb in verbs}
+    assert operator.wait(lambda: {offer.service for offer in beside.offers} == wanted, PATIENCE), beside.offers
+    (compare,) = [offer for offer in beside.offers if offer.verb == "compare"]
+    whole.listener.ask(compare)
+    assert operator.wait(lambda: beside.calls[0].success is not None, PATIENCE)
+    assert beside.calls[0].success and json.loads(beside.calls[0].message)["readings"] == 128
 
 
 def test_nothing_that_was_planned_is_warned_of(whole):

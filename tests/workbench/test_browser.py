@@ -8,13 +8,20 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
+from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 import pytest
 
-from machine_tool_calibration.interface.session import simulate
+import machine_tool_calibration as mtcal
+from machine_tool_calibration.recording.session_bag import reading_columns
 from machine_tool_calibration.reports.history_file import history_path, read_history
+from machine_tool_calibration.session.parse import description_yaml
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.nodes.ros.guest import Guest
 
 CHROMIUM = Path("/usr/bin/chromium")
 pytestmark = pytest.mark.skipif(not CHROMIUM.exists(), reason="no browser: Debian's package chromium has one")
@@ -25,6 +32,7 @@ FLAGS = (
     "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
     "--disable-component-update", "--disable-sync",
 )  # fmt: skip
+START = 1_700_000_000_000_000_000  # ns
 WAIT = 60_000  # ms; the last resort on a busy machine
 
 
@@ -32,7 +40,7 @@ WAIT = 60_000  # ms; the last resort on a busy machine
 def hidden(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A session whose machine has a backlash of Y that the model lacks."""
     folder = tmp_path_factory.mktemp("workbench") / "cube"
-    simulate("tracking_2d", effects={"backlash_y": 2e-6}, seed=3).save(folder)
+    mtcal.simulate("tracking_2d", effects={"backlash_y": 2e-6}, seed=3).save(folder)
     return folder
 
 
@@ -40,9 +48,8 @@ def hidden(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def address(hidden: Path) -> Iterator[str]:
     """Of a workbench that `mtcal workbench` serves."""
     command = [sys.executable, "-m", "machine_tool_calibration", "workbench", "--no-browser", str(hidden)]
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, text=True, env=os.environ | {"PYTHONUNBUFFERED": "1"}
-    ) as run:
+    environment = os.environ | {"PYTHONUNBUFFERED": "1"}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment, cwd=hidden.parent) as run:
         assert run.stdout is not None
         try:
             yield run.stdout.readline().strip()
@@ -129,6 +136,46 @@ def test_from_opening_to_the_improved_fit(hidden: Path, address: str, browser: "
     elsewhere = [url for url in asked if urlsplit(url).netloc not in ("", place.netloc)]
     assert not elsewhere, "nothing comes from the network"
     assert not faults
+
+
+def test_readings_of_a_graph_become_a_map_and_are_opened(
+    hidden: Path, address: str, browser: "playwright.Browser", ros_domain: int
+) -> None:
+    pytest.importorskip("rclpy", reason="the graph needs ROS 2")
+    from machine_tool_calibration.nodes.ros.guest import Guest
+
+    page = browser.new_page(viewport={"width": 1400, "height": 900})
+    page.set_default_timeout(WAIT)
+    page.goto(address)
+    page.get_by_role("button", name="Live", exact=True).click()
+    page.get_by_text(f"Nothing is heard in ROS domain {ros_domain} yet").wait_for()
+    with closing(Guest("procedure_of_the_test", ros_domain)) as guest:
+        kept = publish(guest, hidden)
+        page.get_by_text("The map, calculated here from 288 readings").wait_for()
+        assert kept
+        page.get_by_role("button", name="Open in the other pages", exact=True).click()
+        page.get_by_text("mtcal_output/live is open in the other pages.").wait_for()
+    taken, given = (mtcal.load(folder).readings for folder in (hidden.parent / "mtcal_output" / "live", hidden))
+    assert taken["displacement"].tolist() == given["displacement"].tolist()
+
+
+def publish(guest: "Guest", folder: Path) -> list[object]:
+    """What a procedure publishes of a session; kept for those who come late as long as the publishers are."""
+    from sensor_msgs.msg import JointState
+    from std_msgs.msg import String
+
+    from machine_tool_calibration.nodes.ros.messages import LATCHED, READINGS, to_message
+
+    session = mtcal.load(folder).sessions[0]
+    sessions = guest.node.create_publisher(String, "session", LATCHED)
+    readings = guest.node.create_publisher(JointState, "reading", READINGS)
+    sessions.publish(String(data=description_yaml(session.description)))
+    names, table = reading_columns(session)
+    for row in table:
+        message = JointState(name=names, position=row.tolist())
+        message.header.stamp = to_message(START + round(row[names.index("time")] * 1e9))
+        readings.publish(message)
+    return [sessions, readings]
 
 
 def test_without_the_token_there_is_nothing(address: str) -> None:

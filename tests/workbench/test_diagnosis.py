@@ -8,7 +8,7 @@ import pytest
 
 from machine_tool_calibration.effects.formula import formula_effect
 from machine_tool_calibration.errors import CalibrationError, ModelError
-from machine_tool_calibration.workbench.improve import map_arrows
+from machine_tool_calibration.workbench.map_plot import map_arrows
 from machine_tool_calibration.workbench.measurement import seen_from
 from machine_tool_calibration.workbench.own_effect import unknowns_of
 from machine_tool_calibration.workbench.state import State
@@ -55,7 +55,7 @@ def test_unknowns_are_read_from_a_line() -> None:
 
 def test_a_map_is_drawn_with_its_expanded_uncertainty(state: State) -> None:
     found = state.model.fit.result.error_map
-    drawn = map_arrows(state.model, 1000.0)
+    drawn = map_arrows(found, 1000.0)
     np.testing.assert_allclose(drawn["x1"] - drawn["x"], 1e3 * 1000.0 * found.error[:, 0])
     np.testing.assert_allclose(drawn["wy"], 1e3 * 1000.0 * 2 * 2 * found.uncertainty[:, 1])
     assert np.isnan(drawn["ez"]).all() and (drawn["wz"] == 0.0).all(), "not determined: said so, and not drawn"

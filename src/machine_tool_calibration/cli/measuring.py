@@ -18,20 +18,33 @@ if TYPE_CHECKING:
 
     from machine_tool_calibration.nodes.measurement import Measured, Progress
 
-__all__ = ["graph_options", "readings_bar", "show_files", "show_result"]
+__all__ = ["graph_options", "graph_place", "readings_bar", "show_files", "show_result"]
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
+_DOMAIN = click.IntRange(0, 232)
+_namespace = click.option(
+    "--namespace", type=RosName(space=True), default="", help="Namespace of all nodes, such as cell_1."
+)
+
+
+def graph_place(function: Command) -> Command:
+    """Add `--domain-id` and `--namespace` of a graph that runs already to a verb."""
+    for option in (
+        _namespace,
+        click.option("--domain-id", type=_DOMAIN, help="ROS domain id of the graph; by default ROS_DOMAIN_ID, else 0."),
+    ):
+        function = option(function)
+    return function
+
 
 def graph_options(function: Command) -> Command:
-    """Add `--output`, `--domain-id` and `--namespace` to a verb."""
+    """Add `--output`, `--domain-id` and `--namespace` of a graph that is started to a verb."""
     for option in (
-        click.option(
-            "--namespace", type=RosName(space=True), default="", help="Namespace of all nodes, such as cell_1."
-        ),
+        _namespace,
         click.option(
             "--domain-id",
-            type=click.IntRange(0, 232),
+            type=_DOMAIN,
             help="ROS domain id; by default ROS_DOMAIN_ID, else the first that no other measurement here uses.",
         ),
         click.option(

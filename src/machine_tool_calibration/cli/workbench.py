@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from machine_tool_calibration.cli.diagnosing import own_effects
+from machine_tool_calibration.cli.measuring import graph_place
 from machine_tool_calibration.cli.output import note
 from machine_tool_calibration.errors import CalibrationError
 
@@ -15,7 +16,9 @@ __all__ = ["command"]
 
 
 @click.command("workbench")
-@click.argument("measurement", type=click.Path(path_type=Path), default=Path())
+@click.argument("measurement", type=click.Path(path_type=Path), required=False)
+@click.option("--live", is_flag=True, help="Begin beside a running graph or a replay: the page Live.")
+@graph_place
 @click.option("--model", help="Variant of the model, such as free; `mtcal info SESSION` says when which.")
 @click.option(
     "--effects-file",
@@ -28,18 +31,31 @@ __all__ = ["command"]
     "--port", type=click.IntRange(0, 65535), default=0, help="Port to listen on; by default one that is free."
 )
 @click.option("--browser/--no-browser", default=True, help="Open the page in the browser, or print its address only.")
-def command(measurement: Path, model: str | None, files: tuple[Path, ...], port: int, browser: bool) -> None:
+def command(
+    measurement: Path | None,
+    live: bool,
+    domain_id: int | None,
+    namespace: str,
+    model: str | None,
+    files: tuple[Path, ...],
+    port: int,
+    browser: bool,
+) -> None:
     """Work on a measurement in the browser: compare, find what the model lacks, add it, see the error fall.
 
     MEASUREMENT is a session folder, a recording, or a folder of such, from which one is chosen on the page; by default
-    this folder. The page is served to this machine only, under an address with a random token; nothing comes from
-    the network. The models that are tried are kept in the session's history, as `mtcal improve` does. Ctrl-C ends it.
+    this folder. With --live the page begins beside a running graph or a replay. It is served to this machine only,
+    under an address with a random token; nothing comes from the network. The models that are tried are kept in the
+    session's history, as `mtcal improve` does. Ctrl-C ends it.
 
     \b
     mtcal workbench measurements/cube
     mtcal workbench measurements
+    mtcal workbench --live
     """
-    if not measurement.exists():
+    if measurement is None and not live:
+        measurement = Path()
+    if measurement is not None and not measurement.exists():
         raise CalibrationError(f"{measurement}: no such file or folder")
     own = own_effects(files)
     try:
@@ -59,4 +75,4 @@ def command(measurement: Path, model: str | None, files: tuple[Path, ...], port:
 
             webbrowser.open(address)
 
-    serve(measurement, own, model, port=port, ready=ready)
+    serve(measurement, own, model, live=live, domain=domain_id, namespace=namespace, port=port, ready=ready)

@@ -43,6 +43,8 @@ _STEP = 1e-4
 ABSORBED = 1e-7
 # Share of a column's squared norm outside model and other effects below which it repeats them.
 _REPEATED = 1e-7
+# Smallest share of the squared norm that the model leaves of any combination of an effect's columns that it tells.
+_TOLD = 1e-6
 _TAKEN_UP = "the model's own unknowns take it up entirely"
 
 
@@ -137,7 +139,7 @@ def common_shape(
         raise ModelError(f"effect {effect.id}: too few distinct positions to look for it")
     observed = [m.observations if effect.why_not(m.observations) is None else None for m in joint.assembly.models]
 
-    def explained(shapes: Sequence[tuple[float, ...]]) -> tuple[list[float], list[list[Array]], list[int]]:
+    def explained(shapes: Sequence[tuple[float, ...]]) -> tuple[list[float], list[list[Array]], list[float]]:
         terms, names = [], []
         for k, readings in enumerate(observed):
             tried = [] if readings is None else [effect_term(effect, readings, shape, mapped=False) for shape in shapes]
@@ -148,25 +150,23 @@ def common_shape(
             names.append([[joint.assembly.published(k, p) for p in own] for own in numbered])
         screened = screen_joint(joint, terms)
         place = {name: j for j, name in enumerate(screened.names)}
-        gains, sizes, counts = [], [], []
+        gains, sizes, least = [], [], []
         for s in range(len(shapes)):
             mine = [[place[name] for name in own[s]] if own else [] for own in names]
             pick = np.unique(np.concatenate(mine).astype(np.int64))
             inner, right = screened.gram[np.ix_(pick, pick)], screened.gram[pick, -1]
             scale = np.sqrt(np.maximum(screened.squares[pick], np.finfo(float).tiny))
-            size = np.linalg.pinv(inner / np.outer(scale, scale), rcond=1e-10, hermitian=True) @ (right / scale) / scale
+            inner = inner / np.outer(scale, scale)
+            size = np.linalg.pinv(inner, rcond=1e-10, hermitian=True) @ (right / scale) / scale
             gains.append(float(right @ size))
-            counts.append(len(pick))
+            least.append(float(np.linalg.eigvalsh(inner)[0]))
             sizes.append([size[np.searchsorted(pick, np.array(own, dtype=np.int64))] for own in mine])
-        return gains, sizes, counts
+        return gains, sizes, least
 
-    gains, sizes, counts = explained(grid)
+    gains, sizes, least = explained(grid)
     if all(coefficient.discrete for coefficient in effect.shapes):
-        # More unknowns always explain more: each must be worth its place.
-        left = joint.solution.chi_square - max(gains)
-        readings = sum(len(o) for o in observed if o is not None)
-        price = max(left / joint.solution.degrees_of_freedom, 1e-12) * np.log(readings)
-        gains = [gain - price * k for gain, k in zip(gains, counts, strict=True)]
+        # As many unknowns as the readings tell: how large they plausibly are keeps those that are nothing small.
+        gains = [float(k if told > _TOLD else -k) for k, told in enumerate(least)]
     best = int(np.argmax(gains))
     shape, size = grid[best], sizes[best]
     if len(shape) == 1 and len(grid) > 1 and not effect.shapes[0].discrete:

@@ -22,6 +22,7 @@ from machine_tool_calibration.estimation.problem import Part, Problem
 from machine_tool_calibration.estimation.reduction import gram, project, single_blas
 from machine_tool_calibration.estimation.solve import Solution, local_steps
 from machine_tool_calibration.estimation.variance_components import Components, WidenedPart, components
+from machine_tool_calibration.model.effect_sizes import effect_sizes, with_sizes
 from machine_tool_calibration.model.reproducibility import Family, reproducibility
 
 if TYPE_CHECKING:
@@ -144,10 +145,15 @@ def state(joint: JointFit) -> Stated:
     families = [tuple(f for f in reproducibility(m.observations) if f.of_runs) for m in joint.assembly.models]
     parts, place, names = _widened(problem, families)
     m, u = problem.size, len(place)
+    sizes = effect_sizes(joint.assembly.parameters, solution.is_determined())
     if not u and joint.random is None:
         scatter = _scatter(solution.chi_square, solution.degrees_of_freedom)
         none = tuple(np.zeros((0, part.n_readings)) for part in parts)
-        return Stated(tuple(problem.parts), solution, scatter, (), None, none, solution.chi_square, np.zeros(0))
+        if sizes:
+            value, known = with_sizes(solution.theta, scatter**2 * solution.covariance, sizes)
+            local = local_steps(problem, solution.theta, solution.local, value - solution.theta)
+            solution = replace(solution, theta=value, covariance=known / scatter**2, local=local)
+        return Stated(tuple(problem.parts), solution, scatter, (), None, none, joint.solution.chi_square, np.zeros(0))
     wide = Problem(
         parts,
         m + u,
@@ -172,6 +178,9 @@ def state(joint: JointFit) -> Stated:
     between = [np.outer(t.step - mean, t.step - mean) for t in tried]
     covariance = np.sum([w * t.covariance for w, t in zip(weights, tried, strict=True)], axis=0)
     covariance += np.tensordot(weights, between, axes=1) / scatter**2
+    if sizes:
+        value, known = with_sizes(theta + mean, scatter**2 * covariance, sizes)
+        mean, covariance = value - theta, known / scatter**2
     stated = replace(
         solution,
         theta=theta + mean,
@@ -181,7 +190,7 @@ def state(joint: JointFit) -> Stated:
         local=local_steps(wide, theta, solution.local, mean),
     )
     seen = np.diag(projected)[:-1] > _SEEN * squares[m:-1]
-    sizes = _sizes(joint, found, np.where(seen, squares[m:-1], 0.0), place, names, scatter)
+    spread = _sizes(joint, found, np.where(seen, squares[m:-1], 0.0), place, names, scatter)
     functions = tuple(
         np.concatenate([np.zeros((0, part.n_readings)), *(f.columns() * model.sigma for f in own if f.name in names)])
         for part, own, model in zip(parts, families, joint.assembly.models, strict=True)
@@ -189,7 +198,7 @@ def state(joint: JointFit) -> Stated:
     squared = np.array([found.ratios[k] for k in chosen]).reshape(len(chosen), -1) ** 2
     ratios = np.sqrt(weights @ squared)[place] if u else np.zeros(0)
     random = tried[int(np.argmax(weights))].random
-    return Stated(tuple(parts), stated, scatter, sizes, random, functions, left, ratios)
+    return Stated(tuple(parts), stated, scatter, spread, random, functions, left, ratios)
 
 
 def _root(joint: JointFit, total: Array, squares: Array) -> Array:

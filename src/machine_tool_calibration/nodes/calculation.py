@@ -22,16 +22,13 @@ from machine_tool_calibration.planning.what_to_measure import SEARCH, conclude
 from machine_tool_calibration.reports.comparison import comparison_document
 from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
 from machine_tool_calibration.reports.improvement import improvement_document
-from machine_tool_calibration.session.collect import Collector
-from machine_tool_calibration.session.description import Place
-from machine_tool_calibration.session.parse import parse_description
+from machine_tool_calibration.session.collect import Reading, live_session
 from machine_tool_calibration.session.session import Session
 
 __all__ = [
     "Diagnosed",
     "Identified",
     "Improved",
-    "Reading",
     "Request",
     "compared",
     "diagnosed",
@@ -39,15 +36,6 @@ __all__ = [
     "improved",
     "own_effects",
 ]
-
-
-@dataclass(frozen=True)
-class Reading:
-    """One `reading` message."""
-
-    frame: str
-    names: list[str]
-    values: list[float]
 
 
 @dataclass(frozen=True)
@@ -78,10 +66,7 @@ class Request:
         Raises:
             SessionError: they do not make one yet.
         """
-        collector = Collector(parse_description(self.text, "session"), Place("session", "reading"))
-        for reading in self.readings:
-            collector.add(reading.frame, reading.names, reading.values)
-        return collector.session("live readings")
+        return live_session(self.text, self.readings)
 
     def own(self) -> list[Effect]:
         """The user's own effects: see `own_effects`."""

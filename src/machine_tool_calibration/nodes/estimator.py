@@ -8,7 +8,6 @@ calculations run in a thread of their own; readings go on being collected meanwh
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
@@ -26,7 +25,6 @@ from machine_tool_calibration.nodes.calculation import (
     Diagnosed,
     Identified,
     Improved,
-    Reading,
     Request,
     compared,
     diagnosed,
@@ -42,15 +40,13 @@ from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run_
 from machine_tool_calibration.nodes.ros.services import Answer, Background, Progress
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.reports.quantities import micrometres
-from machine_tool_calibration.session.collect import READING_INDEX
+from machine_tool_calibration.session.collect import Reading, Received
 from machine_tool_calibration.session.parse import parse_description
 
 __all__ = ["Estimator", "main"]
 
 Outcome = TypeVar("Outcome")
 
-_SAME_SESSION = 1_000_000  # ns: rounding of a reading's time
-_MOST = 10_000_000  # readings of a session
 _PERIOD = 0.2  # s between publications of the count of readings
 
 
@@ -61,9 +57,7 @@ class Estimator(GuardedNode):
         super().__init__("estimator")
         self._text = ""
         self._declare()
-        self._messages: dict[int, Reading] = {}
-        self._origin: int | None = None
-        self._indices: set[int] = set()
+        self._received = Received()
         self._resets = 0
         self.background = Background(self)
         self._last, self._level = "no identification yet", Level.OK
@@ -142,37 +136,14 @@ class Estimator(GuardedNode):
         self._text = message.data
 
     def _read(self, message: JointState) -> None:
-        stamp, names, values = from_message(message.header.stamp), list(message.name), list(message.position)
-        columns = dict(zip(names, values, strict=True))
-        time, index = columns.get("time", math.nan), columns.get(READING_INDEX, math.nan)
-        if not (math.isnan(index) or (0 <= index < _MOST and index == int(index))):
-            raise CalibrationError(f"{READING_INDEX} is {index:g}")
-        if math.isfinite(time):
-            # start of the session that it belongs to: the same for all its readings
-            origin = stamp - round(time * 1e9)
-            if origin < -_SAME_SESSION:
-                raise CalibrationError(f"its time, {time:g} s, does not suit its stamp")
-            if self._origin is not None and abs(origin - self._origin) > _SAME_SESSION:
-                self.get_logger().info(f"another session has begun; {len(self._messages)} readings forgotten")
-                self._forget()
-            self._origin = origin
-        self._messages[stamp] = Reading(message.header.frame_id, names, values)
-        if not math.isnan(index):
-            self._indices.add(int(index))
-
-    def _forget(self) -> None:
-        self._messages.clear()
-        self._indices.clear()
-        self._origin = None
-
-    @property
-    def _missing(self) -> int:
-        """Readings of the session that never came, as far as those that came tell."""
-        return max(self._indices) + 1 - len(self._indices) if self._indices else 0
+        reading = Reading(message.header.frame_id, list(message.name), list(message.position))
+        forgotten = self._received.add(from_message(message.header.stamp), reading)
+        if forgotten:
+            self.get_logger().info(f"another session has begun; {forgotten} readings forgotten")
 
     def _reset(self, answer: Answer) -> None:
-        answer.send(True, f"{len(self._messages)} readings forgotten")
-        self._forget()
+        answer.send(True, f"{len(self._received)} readings forgotten")
+        self._received.forget()
         self._resets += 1
         self._show()
 
@@ -200,7 +171,7 @@ class Estimator(GuardedNode):
             if not self._text:
                 answer.send(False, "no session has been described yet (topic session)")
                 return
-            request, missing = self._request(), self._missing
+            request, missing = self._request(), self._received.missing
 
             def finish(outcome: Outcome | str) -> None:
                 if isinstance(outcome, str):
@@ -225,7 +196,7 @@ class Estimator(GuardedNode):
         }
         return Request(
             text=self._text,
-            readings=[self._messages[stamp] for stamp in sorted(self._messages)],
+            readings=self._received.in_order(),
             model=values["model"] or None,
             effects=tuple(name for name in values["effects"] or () if name),
             files=tuple(name for name in values["effects_files"] or () if name),
@@ -285,10 +256,10 @@ class Estimator(GuardedNode):
 
     def _show(self) -> None:
         """Publish the status where it has changed."""
-        background = self.background
+        background, received = self.background, self._received
         entries = {
-            "readings": len(self._messages),
-            "missing": self._missing,
+            "readings": len(received),
+            "missing": received.missing,
             "resets": self._resets,
             "session": "described" if self._text else "unknown",
             "busy": background.busy,
@@ -296,11 +267,11 @@ class Estimator(GuardedNode):
             "progress": f"{background.share:.2f}",
         }
         words = background.doing or self._last
-        if self._missing:
-            first = "the first " if min(self._indices) == self._missing else ""
-            words += f"; {first}{self._missing} of {max(self._indices) + 1} readings are missing"
+        if received.missing:
+            first = "the first " if received.lacks_the_first else ""
+            words += f"; {first}{received.missing} of {received.expected} readings are missing"
         level = Level.OK if background.busy else self._level
-        if self._missing:
+        if received.missing:
             level = max(level, Level.WARN)
         self._status.show(level, words, entries)
 

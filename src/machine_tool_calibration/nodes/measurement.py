@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import yaml
 
 from machine_tool_calibration.errors import CalibrationError
@@ -22,10 +21,8 @@ from machine_tool_calibration.nodes.ros.domain import claimed_domain
 from machine_tool_calibration.nodes.site import SiteSpec
 from machine_tool_calibration.procedure import Procedure, plan, read_procedure
 from machine_tool_calibration.session.catalogue import method_spec
-from machine_tool_calibration.session.collect import Collector
-from machine_tool_calibration.session.description import Place
+from machine_tool_calibration.session.collect import Reading, live_session
 from machine_tool_calibration.session.folder import write_session
-from machine_tool_calibration.session.parse import parse_description
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["NODES", "Measured", "Progress", "Setting", "free_folder", "measure", "site_document"]
@@ -300,9 +297,7 @@ def _save(operator: Operator, output: Path) -> Session | None:
     """Write the readings received so far as a session folder; None if there are none."""
     if not operator.readings or not operator.session:
         return None
-    collector = Collector(parse_description(operator.session, "session"), Place("session", "reading"))
-    for message in operator.readings:
-        collector.add(message.header.frame_id, list(message.name), np.asarray(message.position))
-    session = collector.session("live readings", check=False)
+    readings = (Reading(message.header.frame_id, message.name, message.position) for message in operator.readings)
+    session = live_session(operator.session, readings, check=False)
     write_session(session, output / "session")
     return session

@@ -11,16 +11,13 @@ from functools import partial
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.client import Client
-from rclpy.context import Context
-from rclpy.experimental import EventsExecutor
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.nodes.ros.guest import Guest
 from machine_tool_calibration.nodes.ros.messages import LATCHED, READINGS, values
-from machine_tool_calibration.nodes.ros.node import GuardedNode
-from machine_tool_calibration.nodes.ros.process import default_environment
 
 __all__ = ["Operator", "Status"]
 
@@ -56,15 +53,9 @@ class Operator:
     """
 
     def __init__(self, domain: int, namespace: str = "", watch: Callable[[], None] = lambda: None) -> None:
-        default_environment()
         self._watch = watch
-        self._context = Context()
-        self._context.init(domain_id=domain)
-        self._node = GuardedNode(
-            f"mtcal_{int(time.monotonic() * 1e3) % 1_000_000}", context=self._context, namespace=namespace or None
-        )
-        self._executor = EventsExecutor(context=self._context)
-        self._executor.add_node(self._node)
+        self._guest = Guest(f"mtcal_{int(time.monotonic() * 1e3) % 1_000_000}", domain, namespace)
+        self._node = self._guest.node
         self.procedure = Status()
         self.estimator = Status()
         self.recorder = Status()
@@ -91,9 +82,7 @@ class Operator:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._executor.shutdown()
-        self._node.destroy_node()
-        self._context.try_shutdown()
+        self._guest.close()
 
     def _keep_status(self, node: str, message: DiagnosticArray) -> None:
         setattr(self, node, Status(message.status[0].message, values(message)))
@@ -114,7 +103,7 @@ class Operator:
             if time.monotonic() > deadline:
                 return False
             self._watch()
-            self._executor.spin_once(timeout_sec=_SPIN)
+            self._guest.hear(_SPIN)
         return True
 
     def has_node(self, name: str) -> bool:

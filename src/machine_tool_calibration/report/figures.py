@@ -87,6 +87,16 @@ class Picture:
 
 
 def _picture(name: str, caption: str, figure: Figure, words: Words) -> Picture:
+    if words.phrases:
+        _translate(figure, words)
+    wide, high = (float(size) for size in figure.get_size_inches())
+    if wide > _WIDEST:
+        figure.set_size_inches(_WIDEST, high * max(_WIDEST / wide, _LOWEST))
+        _wrap_titles(figure)
+    return Picture(name, caption, figure)
+
+
+def _translate(figure: Figure, words: Words) -> None:
     from matplotlib.text import Text
     from matplotlib.ticker import FixedLocator
 
@@ -97,11 +107,6 @@ def _picture(name: str, caption: str, figure: Figure, words: Words) -> Picture:
         # Names of places are written anew whenever the figure is drawn.
         if isinstance(axis.get_major_locator(), FixedLocator):
             axis.set_ticklabels([words.phrase(label.get_text()) for label in axis.get_majorticklabels()])
-    wide, high = (float(size) for size in figure.get_size_inches())
-    if wide > _WIDEST:
-        figure.set_size_inches(_WIDEST, high * max(_WIDEST / wide, _LOWEST))
-        _wrap_titles(figure)
-    return Picture(name, caption, figure)
 
 
 def _wrap_titles(figure: Figure) -> None:

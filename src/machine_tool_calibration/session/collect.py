@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,9 +14,10 @@ from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.columns import require_columns
 from machine_tool_calibration.session.description import Description, Place
+from machine_tool_calibration.session.parse import parse_description
 from machine_tool_calibration.session.session import Session, assemble
 
-__all__ = ["INDEX_COLUMNS", "READING_INDEX", "Collector"]
+__all__ = ["INDEX_COLUMNS", "READING_INDEX", "Collector", "Reading", "Received", "live_session"]
 
 INDEX_COLUMNS = {
     "setup_index": ("setup", "setups"),
@@ -29,6 +32,8 @@ itself does not need it.
 """
 
 _BLOCK = 4096  # readings
+_SAME_SESSION = 1_000_000  # ns: rounding of a reading's time
+_MOST = 10_000_000  # readings of a session
 
 
 class Collector:
@@ -135,3 +140,107 @@ class Collector:
             raise SessionError(f"{where}: {column} is {values[bad[0]]:g}, not 0 to {len(ids) - 1}")
         table = np.array([*ids, ""], dtype=np.str_)
         return table[np.where(whole, np.nan_to_num(values), len(ids)).astype(np.int64)]
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One `reading` message.
+
+    Attributes:
+        frame: `header.frame_id`.
+        names: `name`.
+        values: `position`.
+    """
+
+    frame: str
+    names: Sequence[str]
+    values: Sequence[float]
+
+
+class Received:
+    """The readings of the session that is being measured, as messages bring them: in any order, and some twice."""
+
+    def __init__(self) -> None:
+        self._readings: dict[int, Reading] = {}
+        self._indices: set[int] = set()
+        self._last = -1
+        self._origin: int | None = None
+
+    def __len__(self) -> int:
+        return len(self._readings)
+
+    def add(self, stamp: int, reading: Reading) -> int:
+        """One more reading; one that belongs to another session is the first of that.
+
+        Args:
+            stamp: of the message, ns.
+            reading: what it says.
+
+        Returns:
+            How many readings were forgotten because another session has begun.
+
+        Raises:
+            SessionError: it is numbered or timed in a way that cannot be.
+        """
+        columns = dict(zip(reading.names, reading.values, strict=True))
+        time, index = columns.get("time", math.nan), columns.get(READING_INDEX, math.nan)
+        if not (math.isnan(index) or (0 <= index < _MOST and index == int(index))):
+            raise SessionError(f"{READING_INDEX} is {index:g}")
+        forgotten = 0
+        if math.isfinite(time):
+            # start of the session that it belongs to: the same for all its readings
+            origin = stamp - round(time * 1e9)
+            if origin < -_SAME_SESSION:
+                raise SessionError(f"its time, {time:g} s, does not suit its stamp")
+            if self._origin is not None and abs(origin - self._origin) > _SAME_SESSION:
+                forgotten = len(self)
+                self.forget()
+            self._origin = origin
+        self._readings[stamp] = reading
+        if not math.isnan(index):
+            self._indices.add(int(index))
+            self._last = max(self._last, int(index))
+        return forgotten
+
+    def forget(self) -> None:
+        """Begin anew, without readings."""
+        self._readings.clear()
+        self._indices.clear()
+        self._last = -1
+        self._origin = None
+
+    @property
+    def missing(self) -> int:
+        """Readings of the session that never came, as far as those that came tell."""
+        return self.expected - len(self._indices)
+
+    @property
+    def expected(self) -> int:
+        """Readings that there were up to the last one that came, as far as they are numbered."""
+        return self._last + 1
+
+    @property
+    def lacks_the_first(self) -> bool:
+        """Whether those that are missing are the first ones: they were published before anybody listened."""
+        return bool(self._indices) and min(self._indices) == self.missing > 0
+
+    def in_order(self) -> list[Reading]:
+        """Those that came, in the order of time."""
+        return [self._readings[stamp] for stamp in sorted(self._readings)]
+
+
+def live_session(description: str, readings: Iterable[Reading], *, check: bool = True) -> Session:
+    """The session that live messages make.
+
+    Args:
+        description: the text of the topic `session`.
+        readings: in the order of time.
+        check: also refuse what is not enough for the method.
+
+    Raises:
+        SessionError: as for a session folder.
+    """
+    collector = Collector(parse_description(description, "session"), Place("session", "reading"))
+    for reading in readings:
+        collector.add(reading.frame, reading.names, reading.values)
+    return collector.session("live readings", check=check)

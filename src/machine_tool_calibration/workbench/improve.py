@@ -12,48 +12,21 @@ from bokeh.models import ColumnDataSource, FactorRange, Span
 
 from machine_tool_calibration.diagnosis.improve import entry_of, residual_volumetric_error
 from machine_tool_calibration.effects.catalogue import catalogue
-from machine_tool_calibration.plots.style import round_down, spaced
+from machine_tool_calibration.plots.style import spaced
 from machine_tool_calibration.reports.history_tables import compared_models, tried_models
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.residuals.noise import noise_of
 from machine_tool_calibration.workbench.look import bar_button, new_figure, tables, text, when_changed
+from machine_tool_calibration.workbench.map_plot import MapPlot, magnification
 from machine_tool_calibration.workbench.readings import Readings
-from machine_tool_calibration.workbench.state import Model, State
+from machine_tool_calibration.workbench.state import State
 from machine_tool_calibration.workbench.work import Work
 
-__all__ = ["ImprovePage", "map_arrows"]
+__all__ = ["ImprovePage"]
 
 _HOVER = [("row", "@row"), ("setup", "@setup, repeat @repeat"), ("x, y, z", "@x{0.0}, @y{0.0}, @z{0.0} mm")]
-_MAP_HOVER = [
-    ("x, y, z", "@x{0.0}, @y{0.0}, @z{0.0} mm"), ("error", "@ex{0.00}, @ey{0.00}, @ez{0.00} µm"),
-    ("U (k = 2)", "@ux{0.00}, @uy{0.00}, @uz{0.00} µm"),
-]  # fmt: skip
 _DIM = {"nonselection_alpha": 0.12, "nonselection_line_color": "#888888"}
-_BEFORE, _AFTER, _BAND = "#d55e00", "#0072b2", "#e69f00"
-# Share of the map's extent that the largest error is drawn as.
-_LENGTH = 0.12
-
-
-def map_arrows(model: Model, factor: float) -> dict[str, np.ndarray]:
-    """A map as columns of a plot: places `x y z`, ends of the magnified errors `x1 y1 z1`, `wx wy wz`: width of U, mm.
-
-    Args:
-        model: whose map.
-        factor: magnification of errors.
-
-    Returns:
-        Those, and errors `ex ey ez` with expanded uncertainties `ux uy uz` (k = 2), µm; not determined is 0 in what is
-        drawn, NaN in what is said.
-    """
-    found = model.fit.result.error_map
-    error, wide = np.nan_to_num(found.error), 2 * np.nan_to_num(found.uncertainty)
-    out = {}
-    for k, axis in enumerate("xyz"):
-        out[axis] = 1e3 * found.points[:, k]
-        out[f"{axis}1"] = 1e3 * (found.points[:, k] + factor * error[:, k])
-        out[f"w{axis}"] = 2e3 * factor * wide[:, k]
-        out[f"e{axis}"], out[f"u{axis}"] = 1e6 * found.error[:, k], 2e6 * found.uncertainty[:, k]
-    return out
+_BEFORE, _AFTER = "#d55e00", "#0072b2"
 
 
 class ImprovePage:
@@ -90,7 +63,7 @@ class ImprovePage:
         self._fall.legend.background_fill_alpha = 0.6
         self._declared = Span(location=0.0, dimension="width", line_dash="dotted", line_color="#333333")
         self._fall.add_layout(self._declared)
-        self._residuals, self._maps, self._sources = {}, {}, {}
+        self._residuals, self._maps = {}, {}
         for name, color in (("before", _BEFORE), ("after", _AFTER)):
             plot = new_figure("", "", "", hover=_HOVER, match_aspect=True, height=330)
             plot.scatter("place_a", "place_b", source=readings.source, size=3, color="#999999", nonselection_alpha=0.3)
@@ -100,17 +73,9 @@ class ImprovePage:
             )  # fmt: skip
             plot.toolbar_location = None
             self._residuals[name] = plot
-            self._sources[name] = ColumnDataSource({"x": [], "y": [], "x1": [], "y1": [], "wx": [], "wy": []})
-            plot = new_figure("", "", "", hover=_MAP_HOVER, match_aspect=True, height=330)
-            base = plot.scatter("x", "y", source=self._sources[name], size=4, color="#999999")
-            arrows = plot.segment("x", "y", "x1", "y1", source=self._sources[name], color=color, line_width=1.4)
-            band = plot.ellipse(
-                "x1", "y1", "wx", "wy", source=self._sources[name], fill_color=_BAND, fill_alpha=0.25, line_color=_BAND
-            )
-            plot.toolbar_location = None
-            self._maps[name] = (plot, base, arrows, band)
+            self._maps[name] = MapPlot(color)
         # Both of a pair are seen in the same frame.
-        maps = {name: parts[0] for name, parts in self._maps.items()}
+        maps = {name: one.plot for name, one in self._maps.items()}
         for pair in (self._residuals, maps):
             pair["after"].x_range, pair["after"].y_range = pair["before"].x_range, pair["before"].y_range
         self.view = pn.Column(
@@ -178,11 +143,8 @@ class ImprovePage:
         ]
         self._table.object = tables([compared_models(*entries)])
         scale = self._readings.show_side_by_side(*pair.values())
-        error = [np.nan_to_num(model.fit.result.error_map.error) for model in pair.values()]
-        points = state.model.fit.result.error_map.points
-        extent = float(np.ptp(points, axis=0).max()) if len(points) else 0.0
-        largest = max(float(np.linalg.norm(one, axis=1).max(initial=0.0)) for one in error)
-        factor = round_down(_LENGTH * extent / largest) if largest > 0 and extent > 0 else 0.0
+        maps = {name: model.fit.result.error_map for name, model in pair.items()}
+        factor = magnification(list(maps.values()))
         self._scale.object = escape(
             f"Longest arrows of the residuals: {quantity(scale, 'm')}, in the colour of their setup. Errors of the "
             f"map: {spaced(factor)} times magnified; ellipses: U (k = 2)."
@@ -195,15 +157,9 @@ class ImprovePage:
             rms = quantity(model.step.result.rms_residual, "m")
             plot.title.text = f"Residuals {name}: {rms} RMS"
             plot.xaxis.axis_label, plot.yaxis.axis_label = f"{a}, mm", f"{b}, mm"
-            plot, base, arrows, band = self._maps[name]
-            base.glyph.x, base.glyph.y = a, b
-            arrows.glyph.x0, arrows.glyph.y0, arrows.glyph.x1, arrows.glyph.y1 = a, b, f"{a}1", f"{b}1"
-            band.glyph.x, band.glyph.y, band.glyph.width, band.glyph.height = f"{a}1", f"{b}1", f"w{a}", f"w{b}"
-            self._sources[name].data = map_arrows(model, factor)
             size = model.step.map_rms
             what = "no position errors" if size is None else f"{quantity(size, 'm')} RMS"
-            plot.title.text = f"Map {name}: {what}"
-            plot.xaxis.axis_label, plot.yaxis.axis_label = f"{a}, mm", f"{b}, mm"
+            self._maps[name].show(maps[name], plane, factor, f"Map {name}: {what}")
 
     def _changed(self, add: str = "", take: str = "") -> None:
         if add or take:

@@ -15,6 +15,8 @@ from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.workbench.compare import ComparePage
 from machine_tool_calibration.workbench.diagnose import DiagnosePage
 from machine_tool_calibration.workbench.improve import ImprovePage
+from machine_tool_calibration.workbench.live import LivePage
+from machine_tool_calibration.workbench.live_feed import Feed
 from machine_tool_calibration.workbench.look import bar_button, text, when_changed
 from machine_tool_calibration.workbench.measurement import MeasurementPage
 from machine_tool_calibration.workbench.readings import Readings
@@ -50,41 +52,52 @@ _TEMPLATE = """{% extends base %}
 """
 
 
-def window(target: Path, own: Sequence[PhysicalEffect] = (), variant: str | None = None) -> Any:
+def window(
+    target: Path | None,
+    own: Sequence[PhysicalEffect] = (),
+    variant: str | None = None,
+    *,
+    feed: Feed,
+    live: bool = False,
+) -> Any:
     """A new window with its own state.
 
     Every block of every page is a root of the document: whatever changes in a block, a browser lays out the whole root
     that it is in, figures of hidden pages too, which took seconds.
 
     Args:
-        target: a session, a recording, or a folder of such.
+        target: a session, a recording, or a folder of such; None for a window that only listens at first.
         own: effects of the user's own.
         variant: of the method's model; its default if absent.
+        feed: what is heard of a running graph.
+        live: begin with the page that shows it.
 
     Returns:
         What Panel serves.
     """
     page = pn.Template(_TEMPLATE)
-    for number, root in enumerate(_Window(target, own, variant).roots):
+    for number, root in enumerate(_Window(target, own, variant, feed, live).roots):
         page.add_panel(f"block{number}", root)
     return page
 
 
 class _Window:
-    def __init__(self, target: Path, own: Sequence[PhysicalEffect], variant: str | None) -> None:
+    def __init__(
+        self, target: Path | None, own: Sequence[PhysicalEffect], variant: str | None, feed: Feed, live: bool
+    ) -> None:
         self._state, self._work = State(own, variant), Work()
         self._readings = Readings(self._state)
         self._state.watch(self._changed)
         # All pages are there from the start, hidden; one is filled when it is looked at and stale.
         made = [maker(self._state, self._readings, self._work) for maker in _PAGES]
+        made.append(LivePage(self._state, self._work, feed))
         self._pages = {page.title: page for page in made}
         self._stale: set[str] = set()
         self._buttons = {title: bar_button(title, partial(self._show, title)) for title in self._pages}
-        self._shown = made[0].title
+        self._shown = (made[-1] if live else made[0]).title
         self._head = text()
-        for page in made:
-            _set_visible(page, page.title == self._shown)
-        found = measurements_in(target)
+        self._show(self._shown)
+        found = measurements_in(target) if target else []
         options = {path.name or str(path): path for path in found}
         self._choice = pn.widgets.Select(name="Measurement", options=options, width=260, visible=len(found) > 1)
         when_changed(self._choice, lambda _: self._open())
@@ -92,7 +105,7 @@ class _Window:
         self.roots = [bar, self._head, *(block for page in made for block in page.view)]
         if found:
             pn.state.onload(self._open)
-        else:
+        elif target:
             self._work.say(f"{target}: neither a session nor a recording, nor a folder with any")
 
     def _open(self) -> None:

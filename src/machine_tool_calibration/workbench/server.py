@@ -12,6 +12,7 @@ import panel as pn
 from panel.io.server import get_server
 
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
+from machine_tool_calibration.workbench.live_feed import Feed
 from machine_tool_calibration.workbench.look import CSS
 from machine_tool_calibration.workbench.page import window
 
@@ -23,10 +24,13 @@ _KEPT = 60_000  # ms
 
 
 def serve(
-    target: Path,
+    target: Path | None,
     own: Sequence[PhysicalEffect] = (),
     variant: str | None = None,
     *,
+    live: bool = False,
+    domain: int | None = None,
+    namespace: str = "",
     port: int = 0,
     ready: Callable[[str], None],
 ) -> None:
@@ -36,9 +40,12 @@ def serve(
     know it is told that there is nothing. The scripts come from the installed packages.
 
     Args:
-        target: a session, a recording, or a folder of such.
+        target: a session, a recording, or a folder of such; None where only a running graph is shown.
         own: effects of the user's own.
         variant: of the method's model; its default if absent.
+        live: begin with the page Live.
+        domain: ROS domain id of the graph that the page Live listens to; None for that of the environment.
+        namespace: of that graph.
         port: to listen on; one that is free for 0.
         ready: told the address, with the token, for a browser.
 
@@ -48,9 +55,10 @@ def serve(
     # A browser asks for files that are not there, an icon first; the terminal need not hear of it.
     logging.getLogger("tornado.access").setLevel(logging.ERROR)
     pn.extension(raw_css=[CSS], notifications=False)
+    feed = Feed(own, variant, domain, namespace)
     token = secrets.token_urlsafe(24)
     server = get_server(
-        {"workbench": lambda: window(target, own, variant)},
+        {"workbench": lambda: window(target, own, variant, feed=feed, live=live)},
         port=port,
         address=_HERE,
         title="mtcal workbench",
@@ -67,3 +75,4 @@ def serve(
     # Panel's own handler of Ctrl-C ends the loop.
     server.io_loop.start()
     server.stop()
+    feed.close()

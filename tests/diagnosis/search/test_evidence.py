@@ -11,8 +11,8 @@ from scipy import integrate, stats
 from scipy.special import logsumexp
 
 from machine_tool_calibration.diagnosis.search.evidence import Block, Gram, metrics, table
-from machine_tool_calibration.diagnosis.search.priors import SCALE_STEP, SMALLEST_SIGNAL
 from machine_tool_calibration.estimation.variance_components import DECLARED_WORTH, log_prior, ratio_grid
+from machine_tool_calibration.model.effect_sizes import SCALE_STEP, SMALLEST_SIGNAL
 
 N = 24
 EVER = np.inf

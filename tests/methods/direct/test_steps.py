@@ -92,7 +92,7 @@ def test_no_steps_for_a_single_axis_or_few_holes(plates: ModuleType) -> None:
 def test_standard_uncertainties_use_the_scatter_where_it_is_larger(
     plates: ModuleType, declared: float, source: str
 ) -> None:
-    session, _ = plates.plate(6, scales=(3e-5, 3e-5), declared=declared)
+    session, _ = plates.plate(6, scales=(1e-3, 1e-3), declared=declared)
     result = identify(session, effects=["scale"])
     scatter = result.document()["error_map"]["scatter"]
     assert scatter["uncertainties_from"] == source

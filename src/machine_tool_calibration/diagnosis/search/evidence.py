@@ -17,7 +17,6 @@ import numpy as np
 from scipy.special import log_ndtr, ndtr
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.diagnosis.search.priors import SCALE_STEP, SMALLEST_SIGNAL
 from machine_tool_calibration.effects.effect import Coefficient
 from machine_tool_calibration.estimation.solve import Solution
 from machine_tool_calibration.estimation.variance_components import (
@@ -28,6 +27,7 @@ from machine_tool_calibration.estimation.variance_components import (
     log_prior,
     ratio_grid,
 )
+from machine_tool_calibration.model.effect_sizes import SCALE_STEP, SMALLEST_SIGNAL
 
 __all__ = ["Block", "Gram", "Metric", "Point", "Table", "metric_at", "metrics", "rounding", "table"]
 

@@ -13,8 +13,9 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped
 from machine_tool_calibration.diagnosis.search.evidence import Gram, Metric
 from machine_tool_calibration.diagnosis.search.posterior import Posterior
-from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, ALIKE, LIKELY, SCALE_STEP, SMALLEST_SIGNAL
+from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, ALIKE, LIKELY
 from machine_tool_calibration.effects.effect import Coefficient
+from machine_tool_calibration.model.effect_sizes import SCALE_STEP, SMALLEST_SIGNAL
 
 __all__ = ["Finding", "Size", "alias_groups", "basis_of", "finding_of", "smallest_signal"]
 

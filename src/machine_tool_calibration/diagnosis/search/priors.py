@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a diagnosis believes before it sees the readings, and the few numbers by which it decides.
 
-They are the only ones: verdicts, look-alikes and what could have been found are read off the posterior.
+They are the only ones, beside the sizes that an effect may have (`model.effect_sizes`): verdicts, look-alikes and what
+could have been found are read off the posterior.
 """
 
 from __future__ import annotations
@@ -13,8 +14,6 @@ __all__ = [
     "EFFECT",
     "GROSS",
     "LIKELY",
-    "SCALE_STEP",
-    "SMALLEST_SIGNAL",
     "STRUCTURE",
     "SURE",
     "THE_SAME",
@@ -36,11 +35,6 @@ SURE = 0.95
 
 LIKELY = 0.2
 """Posterior probability from which an effect is called likely: what one would look at next."""
-
-SCALE_STEP, SMALLEST_SIGNAL = 5.0, 2.0
-"""The size of an effect is normal about zero with a standard deviation that is half of what is plausible, or smaller by
-steps of this factor, all equally probable, down to where its signal is this many standard uncertainties: the prior
-spans the sizes that occur, so that an effect with wide limits is not at a disadvantage."""
 
 ALIKE = 0.9
 """Cosine between the signals of two effects outside the model from which they are look-alikes."""

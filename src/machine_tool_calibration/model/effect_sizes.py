@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is known of an effect's size before the readings, and what a fit says with that.
+
+A fit by least squares lets an effect be of any size. Where the readings hardly tell a coefficient from the model's own
+unknowns (the fixed point of an expansion, where the temperature hardly changed), it comes out larger than on any
+machine, and takes the map of errors with it. The limits of its coefficients say what is plausible: before the readings
+each is normal about zero, with half its limit as standard deviation or with less by steps. Which, the readings say:
+published is the mean over these (GUM, type B beside type A).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import logsumexp
+
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.model.model import Kind, Parameter
+
+__all__ = ["SCALE_STEP", "SMALLEST_SIGNAL", "EffectSize", "effect_sizes", "with_sizes"]
+
+SCALE_STEP, SMALLEST_SIGNAL = 5.0, 2.0
+"""The size of an effect is normal about zero with a standard deviation that is half of what is plausible, or smaller by
+steps of this factor, all equally probable, down to where its signal is this many standard uncertainties: the prior
+spans the sizes that occur, so that an effect with wide limits is not at a disadvantage."""
+
+# That an effect is beyond what is plausible, and the scale that it then has: what the readings say clearly holds.
+_RARE, _BEYOND = 0.01, SCALE_STEP**2
+
+
+@dataclass(frozen=True)
+class EffectSize:
+    """What is known of an effect's unknowns.
+
+    Attributes:
+        place: (k,) of the unknowns in the shared vector.
+        unit: (k,) standard deviation of each at the largest scale; infinite where nothing is known.
+        scaled: (k,) whether the scales apply to it: not to a nonlinear coefficient, which counts from its best value
+            and is no further from there than its own size.
+    """
+
+    place: IntArray
+    unit: Array
+    scaled: BoolArray
+
+
+def effect_sizes(parameters: Sequence[Parameter], determined: BoolArray) -> list[EffectSize]:
+    """Those of the effects in a model whose unknowns the readings determine.
+
+    Args:
+        parameters: (m,) the shared unknowns.
+        determined: (m,) whether the readings and the datum determine each.
+    """
+    by: dict[tuple[str, str], list[int]] = {}
+    for k, parameter in enumerate(parameters):
+        if parameter.kind is Kind.EFFECT:
+            by.setdefault((parameter.session, parameter.owner), []).append(k)
+    out = []
+    for place in by.values():
+        own = [parameters[k] for k in place]
+        scaled = np.array([p.reference == 0.0 for p in own])
+        unit = np.array([_limit(p) / 2.0 if p.reference == 0.0 else abs(p.reference) for p in own])
+        if np.all(determined[place]) and np.isfinite(unit).any():
+            out.append(EffectSize(np.array(place, dtype=np.int64), unit, scaled))
+    return out
+
+
+def _limit(parameter: Parameter) -> float:
+    if parameter.low is None or parameter.high is None:
+        return np.inf
+    return max(abs(parameter.low), abs(parameter.high))
+
+
+def with_sizes(mean: Array, covariance: Array, sizes: Sequence[EffectSize]) -> tuple[Array, Array]:
+    """Mean and covariance of all unknowns with what is known of the effects' sizes.
+
+    Args:
+        mean: (m,) of all unknowns without it.
+        covariance: (m, m) likewise.
+        sizes: of the effects.
+    """
+    for size in sizes:
+        known = np.isfinite(size.unit)
+        place, unit, scaled = size.place[known], size.unit[known], size.scaled[known]
+        inner = covariance[np.ix_(place, place)] / np.outer(unit, unit)
+        value = mean[place] / unit
+        signal = np.sqrt(1.0 / max(float(np.linalg.eigvalsh(inner)[0]), 1e-300))
+        steps = int(np.log(max(signal / SMALLEST_SIGNAL, 1.0)) / np.log(SCALE_STEP))
+        scales = np.append(SCALE_STEP ** -np.arange(steps + 1.0), _BEYOND)
+        share = np.append(np.full(steps + 1, (1.0 - _RARE) / (steps + 1)), _RARE)
+        logs, gains = [], []
+        for scale, probability in zip(scales, share, strict=True):
+            total = inner + np.diag(np.where(scaled, scale, 1.0) ** 2)
+            fit = np.linalg.slogdet(total)[1] + value @ np.linalg.solve(total, value)
+            logs.append(np.log(probability) - 0.5 * fit)
+            gains.append(np.linalg.inv(total))
+        weights = np.exp(np.array(logs) - logsumexp(logs))
+        cross = covariance[:, place] / unit
+        moved = np.array([gain @ value for gain in gains])
+        gain = np.tensordot(weights, gains, axes=1)
+        middle = weights @ moved
+        between = (moved - middle).T @ (weights[:, None] * (moved - middle))
+        mean = mean - cross @ middle
+        covariance = covariance - cross @ (gain - between) @ cross.T
+    return mean, covariance

@@ -1,0 +1,289 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What was heard of a graph so far, for whoever shows it: readings, states of the nodes, the map, services.
+
+One thread hears, others look. Needs no ROS.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.session.collect import Reading, Received
+from machine_tool_calibration.session.parse import parse_description
+
+__all__ = ["SERVICES", "Call", "Heard", "NodeState", "Offer", "Published"]
+
+SERVICES: Mapping[str, Mapping[str, bool]] = {
+    "estimator": dict.fromkeys(("identify", "compare", "diagnose", "improve", "reset"), False),
+    "procedure": {"start": True, "pause": False, "resume": True, "abort": False},
+}
+"""What nodes are asked for, by what they are, and whether it moves the axes."""
+
+_SILENT = 5.0  # s; a node says how it is once a second
+_NODES = 200  # that are kept
+_CALLS = 6
+
+
+@dataclass(frozen=True)
+class NodeState:
+    """What a node said of itself.
+
+    Attributes:
+        node: its name, without the graph's namespace.
+        kind: what the status is about, such as `instrument` or `axes`, whatever the node's name.
+        level: 0 as it should be, 1 waiting or stopped, 2 error.
+        message: one sentence.
+        entries: values by key.
+        device: behind the node.
+        at: when it was heard, s of a clock that never jumps.
+        repeats: whether it is said once a second, so that silence means something.
+    """
+
+    node: str
+    kind: str
+    level: int
+    message: str
+    entries: Mapping[str, str] = field(default_factory=dict)
+    device: str = ""
+    at: float = 0.0
+    repeats: bool = False
+
+    def silent(self, now: float) -> float:
+        """How long a node has said nothing that should have spoken, s; 0 if it speaks."""
+        since = now - self.at
+        return since if self.repeats and since > _SILENT else 0.0
+
+
+@dataclass(frozen=True)
+class Offer:
+    """A service that may be asked for.
+
+    Attributes:
+        service: its name, without the graph's namespace.
+        verb: the last part of it.
+        moves_axes: whether it moves the machine's axes.
+    """
+
+    service: str
+    verb: str
+    moves_axes: bool = False
+
+
+@dataclass(frozen=True)
+class Call:
+    """A request to a service.
+
+    Attributes:
+        service: its name.
+        success: as answered; None while there is no answer.
+        message: of the answer.
+    """
+
+    service: str
+    success: bool | None = None
+    message: str = ""
+
+
+@dataclass(frozen=True)
+class Published:
+    """What an estimator published last.
+
+    Attributes:
+        number: grows with every message.
+        error_map: columns of the topic `error_map`, m.
+        residuals: columns of the topic `residuals`, SI.
+        document: text of the topic `error_map/result`.
+    """
+
+    number: int = 0
+    error_map: Mapping[str, Array] = field(default_factory=dict)
+    residuals: Mapping[str, Array] = field(default_factory=dict)
+    document: str = ""
+
+
+class Heard:
+    """Everything as it was said last."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._received = Received()
+        self._rows: list[tuple[int, float]] = []
+        self._run = 0
+        self._frames: list[str] = []
+        self._spoken: dict[str, NodeState] = {}
+        self._said: dict[str, NodeState] = {}
+        self._calls: dict[int, Call] = {}
+        self._asked = 0
+        self._ignored = (0, "")
+        self.description = ""
+        self.setups: tuple[str, ...] = ()
+        self.published = Published()
+        self.offers: tuple[Offer, ...] = ()
+        self.refusing: tuple[str, ...] = ()
+
+    # --- the thread that hears
+
+    def describe(self, text: str) -> None:
+        """The session's description came.
+
+        Raises:
+            CalibrationError: it is none.
+        """
+        setups = tuple(setup.id for setup in parse_description(text, "session").setups)
+        with self._lock:
+            self.description, self.setups = text, setups
+
+    def read(self, stamp: int, reading: Reading) -> None:
+        """A reading came.
+
+        Args:
+            stamp: its time, ns.
+            reading: what the message says.
+
+        Raises:
+            CalibrationError: it cannot be one.
+        """
+        columns = dict(zip(reading.names, reading.values, strict=True))
+        index, displacement = columns.get("setup_index", np.nan), columns.get("displacement", np.nan)
+        with self._lock:
+            if self._received.add(stamp, reading):
+                self._rows, self._frames, self._run = [], [], self._run + 1
+            if len(self._received) > len(self._rows):
+                setup = int(index) if np.isfinite(index) else self._of_frame(reading.frame)
+                self._rows.append((setup, displacement))
+
+    def _of_frame(self, frame: str) -> int:
+        """Of earlier releases, whose readings name their setup in the header."""
+        if frame in self.setups:
+            return self.setups.index(frame)
+        if frame not in self._frames:
+            self._frames.append(frame)
+        return self._frames.index(frame)
+
+    def say(self, state: NodeState) -> None:
+        """A node said how it is: again and again, or on the topic of its own.
+
+        Raises:
+            CalibrationError: there are more nodes than any graph has.
+        """
+        states = self._spoken if state.repeats else self._said
+        key = f"{state.node}: {state.kind}"
+        with self._lock:
+            if key not in states and len(states) >= _NODES:
+                raise CalibrationError(f"more than {_NODES} nodes")
+            states[key] = state
+
+    def publish(self, **changes: Mapping[str, Array] | str) -> None:
+        """The estimator published a part of its result; the arguments are fields of `Published`."""
+        self.published = replace(self.published, number=self.published.number + 1, **changes)  # type: ignore[arg-type]
+
+    def offer(self, offers: Iterable[Offer], refusing: Iterable[str] = ()) -> None:
+        """These services are there; those that ask for one that is not any more get no answer.
+
+        Args:
+            offers: the services that may be asked for.
+            refusing: nodes that do not allow their services to move axes.
+        """
+        self.offers, self.refusing = tuple(offers), tuple(refusing)
+        there = {one.service for one in self.offers}
+        with self._lock:
+            for number, call in self._calls.items():
+                if call.success is None and call.service not in there:
+                    self._calls[number] = replace(call, success=False, message="no answer: the node has gone")
+
+    def ignore(self, count: int, last: str) -> None:
+        """So many messages meant nothing, the last one for this reason."""
+        self._ignored = count, last
+
+    def ask(self, service: str) -> int:
+        """A service is asked for; gives the number by which `answer` knows it."""
+        with self._lock:
+            self._asked += 1
+            self._calls[self._asked] = Call(service)
+            for number in list(self._calls)[:-_CALLS]:
+                del self._calls[number]
+            return self._asked
+
+    def answer(self, number: int, success: bool, message: str) -> None:
+        """A service answered."""
+        with self._lock:
+            if number in self._calls:
+                self._calls[number] = replace(self._calls[number], success=success, message=message)
+
+    # --- those who look
+
+    def rows(self, run: int, first: int) -> tuple[int, int, Sequence[tuple[int, float]]]:
+        """Readings in the order of their coming.
+
+        Args:
+            run: of which those are that are known already.
+            first: how many of them are known.
+
+        Returns:
+            The present run, how many of its readings are known, and the others: place of the setup, displacement (m).
+        """
+        with self._lock:
+            known = first if run == self._run else 0
+            return self._run, known, self._rows[known:]
+
+    def session(self) -> tuple[str, list[Reading]]:
+        """The description and all readings in the order of time."""
+        with self._lock:
+            return self.description, self._received.in_order()
+
+    @property
+    def count(self) -> tuple[int, int]:
+        """The present run and how many readings it has."""
+        with self._lock:
+            return self._run, len(self._received)
+
+    @property
+    def missing(self) -> int:
+        """Readings of the session that never came, as far as those that came tell."""
+        with self._lock:
+            return self._received.missing
+
+    @property
+    def ignored(self) -> tuple[int, str]:
+        """How many messages meant nothing, and why the last one did not."""
+        return self._ignored
+
+    @property
+    def calls(self) -> list[Call]:
+        """The last requests to services, the newest first."""
+        with self._lock:
+            return [call for _, call in reversed(self._calls.items())]
+
+    def nodes(self) -> list[NodeState]:
+        """How the nodes are, by name, each as it was said last.
+
+        A status on a topic of its own, which a replay has too, stands for a node where none speaks for it, or has
+        not for long.
+        """
+        with self._lock:
+            spoken, said = list(self._spoken.values()), list(self._said.values())
+        out: list[NodeState] = []
+        for kind in dict.fromkeys(one.kind for one in (*spoken, *said)):
+            speaking, topics = ([one for one in every if one.kind == kind] for every in (spoken, said))
+            last = max((one.at for one in speaking), default=-np.inf)
+            newer = [one for one in topics if one.at > last]
+            if any(one.at > last + _SILENT for one in newer):
+                out += topics
+            elif newer and len(speaking) == 1:
+                (topic,) = newer[-1:]
+                out.append(replace(topic, node=speaking[0].node, at=speaking[0].at, repeats=True))
+            else:
+                out += speaking
+        return sorted(out, key=lambda one: one.node)
+
+    def newest(self, kind: str) -> NodeState | None:
+        """What was said last of what is of a kind, such as `procedure`; None if nothing was."""
+        with self._lock:
+            found = [one for one in (*self._said.values(), *self._spoken.values()) if one.kind == kind]
+        return max(found, key=lambda one: one.at, default=None)

@@ -1,0 +1,397 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page beside a running graph, live or replayed: readings as they come, its nodes, the map, its services."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Mapping, Sequence
+from functools import partial
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import panel as pn
+from bokeh.models import ColumnDataSource, Span
+
+from machine_tool_calibration.arrays import rms
+from machine_tool_calibration.nodes.heard import Call, NodeState, Offer
+from machine_tool_calibration.plots.residuals import planes
+from machine_tool_calibration.plots.style import spaced
+from machine_tool_calibration.reports.identification import summary_rows
+from machine_tool_calibration.reports.quantities import quantity, rounded
+from machine_tool_calibration.workbench.live_feed import Feed
+from machine_tool_calibration.workbench.look import bar_button, new_figure, setup_color, text, when_changed
+from machine_tool_calibration.workbench.map_plot import MapPlot, magnification
+from machine_tool_calibration.workbench.state import State
+from machine_tool_calibration.workbench.work import Work
+
+__all__ = ["LivePage", "Thinned", "answer_words", "node_table"]
+
+_PERIOD = 500  # ms between looks at what was heard
+_DRAWN = 2000  # readings in a plot
+_GOLDEN = 0.618034  # its multiples are spread most evenly
+_SLOW = 2.0  # s; a calculation that takes longer is told of
+_LONG = 1e-3  # m; displacements beyond are shown in millimetres
+# What is told of a node beside its message; of a replay, s.
+_TOLD = {
+    "procedure": ("state", "setup", "repeat", "waiting_for"),
+    "estimator": ("readings", "missing", "step"),
+    "recorder": ("messages", "lost", "bag"),
+    "player": ("position", "duration"),
+    "instrument": ("driver",),
+}
+_LEVELS = (("●", "#0072b2", "in order"), ("▲", "#b36b00", "attention"), ("■", "#b00020", "error"))
+_SILENT = ("○", "#666666")
+_CONFIRM = {
+    "start": "The machine's axes will move: the measurement begins at its first reading.",
+    "resume": "The machine's axes will move: the measurement goes on.",
+    "reset": "The estimator will forget the readings that it has.",
+}
+_HOVER = [("reading", "@number"), ("setup", "@setup"), ("", "@shown")]
+_COLUMNS = ("number", "value", "color", "setup", "shown")
+
+
+class Thinned:
+    """Which of a growing number of readings are drawn: all, then one of every two, and so on.
+
+    Which one of those beside each other varies: procedures repeat themselves, and every eighth reading could be that of
+    one and the same target.
+
+    Attributes:
+        step: how many stand for one that is drawn.
+
+    Args:
+        most: that are drawn.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self.step = 1
+
+    def grow(self, total: int) -> bool:
+        """There are so many now; whether other ones are drawn than before."""
+        before = self.step
+        while total > self._most * self.step:
+            self.step *= 2
+        return self.step != before
+
+    def of(self, first: int, total: int) -> list[int]:
+        """Numbers of those that are drawn, from one on."""
+        groups = np.arange(first // self.step, -(-total // self.step))
+        numbers = groups * self.step + (self.step * (groups * _GOLDEN % 1.0)).astype(int)
+        return [int(number) for number in numbers if first <= number < total]
+
+
+class LivePage:
+    """Looks at what was heard a few times a second while it is shown."""
+
+    title = "Live"
+
+    def __init__(self, state: State, work: Work, feed: Feed) -> None:
+        self._state, self._work, self._feed = state, work, feed
+        self._run, self._known, self._thinned, self._factor = -1, 0, Thinned(_DRAWN), 1e6
+        self._counts: dict[int, tuple[int, float]] = {}
+        self._map_number = 0
+        self._offers: tuple[tuple[Offer, ...], tuple[str, ...]] = ((), ())
+        self._where, self._nodes, self._answers, self._setups = text(), text(), text(), text()
+        self._map_words, self._refusing = text(), text()
+        self._bar = pn.indicators.Progress(value=0, max=100, width=240, height=16, margin=(10, 6))
+        self._count = text()
+        self._take = bar_button("Open in the other pages", self._take_over, "primary", disabled=True)
+        self._services = pn.FlexBox(sizing_mode="stretch_width")
+        self._question = text("", min_width=300)
+        self._asked: Offer | None = None
+        self._confirm = pn.Row(
+            self._question, bar_button("Yes", self._confirmed, "danger"), bar_button("No", self._refused), visible=False
+        )
+        self._points = ColumnDataSource({name: [] for name in _COLUMNS})
+        self._left = ColumnDataSource({name: [] for name in _COLUMNS})
+        self._readings = new_figure("Readings as they come", "number of the reading", "", hover=_HOVER)
+        self._residuals = new_figure("Residuals of the map", "number of the reading", "residual, µm", hover=_HOVER)
+        for plot, source in ((self._readings, self._points), (self._residuals, self._left)):
+            plot.visible = False
+            plot.scatter("number", "value", source=source, size=4, color="color", alpha=0.7)
+        self._residuals.add_layout(Span(location=0.0, dimension="width", line_color="#999999", line_width=1))
+        # Both show the same readings one above the other in time.
+        self._residuals.x_range = self._readings.x_range
+        self._map = MapPlot("#0072b2")
+        self._map.plot.visible = False
+        self._plane = pn.widgets.Select(name="Map in the plane", width=120, options=["xy"], visible=False)
+        when_changed(self._plane, lambda _: self._draw_map())
+        self.view = pn.Column(
+            self._where,
+            pn.Row(self._take, self._bar, self._count, sizing_mode="stretch_width"),
+            pn.Row(
+                pn.Column(self._nodes, sizing_mode="stretch_width"),
+                pn.Column(
+                    self._services, self._refusing, self._confirm, self._answers, sizing_mode="stretch_width",
+                ),
+                sizing_mode="stretch_width",
+            ),
+            pn.Row(self._readings, self._residuals, sizing_mode="stretch_width"),
+            pn.Row(
+                self._map.plot,
+                pn.Column(self._plane, self._map_words, self._setups, sizing_mode="stretch_width"),
+                sizing_mode="stretch_width",
+            ),
+            sizing_mode="stretch_width",
+        )  # fmt: skip
+        pn.state.curdoc.add_periodic_callback(self._look, _PERIOD)
+
+    def refresh(self) -> None:
+        """The measurement that is open has nothing to do with what is heard."""
+
+    def _look(self) -> None:
+        if not self.view[0].visible:
+            return
+        feed, now = self._feed, time.monotonic()
+        feed.look(now)
+        states = feed.heard.nodes()
+        self._where.object = _where(feed, states)
+        self._nodes.object = node_table(states, now)
+        self._answers.object = "".join(_call(call) for call in feed.heard.calls)
+        self._offer()
+        self._draw_readings()
+        if feed.number != self._map_number:
+            self._map_number = feed.number
+            self._draw_residuals()
+            self._draw_map()
+        self._say_progress()
+
+    def _say_progress(self) -> None:
+        """How far the measurement is, and what became of its readings."""
+        heard, why_not = self._feed.heard, self._feed.why_not
+        procedure, count = heard.newest("procedure"), self._known
+        entries = procedure.entries if procedure else {}
+        total = int(entries["total"]) if entries.get("total", "").isdecimal() else 0
+        self._bar.visible = total > 0
+        self._bar.value = min(100 * count // total, 100) if total else 0
+        words = f"{count} of {total} readings" if total else f"{count} readings"
+        words += f", {entries['state']}" if entries.get("state") else ""
+        words += f": {procedure.message}" if procedure and procedure.level else ""
+        if heard.missing:
+            words += f"; {heard.missing} more were published before anybody listened, or were lost"
+        drawn = self._thinned.step
+        words += f"; of {drawn} one is drawn" if drawn > 1 else ""
+        self._count.object = escape(words)
+        self._take.disabled = not count or bool(why_not) or self._feed.map is None
+        self._map_words.object = self._about_map()
+        self._setups.object = self._setup_table()
+
+    def _about_map(self) -> str:
+        found, why_not = self._feed.map, self._feed.why_not
+        said = f'<p class="note">No map of these readings yet: {escape(why_not)}</p>' if why_not else ""
+        since, count = self._feed.calculating
+        if count and time.monotonic() - since > _SLOW:
+            said += f'<p class="note">The map of {count} readings is being calculated …</p>'
+        if found is None:
+            return said
+        factor = magnification([found.error_map])
+        rows = summary_rows(dict(found.document)) if found.document else []
+        if factor:
+            rows.append(("drawn", f"{spaced(factor)} times magnified; ellipses: U (k = 2)"))
+        body = "".join(f"<tr><td>{escape(name)}</td><td>{escape(value)}</td></tr>" for name, value in rows)
+        return f"{said}<h3>The map, {escape(found.whose)}</h3><table>{body}</table>"
+
+    def _setup_table(self) -> str:
+        """Readings, the last one and the residual of each setup."""
+        if not self._counts:
+            return ""
+        found = self._feed.map
+        unit, rows = ("mm" if self._factor == 1e3 else "µm"), ""
+        for setup, (count, last) in sorted(self._counts.items()):
+            own = found.residual[found.setup == setup] if found is not None else np.zeros(0)
+            left = f"{1e6 * rms(own):.3f}" if len(own) else ""
+            mark = f'<span style="color:{setup_color(setup)}">■</span>'
+            rows += (
+                f"<tr><td>{mark} {escape(self._name(setup))}</td><td>{count}</td>"
+                f"<td>{self._factor * last:.4f}</td><td>{left}</td></tr>"
+            )
+        head = "".join(f"<th>{one}</th>" for one in ("setup", "readings", f"last / {unit}", "RMS residual / µm"))
+        return f"<h3>Setups</h3><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
+
+    def _name(self, setup: int) -> str:
+        names = self._feed.heard.setups
+        return names[setup] if 0 <= setup < len(names) else str(setup)
+
+    def _draw_readings(self) -> None:
+        """Add what has come to the plot; all of it where another session has begun, or others are drawn."""
+        run, known, rows = self._feed.heard.rows(self._run, self._known)
+        if run != self._run:
+            self._run, self._known, self._counts, self._factor = run, 0, {}, 1e6
+            self._thinned = Thinned(_DRAWN)
+            self._points.data = {name: [] for name in _COLUMNS}
+        if not rows:
+            return
+        total = known + len(rows)
+        for setup, value in rows:
+            self._counts[setup] = (self._counts.get(setup, (0, 0.0))[0] + 1, value)
+        long = self._factor == 1e6 and any(abs(value) > _LONG for _, value in rows)
+        if self._thinned.grow(total) or long:
+            self._factor = 1e3 if long else self._factor
+            _, known, rows = self._feed.heard.rows(run, 0)
+            total = len(rows)
+            self._points.data = self._columns(rows, 0, total)
+        else:
+            self._points.stream(self._columns(rows, known, total))
+        self._known = total
+        self._readings.visible = self._residuals.visible = True
+        self._readings.yaxis.axis_label = f"displacement, {'mm' if self._factor == 1e3 else 'µm'}"
+
+    def _columns(self, rows: Sequence[tuple[int, float]], first: int, total: int) -> dict[str, list[Any]]:
+        """Those of the readings from the first on that are drawn."""
+        numbers = self._thinned.of(first, total)
+        some = [rows[number - first] for number in numbers]
+        return {
+            "number": numbers,
+            "value": [self._factor * value for _, value in some],
+            "color": [setup_color(setup) for setup, _ in some],
+            "setup": [self._name(setup) for setup, _ in some],
+            "shown": [quantity(value, "m") for _, value in some],
+        }
+
+    def _draw_residuals(self) -> None:
+        found = self._feed.map
+        if found is None:
+            self._left.data = {name: [] for name in _COLUMNS}
+            self._residuals.title.text = "Residuals of the map"
+            return
+        thinned = Thinned(_DRAWN)
+        thinned.grow(len(found.row))
+        drawn = thinned.of(0, len(found.row))
+        row, setup, residual = found.row[drawn], found.setup[drawn].astype(int).tolist(), found.residual[drawn]
+        self._left.data = {
+            "number": row,
+            "value": 1e6 * residual,
+            "color": [setup_color(one) for one in setup],
+            "setup": [self._name(one) for one in setup],
+            "shown": [quantity(value, "m") for value in residual.tolist()],
+        }
+        self._residuals.title.text = f"Residuals of the map: {quantity(rms(found.residual), 'm')} RMS"
+
+    def _draw_map(self) -> None:
+        found = self._feed.map
+        points = found.error_map.points if found is not None else np.zeros((0, 3))
+        self._map.plot.visible = self._plane.visible = len(points) > 0
+        if found is not None and len(points):
+            options = ["xyz"[a] + "xyz"[b] for a, b in planes(points, np.zeros_like(points))]
+            if self._plane.options != options:
+                self._plane.param.update(options=options, value=options[0])
+            self._map.show(found.error_map, self._plane.value, magnification([found.error_map]), "Map of the errors")
+
+    def _offer(self) -> None:
+        """A button for each service that is there."""
+        heard = self._feed.heard
+        if (heard.offers, heard.refusing) == self._offers:
+            return
+        self._offers = heard.offers, heard.refusing
+        self._services.objects = [bar_button(one.service, partial(self._ask, one)) for one in heard.offers]
+        self._refusing.object = "".join(
+            f'<p class="note">{escape(name)} does not allow its services to move axes.</p>' for name in heard.refusing
+        )
+
+    def _ask(self, offer: Offer) -> None:
+        if offer.verb in _CONFIRM or offer.moves_axes:
+            self._asked, self._confirm.visible = offer, True
+            words = _CONFIRM.get(offer.verb, "The machine's axes will move.")
+            self._question.object = f"<b>{escape(offer.service)}</b>: {escape(words)}"
+        else:
+            self._feed.ask(offer)
+
+    def _confirmed(self) -> None:
+        if self._asked is not None:
+            self._feed.ask(self._asked)
+        self._refused()
+
+    def _refused(self) -> None:
+        self._asked, self._confirm.visible = None, False
+
+    def _take_over(self) -> None:
+        def open_it(path: Path) -> Any:
+            return path, self._state.opened(path)
+
+        def use(opened: Any) -> None:
+            path, show = opened
+            show()
+            self._work.say(f"{path} is open in the other pages.")
+
+        self._work.run("taking the readings over", lambda progress: open_it(self._feed.keep()), use)
+
+
+def _where(feed: Feed, states: Sequence[NodeState]) -> str:
+    """What is listened to."""
+    if feed.trouble:
+        return f'<p class="error" role="alert">{escape(feed.trouble)}</p>'
+    domain = os.environ.get("ROS_DOMAIN_ID", "0") if feed.domain is None else feed.domain
+    place = f"ROS domain {domain}" + (f", namespace /{feed.namespace}" if feed.namespace else "")
+    if states or feed.heard.description:
+        count, last = feed.heard.ignored
+        ignored = f"; {count} messages meant nothing (the last: {last})" if count else ""
+        return f"<p>Listening in {escape(place)}{escape(ignored)}.</p>"
+    return (
+        f"<p>Nothing is heard in {escape(place)} yet. Start a measurement there (<code>mtcal run</code>, "
+        "<code>ros2 launch</code>), or replay a recording (<code>mtcal play</code>, <code>ros2 bag play</code>).</p>"
+    )
+
+
+def node_table(states: Sequence[NodeState], now: float) -> str:
+    """How the nodes are, as HTML.
+
+    Args:
+        states: of the nodes.
+        now: s of the clock that `NodeState.at` is of.
+    """
+    rows = ""
+    for one in states:
+        silent = one.silent(now)
+        if silent:
+            mark, color, word = *_SILENT, f"silent for {silent:.0f} s"
+        else:
+            mark, color, word = _LEVELS[min(one.level, 2)]
+        told = [f"{key.replace('_', ' ')} {one.entries[key]}" for key in _TOLD.get(one.kind, ()) if _says(one, key)]
+        if _says(one, "ignored"):
+            told.append(f"{one.entries['ignored']} messages ignored ({one.entries.get('ignored_last', '')})")
+        more = f' <span class="note">{escape("; ".join(told))}</span>' if told else ""
+        device = f' <span class="note">({escape(one.device)})</span>' if one.device else ""
+        rows += (
+            f'<tr><td><span style="color:{color}">{mark}</span> {escape(one.node)}{device}</td>'
+            f'<td style="white-space:nowrap">{escape(word)}</td><td>{escape(one.message)}{more}</td></tr>'
+        )
+    head = "<th>node</th><th>state</th><th>what it says</th>"
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>" if rows else ""
+
+
+def _says(state: NodeState, key: str) -> bool:
+    return state.entries.get(key, "") not in ("", "0")
+
+
+def _call(call: Call) -> str:
+    if call.success is None:
+        return f"<p><b>{escape(call.service)}</b> …</p>"
+    kind = "" if call.success else ' class="error"'
+    return f"<p><b>{escape(call.service)}</b>: <span{kind}>{escape(answer_words(call.message))}</span></p>"
+
+
+def answer_words(message: str) -> str:
+    """An answer for people: a sentence as it is, a JSON object's values with their units."""
+    try:
+        content = json.loads(message)
+    except (ValueError, RecursionError):
+        return message
+    if not isinstance(content, Mapping):
+        return message
+    if isinstance(content.get("summary"), str):
+        return str(content["summary"])
+    told = []
+    for key, value in content.items():
+        name = key.replace("_", " ")
+        if isinstance(value, float):
+            told.append(f"{name} {quantity(value, 'm') if key.startswith('rms') else rounded(value)}")
+        elif isinstance(value, list):
+            told.append(f"{name} {', '.join(map(str, value)) or 'none'}")
+        elif not (key == "missing" and value == 0):
+            told.append(f"{name} {value}")
+    return "; ".join(told)

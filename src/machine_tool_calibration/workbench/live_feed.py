@@ -1,0 +1,260 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What all windows see of a running graph: one listener, and the map of the readings so far."""
+
+from __future__ import annotations
+
+import json
+import logging
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
+from machine_tool_calibration.errors import CalibrationError, SessionError
+from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.nodes.heard import Heard, Offer, Published
+from machine_tool_calibration.session.collect import Reading, live_session
+from machine_tool_calibration.session.session import Session
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.nodes.listener import Listener
+
+__all__ = ["Feed", "LiveMap"]
+
+_EVERY = 3.0  # s from the end of one calculation to the next
+_SHARE = 10.0  # of the time that one takes: the page is not to be kept waiting by large sessions
+
+
+@dataclass(frozen=True)
+class LiveMap:
+    """The map of the readings so far, and what it leaves.
+
+    Attributes:
+        whose: who calculated it, in words.
+        document: the result, `mtcal-result/1`; empty where only the map was published.
+        error_map: the machine's position errors, if there are any.
+        row: (n,) number of each reading in the order of time.
+        setup: (n,) place of its setup.
+        residual: (n,) m.
+    """
+
+    whose: str
+    document: Mapping[str, Any]
+    error_map: ErrorMap
+    row: Array
+    setup: Array
+    residual: Array
+
+    @staticmethod
+    def of_session(session: Session, variant: str | None, own: Sequence[PhysicalEffect]) -> LiveMap:
+        """Calculated from readings.
+
+        Raises:
+            CalibrationError: they do not allow it.
+        """
+        result = identify(session, model=variant, own=own)
+        readings = result.fit.model.observations.readings
+        return LiveMap(
+            whose=f"calculated here from {len(session.readings)} readings",
+            document=result.document(),
+            error_map=result.error_map,
+            row=readings.row.astype(float),
+            setup=readings.setup.astype(float),
+            residual=result.fit.residuals,
+        )
+
+    @staticmethod
+    def of_messages(published: Published) -> LiveMap:
+        """As an estimator published it.
+
+        Raises:
+            ValueError: the document is none.
+        """
+        document = json.loads(published.document) if published.document else {}
+        columns = {name: np.zeros(0) for name in ("x", "y", "z", "ex", "ey", "ez", "ux", "uy", "uz")}
+        columns |= dict(published.error_map)
+        points, error, uncertainty = (
+            np.column_stack([columns[f"{what}{axis}"] for axis in "xyz"]) for what in ("", "e", "u")
+        )
+        left = {name: np.zeros(0) for name in ("row", "setup", "residual")} | dict(published.residuals)
+        effects = ", ".join(document.get("effects", ()))
+        return LiveMap(
+            whose="published by the estimator" + (f", with {effects}" if effects else ""),
+            document=document if document.get("format") == "mtcal-result/1" else {},
+            error_map=ErrorMap({}, points, error, uncertainty),
+            **left,
+        )
+
+
+class Feed:
+    """Listens from the first look at it until it is closed.
+
+    The map that is shown is the newest: the one that the estimator published, or one that is calculated here whenever
+    readings have come since, so that it is there without an estimator, as in a replay, and no node is kept busy.
+
+    Attributes:
+        heard: of the graph.
+        domain: ROS domain id; None for that of the environment.
+        namespace: of the graph; empty for none.
+        trouble: why nothing is heard; empty if nothing is wrong.
+        map: the newest map of the present session; None as long as there is none.
+        number: grows with every map.
+        calculating: since when a map is being calculated, and from how many readings; 0 if none is.
+        why_not: why there is no map of the newest readings; empty if there is.
+
+    Args:
+        own: effects of the user's own.
+        variant: of the method's model; its default if absent.
+        domain: ROS domain id; None for that of the environment.
+        namespace: of the graph.
+    """
+
+    def __init__(
+        self,
+        own: Sequence[PhysicalEffect] = (),
+        variant: str | None = None,
+        domain: int | None = None,
+        namespace: str = "",
+    ) -> None:
+        self._own, self._variant = own, variant
+        self.domain, self.namespace = domain, namespace.strip("/")
+        self.heard = Heard()
+        self.trouble = ""
+        self.map: LiveMap | None = None
+        self.number = 0
+        self.why_not = ""
+        self.calculating = (0.0, 0)
+        self._listener: Listener | None = None
+        self._starting: threading.Thread | None = None
+        self._working: threading.Thread | None = None
+        self._run = 0
+        self._done: tuple[object, ...] = (0, 0, "")
+        self._shown = 0
+        self._due = 0.0
+        self._kept: tuple[tuple[int, int], Path] | None = None
+
+    def look(self, now: float) -> None:
+        """Somebody looks: listen, and begin to calculate the map anew where that is due.
+
+        Args:
+            now: s of a clock that never jumps.
+        """
+        if self._starting is None:
+            self._starting = threading.Thread(target=self._start, name="listener's start", daemon=True)
+            self._starting.start()
+        run, count = self.heard.count
+        if run != self._run:
+            self._run = run
+            self._show(None)
+        published = self.heard.published
+        if published.number != self._shown:
+            self._shown = published.number
+            with suppress(ValueError):
+                self._show(LiveMap.of_messages(published))
+        there = run, count, self.heard.description
+        if self._working is None and now >= self._due and count and there != self._done:
+            self._done, self.calculating = there, (now, count)
+            self._working = threading.Thread(target=self._calculate, name="live map", daemon=True)
+            self._working.start()
+
+    def ask(self, offer: Offer) -> None:
+        """Ask for a service; `heard.calls` tells the answer."""
+        if self._listener is not None:
+            self._listener.ask(offer)
+
+    def close(self) -> None:
+        """Listen no longer."""
+        if self._starting is not None:
+            self._starting.join()
+        if self._listener is not None:
+            self._listener.close()
+
+    def keep(self) -> Path:
+        """A file or folder with the readings so far: the graph's own recording if it is finished, else a new session.
+
+        Raises:
+            CalibrationError: they are no session, or it cannot be written.
+        """
+        count = self.heard.count
+        if self._kept is not None and self._kept[0] == count and self._kept[1].exists():
+            return self._kept[1]
+        description, readings = self.heard.session()
+        session = _session(description, readings)
+        path = self._recording(session) or _written(session)
+        self._kept = count, path
+        return path
+
+    def _recording(self, session: Session) -> Path | None:
+        """What the recorder has written, if it is finished and holds every reading that was heard."""
+        from machine_tool_calibration.recording.open import open_measurement
+
+        recorder = self.heard.newest("recorder")
+        path = Path(recorder.entries.get("bag", "")) if recorder else Path()
+        if not path.is_absolute() or not path.exists():
+            return None
+        try:
+            recorded = open_measurement(path)
+        except SessionError:  # it is being written
+            return None
+        there = np.isin(session.readings.displacement, recorded.readings.displacement)
+        lost = np.isnan(session.readings.displacement)
+        return path if (there | lost).all() else None
+
+    def _start(self) -> None:
+        try:
+            from machine_tool_calibration.nodes.listener import Listener
+
+            self._listener = Listener(self.heard, self.domain, self.namespace)
+        except ModuleNotFoundError as error:
+            self.trouble = (
+                f"To see a running graph needs ROS 2 ({error.name} is missing): source your ROS 2 installation, or "
+                "pip install 'machine_tool_calibration[ros]'. Everything else works without it."
+            )
+        except CalibrationError as error:
+            self.trouble = str(error)
+        except Exception as error:
+            self.trouble = f"ROS 2 does not start here: {' '.join(str(error).split())}"
+
+    def _calculate(self) -> None:
+        begin, published = time.monotonic(), self.heard.published.number
+        try:
+            found = LiveMap.of_session(_session(*self.heard.session()), self._variant, self._own)
+            self.why_not = ""
+            if published == self.heard.published.number:  # else the estimator's map is newer
+                self._show(found)
+        except CalibrationError as error:
+            self.why_not = str(error)
+        except Exception as error:
+            self.why_not = f"unexpected {error!r} (a fault of mtcal itself; the terminal shows where it comes from)"
+            logging.getLogger(__name__).error("a fault of the live map", exc_info=error)
+        end = time.monotonic()
+        self._due = end + max(_EVERY, _SHARE * (end - begin))
+        self._working, self.calculating = None, (0.0, 0)
+
+    def _show(self, found: LiveMap | None) -> None:
+        self.map, self.number = found, self.number + 1
+
+
+def _session(description: str, readings: Sequence[Reading]) -> Session:
+    if not readings:
+        raise CalibrationError("no readings have come yet")
+    if not description:
+        raise CalibrationError("no session has been described yet (topic session)")
+    return live_session(description, readings)
+
+
+def _written(session: Session) -> Path:
+    from machine_tool_calibration.nodes.measurement import free_folder  # needs ROS 2, as what was heard does
+    from machine_tool_calibration.session.folder import write_session
+
+    folder = free_folder("live", None)
+    write_session(session, folder)
+    return folder

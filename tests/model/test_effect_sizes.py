@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is published where the readings hardly tell an effect from the model's own unknowns."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.model.effect_sizes import effect_sizes, with_sizes
+from machine_tool_calibration.model.model import Kind, Parameter
+
+LIMIT = 2e-4
+SIGMA = 1e-7
+MAP = Parameter("EXX(0.4)", "m", kind=Kind.MOTION, owner="EXX")
+GROWTH = Parameter("growth.k", "1/K", -LIMIT, LIMIT, kind=Kind.EFFECT, owner="growth")
+
+
+def session(varied: float) -> tuple[Array, Array]:
+    """Columns of an error of the map and of an expansion at 0.4 m while the temperature varies so much about 21."""
+    excess = 1.0 + varied * np.linspace(-1.0, 1.0, 40)
+    columns = np.stack([np.ones(40), 0.4 * excess])
+    return columns, SIGMA**2 * np.linalg.inv(columns @ columns.T)
+
+
+def test_what_the_readings_tell_stays() -> None:
+    columns, covariance = session(varied=0.5)
+    value = covariance @ columns @ (columns.T @ np.array([2e-6, 4e-5])) / SIGMA**2
+    mean, after = with_sizes(value, covariance, effect_sizes([MAP, GROWTH], np.ones(2, dtype=bool)))
+    np.testing.assert_allclose(mean, value, atol=0.05 * np.sqrt(covariance[0, 0]), rtol=1e-3)
+    np.testing.assert_allclose(np.sqrt(np.diag(after)), np.sqrt(np.diag(covariance)), rtol=0.02)
+
+
+def test_what_they_hardly_tell_is_no_larger_than_plausible_and_its_uncertainty_is_right() -> None:
+    """Effects of any plausible size, hardly visible: the map is better by far, and its uncertainty covers that."""
+    rng = np.random.default_rng(4)
+    _, covariance = session(varied=0.0003)
+    sizes = effect_sizes([MAP, GROWTH], np.ones(2, dtype=bool))
+    flat, known, error = [], [], []
+    for _ in range(400):
+        truth = np.array([2e-6, 0.5 * LIMIT * rng.standard_normal()])
+        value = truth + np.linalg.cholesky(covariance) @ rng.standard_normal(2)
+        mean, after = with_sizes(value, covariance, sizes)
+        flat.append((value - truth)[0])
+        error.append((mean - truth)[0])
+        known.append(after[0, 0])
+    assert np.mean(np.square(error)) < 0.3 * np.mean(np.square(flat))
+    # Four standard deviations of a mean of so many squares.
+    assert np.mean(np.square(error) / known) == pytest.approx(1.0, abs=4 * np.sqrt(2 / 400))
+
+
+def test_a_nonlinear_coefficient_is_no_further_from_its_best_value_than_that_is_large() -> None:
+    tau = Parameter("warmup.tau", "s", 10.0, 1e5, reference=600.0, kind=Kind.EFFECT, owner="warmup")
+    (size,) = effect_sizes([tau], np.array([True]))
+    mean, after = with_sizes(np.array([0.0]), np.array([[6000.0**2]]), [size])
+    assert mean[0] == 0.0
+    assert np.sqrt(after[0, 0]) == pytest.approx(600.0, rel=0.01)
+
+
+@pytest.mark.parametrize("parameter", [MAP, Parameter("own.a", "m", kind=Kind.EFFECT, owner="own")])
+def test_nothing_is_known_of_an_unknown_without_limits(parameter: Parameter) -> None:
+    assert effect_sizes([parameter], np.array([True])) == []
+
+
+def test_what_is_not_determined_stays_so() -> None:
+    assert effect_sizes([GROWTH], np.array([False])) == []
