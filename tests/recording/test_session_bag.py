@@ -17,7 +17,7 @@ from machine_tool_calibration.recording.errors import RecordingError
 from machine_tool_calibration.recording.open import open_measurement
 from machine_tool_calibration.recording.reader import BagReader
 from machine_tool_calibration.recording.session_bag import reading_columns, session_from_bag, session_to_bag
-from machine_tool_calibration.recording.tables import save_table, tables
+from machine_tool_calibration.recording.tables import save_table, save_tables, tables
 from machine_tool_calibration.recording.writer import BagWriter
 from machine_tool_calibration.session.folder import read_session, readings_frame
 from machine_tool_calibration.session.parse import description_yaml, parse_description
@@ -220,6 +220,17 @@ def test_neither_session_nor_recording(tmp_path: Path) -> None:
         with pytest.raises(SessionError) as caught:
             open_measurement(path)
         assert str(caught.value) == f"{path}: {expected}"
+
+
+def test_nothing_is_left_of_tables_of_which_one_cannot_be_ended(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add_topic("/a", TEXT)
+        bag.add_topic("/b", TEXT)
+        bag.write("/a", encode(TEXT, "whole"), 1)
+        bag.write("/b", b"\x00\x01\x00\x00rubbish", 2)
+    with pytest.raises(RecordingError, match="/b at 2 ns"):
+        save_tables(BagReader(tmp_path / "bag"), tmp_path / "tables", "csv")
+    assert not list((tmp_path / "tables").iterdir())
 
 
 def test_nothing_is_left_of_a_table_that_cannot_be_ended(tmp_path: Path) -> None:
