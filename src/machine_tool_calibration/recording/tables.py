@@ -143,7 +143,7 @@ def _field_names(kind: type) -> tuple[str, ...]:
 
 
 def _fields(value: Any, name: str, row: dict[str, Any], depth: int) -> None:
-    names = _field_names(type(value)) if depth < _DEPTH else ()
+    names = _field_names(value.__class__) if depth < _DEPTH else ()
     if names:
         for field in names:
             _fields(getattr(value, field), f"{name}.{field}" if name else field, row, depth + 1)
@@ -161,7 +161,7 @@ def _plain(value: Any, depth: int) -> Any:
     if isinstance(value, list | tuple):
         return [_plain(entry, depth + 1) for entry in value]
     if hasattr(value, "__dataclass_fields__"):
-        fields = _field_names(type(value))
+        fields = _field_names(value.__class__)
         return {field: _plain(getattr(value, field), depth + 1) for field in fields} if depth < _DEPTH else None
     if isinstance(value, float) and not math.isfinite(value):
         return None
