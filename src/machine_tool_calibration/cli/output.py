@@ -59,14 +59,14 @@ class PictureFile(click.Path):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """The path; what cannot be drawn is refused before anything is calculated."""
-        path = super().convert(value, param, ctx)
+        path = Path(os.fsdecode(super().convert(value, param, ctx)))
         ending = path.suffix.removeprefix(".").lower()
         if ending and ending not in self.ENDINGS and not path.is_dir():
             self.fail(f"{path}: no picture can be written as {path.suffix}; as {', '.join(self.ENDINGS)}", param, ctx)
         return path
 
 
-class RosName(click.ParamType):
+class RosName(click.ParamType):  # type: ignore[type-arg]
     """The name of a topic, or a namespace, as ROS accepts it; empty where none is given."""
 
     name = "name"
