@@ -106,7 +106,6 @@ def command(
         from machine_tool_calibration.plots.style import save_as
 
         file = plot if plot.suffix and not plot.is_dir() else plot / "budget.png"
-        file.parent.mkdir(parents=True, exist_ok=True)
         save_as(draw_budget(budget, names), file, budget.origin)
         note_written([file])
     if as_json:
