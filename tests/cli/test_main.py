@@ -220,7 +220,8 @@ def test_exit_status_of_a_verb(verb: Write, body: str, status: int) -> None:
 
 def plugins(monkeypatch: pytest.MonkeyPatch, **values: str) -> None:
     found = [EntryPoint(name, value, verbs.PLUGIN_GROUP) for name, value in values.items()]
-    monkeypatch.setattr(importlib.metadata, "entry_points", lambda *, group: found if group == verbs.PLUGIN_GROUP else [])
+    own = verbs.PLUGIN_GROUP
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda *, group: found if group == own else [])
 
 
 def test_plugins(verb: Write, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
