@@ -137,7 +137,7 @@ def test_a_lost_last_reading_of_a_diagonal_leaves_a_gap_only_there(exact, truth)
     assert np.argwhere(gaps["z"]).tolist() == [[12, 0], [12, 1]]
     assert np.isfinite([result.error_map.content["squareness"][name] for name in ("C0Y", "B0Z", "A0Z")]).all()
     profiles = result.fit.model.profiles(result.fit)
-    # e_y(z) is zero at the position before the last.
+    assert result.error_map.content["datum"].endswith("; here e_y(z) is zero at 110 mm")
     expected = eq17(profiles.blocks, truth(simulated, profiles.blocks), (-1, -1, -2))
     assert np.nanmax(np.abs(np.concatenate([e.ravel() for e in profiles.error]) - expected)) < 3e-9
 

@@ -176,8 +176,8 @@ class StepDiagonalModel(MethodModel):
         index = np.array([place[name] for name in names], dtype=np.int64)
         return field.reshape(len(field), -1), index
 
-    def _oriented(self, rows: Array, undetermined: Array) -> Array:
-        """(M, K) rows of the map in the coordinate system of Eq. (17).
+    def _oriented(self, rows: Array, undetermined: Array) -> tuple[Array, str]:
+        """(M, K) rows of the map in the coordinate system of Eq. (17), and in words what orients it in another way.
 
         The last block positions orient it; where that leaves a part of the map undetermined, those before them with
         which the least is.
@@ -201,7 +201,13 @@ class StepDiagonalModel(MethodModel):
                 count = lost(tried)
                 if count < least:
                     last, least = tried, count
-        return eq17(self.blocks, rows, (last[0], last[1], last[2])).T
+        names = ("e_y(x)", "e_z(x)", "e_y(z)" if axes[2] == 2 else "e_z(y)")
+        words = [
+            f"{name} is zero at {1e3 * self.blocks[axis][at]:g} mm"
+            for name, axis, at in zip(names, axes, last, strict=True)
+            if at != -1
+        ]
+        return eq17(self.blocks, rows, (last[0], last[1], last[2])).T, ", ".join(words)
 
     def _there(self) -> Array:
         """(M,) whether the model holds a value for each of the map's entries: 1, or NaN."""
@@ -221,12 +227,12 @@ class StepDiagonalModel(MethodModel):
     def profiles(self, fit: Fit, method: str = "least_squares") -> Profiles:
         """Position errors at the block positions in the coordinate system of Eq. (17), with their covariance."""
         error, mine = self._map_rows()
-        rows = self._oriented(error, fit.undetermined[mine])
+        rows, oriented = self._oriented(error, fit.undetermined[mine])
         # A direction's entries are of mixed units: what matters is what it does to the map.
         loose = rows @ fit.undetermined[mine]
         value = rows @ fit.theta[mine] * self._there()
         covariance = rows @ fit.covariance[np.ix_(mine, mine)] @ rows.T
-        return Profiles(method, self.blocks, value, covariance, loose)
+        return Profiles(method, self.blocks, value, covariance, loose, oriented)
 
     def _angular(self, fit: Fit) -> dict[str, Any]:
         """Free angular errors at the block positions: x_angular … (N + 1, 3) EA, EB, EC with `_u`."""
@@ -286,7 +292,7 @@ class StepDiagonalModel(MethodModel):
         if told is not None:
             content["angular_size"] = told.size
             content["angular_probability"] = told.probability
-        content["datum"] = self.datum
+        content["datum"] = f"{self.datum}; here {profiles.oriented}" if profiles.oriented else self.datum
         corner = np.array([nodes[0] for nodes in self.blocks])
         points = np.concatenate(
             [np.where(np.arange(3) == axis, nodes[:, None], corner) for axis, nodes in enumerate(self.blocks)]

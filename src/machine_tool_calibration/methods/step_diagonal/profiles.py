@@ -53,6 +53,7 @@ class Profiles:
             was measured.
         covariance: (M, M) of these, m^2.
         loose: (M, k) directions in which the errors may change without any reading changing.
+        oriented: in words, where the errors are zero instead of at the last block positions; usually empty.
     """
 
     method: str
@@ -60,6 +61,7 @@ class Profiles:
     value: Array
     covariance: Array
     loose: Array
+    oriented: str = ""
 
     @cached_property
     def _known(self) -> Array:
