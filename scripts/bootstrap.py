@@ -39,8 +39,8 @@ ROS_CHECK = "import rclpy, diagnostic_msgs.msg, rosgraph_msgs.msg, sensor_msgs.m
 # Tests of one module run in one process, which makes their fixtures once; tests/conftest.py has the modules' order.
 # Those of nodes wait much of their time: three processes keep two cores busy.
 AT_ONCE = ("-n", "3", "--dist", "loadscope", "--no-loadscope-reorder")
-# Of a whole run: to rewrite all assertions takes each process longer than to import the tests. What failed, called by its
-# name, says its values; here it says its variables.
+# Of a whole run: to rewrite all assertions takes each process longer than to import the tests. What failed says its
+# variables here, and what was compared when it is called by its name.
 WHOLE = ("--assert=plain", "--showlocals")
 WHEELS_MARK = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 

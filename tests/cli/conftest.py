@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from machine_tool_calibration.diagnosis import diagnose, improve
 from machine_tool_calibration.planning import what_to_measure
@@ -20,13 +19,13 @@ from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpe
 
 @pytest.fixture(scope="package", autouse=True)
 def rough_pictures() -> Iterator[None]:
-    """Pictures are coarse, and their panels not laid out, which takes most of the time: those of tests/plots are."""
+    """Pictures are coarse, and their panels not laid out, which draws them twice and more: those of tests/plots are."""
 
     def save(figure: Figure, file: Any, save: Callable[..., None] = Figure.savefig, **options: Any) -> None:
         save(figure, file, **{**options, "dpi": 40})
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ConstrainedLayoutEngine, "execute", lambda self, fig: None)
+        patch.setattr(Figure, "get_layout_engine", lambda figure: None)
         patch.setattr(Figure, "savefig", save)
         yield
 

@@ -131,7 +131,7 @@ def test_a_file_and_the_command_line_together(line: str, tmp_path: Path, capsys:
         (["budget", "--template", "ruler"], 1, "no budget for the instrument 'ruler'"),
         (["budget", TRACKING, "--quantity", "EXX"], 1, "'EXX' is not published of this measurement"),
         (["budget", TRACKING, "--budget", "none.yaml"], 1, "none.yaml: no such file"),
-        (["budget", TRACKING, "--draws", "5"], 2, "5 is not in the range x>=100"),
+        (["budget", TRACKING, "--draws", "5"], 2, "5 is not in the range 100<=x<="),
         (["conformity", TRACKING], 2, "Missing --tolerance"),
         (["conformity", TRACKING, "--tolerance", "EXX=10"], 1, "tolerance of EXX: '10' has no unit"),
         (["conformity", TRACKING, "--tolerance", "large=1um"], 1, "'large' is no figure with a tolerance"),

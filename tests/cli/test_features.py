@@ -135,11 +135,25 @@ def test_names_that_are_none(capsys: pytest.CaptureFixture[str], option: str, va
     assert message in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("asked", [("features", "probing_cross"), ("compare-formulations", "step_diagonal")])
-def test_a_picture_of_no_known_format(capsys: pytest.CaptureFixture[str], asked: tuple[str, str]) -> None:
-    verb, session = asked
-    assert run([verb, str(ROOT / "tests" / "data" / session), "--plot", "picture.foo"]) == 1
-    assert "picture.foo: no picture can be written as .foo; as " in capsys.readouterr().err
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["features", "probing_cross"],
+        ["compare-formulations", "step_diagonal"],
+        ["compare-maps", "tracking_2d", "tracking_2d"],
+        ["budget", "tracking_2d"],
+    ],
+)
+def test_a_picture_of_no_known_format_is_refused_at_once(
+    capsys: pytest.CaptureFixture[str], words: list[str], tmp_path: Path
+) -> None:
+    verb, *sessions = words
+    picture = tmp_path / "picture.foo"
+    assert run([verb, *(str(ROOT / "tests" / "data" / name) for name in sessions), "--plot", str(picture)]) == 2
+    said = capsys.readouterr()
+    assert not said.out
+    assert "picture.foo: no picture can be written as .foo; as " in said.err
+    assert not list(tmp_path.iterdir())
 
 
 def test_other_methods_and_several_sessions_have_no_features(capsys: pytest.CaptureFixture[str]) -> None:

@@ -97,3 +97,28 @@ def test_a_recording_that_names_a_file_twice(capsys: pytest.CaptureFixture[str],
     assert name in text
     (bag / "metadata.yaml").write_text(text.replace(name, 5000 * name, 1), encoding="utf-8")
     assert "names a file twice" in refused(capsys, "info", bag)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["run", "tracking_2d", "--namespace", "5um"],
+        ["demo", "--namespace", "a b"],
+        ["convert", "session", "bag", "--namespace", "cell//1"],
+        ["record", "/"],
+        ["record", "--namespace", "/cell-1"],
+        ["play", "bag", "--remap", ":="],
+        ["play", "bag", "--remap", "/reading:=/cell 2/reading"],
+        ["improve", "session", "--sets", "1000000000"],
+        ["budget", "session", "--draws", "1000000000"],
+    ],
+)
+def test_names_that_ros_has_not_and_endless_draws_are_refused_before_anything_begins(
+    words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(words) == 2
+    said = capsys.readouterr()
+    assert not said.out
+    assert words[-1] in said.err.replace("--remap ", "")
+    assert not list(tmp_path.iterdir())

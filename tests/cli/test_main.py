@@ -202,6 +202,15 @@ def test_no_failure_shows_a_traceback(
     assert "\n" not in err
 
 
+def test_a_message_keeps_a_measure(verb: Write, capsys: pytest.CaptureFixture[str]) -> None:
+    verb("fails", "raise SessionError('about ' + 'a' * 5000 + ' and its end')")
+    assert run(["fails"]) == 1
+    line = one_error_line(capsys)
+    assert line.startswith("mtcal: about aaa")
+    assert line.endswith(" and its end")
+    assert len(line) < 1100
+
+
 def test_a_traceback_for_developers(verb: Write, monkeypatch: pytest.MonkeyPatch) -> None:
     verb("fails", "raise KeyError('x')")
     monkeypatch.setenv("MTCAL_TRACEBACK", "1")
@@ -220,7 +229,8 @@ def test_exit_status_of_a_verb(verb: Write, body: str, status: int) -> None:
 
 def plugins(monkeypatch: pytest.MonkeyPatch, **values: str) -> None:
     found = [EntryPoint(name, value, verbs.PLUGIN_GROUP) for name, value in values.items()]
-    monkeypatch.setattr(importlib.metadata, "entry_points", lambda *, group: found if group == verbs.PLUGIN_GROUP else [])
+    by_group = {verbs.PLUGIN_GROUP: found}
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda *, group: by_group.get(group, []))
 
 
 def test_plugins(verb: Write, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -120,11 +120,12 @@ def test_rosdep_knows_every_key() -> None:
 
 
 def test_package_xml_says_what_a_release_asks_for() -> None:
-    """REP 149: a maintainer with an address, a licence, a website; `ros2 launch` for the launch files."""
+    """REP 149: a maintainer with an address, a licence; none that is invented; `ros2 launch` for the launch files."""
     maintainer = described().find("maintainer")
     assert maintainer is not None and "@" in maintainer.get("email", "")
+    for file in ("package.xml", "setup.cfg"):
+        assert "example" not in (ROOT / file).read_text(encoding="utf-8")
     assert described().findtext("license") == "Apache-2.0"
-    assert (described().findtext("url[@type='website']") or "").startswith("https://")
     assert {"launch", "launch_ros", "ros2launch"} <= depends()
 
 

@@ -165,3 +165,15 @@ def test_topics_as_tables_say_how_far_they_are(
     shares = [share for _, share in told]
     assert shares == sorted(shares) and shares[0] == 0.0 and shares[-1] == 100 / 101
     assert told[1] == ("/cell/joint_states", 20 / 101)
+
+
+def test_a_bag_that_is_given_as_the_present_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    session_to_bag(read_session(DATA / "tracking_2d"), tmp_path / "bag")
+    monkeypatch.chdir(tmp_path / "bag")
+    assert run(["recover", "."]) == 0
+    assert (tmp_path / "bag_recovered" / "metadata.yaml").exists()
+
+
+def test_a_bag_without_a_name(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["recover", "/"]) == 1
+    assert "has no name" in capsys.readouterr().err

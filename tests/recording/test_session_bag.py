@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,10 +13,11 @@ import pytest
 
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.recording.cdr import JOINT_STATE, TEXT, encode, encode_joint_state, joint_state, part
+from machine_tool_calibration.recording.errors import RecordingError
 from machine_tool_calibration.recording.open import open_measurement
 from machine_tool_calibration.recording.reader import BagReader
 from machine_tool_calibration.recording.session_bag import reading_columns, session_from_bag, session_to_bag
-from machine_tool_calibration.recording.tables import save_table, tables
+from machine_tool_calibration.recording.tables import save_table, save_tables, tables
 from machine_tool_calibration.recording.writer import BagWriter
 from machine_tool_calibration.session.folder import read_session, readings_frame
 from machine_tool_calibration.session.parse import description_yaml, parse_description
@@ -218,6 +220,28 @@ def test_neither_session_nor_recording(tmp_path: Path) -> None:
         with pytest.raises(SessionError) as caught:
             open_measurement(path)
         assert str(caught.value) == f"{path}: {expected}"
+
+
+def test_nothing_is_left_of_tables_of_which_one_cannot_be_ended(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add_topic("/a", TEXT)
+        bag.add_topic("/b", TEXT)
+        bag.write("/a", encode(TEXT, "whole"), 1)
+        bag.write("/b", b"\x00\x01\x00\x00rubbish", 2)
+    with pytest.raises(RecordingError, match="/b at 2 ns"):
+        save_tables(BagReader(tmp_path / "bag"), tmp_path / "tables", "csv")
+    assert not list((tmp_path / "tables").iterdir())
+
+
+def test_nothing_is_left_of_a_table_that_cannot_be_ended(tmp_path: Path) -> None:
+    def pieces() -> Iterator[pd.DataFrame]:
+        yield pd.DataFrame({"a": [1.0]})
+        raise RecordingError("damaged")
+
+    for form in ("csv", "parquet"):
+        with pytest.raises(RecordingError, match="damaged"):
+            save_table(pieces(), tmp_path / f"table.{form}")
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_file_of_the_session_names_it() -> None:

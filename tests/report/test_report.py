@@ -9,11 +9,12 @@ from dataclasses import replace
 from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import html5lib
 import pypdf
 import pytest
-from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from machine_tool_calibration.budget.contributor import default_budget
@@ -48,10 +49,20 @@ ABOUT = {
 
 @pytest.fixture(scope="module", autouse=True)
 def rough_pictures() -> Iterator[None]:
-    """The panels of pictures are not laid out, which takes most of the time: those of tests/plots are."""
+    """Every kind of picture is drawn, once in each format, its panels not laid out: those of tests/plots are."""
+    drawn: dict[tuple[str, str], bytes] = {}
+    draw = Picture._saved
+
+    def saved(picture: Picture, kind: str, **options: Any) -> bytes:
+        alike = picture.name.split("_")[0], kind
+        if alike not in drawn:
+            drawn[alike] = draw(picture, kind, **options)
+        return drawn[alike]
+
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ConstrainedLayoutEngine, "execute", lambda self, fig: None)
+        patch.setattr(Figure, "get_layout_engine", lambda figure: None)
         patch.setattr(figures, "_DPI", 50)
+        patch.setattr(Picture, "_saved", saved)
         yield
 
 
@@ -175,8 +186,9 @@ def test_diagnosis_budget_conformity_and_readings_set_aside_are_there():
     assert "conformity" in ids and "conformity" not in [section.id for section in content("tracking_2d", "en")]
 
 
-def test_paper_has_its_pages_and_texts(tmp_path: Path, language: str = "de"):
+def test_paper_has_its_pages_and_texts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, language: str = "de"):
     file = tmp_path / "folder" / "report.pdf"
+    monkeypatch.setattr("machine_tool_calibration.report.page.sections", lambda *_: content("tracking_2d", language))
     written = write_report(evaluated("tracking_2d"), words(language), [file], tmp_path / "figures")
     assert written[0] == file and {path.suffix for path in written[1:]} == {".svg"}
     assert all(b"<svg" in path.read_bytes() for path in written[1:])

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.recording.session_bag import reading_columns
 from machine_tool_calibration.session import collect
-from machine_tool_calibration.session.collect import Collector
+from machine_tool_calibration.session.collect import Collector, Reading, Received
 from machine_tool_calibration.session.description import Place
 from machine_tool_calibration.session.folder import read_session
 
@@ -75,3 +76,29 @@ def test_a_session_can_be_taken_before_the_last_reading() -> None:
         assert len(collector.session("live", check=False).readings) == count
     with pytest.raises(SessionError, match=r"^reading: 1 station; "):
         collector.session("live")
+
+
+def message(time: float, index: float = math.nan) -> Reading:
+    return Reading("machine", ("time", "reading_index", "displacement"), (time, index, 0.0))
+
+
+def test_what_is_received_is_in_the_order_of_time_and_once() -> None:
+    received = Received()
+    for time in (2.0, 1.0, 2.0):
+        assert not received.add(round(time * 1e9), message(time))
+    assert [reading.values[0] for reading in received.in_order()] == [1.0, 2.0]
+    # Its clock began at another moment: another session.
+    assert received.add(5_000_000_000, message(1.0)) == 2
+    assert len(received) == 1
+
+
+def test_readings_that_never_came_are_counted() -> None:
+    received = Received()
+    assert (received.missing, received.expected, received.lacks_the_first) == (0, 0, False)
+    for index in (3, 4):
+        received.add(index, message(math.nan, index))
+    assert (received.missing, received.expected, received.lacks_the_first) == (3, 5, True)
+    received.add(7, message(math.nan, 7))
+    assert (received.missing, received.expected, received.lacks_the_first) == (5, 8, False)
+    received.forget()
+    assert received.missing == 0

@@ -175,6 +175,9 @@ def test_a_machine_file_decides_the_errors(tmp_path, capsys):
         ("motions: {EXX: {nodes: [0, 0], values: [1, 2]}}", r"error motion EXX: .* must increase"),
         ("motions: {EXA: {nodes: [0, 1], values: [1, 2]}}", r"'EXA': the chain .* has no such axis"),
         ("travel: {x: [1, 0]}", "travel of x must run from low to high"),
+        ("travel: {x: [0, 1.0e-12]}\nrandom: {}", "travel of x must run from low to high by 1e-06 at least"),
+        ("travel: {x: [0, 5.0e-324]}", "too small to be anything of a machine"),
+        ("motions: {EXX: {nodes: [0, 1.0e-90, 1], values: [1, 2, 3]}}", "error motion EXX: .* must increase, by 1e-12"),
         ("chain: w-X-t", "must run from w through one b to t"),
         ("squareness: {C0C: 1e-5}", "'C0C' is no squareness"),
     ],
@@ -182,6 +185,5 @@ def test_a_machine_file_decides_the_errors(tmp_path, capsys):
 def test_unfit_machines_are_refused(text, said, tmp_path):
     file = tmp_path / "machine.yaml"
     file.write_text(text)
-    spec = SimulationSpec(plan=TrackingPlan(), machine=read_machine(file))
     with pytest.raises(CalibrationError, match=said):
-        simulation.simulate(spec)
+        simulation.simulate(SimulationSpec(plan=TrackingPlan(), machine=read_machine(file)))

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import closing
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
@@ -91,14 +92,21 @@ UNREACHABLE = """() => {
 }"""
 
 
-def test_from_opening_to_the_report(hidden: Path, address: str, browser: "playwright.Browser") -> None:
+def test_from_opening_to_the_report(
+    hidden: Path, address: str, browser: "playwright.Browser", ros_domain: int
+) -> None:
     asked: list[str] = []
     faults: list[str] = []
-    page = browser.new_page(viewport={"width": 1400, "height": 900})
-    page.set_default_timeout(WAIT)
-    page.on("request", lambda request: asked.append(request.url))
-    page.on("pageerror", lambda error: faults.append(str(error)))
-    page.goto(address)
+
+    def window() -> "playwright.Page":
+        page = browser.new_page(viewport={"width": 1400, "height": 900})
+        page.set_default_timeout(WAIT)
+        page.on("request", lambda request: asked.append(request.url))
+        page.on("pageerror", lambda error: faults.append(str(error)))
+        page.goto(address)
+        return page
+
+    page = window()
     page.get_by_text("model free: 288 readings").wait_for()
 
     def press(name: str) -> None:
@@ -170,6 +178,10 @@ def test_from_opening_to_the_report(hidden: Path, address: str, browser: "playwr
     assert (written / "linuxcnc" / "y.comp").exists()
     unreachable += page.evaluate(UNREACHABLE)
 
+    if find_spec("rclpy") is not None:
+        beside_a_graph(window(), hidden, ros_domain)
+        assert page.get_by_text("model free with backlash_y: 288 readings").is_visible()
+
     place = urlsplit(address)
     elsewhere = [url for url in asked if urlsplit(url).netloc not in ("", place.netloc)]
     assert not elsewhere, "nothing comes from the network"
@@ -177,18 +189,13 @@ def test_from_opening_to_the_report(hidden: Path, address: str, browser: "playwr
     assert not unreachable
 
 
-def test_readings_of_a_graph_become_a_map_and_are_opened(
-    hidden: Path, address: str, browser: "playwright.Browser", ros_domain: int
-) -> None:
-    pytest.importorskip("rclpy", reason="the graph needs ROS 2")
+def beside_a_graph(page: "playwright.Page", hidden: Path, domain: int) -> None:
+    """Readings that come are drawn, become a map, and are opened in the other pages."""
     from machine_tool_calibration.nodes.ros.guest import Guest
 
-    page = browser.new_page(viewport={"width": 1400, "height": 900})
-    page.set_default_timeout(WAIT)
-    page.goto(address)
     page.get_by_role("button", name="Live", exact=True).click()
-    page.get_by_text(f"Nothing is heard in ROS domain {ros_domain} yet").wait_for()
-    with closing(Guest("procedure_of_the_test", ros_domain)) as guest:
+    page.get_by_text(f"Nothing is heard in ROS domain {domain} yet").wait_for()
+    with closing(Guest("procedure_of_the_test", domain)) as guest:
         kept = publish(guest, hidden)
         page.get_by_text("The map, calculated here from 288 readings").wait_for()
         assert kept

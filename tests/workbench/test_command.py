@@ -23,3 +23,16 @@ def test_without_its_libraries_it_says_what_to_install(
 def test_a_measurement_that_is_not_there_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["workbench", "--no-browser", str(tmp_path / "nothing")]) == 1
     assert "no such file or folder" in capsys.readouterr().err
+
+
+def test_beside_a_graph_no_measurement_is_needed(monkeypatch: pytest.MonkeyPatch) -> None:
+    from machine_tool_calibration.workbench import server
+
+    asked: list[tuple[object, dict[str, object]]] = []
+    monkeypatch.setattr(server, "serve", lambda target, *more, **named: asked.append((target, named)))
+    assert run(["workbench", "--live", "--namespace", "cell_1", "--domain-id", "7", "--no-browser"]) == 0
+    ((target, named),) = asked
+    assert target is None
+    assert {name: named[name] for name in ("live", "namespace", "domain")} == {
+        "live": True, "namespace": "cell_1", "domain": 7,
+    }  # fmt: skip

@@ -20,7 +20,7 @@ from machine_tool_calibration.session.collect import Reading
 from machine_tool_calibration.session.parse import description_yaml
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.workbench.live import Thinned, answer_words, node_table
-from machine_tool_calibration.workbench.live_feed import Feed, LiveMap
+from machine_tool_calibration.workbench.live_feed import Feed
 
 START = 1_700_000_000_000_000_000
 
@@ -66,6 +66,15 @@ def test_readings_come_once_however_often_they_are_sent_and_another_session_begi
     assert again != run and known == 0 and len(rows) == 2
 
 
+def test_a_replay_that_begins_anew_is_seen_to_grow_again(session: Session) -> None:
+    heard = Heard()
+    for _ in range(2):
+        tell(heard, session, slice(0, 6))
+    tell(heard, session, slice(0, 2))
+    run, _, rows = heard.rows(-1, 0)
+    assert (run, len(rows), heard.count) == (2, 2, (2, 2))
+
+
 def test_readings_that_were_missed_are_counted(session: Session) -> None:
     heard = Heard()
     tell(heard, session, slice(4, 10))
@@ -80,6 +89,15 @@ def test_what_is_no_reading_or_no_description_is_refused_and_changes_nothing(ses
     with pytest.raises(CalibrationError):
         heard.describe("method: nonsense")
     assert heard.count[1] == 3 and heard.setups == session.setup_ids
+
+
+def test_readings_of_earlier_releases_name_their_setup_in_the_header(session: Session) -> None:
+    heard = Heard()
+    for k, frame in enumerate(("first", "second", "first")):
+        heard.read(START + k, Reading(frame, ("displacement",), (1e-3,)))
+    heard.describe(description_yaml(session.description))
+    heard.read(START + 9, Reading(session.setup_ids[2], ("displacement",), (1e-3,)))
+    assert [setup for setup, _ in heard.rows(-1, 0)[2]] == [0, 1, 0, 2]
 
 
 def state(node: str, kind: str, at: float, *, repeats: bool, message: str = "measuring") -> NodeState:
@@ -140,7 +158,7 @@ def test_answers_are_told_in_the_units_of_people() -> None:
     assert answer_words("measuring 288 readings") == "measuring 288 readings"
     content = {"observations": 288, "rms_residual": 2.5e-7, "accepted": [], "reduced_chi_square": 1.04321, "missing": 0}
     assert answer_words(json.dumps(content)) == (
-        "observations 288; rms residual 0.250 µm; accepted none; reduced chi square 1.04"
+        "observations 288; RMS residual 0.250 µm; accepted none; reduced chi square 1.04"
     )
     assert answer_words('{"summary": "All is well.", "p_value": 0.5}') == "All is well."
     assert answer_words("[1]") == "[1]"
@@ -199,17 +217,17 @@ def test_the_estimators_map_is_shown_until_readings_come(feed: Feed, session: Se
     calculated(feed, feed._due)
     assert feed.map is not None and feed.map.whose == "published by the estimator"
     np.testing.assert_array_equal(feed.map.error_map.uncertainty, wide)
-    assert feed.map.residual.tolist() == [1e-6, 1e-6] and feed.map.document["observations"] == 288
+    assert feed.map.residual.tolist() == [1e-6, 1e-6] and ("readings used", "288 of 288") in feed.map.rows
     tell(feed.heard, session)
     calculated(feed, feed._due)
     assert feed.map.whose == "calculated here from 288 readings"
 
 
-def test_a_published_document_that_is_none_is_passed_over(feed: Feed) -> None:
-    feed.heard.publish(document="{")
+@pytest.mark.parametrize("document", ["{", "[1]", "7", '{"format": "mtcal-result/1"}', '{"effects": 3}'])
+def test_a_published_document_that_is_none_is_passed_over(feed: Feed, document: str) -> None:
+    feed.heard.publish(document=document)
     feed.look(0.0)
     assert feed.map is None
-    assert LiveMap.of_messages(feed.heard.published.__class__(1, document="{}")).document == {}
 
 
 def test_what_was_heard_becomes_a_session_once(
@@ -219,6 +237,10 @@ def test_what_was_heard_becomes_a_session_once(
     monkeypatch.chdir(tmp_path)
     with pytest.raises(CalibrationError, match="no readings"):
         feed.keep()
+    tell(feed.heard, session, slice(0, 20))
+    with pytest.raises(CalibrationError, match="needs at least 2"):
+        feed.keep()
+    assert not list(tmp_path.iterdir()), "what does not suffice is not written"
     tell(feed.heard, session)
     kept = feed.keep()
     assert feed.keep() == kept
@@ -241,9 +263,9 @@ def test_the_graphs_own_recording_is_opened_where_it_is_finished_and_whole(
     assert feed.keep() != bag, "it lacks what was heard"
     whole = tmp_path / "whole"
     session_to_bag(session, whole, start=START)
-    tell(feed.heard, session, slice(0, 260))
     feed.heard.say(NodeState("recorder", "recorder", 0, "recording", {"bag": str(whole)}, at=2.0, repeats=True))
-    assert feed.keep() == whole
+    tell(feed.heard, session, slice(0, 20), start=START + 10**12)
+    assert feed.keep() == whole, "though what was heard does not suffice"
 
 
 def test_without_ros_the_page_says_so_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One window's work: models that are added, taken away and undone, and kept with the session."""
 
+import pickle
 from dataclasses import replace
 from pathlib import Path
 
@@ -160,6 +161,7 @@ def test_an_effect_of_the_users_own_comes_back_with_the_history(hidden: Path) ->
 
 def test_several_sessions_are_fitted_together(struck: Path, hidden: Path) -> None:
     state = opened(hidden, struck)
+    pickle.dumps(state.model)  # it goes from process to process
     count = len(state.sessions[0].readings)
     assert state.model.aside == {count + 20, count + 90, count + 150}
     names = [state.subject.name(number) for number in sorted(state.model.aside)]

@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING
 import click
 
 from machine_tool_calibration.cli.diagnosing import Command, keeping, model_options, note_written, own_effects
-from machine_tool_calibration.cli.output import console, json_option, progress_bar, session_labels, write_json
+from machine_tool_calibration.cli.output import (
+    MOST_DRAWS,
+    PictureFile,
+    console,
+    json_option,
+    progress_bar,
+    session_labels,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -41,12 +49,12 @@ def budget_option(text: str) -> Callable[[Command], Command]:
 )
 @click.option(
     "--draws",
-    type=click.IntRange(min=100),
+    type=click.IntRange(100, MOST_DRAWS),
     metavar="N",
     help="Check by a Monte Carlo propagation with so many draws (JCGM 101).",
 )
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of random draws.")
-@click.option("--plot", type=click.Path(path_type=Path), help="Draw a bar chart: a PNG file, or a folder.")
+@click.option("--plot", type=PictureFile(folder=True), help="Draw a bar chart: a file (png, svg, pdf), or a folder.")
 @model_options
 @json_option
 def command(
@@ -93,16 +101,17 @@ def command(
         check_names(found, names)
         budget = propagate(found, contributors, draws=draws or 0, seed=seed, progress=progress)
     document = budget_document(budget, names)
+    if plot is not None:
+        from machine_tool_calibration.plots.budget import draw_budget
+        from machine_tool_calibration.plots.style import save_as
+
+        file = plot if plot.suffix and not plot.is_dir() else plot / "budget.png"
+        save_as(draw_budget(budget, names), file, budget.origin)
+        note_written([file])
     if as_json:
         write_json(document)
     else:
         show_budget(console(), budget, names)
-    if plot is not None:
-        from machine_tool_calibration.plots.budget import draw_budget
-        from machine_tool_calibration.plots.style import save
-
-        folder, name = (plot.parent, plot.stem) if plot.suffix.lower() == ".png" else (plot, "budget")
-        note_written(save({name: draw_budget(budget, names)}, folder, budget.origin))
 
 
 def fitted(

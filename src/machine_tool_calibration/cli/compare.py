@@ -85,14 +85,14 @@ def command(
         comparison = compare(sessions[0], model=model, effects=effects, own=own)
     for name in against:
         comparison.covariate(name)
+    if output is not None or against:
+        note_written(_write(comparison, output or Path(), against))
     if as_json:
         from machine_tool_calibration.reports.comparison import comparison_document
 
         write_json(comparison_document(comparison))
     else:
         show_comparison(console(), comparison)
-    if output is not None or against:
-        note_written(_write(comparison, output or Path(), against))
 
 
 def _several(comparison: JointComparison, output: Path | None, against: tuple[str, ...], *, as_json: bool) -> None:
@@ -102,10 +102,6 @@ def _several(comparison: JointComparison, output: Path | None, against: tuple[st
     from machine_tool_calibration.reports.comparison import joint_columns, joint_document
     from machine_tool_calibration.reports.comparison_tables import show_comparison
 
-    if as_json:
-        write_json(joint_document(comparison))
-    else:
-        show_comparison(console(), comparison)
     if output is not None or against:
         folder = output or Path()
         with progress_bar() as progress:
@@ -114,6 +110,10 @@ def _several(comparison: JointComparison, output: Path | None, against: tuple[st
             columns = pd.DataFrame(dict(joint_columns(comparison)))
             table = write_table(columns, folder / "comparison.csv", comparison.provenance)
         note_written([*pictures, table])
+    if as_json:
+        write_json(joint_document(comparison))
+    else:
+        show_comparison(console(), comparison)
 
 
 def _write(comparison: Comparison, folder: Path, against: tuple[str, ...]) -> list[Path]:

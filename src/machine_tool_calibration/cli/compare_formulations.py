@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from machine_tool_calibration.cli.output import console, json_option, note, write_json
+from machine_tool_calibration.cli.output import PictureFile, console, json_option, note, write_json
 from machine_tool_calibration.reports.quantities import plus_minus, quantity, rounded
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ _HEADS = {
 @click.option(
     "-p",
     "--plot",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=PictureFile(),
     help="Draw the profiles into this file (png, svg, pdf).",
 )
 @json_option

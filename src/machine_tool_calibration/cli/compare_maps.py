@@ -8,7 +8,14 @@ from pathlib import Path
 import click
 
 from machine_tool_calibration.cli.diagnosing import note_written
-from machine_tool_calibration.cli.output import console, json_option, progress_bar, session_labels, write_json
+from machine_tool_calibration.cli.output import (
+    PictureFile,
+    console,
+    json_option,
+    progress_bar,
+    session_labels,
+    write_json,
+)
 from machine_tool_calibration.errors import ModelError, did_you_mean
 
 __all__ = ["command"]
@@ -19,7 +26,7 @@ __all__ = ["command"]
 @click.argument("second", type=click.Path(path_type=Path))
 @click.option("--model", help="Variant of the model, where a measurement's method has it.")
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of the draws.")
-@click.option("--plot", type=click.Path(path_type=Path, dir_okay=False), help="Draw both maps into this PNG file.")
+@click.option("--plot", type=PictureFile(), help="Draw both maps into this file (png, svg, pdf).")
 @json_option
 def command(first: Path, second: Path, model: str | None, seed: int, plot: Path | None, as_json: bool) -> None:
     """Say whether two measurements of one machine agree within their joint uncertainty.
@@ -50,12 +57,13 @@ def command(first: Path, second: Path, model: str | None, seed: int, plot: Path 
             variant = model if model in session.spec.models else None
             fitted.append(fitted_sessions(identify(session, model=variant)))
         comparison = compare_fits(fitted[0], fitted[1], (one, two), seed=seed, progress=progress)
+    if plot is not None:
+        from machine_tool_calibration.plots.map_comparison import draw_map_comparison
+        from machine_tool_calibration.plots.style import save_as
+
+        save_as(draw_map_comparison(comparison), plot)
+        note_written([plot])
     if as_json:
         write_json({**map_comparison_document(comparison), "provenance": [one.provenance.document() for one in fitted]})
     else:
         show_map_comparison(console(), comparison)
-    if plot is not None:
-        from machine_tool_calibration.plots.map_comparison import draw_map_comparison
-        from machine_tool_calibration.plots.style import save
-
-        note_written(save({plot.stem: draw_map_comparison(comparison)}, plot.parent))

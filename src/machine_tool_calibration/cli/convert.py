@@ -21,7 +21,7 @@ from machine_tool_calibration.cli.foreign_options import (
     only_form,
 )
 from machine_tool_calibration.cli.info import topic_names, topic_option
-from machine_tool_calibration.cli.output import console, json_option, note, progress_bar, write_json
+from machine_tool_calibration.cli.output import RosName, console, json_option, note, progress_bar, write_json
 from machine_tool_calibration.errors import CalibrationError
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ _TEXTS = (".csv", ".txt", ".tsv", ".dat", ".asc")
     "and a session of all else.",
 )
 @click.option("--start", type=click.IntRange(min=0), default=0, help="Bag: when the session began, ns since 1970.")
-@click.option("--namespace", default="", help="Bag: namespace of its topics.")
+@click.option("--namespace", type=RosName(space=True), default="", help="Bag: namespace of its topics.")
 @click.option(
     "--description",
     type=click.Path(path_type=Path, dir_okay=False),

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from machine_tool_calibration.cli.output import note, session_labels
+from machine_tool_calibration.cli.output import MOST_DRAWS, note, session_labels
 from machine_tool_calibration.errors import CalibrationError, SessionError
 
 if TYPE_CHECKING:
@@ -217,7 +217,7 @@ def search_options(function: Command) -> Command:
     for option in (
         click.option(
             "--sets",
-            type=click.IntRange(min=199),
+            type=click.IntRange(199, MOST_DRAWS),
             default=199,
             show_default=True,
             help="Simulated data sets in which nothing is missing: they give the p-values.",

@@ -17,7 +17,7 @@ from machine_tool_calibration.cli.diagnosing import (
     note_written,
     own_effects,
 )
-from machine_tool_calibration.cli.output import console, json_option, note, write_json
+from machine_tool_calibration.cli.output import MOST_DRAWS, PictureFile, console, json_option, note, write_json
 
 __all__ = ["command"]
 
@@ -77,7 +77,9 @@ def _through(context: click.Context, parameter: click.Parameter, value: tuple[st
     multiple=True,
     help="Between two walls, or at the second of three centres; repeatable.",
 )
-@click.option("--draws", type=click.IntRange(min=0), default=0, help="Check by so many draws (GUM Supplement 1).")
+@click.option(
+    "--draws", type=click.IntRange(0, MOST_DRAWS), default=0, help="Check by so many draws (GUM Supplement 1)."
+)
 @click.option(
     "--touch-error",
     "distribution",
@@ -89,7 +91,7 @@ def _through(context: click.Context, parameter: click.Parameter, value: tuple[st
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of the draws.")
 @model_options
 @history_option
-@click.option("-p", "--plot", type=click.Path(path_type=Path, dir_okay=False), help="Draw them into this file.")
+@click.option("-p", "--plot", type=PictureFile(), help="Draw them into this file (png, svg, pdf).")
 @json_option
 def command(
     session: Path,
@@ -142,6 +144,12 @@ def command(
     fit = result.fit
     found = features(fit, named=named, centres=through, frame=frame, distances=distances, angles=angles)
     drawn = monte_carlo(fit, found.rows, draws, distribution, seed) if draws else None  # type: ignore[arg-type]
+    if plot is not None:
+        from machine_tool_calibration.plots.features import draw_features
+        from machine_tool_calibration.plots.style import save_as
+
+        save_as(draw_features(found), plot, result.provenance)
+        note_written([plot])
     if as_json:
         write_json({**features_document(found, drawn), "provenance": result.provenance.document()})
     else:
@@ -149,9 +157,3 @@ def command(
     for text in (bad_fit(result.joint, result.error_map.content), unused):
         if text is not None:
             note(text)
-    if plot is not None:
-        from machine_tool_calibration.plots.features import draw_features
-        from machine_tool_calibration.plots.style import save_as
-
-        save_as(draw_features(found), plot, result.provenance)
-        note_written([plot])

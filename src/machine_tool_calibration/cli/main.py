@@ -204,6 +204,7 @@ def _load_plugin(entry: EntryPoint) -> click.Command | None:
     return None
 
 
+_LONGEST, _ENDING = 1000, 100  # letters of a message
 INTERRUPTED = 130
 BROKEN_PIPE = 141
 TRACEBACK_VARIABLE = "MTCAL_TRACEBACK"
@@ -287,5 +288,8 @@ def _show_what_the_terminal_can() -> None:
 
 
 def _fail(reason: object, status: int = 1) -> int:
-    click.echo(f"mtcal: {one_line(reason)}", err=True)
+    text = one_line(reason)
+    if len(text) > _LONGEST:  # a value without measure that was given, or a list of all that there is
+        text = f"{text[: _LONGEST - _ENDING]} … {text[-_ENDING:]}"
+    click.echo(f"mtcal: {text}", err=True)
     return status

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from machine_tool_calibration.cli.output import error_console
+from machine_tool_calibration.cli.output import RosName, error_console
 from machine_tool_calibration.reports.identification import summary_rows
 
 if TYPE_CHECKING:
@@ -23,7 +23,9 @@ __all__ = ["graph_options", "graph_place", "readings_bar", "show_files", "show_r
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 _DOMAIN = click.IntRange(0, 232)
-_namespace = click.option("--namespace", default="", help="Namespace of all nodes, such as cell_1.")
+_namespace = click.option(
+    "--namespace", type=RosName(space=True), default="", help="Namespace of all nodes, such as cell_1."
+)
 
 
 def graph_place(function: Command) -> Command:

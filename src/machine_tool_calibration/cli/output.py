@@ -9,6 +9,7 @@ standard output. Progress and notes go to standard error (`error_console`, `note
 from __future__ import annotations
 
 import os
+import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 __all__ = [
+    "MOST_DRAWS",
+    "PictureFile",
+    "RosName",
     "console",
     "error_console",
     "json_option",
@@ -34,6 +38,8 @@ __all__ = [
 ]
 
 Command = TypeVar("Command", bound=Callable[..., Any])
+MOST_DRAWS = 100_000
+"""Simulated data sets that can be asked for: quantiles of more are no better known than what is drawn from."""
 
 
 def json_option(function: Command) -> Command:
@@ -41,6 +47,41 @@ def json_option(function: Command) -> Command:
     return click.option(
         "--json", "as_json", is_flag=True, help="Write one JSON document to standard output, for programs."
     )(function)
+
+
+class PictureFile(click.Path):
+    """A picture that is to be drawn; a name without an ending is one in PNG, or a folder where `folder` is true."""
+
+    ENDINGS = ("eps", "jpeg", "jpg", "pdf", "pgf", "png", "ps", "svg", "svgz", "tif", "tiff", "webp")
+
+    def __init__(self, *, folder: bool = False) -> None:
+        super().__init__(path_type=Path, dir_okay=folder)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The path; what cannot be drawn is refused before anything is calculated."""
+        path = Path(os.fsdecode(super().convert(value, param, ctx)))
+        ending = path.suffix.removeprefix(".").lower()
+        if ending and ending not in self.ENDINGS and not path.is_dir():
+            self.fail(f"{path}: no picture can be written as {path.suffix}; as {', '.join(self.ENDINGS)}", param, ctx)
+        return path
+
+
+class RosName(click.ParamType):  # type: ignore[type-arg]
+    """The name of a topic, or a namespace, as ROS accepts it; empty where none is given."""
+
+    name = "name"
+    FORM = re.compile(r"(~?/)?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+
+    def __init__(self, *, space: bool = False) -> None:
+        """Of a topic, or where `space` is true of a namespace, which may also be the root or end in a slash."""
+        self.space = space
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The name as it is."""
+        name = value.strip("/") if self.space else value
+        if not self.FORM.fullmatch(name) and not (self.space and not name):
+            self.fail(f"{value!r} is no name in ROS: letters, digits and _ between /, no digit first", param, ctx)
+        return value
 
 
 def session_labels(paths: Sequence[Path]) -> list[str]:

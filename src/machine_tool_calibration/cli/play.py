@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from machine_tool_calibration.cli.output import console, json_option, write_json
+from machine_tool_calibration.cli.output import RosName, console, json_option, write_json
 from machine_tool_calibration.errors import CalibrationError
 
 __all__ = ["command"]
@@ -66,7 +66,8 @@ def command(
     from machine_tool_calibration.recording.reader import BagReader
 
     for entry in remap:
-        if ":=" not in entry:
+        before, joined, after = entry.partition(":=")
+        if not joined or not all(part and RosName.FORM.fullmatch(part) for part in (before, after)):
             raise click.UsageError(f"--remap {entry}: write FROM:=TO, such as /reading:=/cell/reading")
     BagReader(bag)  # a bag that cannot be read is refused in the same words as everywhere
     parameters = {

@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import click
 
 from machine_tool_calibration.cli.output import console, json_option, note, progress_bar, write_json
+from machine_tool_calibration.errors import CalibrationError
 
 __all__ = ["command"]
 
@@ -30,7 +32,7 @@ def command(bag: Path, output: Path | None, as_json: bool) -> None:
     """
     from machine_tool_calibration.recording.recover import recover
 
-    target = output or bag.with_name(f"{bag.stem if bag.suffix == '.mcap' else bag.name}_recovered")
+    target = output or _beside(bag)
     with progress_bar() as progress:
         saved = recover(bag, target, lambda share: progress("copying what is whole", share))
     if as_json:
@@ -55,3 +57,11 @@ def command(bag: Path, output: Path | None, as_json: bool) -> None:
         note(problem)
     if saved.lost_bytes:
         note(f"{saved.lost_bytes} bytes could not be used")
+
+
+def _beside(bag: Path) -> Path:
+    """Where the new bag is put if nothing is said."""
+    named = bag if bag.name not in ("", "..") else Path(os.path.realpath(bag))  # `.` has no name of its own
+    if not named.name:
+        raise CalibrationError(f"{bag}: has no name from which that of the new bag could be made; -o says it")
+    return named.with_name(f"{named.stem if named.suffix == '.mcap' else named.name}_recovered")

@@ -45,13 +45,15 @@ def build_model(session: Session, model: str | None = None) -> tuple[MethodModel
     """The model of a session, without added effects, and its name.
 
     Raises:
-        ModelError: no such model for this method, or the data does not allow it.
+        ModelError: no such model for this method, no reading, or the data does not allow it.
     """
     models = session.spec.models
     name = model or next(iter(models))
     if name not in models:
         hint = did_you_mean(name, models)
         raise ModelError(f"{session.method} has no model {name!r}{hint}; known are {', '.join(models)}")
+    if not np.isfinite(session.readings.displacement).any():
+        raise ModelError(f"{session.source}: no reading is left")
     return cast(_Method, load(session.spec.model)).build(session, name), name
 
 

@@ -6,6 +6,7 @@ One thread hears, others look. Needs no ROS.
 
 from __future__ import annotations
 
+import re
 import threading
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -17,7 +18,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.session.collect import Reading, Received
 from machine_tool_calibration.session.parse import parse_description
 
-__all__ = ["SERVICES", "Call", "Heard", "NodeState", "Offer", "Published"]
+__all__ = ["SERVICES", "Call", "Heard", "NodeState", "Offer", "Published", "whole_number"]
 
 SERVICES: Mapping[str, Mapping[str, bool]] = {
     "estimator": dict.fromkeys(("identify", "compare", "diagnose", "improve", "reset"), False),
@@ -28,6 +29,11 @@ SERVICES: Mapping[str, Mapping[str, bool]] = {
 _SILENT = 5.0  # s; a node says how it is once a second
 _NODES = 200  # that are kept
 _CALLS = 6
+
+
+def whole_number(text: str) -> int:
+    """A count as a status holds it; 0 for anything else."""
+    return int(text) if re.fullmatch("[0-9]{1,18}", text) else 0
 
 
 @dataclass(frozen=True)
@@ -53,6 +59,10 @@ class NodeState:
     device: str = ""
     at: float = 0.0
     repeats: bool = False
+
+    def number(self, key: str) -> int:
+        """A count among the values; 0 where it is missing or none."""
+        return whole_number(self.entries.get(key, ""))
 
     def silent(self, now: float) -> float:
         """How long a node has said nothing that should have spoken, s; 0 if it speaks."""
@@ -115,6 +125,7 @@ class Heard:
         self._received = Received()
         self._rows: list[tuple[int, float]] = []
         self._run = 0
+        self._first: int | None = None
         self._frames: list[str] = []
         self._spoken: dict[str, NodeState] = {}
         self._said: dict[str, NodeState] = {}
@@ -152,10 +163,15 @@ class Heard:
         columns = dict(zip(reading.names, reading.values, strict=True))
         index, displacement = columns.get("setup_index", np.nan), columns.get("displacement", np.nan)
         with self._lock:
-            if self._received.add(stamp, reading):
+            # The first one again: a replay has begun anew.
+            again = stamp == self._first and len(self._received) > 1
+            received = Received() if again else self._received
+            if received.add(stamp, reading) or again:
+                self._received = received
                 self._rows, self._frames, self._run = [], [], self._run + 1
             if len(self._received) > len(self._rows):
                 setup = int(index) if np.isfinite(index) else self._of_frame(reading.frame)
+                self._first = stamp if not self._rows else self._first
                 self._rows.append((setup, displacement))
 
     def _of_frame(self, frame: str) -> int:

@@ -9,6 +9,7 @@ import threading
 import time
 from functools import partial
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.srv import GetParameters
 from rclpy.client import Client
@@ -18,6 +19,7 @@ from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.maps import FIELDS
 from machine_tool_calibration.nodes.heard import SERVICES, Heard, NodeState, Offer
 from machine_tool_calibration.nodes.ros.guest import Guest
@@ -132,6 +134,8 @@ class Listener:
 
     def _published(self, topic: str, message: PointCloud2) -> None:
         found = columns(message)
+        if topic == "error_map" and not all(np.isfinite(found[axis]).all() for axis in "xyz"):
+            raise CalibrationError("a position is not a number")
         self._heard.publish(**{topic: {name: found[name] for name in _FIELDS[topic]}})
 
     def _look_around(self) -> None:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -16,6 +15,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.nodes.heard import whole_number
 from machine_tool_calibration.nodes.ros.guest import Guest
 from machine_tool_calibration.nodes.ros.messages import LATCHED, READINGS, values
 
@@ -39,8 +39,7 @@ class Status:
 
     def number(self, key: str) -> int:
         """A count among the values; 0 where it is missing or none."""
-        text = self.entries.get(key, "")
-        return int(text) if re.fullmatch("[0-9]{1,18}", text) else 0
+        return whole_number(self.entries.get(key, ""))
 
 
 class Operator:

@@ -90,7 +90,7 @@ def add_footer(figure: Figure, text: str) -> Bbox:
 
 
 def save_as(figure: Figure, path: Path, origin: Provenance | None = None) -> None:
-    """Write one picture to a file whose ending chooses the format (png, svg, pdf, …).
+    """Write one picture to a file whose ending chooses the format (png, svg, pdf, …); its folder is made.
 
     Args:
         figure: what is written.
@@ -108,6 +108,7 @@ def save_as(figure: Figure, path: Path, origin: Provenance | None = None) -> Non
     told = None
     if origin is not None and ending in ("png", "svg"):
         told = {"Description": "\n".join(f"{name}: {value}" for name, value in origin.lines())}
+    path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=_DPI, format=ending, metadata=told, bbox_inches=area)
 
 

@@ -348,8 +348,8 @@ def plan(procedure: Procedure, most: int | None = None) -> Plan:
     steps = tuple(itertools.islice(load(maker)(procedure), None if most is None else most + 1))
     if most is not None and len(steps) > most:
         raise SessionError(
-            f"procedure {procedure.name}: has more than {most} readings, which are too many to forecast; a coarser grid, "
-            "fewer repeats or fewer setups tell as much: uncertainties fall with the root of the number of readings"
+            f"procedure {procedure.name}: has more than {most} readings, which are too many to forecast; fewer repeats "
+            "or setups or a coarser grid tell as much: uncertainties fall with the root of the number of readings"
         )
     limits = axis_limits(procedure)
     return Plan(procedure, steps, limits, _ends(steps, limits, procedure.motion.dwell))

@@ -198,6 +198,19 @@ def save_tables(
     except OSError as error:
         raise RecordingError(f"{folder}: cannot be made: {error.strerror}") from None
     files: dict[str, Path] = {}
+    try:
+        skipped = _save_topics(bag, folder, form, report, files)
+    except BaseException:  # half of them would be in the way of another try
+        for path in files.values():
+            path.unlink(missing_ok=True)
+        raise
+    return files, skipped
+
+
+def _save_topics(
+    bag: BagReader, folder: Path, form: str, report: Callable[[str, float], object], files: dict[str, Path]
+) -> list[str]:
+    """Write each topic's table; those written are put into `files`, and those that cannot be read are returned."""
     skipped: list[str] = []
     before = 0  # messages of the topics that are written
     for name, topic in sorted(bag.topics.items()):
@@ -215,7 +228,7 @@ def save_tables(
             save_table(tables(bag, topic, seen), path)
             files[name] = path
             before += topic.messages
-    return files, skipped
+    return skipped
 
 
 def save_table(pieces: Iterator[pd.DataFrame], path: Path) -> None:

@@ -61,9 +61,10 @@ def summary_rows(document: dict[str, Any]) -> list[tuple[str, str]]:
     error, uncertainty = _array(error_map.get("position_error")), _array(error_map.get("position_error_u"))
     if error.size:
         rows.append(("points of the map", _points(error_map.get("points"), len(error))))
-        known = np.isfinite(error).any()
-        text = f"{quantity(_rms(error), 'm')} RMS, {quantity(_largest(error), 'm')} at most{_lost(error)}"
-        rows.append(("position error", text if known else "not determined"))
+        text = "not determined"
+        if np.isfinite(error).any():
+            text = f"{quantity(_rms(error), 'm')} RMS, {quantity(_largest(error), 'm')} at most{_lost(error)}"
+        rows.append(("position error", text))
     if np.isfinite(uncertainty).any():
         rows.append(
             (

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from machine_tool_calibration.errors import CalibrationError, ModelError
 from machine_tool_calibration.machine.chain import Chain
+from machine_tool_calibration.session.description import Finite
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
 from machine_tool_calibration.simulation.flaw import ALL_METHODS
@@ -20,8 +21,8 @@ from machine_tool_calibration.simulation.random_machine import Amplitudes, rando
 
 __all__ = ["MachineSpec", "TableSpec", "build_machine", "machine_document", "one_line", "read_machine", "read_record"]
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 R = TypeVar("R", bound=BaseModel)
+_SHORTEST_TRAVEL = 1e-6  # m or rad
 
 
 class _Record(BaseModel):
@@ -94,8 +95,11 @@ def build_machine(
         raise ModelError(str(error)) from None
     ends = {a.upper(): (float(lo), float(hi)) for a, (lo, hi) in {**(travel or {}), **_upper(spec.travel)}.items()}
     for axis, (low, high) in ends.items():
-        if not low < high:
-            raise ModelError(f"travel of {axis.lower()} must run from low to high, not {low} to {high}")
+        if not high - low >= _SHORTEST_TRAVEL:
+            raise ModelError(
+                f"travel of {axis.lower()} must run from low to high by {_SHORTEST_TRAVEL:g} at least, not {low:g} to "
+                f"{high:g}"
+            )
     sign = spec.rotation_sign or rotation_sign
     if spec.random is not None:
         sizes = spec.random if random is None or "random" in spec.model_fields_set else random

@@ -27,6 +27,9 @@ __all__ = [
 ]
 
 
+_SHORTEST = 1e-12  # m or rad, between two nodes
+
+
 def cross(a: Array, b: Array) -> Array:
     """Vector product of (…, 3) arrays; several times faster than `numpy.cross` for a few vectors."""
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
@@ -118,8 +121,8 @@ class Table:
             )
         if not (np.all(np.isfinite(nodes)) and np.all(np.isfinite(values))):
             raise ModelError("an error motion's nodes and values must be finite")
-        if np.any(np.diff(nodes) <= 0):
-            raise ModelError("an error motion's nodes must increase")
+        if np.any(np.diff(nodes) < _SHORTEST):
+            raise ModelError(f"an error motion's nodes must increase, by {_SHORTEST:g} m or rad at least")
         if self.interpolation == "periodic" and abs(values[-1] - values[0]) > 1e-12:
             raise ModelError("a periodic error motion's first and last values must agree")
 

@@ -21,7 +21,6 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.heard import Call, NodeState, Offer
 from machine_tool_calibration.plots.residuals import planes
 from machine_tool_calibration.plots.style import spaced
-from machine_tool_calibration.reports.identification import summary_rows
 from machine_tool_calibration.reports.quantities import quantity, rounded
 from machine_tool_calibration.workbench.live_feed import Feed
 from machine_tool_calibration.workbench.look import bar_button, new_figure, setup_color, text, when_changed
@@ -37,14 +36,15 @@ _DRAWN = 2000  # readings in a plot
 _GOLDEN = 0.618034  # its multiples are spread most evenly
 _SLOW = 2.0  # s; a calculation that takes longer is told of
 _LONG = 1e-3  # m; displacements beyond are shown in millimetres
-# What is told of a node beside its message; of a replay, s.
+# What is told of a node beside its message.
 _TOLD = {
-    "procedure": ("state", "setup", "repeat", "waiting_for"),
+    "procedure": ("state", "setup", "repeat"),
     "estimator": ("readings", "missing", "step"),
     "recorder": ("messages", "lost", "bag"),
     "player": ("position", "duration"),
     "instrument": ("driver",),
 }
+_UNITS = {"position": " s", "duration": " s"}
 _LEVELS = (("●", "#0072b2", "in order"), ("▲", "#b36b00", "attention"), ("■", "#b00020", "error"))
 _SILENT = ("○", "#666666")
 _CONFIRM = {
@@ -166,21 +166,22 @@ class LivePage:
 
     def _say_progress(self) -> None:
         """How far the measurement is, and what became of its readings."""
-        heard, why_not = self._feed.heard, self._feed.why_not
+        heard = self._feed.heard
         procedure, count = heard.newest("procedure"), self._known
-        entries = procedure.entries if procedure else {}
-        total = int(entries["total"]) if entries.get("total", "").isdecimal() else 0
+        captured, total = (procedure.number(key) if procedure else 0 for key in ("captured", "total"))
         self._bar.visible = total > 0
-        self._bar.value = min(100 * count // total, 100) if total else 0
-        words = f"{count} of {total} readings" if total else f"{count} readings"
-        words += f", {entries['state']}" if entries.get("state") else ""
-        words += f": {procedure.message}" if procedure and procedure.level else ""
+        self._bar.value = min(100 * captured // total, 100) if total else 0
+        words = f"{count} readings"
+        if procedure and total:
+            words = f"{captured} of {total} readings, {procedure.entries.get('state', '')}"
+            words += f": {procedure.message}" if procedure.level else ""
+            words += f"; {count} received" if count != captured else ""
         if heard.missing:
             words += f"; {heard.missing} more were published before anybody listened, or were lost"
         drawn = self._thinned.step
         words += f"; of {drawn} one is drawn" if drawn > 1 else ""
         self._count.object = escape(words)
-        self._take.disabled = not count or bool(why_not) or self._feed.map is None
+        self._take.disabled = not count
         self._map_words.object = self._about_map()
         self._setups.object = self._setup_table()
 
@@ -193,7 +194,7 @@ class LivePage:
         if found is None:
             return said
         factor = magnification([found.error_map])
-        rows = summary_rows(dict(found.document)) if found.document else []
+        rows = list(found.rows)
         if factor:
             rows.append(("drawn", f"{spaced(factor)} times magnified; ellipses: U (k = 2)"))
         body = "".join(f"<tr><td>{escape(name)}</td><td>{escape(value)}</td></tr>" for name, value in rows)
@@ -204,16 +205,16 @@ class LivePage:
         if not self._counts:
             return ""
         found = self._feed.map
-        unit, rows = ("mm" if self._factor == 1e3 else "µm"), ""
+        rows = ""
         for setup, (count, last) in sorted(self._counts.items()):
             own = found.residual[found.setup == setup] if found is not None else np.zeros(0)
             left = f"{1e6 * rms(own):.3f}" if len(own) else ""
             mark = f'<span style="color:{setup_color(setup)}">■</span>'
             rows += (
                 f"<tr><td>{mark} {escape(self._name(setup))}</td><td>{count}</td>"
-                f"<td>{self._factor * last:.4f}</td><td>{left}</td></tr>"
+                f"<td>{_displacement(last)}</td><td>{left}</td></tr>"
             )
-        head = "".join(f"<th>{one}</th>" for one in ("setup", "readings", f"last / {unit}", "RMS residual / µm"))
+        head = "".join(f"<th>{one}</th>" for one in ("setup", "readings", "last one", "RMS residual / µm"))
         return f"<h3>Setups</h3><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
 
     def _name(self, setup: int) -> str:
@@ -253,7 +254,7 @@ class LivePage:
             "value": [self._factor * value for _, value in some],
             "color": [setup_color(setup) for setup, _ in some],
             "setup": [self._name(setup) for setup, _ in some],
-            "shown": [quantity(value, "m") for _, value in some],
+            "shown": [_displacement(value) for _, value in some],
         }
 
     def _draw_residuals(self) -> None:
@@ -327,6 +328,13 @@ class LivePage:
         self._work.run("taking the readings over", replace(job, take=take))
 
 
+def _displacement(value: float) -> str:
+    """To a tenth of a micrometre, as long as it may be."""
+    if np.isnan(value):
+        return "lost"
+    return f"{1e3 * value:.4f} mm" if abs(value) > _LONG else quantity(value, "m")
+
+
 def _where(feed: Feed, states: Sequence[NodeState]) -> str:
     """What is listened to."""
     if feed.trouble:
@@ -357,13 +365,14 @@ def node_table(states: Sequence[NodeState], now: float) -> str:
             mark, color, word = *_SILENT, f"silent for {silent:.0f} s"
         else:
             mark, color, word = _LEVELS[min(one.level, 2)]
-        told = [f"{key.replace('_', ' ')} {one.entries[key]}" for key in _TOLD.get(one.kind, ()) if _says(one, key)]
+        told = [f"{key} {one.entries[key]}{_UNITS.get(key, '')}" for key in _TOLD.get(one.kind, ()) if _says(one, key)]
         if _says(one, "ignored"):
             told.append(f"{one.entries['ignored']} messages ignored ({one.entries.get('ignored_last', '')})")
         more = f' <span class="note">{escape("; ".join(told))}</span>' if told else ""
         device = f' <span class="note">({escape(one.device)})</span>' if one.device else ""
         rows += (
-            f'<tr><td><span style="color:{color}">{mark}</span> {escape(one.node)}{device}</td>'
+            f'<tr><td><span style="white-space:nowrap"><span style="color:{color}">{mark}</span> '
+            f"{escape(one.node)}</span>{device}</td>"
             f'<td style="white-space:nowrap">{escape(word)}</td><td>{escape(one.message)}{more}</td></tr>'
         )
     head = "<th>node</th><th>state</th><th>what it says</th>"
@@ -393,7 +402,7 @@ def answer_words(message: str) -> str:
         return str(content["summary"])
     told = []
     for key, value in content.items():
-        name = key.replace("_", " ")
+        name = key.replace("_", " ").replace("rms", "RMS")
         if isinstance(value, float):
             told.append(f"{name} {quantity(value, 'm') if key.startswith('rms') else rounded(value)}")
         elif isinstance(value, list):

@@ -7,11 +7,10 @@ import json
 import logging
 import threading
 import time
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.nodes.heard import Heard, Offer, Published
+from machine_tool_calibration.reports.identification import summary_rows
 from machine_tool_calibration.session.collect import Reading, live_session
 from machine_tool_calibration.session.session import Session
 
@@ -39,7 +39,7 @@ class LiveMap:
 
     Attributes:
         whose: who calculated it, in words.
-        document: the result, `mtcal-result/1`; empty where only the map was published.
+        rows: figures of the result, in words; none where only the map was published.
         error_map: the machine's position errors, if there are any.
         row: (n,) number of each reading in the order of time.
         setup: (n,) place of its setup.
@@ -47,7 +47,7 @@ class LiveMap:
     """
 
     whose: str
-    document: Mapping[str, Any]
+    rows: Sequence[tuple[str, str]]
     error_map: ErrorMap
     row: Array
     setup: Array
@@ -64,7 +64,7 @@ class LiveMap:
         readings = result.fit.model.observations.readings
         return LiveMap(
             whose=f"calculated here from {len(session.readings)} readings",
-            document=result.document(),
+            rows=summary_rows(result.document()),
             error_map=result.error_map,
             row=readings.row.astype(float),
             setup=readings.setup.astype(float),
@@ -73,11 +73,7 @@ class LiveMap:
 
     @staticmethod
     def of_messages(published: Published) -> LiveMap:
-        """As an estimator published it.
-
-        Raises:
-            ValueError: the document is none.
-        """
+        """As an estimator published it; any error that Python knows where that means nothing."""
         document = json.loads(published.document) if published.document else {}
         columns = {name: np.zeros(0) for name in ("x", "y", "z", "ex", "ey", "ez", "ux", "uy", "uz")}
         columns |= dict(published.error_map)
@@ -88,7 +84,7 @@ class LiveMap:
         effects = ", ".join(document.get("effects", ()))
         return LiveMap(
             whose="published by the estimator" + (f", with {effects}" if effects else ""),
-            document=document if document.get("format") == "mtcal-result/1" else {},
+            rows=summary_rows(document) if document else [],
             error_map=ErrorMap({}, points, error, uncertainty),
             **left,
         )
@@ -157,8 +153,10 @@ class Feed:
         published = self.heard.published
         if published.number != self._shown:
             self._shown = published.number
-            with suppress(ValueError):
+            try:
                 self._show(LiveMap.of_messages(published))
+            except Exception as error:
+                logging.getLogger(__name__).warning("what was published as a result means nothing: %r", error)
         there = run, count, self.heard.description
         if self._working is None and now >= self._due and count and there != self._done:
             self._done, self.calculating = there, (now, count)
@@ -181,14 +179,13 @@ class Feed:
         """A file or folder with the readings so far: the graph's own recording if it is finished, else a new session.
 
         Raises:
-            CalibrationError: they are no session, or it cannot be written.
+            CalibrationError: they do not suffice, or cannot be written.
         """
         count = self.heard.count
         if self._kept is not None and self._kept[0] == count and self._kept[1].exists():
             return self._kept[1]
-        description, readings = self.heard.session()
-        session = _session(description, readings)
-        path = self._recording(session) or _written(session)
+        heard = self.heard.session()
+        path = self._recording(_session(*heard, check=False)) or _written(_session(*heard))
         self._kept = count, path
         return path
 
@@ -224,11 +221,12 @@ class Feed:
             self.trouble = f"ROS 2 does not start here: {' '.join(str(error).split())}"
 
     def _calculate(self) -> None:
-        begin, published = time.monotonic(), self.heard.published.number
+        begin, run, published = time.monotonic(), self.heard.count[0], self.heard.published.number
         try:
             found = LiveMap.of_session(_session(*self.heard.session()), self._variant, self._own)
             self.why_not = ""
-            if published == self.heard.published.number:  # else the estimator's map is newer
+            # Else another session has begun, or the estimator's map is newer.
+            if (run, published) == (self.heard.count[0], self.heard.published.number):
                 self._show(found)
         except CalibrationError as error:
             self.why_not = str(error)
@@ -243,12 +241,12 @@ class Feed:
         self.map, self.number = found, self.number + 1
 
 
-def _session(description: str, readings: Sequence[Reading]) -> Session:
+def _session(description: str, readings: Sequence[Reading], *, check: bool = True) -> Session:
     if not readings:
         raise CalibrationError("no readings have come yet")
     if not description:
         raise CalibrationError("no session has been described yet (topic session)")
-    return live_session(description, readings)
+    return live_session(description, readings, check=check)
 
 
 def _written(session: Session) -> Path:

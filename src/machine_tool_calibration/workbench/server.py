@@ -55,8 +55,10 @@ def serve(
     Raises:
         OSError: the port is taken.
     """
-    # A browser asks for files that are not there, an icon first; the terminal need not hear of it.
-    logging.getLogger("tornado.access").setLevel(logging.ERROR)
+    # A browser asks for files that are not there, an icon first, and closes pages that are being told something; the
+    # terminal need not hear of it.
+    for name in ("tornado.access", "bokeh.server.views.ws"):
+        logging.getLogger(name).setLevel(logging.ERROR)
     pn.extension(raw_css=[CSS], notifications=False)
     warm_up()
     feed = Feed(own, variant, domain, namespace)

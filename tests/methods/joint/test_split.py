@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.effects.catalogue import catalogue
+from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.identify import JointResult, identify, identify_sessions, joint_models
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.model.rigid_body import map_field
@@ -113,6 +114,14 @@ def test_each_session_has_its_own_start_of_time() -> None:
     names = {p.name for p in several.parameters}
     assert {"s0/warmup_x.a", "s1/warmup_x.a", "s0/linear_drift.r", "s1/linear_drift.r"} <= names
     assert several.fit.p_value > 1e-3
+
+
+@pytest.mark.parametrize("method", ["probing", "direct", "step_diagonal"])
+def test_a_session_of_which_no_reading_is_left_is_refused(method: str) -> None:
+    session = simulate(SimulationSpec.model_validate({"seed": 3, "plan": {"method": method}})).session
+    emptied = session.without(np.ones(len(session.readings), dtype=bool))
+    with pytest.raises(ModelError, match="no reading is left"):
+        joint_models([session, emptied], ["a", "b"])
 
 
 def test_a_setup_without_readings_changes_nothing() -> None:

@@ -11,6 +11,7 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.step_diagonal.build import build
+from machine_tool_calibration.methods.step_diagonal.profiles import eq17
 from machine_tool_calibration.methods.step_diagonal.spec import SPEC
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.model import Parameter, Term
@@ -123,6 +124,22 @@ def test_readings_that_stop_early_leave_gaps_only_there(exact):
     result = identify(session.with_readings(session.readings.select(keep)), model="translations")
     assert np.isfinite(result.error_map.content["y"]).any()
     json.dumps(result.document(), allow_nan=False)
+
+
+def test_a_lost_last_reading_of_a_diagonal_leaves_a_gap_only_there(exact, truth):
+    simulated = exact(9, repeats=2)
+    position, setup = simulated.session.readings.position(), simulated.session.readings.setup
+    last = (setup == simulated.session.setup_ids.index("ppp")) & (position[:, 2] > 0.1199)
+    assert last.sum() == 2
+    result = identify(simulated.session.without(last), model="translations")
+    gaps = {axis: ~np.isfinite(result.error_map.content[axis]) for axis in "xyz"}
+    assert not gaps["x"].any() and not gaps["y"].any()
+    assert np.argwhere(gaps["z"]).tolist() == [[12, 0], [12, 1]]
+    assert np.isfinite([result.error_map.content["squareness"][name] for name in ("C0Y", "B0Z", "A0Z")]).all()
+    profiles = result.fit.model.profiles(result.fit)
+    assert result.error_map.content["datum"].endswith("; here e_y(z) is zero at 110 mm")
+    expected = eq17(profiles.blocks, truth(simulated, profiles.blocks), (-1, -1, -2))
+    assert np.nanmax(np.abs(np.concatenate([e.ravel() for e in profiles.error]) - expected)) < 3e-9
 
 
 def test_dead_path_shows_and_the_effect_mends_it(exact):

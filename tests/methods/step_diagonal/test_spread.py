@@ -10,6 +10,7 @@ from scipy.linalg import block_diag, null_space
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.step_diagonal import small_angles as module
 from machine_tool_calibration.methods.step_diagonal.build import build
+from machine_tool_calibration.methods.step_diagonal.profiles import eq17
 from machine_tool_calibration.methods.step_diagonal.small_angles import LARGEST, NONE, SMALLEST, shape_covariance
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.simulation import TableSpec
@@ -44,7 +45,8 @@ def _by_hand(model):
     logs, means, covariances = [np.log(NONE)], [], []
     sizes = np.geomspace(SMALLEST, LARGEST, module._SIZES)
     each = [(s, shape) for shape in module._SHAPES for s in sizes]
-    mapping, index = model._map_rows()
+    errors, index = model._map_rows()
+    mapping = eq17(model.blocks, errors).T
     for size, shape in [(0.0, module._SHAPES[0]), *each]:
         prior = size**2 * block_diag(*[shape_covariance(a.table.nodes, *shape) for a in model.spread.angles])
         readings = np.diag(model.sigma**2) + angles.T @ prior @ angles

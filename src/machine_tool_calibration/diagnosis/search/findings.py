@@ -239,13 +239,17 @@ def alias_groups(
         index: number of each candidate in the posterior, by name.
     """
     left = [f for f in findings if f.place is not None]
+    bases = {f.name: basis_of(gram.inner, f.place) for f in left if f.place is not None}
     groups = []
     while left:
         head, rest = left[0], left[1:]
         alike = [
             f
             for f in rest
-            if (head.name not in f.candidate.contains and max(_cosine(head, f, gram), _cosine(f, head, gram)) >= ALIKE)
+            if (
+                head.name not in f.candidate.contains
+                and max(_cosine(head, f, gram, bases[f.name]), _cosine(f, head, gram, bases[head.name])) >= ALIKE
+            )
             or (
                 head.probability > LIKELY and found.without(index[f.name], index[head.name]) > LIKELY * head.probability
             )
@@ -257,11 +261,11 @@ def alias_groups(
     return tuple(groups)
 
 
-def _cosine(one: Finding, other: Finding, gram: Gram) -> float:
-    """Share of one candidate's fitted signal that the other's columns reproduce."""
+def _cosine(one: Finding, other: Finding, gram: Gram, basis: Array) -> float:
+    """Share of one candidate's fitted signal that the other's columns, of this basis, reproduce."""
     assert one.place is not None and other.place is not None
     own = float(one.signal @ gram.inner[one.place, one.place] @ one.signal)
     if own <= 0:
         return 0.0
-    seen = basis_of(gram.inner, other.place).T @ gram.inner[other.place, one.place] @ one.signal
+    seen = basis.T @ gram.inner[other.place, one.place] @ one.signal
     return float(np.sqrt(min(float(seen @ seen) / own, 1.0)))

@@ -15,7 +15,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -133,9 +133,7 @@ class RotaryAxisModel(MethodModel):
 
     def _linearise(self) -> Callable[[Array, Array], tuple[Array, Array, Array]]:
         table = self.table
-        dense = self.dense()
-        k, t, n = len(table.nodes), len(self.targets), len(table.readings)
-        first = 6 * k + 3 * t
+        n = len(table.readings)
         path = table.readings.displacement + self.datum_path[table.run]
         setup = table.readings.setup
         stations = self.stations[setup]
@@ -143,19 +141,25 @@ class RotaryAxisModel(MethodModel):
         offsets = np.zeros((int(zero.max()) - 2, n))
         offsets[zero - 3, np.arange(n)] = -1.0
 
-        def linearise(own: Array, shared: Array) -> tuple[Array, Array, Array]:
-            motion = shared[: 6 * k].reshape(6, k)[:, table.node].T
-            moved = shared[6 * k : first].reshape(t, 3)
-            arm = table.turned(self.targets + moved)
-            away = arm + motion[:, :3] + np.cross(motion[:, 3:], arm) - stations - own[setup, :3]
-            length = np.linalg.norm(away, axis=1)
-            g = away / length[:, None]
-            columns = dense.copy()
-            _fill(columns, table, g, arm, motion[:, 3:])
-            residual = path + own[setup, zero] - length - shared[first:] @ dense[first:]
-            return residual, np.concatenate([-g.T, offsets]), columns
+        return partial(self._linearised, self.dense(), path, stations, zero, offsets)
 
-        return linearise
+    def _linearised(
+        self, dense: Array, path: Array, stations: Array, zero: IntArray, offsets: Array, own: Array, shared: Array
+    ) -> tuple[Array, Array, Array]:
+        """Residuals and their columns at a place of the unknowns."""
+        table, setup = self.table, self.table.readings.setup
+        k, t = len(table.nodes), len(self.targets)
+        first = 6 * k + 3 * t
+        motion = shared[: 6 * k].reshape(6, k)[:, table.node].T
+        moved = shared[6 * k : first].reshape(t, 3)
+        arm = table.turned(self.targets + moved)
+        away = arm + motion[:, :3] + np.cross(motion[:, 3:], arm) - stations - own[setup, :3]
+        length = np.linalg.norm(away, axis=1)
+        g = away / length[:, None]
+        columns = dense.copy()
+        _fill(columns, table, g, arm, motion[:, 3:])
+        residual = path + own[setup, zero] - length - shared[first:] @ dense[first:]
+        return residual, np.concatenate([-g.T, offsets]), columns
 
     @property
     def declared(self) -> frozenset[str]:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
@@ -13,7 +13,7 @@ from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.estimation.problem import LinearPart, Part, group_rows
 from machine_tool_calibration.machine.error_motions import interpolation, parse_motion
 from machine_tool_calibration.methods.step_diagonal.geometry import Run
-from machine_tool_calibration.methods.step_diagonal.profiles import Profiles, eq17
+from machine_tool_calibration.methods.step_diagonal.profiles import Profiles, eq17, is_open
 from machine_tool_calibration.methods.step_diagonal.small_angles import (
     AngularPosterior,
     SmallAngles,
@@ -30,7 +30,8 @@ __all__ = ["DATUM", "Spread", "StepDiagonalModel"]
 
 DATUM = (
     "position errors are zero at the first block position of each axis; e_y(x), e_z(x) and e_y(z) are zero at the last "
-    "one too (Ibaraki and Hata 2010, Eq. (17)), which orients the coordinate system; lengths are the interferometer's"
+    "one too (Ibaraki and Hata 2010, Eq. (17)), or at the last that the readings determine, which orients the "
+    "coordinate system; lengths are the interferometer's"
 )
 
 
@@ -156,13 +157,13 @@ class StepDiagonalModel(MethodModel):
         return tuple(tables), names
 
     def _map_rows(self) -> tuple[Array, IntArray]:
-        """Position errors at the block positions, in the published datum, per unit of the unknowns that they depend on.
+        """Position errors at the block positions per unit of the unknowns that they depend on.
 
         Angular errors count by the lever arms that they have along the edges that meet in the first block positions;
         these arms vanish where the corner is the machine's zero.
 
         Returns:
-            (M, K), and the (K,) places of the unknowns among the model's.
+            (K, M), oriented by the tables' own datum, and the (K,) places of the unknowns among the model's.
         """
         places = []
         for axis, nodes in enumerate(self.blocks):
@@ -173,7 +174,40 @@ class StepDiagonalModel(MethodModel):
         field = map_field(tables, np.concatenate(places))
         place = {p.name: k for k, p in enumerate(self.parameters)}
         index = np.array([place[name] for name in names], dtype=np.int64)
-        return eq17(self.blocks, field.reshape(len(field), -1)).T, index
+        return field.reshape(len(field), -1), index
+
+    def _oriented(self, rows: Array, undetermined: Array) -> tuple[Array, str]:
+        """(M, K) rows of the map in the coordinate system of Eq. (17), and in words what orients it in another way.
+
+        The last block positions orient it; where that leaves a part of the map undetermined, those before them with
+        which the least is.
+
+        Args:
+            rows: (K, M) in any orientation.
+            undetermined: (K, k) directions of the unknowns that nothing fixes.
+        """
+        last = [-1, -1, -1]
+        every = np.eye(rows.shape[1])
+
+        def lost(last: Sequence[int]) -> int:
+            oriented = eq17(self.blocks, rows, (last[0], last[1], last[2])).T
+            return int(is_open(every, oriented @ undetermined).sum())
+
+        least = lost(last) if undetermined.size else 0
+        axes = (0, 0, 2 if len(self.blocks[2]) > 1 else 1)
+        for number, axis in enumerate(axes if least else ()):
+            for at in range(len(self.blocks[axis]) - 2, 0, -1):
+                tried = [at if k == number else one for k, one in enumerate(last)]
+                count = lost(tried)
+                if count < least:
+                    last, least = tried, count
+        names = ("e_y(x)", "e_z(x)", "e_y(z)" if axes[2] == 2 else "e_z(y)")
+        words = [
+            f"{name} is zero at {1e3 * self.blocks[axis][at]:g} mm"
+            for name, axis, at in zip(names, axes, last, strict=True)
+            if at != -1
+        ]
+        return eq17(self.blocks, rows, (last[0], last[1], last[2])).T, ", ".join(words)
 
     def _there(self) -> Array:
         """(M,) whether the model holds a value for each of the map's entries: 1, or NaN."""
@@ -192,12 +226,13 @@ class StepDiagonalModel(MethodModel):
 
     def profiles(self, fit: Fit, method: str = "least_squares") -> Profiles:
         """Position errors at the block positions in the coordinate system of Eq. (17), with their covariance."""
-        rows, mine = self._map_rows()
-        value = rows @ fit.theta[mine] * self._there()
-        covariance = rows @ fit.covariance[np.ix_(mine, mine)] @ rows.T
+        error, mine = self._map_rows()
+        rows, oriented = self._oriented(error, fit.undetermined[mine])
         # A direction's entries are of mixed units: what matters is what it does to the map.
         loose = rows @ fit.undetermined[mine]
-        return Profiles(method, self.blocks, value, covariance, loose)
+        value = rows @ fit.theta[mine] * self._there()
+        covariance = rows @ fit.covariance[np.ix_(mine, mine)] @ rows.T
+        return Profiles(method, self.blocks, value, covariance, loose, oriented)
 
     def _angular(self, fit: Fit) -> dict[str, Any]:
         """Free angular errors at the block positions: x_angular … (N + 1, 3) EA, EB, EC with `_u`."""
@@ -257,7 +292,7 @@ class StepDiagonalModel(MethodModel):
         if told is not None:
             content["angular_size"] = told.size
             content["angular_probability"] = told.probability
-        content["datum"] = self.datum
+        content["datum"] = f"{self.datum}; here {profiles.oriented}" if profiles.oriented else self.datum
         corner = np.array([nodes[0] for nodes in self.blocks])
         points = np.concatenate(
             [np.where(np.arange(3) == axis, nodes[:, None], corner) for axis, nodes in enumerate(self.blocks)]

@@ -2,21 +2,22 @@
 """Position errors along the three axes in the paper's coordinate system, and the figures that are read from them.
 
 The coordinate system is that of Ibaraki and Hata 2010, Eq. (17): every error is zero at the first block position, and
-e_y(x), e_z(x) and e_y(z) are zero at the last one too (the means of their increments are zero). Orientation cannot
-be measured with a laser that is aligned on the machine's own motion; squareness and straightness do not depend on it.
+e_y(x), e_z(x) and e_y(z) are zero at the last one too (the means of their increments are zero); where the readings do
+not determine that one, at the last one with which most of the map is determined. Orientation cannot be measured with a
+laser that is aligned on the machine's own motion; squareness and straightness do not depend on it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 
-__all__ = ["Figure", "Profiles", "eq17"]
+__all__ = ["Figure", "Profiles", "eq17", "is_open"]
 
 # Squareness as ISO 230-1 names it: sign, then the two slopes that add up to it (component, axis).
 _SQUARENESS = {"C0Y": (-1.0, (0, 1), (1, 0)), "B0Z": (1.0, (0, 2), (2, 0)), "A0Z": (-1.0, (2, 1), (1, 2))}
@@ -52,6 +53,7 @@ class Profiles:
             was measured.
         covariance: (M, M) of these, m^2.
         loose: (M, k) directions in which the errors may change without any reading changing.
+        oriented: in words, where the errors are zero instead of at the last block positions; usually empty.
     """
 
     method: str
@@ -59,11 +61,17 @@ class Profiles:
     value: Array
     covariance: Array
     loose: Array
+    oriented: str = ""
+
+    @cached_property
+    def _known(self) -> Array:
+        """(M,) the errors; NaN where not determined."""
+        return np.where(self._open(np.eye(len(self.value))), np.nan, self.value)
 
     @cached_property
     def error(self) -> tuple[Array, Array, Array]:
         """For each axis (N + 1, 3): ex, ey, ez, m; NaN where not determined."""
-        return self.split(np.where(self._open(np.eye(len(self.value))), np.nan, self.value))
+        return self.split(self._known)
 
     @cached_property
     def uncertainty(self) -> tuple[Array, Array, Array]:
@@ -82,12 +90,9 @@ class Profiles:
         x, y, z = (p.reshape(-1, 3) for p in np.split(flat, np.cumsum([3 * len(b) for b in self.blocks])[:-1]))
         return x, y, z
 
-    def _open(self, rows: Array) -> Array:
+    def _open(self, rows: Array) -> BoolArray:
         """(r,) whether combinations (r, M) of the errors are not determined."""
-        if not self.loose.size:
-            return np.zeros(len(rows), dtype=bool)
-        scale = max(float(np.abs(self.loose).max()), 1e-3)
-        return np.asarray(np.abs(rows @ self.loose).max(axis=1) > _LOOSE * scale)
+        return is_open(rows, self.loose)
 
     def figures(self) -> list[Figure]:
         """The figures of the paper's Table 1, of the axes that moved: positioning, straightness, squareness.
@@ -104,11 +109,16 @@ class Profiles:
             for component in self.moved:
                 if component != axis:
                     name = f"E{'XYZ'[component]}{'XYZ'[axis]}"
-                    out.append(self._figure(name, "straightness", self._extent(component, axis)))
-        for name, (sign, one, other) in _SQUARENESS.items():
+                    out.append(self._most(name, "straightness", partial(self._extent, component=component, axis=axis)))
+        for name, (_, one, _) in _SQUARENESS.items():
             if set(one) <= set(self.moved):
-                out.append(self._figure(name, "squareness", sign * (self._slope(*one) + self._slope(*other))))
+                out.append(self._most(name, "squareness", partial(self._squareness, name=name)))
         return out
+
+    def _most(self, name: str, kind: str, row: Callable[[Array], Array]) -> Figure:
+        """A figure of all values that were measured, or else of those that are determined."""
+        found = self._figure(name, kind, row(self.value))
+        return found if np.isfinite(found.value) else self._figure(name, kind, row(self._known))
 
     def _first(self, axis: int) -> int:
         return 3 * sum(len(blocks) for blocks in self.blocks[:axis])
@@ -122,15 +132,15 @@ class Profiles:
         count = len(self.blocks[axis])
         return np.asarray(self._first(axis) + 3 * np.arange(count) + component, dtype=np.int64)
 
-    def _line(self, component: int, axis: int) -> tuple[IntArray, Array]:
-        """Places of the determined values and, for them, the least-squares line's (2, k) operator."""
+    def _line(self, values: Array, component: int, axis: int) -> tuple[IntArray, Array]:
+        """Places of the values that there are and, for them, the least-squares line's (2, k) operator."""
         places = self._places(component, axis)
-        good = np.isfinite(self.value[places])
+        good = np.isfinite(values[places])
         design = np.column_stack([np.ones(good.sum()), self.blocks[axis][good]])
         return places[good], np.linalg.pinv(design) if good.sum() > 1 else np.full((2, int(good.sum())), np.nan)
 
-    def _slope(self, component: int, axis: int) -> Array:
-        places, operator = self._line(component, axis)
+    def _slope(self, values: Array, component: int, axis: int) -> Array:
+        places, operator = self._line(values, component, axis)
         row = np.zeros(len(self.value))
         if len(places) < 2:
             row[:] = np.nan
@@ -138,8 +148,12 @@ class Profiles:
             row[places] = operator[1]
         return row
 
-    def _extent(self, component: int, axis: int) -> Array:
-        places, operator = self._line(component, axis)
+    def _squareness(self, values: Array, name: str) -> Array:
+        sign, one, other = _SQUARENESS[name]
+        return sign * (self._slope(values, *one) + self._slope(values, *other))
+
+    def _extent(self, values: Array, component: int, axis: int) -> Array:
+        places, operator = self._line(values, component, axis)
         row = np.zeros(len(self.value))
         if len(places) < 2:
             row[:] = np.nan
@@ -158,13 +172,22 @@ class Profiles:
         return Figure(name, kind, float(row[used] @ self.value[used]), float(np.sqrt(max(variance, 0.0))))
 
 
-def eq17(blocks: Sequence[Array], error: Array) -> Array:
+def is_open(rows: Array, loose: Array) -> BoolArray:
+    """(r,) whether combinations (r, M) of the errors may change in some of the (M, k) loose directions."""
+    if not loose.size:
+        return np.zeros(len(rows), dtype=bool)
+    scale = max(float(np.abs(loose).max()), 1e-3)
+    return np.asarray(np.abs(rows @ loose).max(axis=1) > _LOOSE * scale)
+
+
+def eq17(blocks: Sequence[Array], error: Array, last: tuple[int, int, int] = (-1, -1, -1)) -> Array:
     """Position errors in the coordinate system of Eq. (17).
 
     Args:
         blocks: block positions of x, y, z, m.
         error: (…, M) errors in any orientation: axis after axis, position after position, component after component;
             all zero where an axis has no positions of its own.
+        last: numbers of the positions at which e_y(x), e_z(x) and e_y(z) (e_z(y) where z did not move) are zero.
 
     Returns:
         (…, M) the same, zero at the first position of each axis and turned as a whole.
@@ -173,16 +196,19 @@ def eq17(blocks: Sequence[Array], error: Array) -> Array:
     parts = [p.reshape(*p.shape[:-1], -1, 3).copy() for p in np.split(error, np.cumsum(sizes)[:-1], axis=-1)]
     for part in parts:
         part -= part[..., :1, :].copy()
-    spans = [float(b[-1] - b[0]) for b in blocks]
     turn = np.zeros((*error.shape[:-1], 3))
+
+    def slope(axis: int, component: int, at: int) -> Array:
+        return np.asarray(parts[axis][..., at, component] / (blocks[axis][at] - blocks[axis][0]))
+
     # e_y(x) and e_z(x) fix the turns about z and y, e_y(z) that about x; e_z(y) where z did not move.
-    if spans[0]:
-        turn[..., 2] = -parts[0][..., -1, 1] / spans[0]
-        turn[..., 1] = parts[0][..., -1, 2] / spans[0]
-    if spans[2]:
-        turn[..., 0] = parts[2][..., -1, 1] / spans[2]
-    elif spans[1]:
-        turn[..., 0] = -parts[1][..., -1, 2] / spans[1]
+    if len(blocks[0]) > 1:
+        turn[..., 2] = -slope(0, 1, last[0])
+        turn[..., 1] = slope(0, 2, last[1])
+    if len(blocks[2]) > 1:
+        turn[..., 0] = slope(2, 1, last[2])
+    elif len(blocks[1]) > 1:
+        turn[..., 0] = -slope(1, 2, last[2])
     for axis, (part, b) in enumerate(zip(parts, blocks, strict=True)):
         part += (b - b[0])[:, None] * np.cross(turn, np.eye(3)[axis])[..., None, :]
     return np.concatenate([part.reshape(*part.shape[:-2], -1) for part in parts], axis=-1)

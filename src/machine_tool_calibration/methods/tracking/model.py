@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -155,22 +155,27 @@ class TrackingModel(MethodModel):
         along = self.observations.direction.T[:d]
         nominal = self.targets[self.point][:, :d].T - self.stations[setup][:, :d].T
 
-        def linearise(own: Array, shared: Array) -> tuple[Array, Array, Array]:
-            line = nominal - own[:, :d][setup].T
-            if beam is None:
-                # The tables' share of the length is linear; the beam follows the target where it was commanded.
-                length = np.linalg.norm(line, axis=0)
-                direction = line / length
-            else:
-                length, direction = np.einsum("dn,dn->n", line, along), along
-            residual = path - length + own[:, d][setup] - shared @ dense
-            return residual, np.concatenate([-direction, -np.ones((1, len(path)))]), dense
-
-        return linearise
+        return partial(_linearised, path, nominal, dense, setup, None if beam is None else along)
 
     def error_map(self, fit: Fit) -> ErrorMap:
         """Position error of every target in the datum in which they have no common motion."""
         return free_map(self, fit) if self.tables is None else table_map(self, fit, self.tables)
+
+
+def _linearised(
+    path: Array, nominal: Array, dense: Array, setup: IntArray, along: Array | None, own: Array, shared: Array
+) -> tuple[Array, Array, Array]:
+    """Residuals and their columns at a place of the unknowns: a function that goes from process to process."""
+    d = len(nominal)
+    line = nominal - own[:, :d][setup].T
+    if along is None:
+        # The tables' share of the length is linear; the beam follows the target where it was commanded.
+        length = np.linalg.norm(line, axis=0)
+        direction = line / length
+    else:
+        length, direction = np.einsum("dn,dn->n", line, along), along
+    residual = path - length + own[:, d][setup] - shared @ dense
+    return residual, np.concatenate([-direction, -np.ones((1, len(path)))]), dense
 
 
 def build(session: Session, model: str = "free") -> TrackingModel:
