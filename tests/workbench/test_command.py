@@ -29,10 +29,10 @@ def test_beside_a_graph_no_measurement_is_needed(monkeypatch: pytest.MonkeyPatch
     from machine_tool_calibration.workbench import server
 
     asked: list[tuple[object, dict[str, object]]] = []
-    monkeypatch.setattr(server, "serve", lambda target, *more, **named: asked.append((target, named)))
+    monkeypatch.setattr(server, "serve", lambda targets, *more, **named: asked.append((targets, named)))
     assert run(["workbench", "--live", "--namespace", "cell_1", "--domain-id", "7", "--no-browser"]) == 0
-    ((target, named),) = asked
-    assert target is None
+    ((targets, named),) = asked
+    assert targets == ()
     assert {name: named[name] for name in ("live", "namespace", "domain")} == {
         "live": True, "namespace": "cell_1", "domain": 7,
     }  # fmt: skip
