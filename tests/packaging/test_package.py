@@ -23,7 +23,7 @@ EXECUTABLES = sorted(path.name for path in (ROOT / "scripts" / "nodes").iterdir(
 DATA = f"{PACKAGE}-{__version__}.data/data"
 NODES = ("axis_simulator", "rotary_pointer", "instrument", "procedure", "estimator", "recorder")
 # Libraries of the page in the browser, an extra of its own.
-WORKBENCH = re.compile(r"bokeh|panel")
+WORKBENCH = re.compile(r"bokeh|panel|tornado")
 # ROS packages: exec_depend of package.xml, the extra `ros` of setup.cfg.
 ROS = re.compile(r"rclpy|ament_index_python|launch|launch_ros|std_srvs|[a-z]+_(msgs|interfaces)")
 # Name of the distribution in package.xml, where it is not python3-<name>; None where rosdep has no key for it.

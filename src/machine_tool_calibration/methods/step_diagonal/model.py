@@ -30,8 +30,7 @@ __all__ = ["DATUM", "Spread", "StepDiagonalModel"]
 
 DATUM = (
     "position errors are zero at the first block position of each axis; e_y(x), e_z(x) and e_y(z) are zero at the last "
-    "one too (Ibaraki and Hata 2010, Eq. (17)), or at the last that the readings determine, which orients the "
-    "coordinate system; lengths are the interferometer's"
+    "one too (Ibaraki and Hata 2010, Eq. (17)), which orients the coordinate system; lengths are the interferometer's"
 )
 
 
