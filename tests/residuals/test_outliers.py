@@ -6,10 +6,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from machine_tool_calibration.methods.identify import build_model
-from machine_tool_calibration.residuals.outliers import _LONGER, _limit_of_tails, find_outliers
+from machine_tool_calibration.residuals.outliers import find_outliers
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate
 
@@ -42,17 +41,3 @@ def test_sound_neighbours_of_a_chip_are_put_back() -> None:
         assert all(abs(o.studentized) > 4.5 for o in found)
     assert blamed >= 0.95 * 8 * len(CHIPS)
     assert wrong <= 1
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_noise_is_not_taken_for_one_with_longer_tails(seed: int) -> None:
-    """As many residuals as a session has: the limit of their deviations is that of normal ones."""
-    size = np.abs(np.random.default_rng(seed).standard_normal(300))
-    size *= 0.6745 / np.median(size)
-    assert _limit_of_tails(size, 1.0, _LONGER) < 5.0
-
-
-def test_longer_tails_of_a_part_are_seen() -> None:
-    size = np.abs(np.random.default_rng(1).standard_t(4.0, 1000))
-    size *= 0.6745 / np.median(size)
-    assert _limit_of_tails(size, 1.0, 0.0) > 10.0

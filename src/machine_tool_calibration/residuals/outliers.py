@@ -29,6 +29,7 @@ from machine_tool_calibration.model.model import MethodModel, assemble
 from machine_tool_calibration.residuals.combinations import wrong_together
 from machine_tool_calibration.residuals.leverage import Reach, reach, taken
 from machine_tool_calibration.residuals.neighbours import near_of, places_of, runs_of
+from machine_tool_calibration.residuals.tails import LONGER, limit_of_tails
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["Outlier", "find_outliers", "set_aside"]
@@ -70,13 +71,6 @@ _TAILS = 1.5
 # Scatter over the declared uncertainty from which an effect may be missing, and the factor on the limit then.
 _MISFIT = 1.1
 _UNEVEN = 1.5
-# Share of the deviations whose distribution is looked at, how many at most, and the degrees of freedom of Student's
-# distribution that are tried. An instrument's noise has longer tails than the last, which is normal, only where the
-# logarithm of their likelihood is so much higher; a part or an axis has what is likeliest.
-_SHOULDER = 0.95
-_DOFS = (4.0, 6.0, 10.0, 20.0, 1000.0)
-_LONGER = 4.0
-_LOOKED_AT = 2000
 
 
 @dataclass(frozen=True)
@@ -282,7 +276,7 @@ class _Search:
         limit = max(-float(special.stdtrit(max(dof, 4.0), _LEVEL / self.n / 2)), _LEAST)
         # Readings of each other's place mirror each other: as many say something as there are degrees of freedom.
         told = min(dof / len(studentized), 1.0)
-        limit = max(limit, _limit_of_tails(studentized / bulk, told, 0.0 if self.reads_machine else _LONGER))
+        limit = max(limit, limit_of_tails(studentized / bulk, _LEVEL, told, 0.0 if self.reads_machine else LONGER))
         if not self.reads_machine and scale > _MISFIT and special.chdtrc(dof, dof * scale**2) < _LEVEL:
             # Something is missing, and what it leaves is not as even as noise. An axis or a part may scatter more than
             # the instrument that reads it.
@@ -479,32 +473,3 @@ def _blocks(reached: Reach) -> list[IntArray]:
 def _size(deviation: float) -> str:
     size = abs(deviation)
     return f"{size * 1e6:.3g} µm" if size < 1e-3 else f"{size * 1e3:.3g} mm" if size < 1.0 else f"{size:.3g} m"
-
-
-def _limit_of_tails(size: Array, told: float, longer: float) -> float:
-    """Limit for residuals that scatter with longer tails than noise does, as holes do that a drill made.
-
-    Student's distribution with as many degrees of freedom as is likeliest; normal, unless that is much less likely.
-    Readings beyond the shoulders have no say but that they are beyond.
-
-    Args:
-        size: absolute residuals over the bulk's standard deviation.
-        told: share of them that say something of their own.
-        longer: logarithm of the likelihood, over that of the normal one, from which longer tails are believed.
-    """
-    ordered = np.sort(size)
-    if len(ordered) > _LOOKED_AT:
-        ordered = ordered[np.linspace(0, len(ordered) - 1, _LOOKED_AT).astype(int)]
-    inside = max(int(_SHOULDER * len(ordered)), 1)
-    scale = np.exp(np.linspace(-0.5, 0.3, 33))[:, None]
-    beyond = len(ordered) - inside
-    within = ordered[None, :inside] / scale
-    likelihood = []
-    for dof in _DOFS:
-        constant = special.gammaln((dof + 1) / 2) - special.gammaln(dof / 2) - 0.5 * np.log(dof)
-        density = inside * (constant - np.log(scale[:, 0])) - 0.5 * (dof + 1) * np.log1p(within**2 / dof).sum(axis=1)
-        rest = special.stdtr(dof, -ordered[inside - 1] / scale[:, 0])
-        likelihood.append(float(np.max(density + beyond * np.log(np.maximum(rest, 1e-300)))))
-    best = int(np.argmax(likelihood))
-    dof = _DOFS[best] if told * (likelihood[best] - likelihood[-1]) > longer else _DOFS[-1]
-    return -float(special.stdtrit(dof, _LEVEL / len(size) / 2) / special.stdtrit(dof, 0.75) * special.ndtri(0.75))
