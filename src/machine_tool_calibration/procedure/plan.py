@@ -28,9 +28,8 @@ from machine_tool_calibration.session.method import load
 
 __all__ = [
     "Plan", "Step", "axis_limits", "diagonal_positions", "diagonal_steps", "direct_steps", "path_steps", "plan",
-    "rotary_steps", "sensing_direction", "targets_of",
-    "touch_steps",
-]
+    "rotary_steps", "sensing_direction", "targets_of", "touch_steps",
+]  # fmt: skip
 
 
 _MOVED = 1e-9
