@@ -29,7 +29,7 @@ from machine_tool_calibration.model.model import MethodModel, assemble
 from machine_tool_calibration.residuals.combinations import wrong_together
 from machine_tool_calibration.residuals.leverage import Reach, reach, taken
 from machine_tool_calibration.residuals.neighbours import near_of, places_of, runs_of
-from machine_tool_calibration.residuals.tails import LONGER, limit_of_tails
+from machine_tool_calibration.residuals.tails import limit_of_tails
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["Outlier", "find_outliers", "set_aside"]
@@ -276,7 +276,7 @@ class _Search:
         limit = max(-float(special.stdtrit(max(dof, 4.0), _LEVEL / self.n / 2)), _LEAST)
         # Readings of each other's place mirror each other: as many say something as there are degrees of freedom.
         told = min(dof / len(studentized), 1.0)
-        limit = max(limit, limit_of_tails(studentized / bulk, _LEVEL, told, 0.0 if self.reads_machine else LONGER))
+        limit = max(limit, limit_of_tails(studentized / bulk, _LEVEL, told, part=self.reads_machine))
         if not self.reads_machine and scale > _MISFIT and special.chdtrc(dof, dof * scale**2) < _LEVEL:
             # Something is missing, and what it leaves is not as even as noise. An axis or a part may scatter more than
             # the instrument that reads it.

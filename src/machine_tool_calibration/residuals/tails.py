@@ -8,28 +8,29 @@ from scipy import special
 
 from machine_tool_calibration.arrays import Array
 
-__all__ = ["LONGER", "limit_of_tails"]
+__all__ = ["limit_of_tails"]
 
 # Share of the deviations whose distribution is looked at, how many at most, and the degrees of freedom of Student's
-# distribution that are tried. An instrument's noise has longer tails than the last, which is normal, only where the
-# logarithm of their likelihood is so much higher; a part or an axis has what is likeliest.
+# distribution that are tried: the last is normal.
 _SHOULDER = 0.95
-_DOFS = (4.0, 6.0, 10.0, 20.0, 1000.0)
-LONGER = 4.0
 _LOOKED_AT = 2000
+_DOFS = (4.0, 6.0, 10.0, 20.0, 1000.0)
+# An instrument's noise has longer tails than normal only where the logarithm of their likelihood is so much higher, and
+# none longer than with so many degrees of freedom, even beside what a missing effect leaves.
+_LONGER, _LONGEST = 4.0, 10.0
 
 
-def limit_of_tails(size: Array, level: float, told: float, longer: float) -> float:
+def limit_of_tails(size: Array, level: float, told: float, *, part: bool) -> float:
     """Limit for residuals that scatter with longer tails than noise does, as holes do that a drill made.
 
-    Student's distribution with as many degrees of freedom as is likeliest; normal, unless that is much less likely.
-    Readings beyond the shoulders have no say but that they are beyond.
+    Student's distribution with as many degrees of freedom as is likeliest. Readings beyond the shoulders have no say
+    but that they are beyond.
 
     Args:
         size: absolute residuals over the bulk's standard deviation.
         level: chance that any of so many is beyond the limit.
         told: share of them that say something of their own.
-        longer: logarithm of the likelihood, over that of the normal one, from which longer tails are believed.
+        part: whether they are those of a part or an axis itself, not of an instrument.
     """
     ordered = np.sort(size)
     if len(ordered) > _LOOKED_AT:
@@ -39,11 +40,12 @@ def limit_of_tails(size: Array, level: float, told: float, longer: float) -> flo
     beyond = len(ordered) - inside
     within = ordered[None, :inside] / scale
     likelihood = []
-    for dof in _DOFS:
+    tried = _DOFS if part else tuple(dof for dof in _DOFS if dof >= _LONGEST)
+    for dof in tried:
         constant = special.gammaln((dof + 1) / 2) - special.gammaln(dof / 2) - 0.5 * np.log(dof)
         density = inside * (constant - np.log(scale[:, 0])) - 0.5 * (dof + 1) * np.log1p(within**2 / dof).sum(axis=1)
         rest = special.stdtr(dof, -ordered[inside - 1] / scale[:, 0])
         likelihood.append(float(np.max(density + beyond * np.log(np.maximum(rest, 1e-300)))))
     best = int(np.argmax(likelihood))
-    dof = _DOFS[best] if told * (likelihood[best] - likelihood[-1]) > longer else _DOFS[-1]
+    dof = tried[best] if part or told * (likelihood[best] - likelihood[-1]) > _LONGER else tried[-1]
     return -float(special.stdtrit(dof, level / len(size) / 2) / special.stdtrit(dof, 0.75) * special.ndtri(0.75))
