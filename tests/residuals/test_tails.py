@@ -21,4 +21,3 @@ def test_longer_tails_of_a_part_are_seen() -> None:
     size = np.abs(np.random.default_rng(1).standard_t(4.0, 1000))
     size *= 0.6745 / np.median(size)
     assert limit_of_tails(size, 0.002, 1.0, part=True) > 10.0
-    assert limit_of_tails(size, 0.002, 1.0, part=False) < 10.0

@@ -15,9 +15,8 @@ __all__ = ["limit_of_tails"]
 _SHOULDER = 0.95
 _LOOKED_AT = 2000
 _DOFS = (4.0, 6.0, 10.0, 20.0, 1000.0)
-# An instrument's noise has longer tails than normal only where the logarithm of their likelihood is so much higher, and
-# none longer than with so many degrees of freedom, even beside what a missing effect leaves.
-_LONGER, _LONGEST = 4.0, 10.0
+# An instrument's noise has longer tails than normal only where the logarithm of their likelihood is so much higher.
+_LONGER = 4.0
 
 
 def limit_of_tails(size: Array, level: float, told: float, *, part: bool) -> float:
@@ -40,12 +39,11 @@ def limit_of_tails(size: Array, level: float, told: float, *, part: bool) -> flo
     beyond = len(ordered) - inside
     within = ordered[None, :inside] / scale
     likelihood = []
-    tried = _DOFS if part else tuple(dof for dof in _DOFS if dof >= _LONGEST)
-    for dof in tried:
+    for dof in _DOFS:
         constant = special.gammaln((dof + 1) / 2) - special.gammaln(dof / 2) - 0.5 * np.log(dof)
         density = inside * (constant - np.log(scale[:, 0])) - 0.5 * (dof + 1) * np.log1p(within**2 / dof).sum(axis=1)
         rest = special.stdtr(dof, -ordered[inside - 1] / scale[:, 0])
         likelihood.append(float(np.max(density + beyond * np.log(np.maximum(rest, 1e-300)))))
     best = int(np.argmax(likelihood))
-    dof = tried[best] if part or told * (likelihood[best] - likelihood[-1]) > _LONGER else tried[-1]
+    dof = _DOFS[best] if part or told * (likelihood[best] - likelihood[-1]) > _LONGER else _DOFS[-1]
     return -float(special.stdtrit(dof, level / len(size) / 2) / special.stdtrit(dof, 0.75) * special.ndtri(0.75))
