@@ -139,7 +139,9 @@ def common_shape(
         raise ModelError(f"effect {effect.id}: too few distinct positions to look for it")
     observed = [m.observations if effect.why_not(m.observations) is None else None for m in joint.assembly.models]
 
-    def explained(shapes: Sequence[tuple[float, ...]]) -> tuple[list[float], list[list[Array]], list[float]]:
+    discrete = all(coefficient.discrete for coefficient in effect.shapes)
+
+    def explained(shapes: Sequence[tuple[float, ...]]) -> tuple[list[float], list[list[Array]], list[bool]]:
         terms, names = [], []
         for k, readings in enumerate(observed):
             tried = [] if readings is None else [effect_term(effect, readings, shape, mapped=False) for shape in shapes]
@@ -150,7 +152,7 @@ def common_shape(
             names.append([[joint.assembly.published(k, p) for p in own] for own in numbered])
         screened = screen_joint(joint, terms)
         place = {name: j for j, name in enumerate(screened.names)}
-        gains, sizes, least = [], [], []
+        gains, sizes, told = [], [], []
         for s in range(len(shapes)):
             mine = [[place[name] for name in own[s]] if own else [] for own in names]
             pick = np.unique(np.concatenate(mine).astype(np.int64))
@@ -159,17 +161,17 @@ def common_shape(
             inner = inner / np.outer(scale, scale)
             size = np.linalg.pinv(inner, rcond=1e-10, hermitian=True) @ (right / scale) / scale
             gains.append(float(right @ size))
-            least.append(float(np.linalg.eigvalsh(inner)[0]))
+            told.append(not discrete or bool(np.linalg.eigvalsh(inner)[0] > _TOLD))
             sizes.append([size[np.searchsorted(pick, np.array(own, dtype=np.int64))] for own in mine])
-        return gains, sizes, least
+        return gains, sizes, told
 
-    gains, sizes, least = explained(grid)
-    if all(coefficient.discrete for coefficient in effect.shapes):
-        # As many unknowns as the readings tell: how large they plausibly are keeps those that are nothing small.
-        gains = [float(k if told > _TOLD else -k) for k, told in enumerate(least)]
+    gains, sizes, told = explained(grid)
     best = int(np.argmax(gains))
+    if discrete:
+        # As many unknowns as the readings tell: how large they plausibly are keeps those that are nothing small.
+        best = max((k for k, enough in enumerate(told) if enough), default=0)
     shape, size = grid[best], sizes[best]
-    if len(shape) == 1 and len(grid) > 1 and not effect.shapes[0].discrete:
+    if len(shape) == 1 and len(grid) > 1 and not discrete:
         ordered = sorted(s[0] for s in grid)
         place = ordered.index(shape[0])
         low, high = ordered[max(place - 1, 0)], ordered[min(place + 1, len(ordered) - 1)]

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
@@ -185,28 +185,27 @@ class StepDiagonalModel(MethodModel):
             rows: (K, M) in any orientation.
             undetermined: (K, k) directions of the unknowns that nothing fixes.
         """
-        last = [-1, -1, -1]
-        every = np.eye(rows.shape[1])
+        last = (-1, -1, -1)
+        loose, every = undetermined.T @ rows, np.eye(rows.shape[1])
 
-        def lost(last: Sequence[int]) -> int:
-            oriented = eq17(self.blocks, rows, (last[0], last[1], last[2])).T
-            return int(is_open(every, oriented @ undetermined).sum())
+        def lost(last: tuple[int, int, int]) -> int:
+            return int(is_open(every, eq17(self.blocks, loose, last).T).sum())
 
-        least = lost(last) if undetermined.size else 0
+        least = lost(last) if loose.size else 0
         axes = (0, 0, 2 if len(self.blocks[2]) > 1 else 1)
         for number, axis in enumerate(axes if least else ()):
             for at in range(len(self.blocks[axis]) - 2, 0, -1):
-                tried = [at if k == number else one for k, one in enumerate(last)]
-                count = lost(tried)
+                x_y, x_z, z_y = (at if k == number else one for k, one in enumerate(last))
+                count = lost((x_y, x_z, z_y))
                 if count < least:
-                    last, least = tried, count
+                    last, least = (x_y, x_z, z_y), count
         names = ("e_y(x)", "e_z(x)", "e_y(z)" if axes[2] == 2 else "e_z(y)")
         words = [
             f"{name} is zero at {1e3 * self.blocks[axis][at]:g} mm"
             for name, axis, at in zip(names, axes, last, strict=True)
             if at != -1
         ]
-        return eq17(self.blocks, rows, (last[0], last[1], last[2])).T, ", ".join(words)
+        return eq17(self.blocks, rows, last).T, ", ".join(words)
 
     def _there(self) -> Array:
         """(M,) whether the model holds a value for each of the map's entries: 1, or NaN."""

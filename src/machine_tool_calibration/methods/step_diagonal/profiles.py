@@ -66,7 +66,7 @@ class Profiles:
     @cached_property
     def _known(self) -> Array:
         """(M,) the errors; NaN where not determined."""
-        return np.where(self._open(np.eye(len(self.value))), np.nan, self.value)
+        return np.where(is_open(np.eye(len(self.value)), self.loose), np.nan, self.value)
 
     @cached_property
     def error(self) -> tuple[Array, Array, Array]:
@@ -89,10 +89,6 @@ class Profiles:
         """(M,) values as (N + 1, 3) for each axis."""
         x, y, z = (p.reshape(-1, 3) for p in np.split(flat, np.cumsum([3 * len(b) for b in self.blocks])[:-1]))
         return x, y, z
-
-    def _open(self, rows: Array) -> BoolArray:
-        """(r,) whether combinations (r, M) of the errors are not determined."""
-        return is_open(rows, self.loose)
 
     def figures(self) -> list[Figure]:
         """The figures of the paper's Table 1, of the axes that moved: positioning, straightness, squareness.
@@ -166,7 +162,7 @@ class Profiles:
 
     def _figure(self, name: str, kind: str, row: Array) -> Figure:
         used = row != 0
-        if not np.isfinite(row).all() or not np.isfinite(self.value[used]).all() or self._open(row[None])[0]:
+        if not np.isfinite(row).all() or not np.isfinite(self.value[used]).all() or is_open(row[None], self.loose)[0]:
             return Figure(name, kind, np.nan, np.nan)
         variance = row[used] @ self.covariance[np.ix_(used, used)] @ row[used]
         return Figure(name, kind, float(row[used] @ self.value[used]), float(np.sqrt(max(variance, 0.0))))
