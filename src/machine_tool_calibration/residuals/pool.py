@@ -20,7 +20,7 @@ from machine_tool_calibration.model.reproducibility import reproducibility
 __all__ = ["RANDOM", "Pool"]
 
 # Standard uncertainties below which the signal of a random function of the largest size does not show.
-_SHOWN = 0.1
+_SHOWN = 0.3
 
 RANDOM = "random functions"
 """Name of the family of the model's own unknowns that are random functions."""
@@ -108,9 +108,9 @@ class Pool:
                     place.append(np.full(len(mine), names.index(family.name), dtype=np.int64))
         random = self.fit.random
         if random is not None:
-            own = _shown(random.root.T @ self._columns_of(random.names), self.sigma / max(random.sizes))
-            columns.append(own)
-            place.append(np.full(len(own), len(names), dtype=np.int64))
+            further = _shown(random.root.T @ self._columns_of(random.names), self.sigma / max(random.sizes))
+            columns.append(further)
+            place.append(np.full(len(further), len(names), dtype=np.int64))
             names = (*names, RANDOM)
         return np.concatenate(columns), np.concatenate(place), names
 

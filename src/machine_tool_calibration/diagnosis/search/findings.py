@@ -170,7 +170,7 @@ def finding_of(
         p_value=p_value,
         family_p_value=family_p_value,
         bic_gain=-readings * float(np.log(rest)) - unknowns * float(np.log(readings)),
-        rms_after=float(np.sqrt(max(left - taken @ taken, 0.0) / readings)) * sigma,
+        rms_after=float(np.sqrt(max(left - float(taken @ taken), 0.0) / readings)) * sigma,
         detectable=_detectable(candidate, shaped, inner, variance, log_odds),
         place=place,
     )

@@ -74,7 +74,7 @@ _MOST_NODES = 13
 _SIZES = 25
 # Sizes where an effect that may be missing is weighed against angular errors: coarser, as with all that does not
 # reproduce.
-_FEW = 7
+_FEW = 5
 _FLOOR = 1e-6
 
 
