@@ -111,9 +111,7 @@ def predictions(
     return {name: tuple(own) for name, own in out.items() if own}
 
 
-def _log_factors(
-    fit: JointFit, effects: Sequence[tuple[Effect, tuple[float, ...]]], look: Look
-) -> np.ndarray:
+def _log_factors(fit: JointFit, effects: Sequence[tuple[Effect, tuple[float, ...]]], look: Look) -> np.ndarray:
     """(effects,) logarithm of the Bayes factor of each beside the others.
 
     The noise and what does not reproduce have the same size for all readings and for a part of them: only so do the two
