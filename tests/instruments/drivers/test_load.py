@@ -44,8 +44,8 @@ def test_there_are_examples() -> None:
     [
         ("unit: mm", "unit: furlong", "line 6: value.unit"),
         ("unit: mm", "unit: mm, scale: 0", "line 6: value.scale: must not be 0"),
-        ("unit: mm", "unit: mm, scael: 1", "line 6: value.scael: unknown key"),
-        ("value: {unit: mm}", "", "value: the key is missing"),
+        ("unit: mm", "unit: mm, scael: 1", "line 6: unknown key 'value.scael' (did you mean 'scale'?)"),
+        ("value: {unit: mm}", "", "the key 'value' is missing"),
         (r"(?P<value>\S+)", r"(?P<value>\S+", "not a regular expression"),
         (r"(?P<value>\S+)", r"\S+", "no group"),
         (r"(?P<value>\S+)", r"(?P<value>\S+) (?P<beam>.)", "beam_ok"),

@@ -12,6 +12,7 @@ from pydantic import ValidationError
 from machine_tool_calibration.instruments.drivers.ascii_line import AsciiLineDriver
 from machine_tool_calibration.instruments.drivers.driver import Driver, InstrumentError
 from machine_tool_calibration.instruments.drivers.settings import AsciiLineSettings
+from machine_tool_calibration.session.defects import first_defect
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import Document, load_yaml
 
@@ -51,16 +52,7 @@ def parse_ascii_line(document: Document, source: str) -> AsciiLineSettings:
     try:
         return AsciiLineSettings.model_validate(document.value)
     except ValidationError as error:
-        defect = error.errors(include_url=False)[0]
-        line = document.line(defect["loc"])
-        where = source if line is None else f"{source} line {line}"
-        key = ".".join(str(part) for part in defect["loc"])
-        problem = {"extra_forbidden": "unknown key", "missing": "the key is missing"}.get(defect["type"])
-        raise InstrumentError(f"{where}: {key}: {problem or _own_words(defect['msg'])}") from None
-
-
-def _own_words(message: str) -> str:
-    return message.removeprefix("Value error, ")
+        raise InstrumentError(first_defect(error, source, document, AsciiLineSettings)) from None
 
 
 def _from_plugin(load: Any, content: dict[str, Any], source: str) -> Driver:
