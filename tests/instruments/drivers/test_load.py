@@ -6,7 +6,14 @@ import pytest
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.instruments import drivers
-from machine_tool_calibration.instruments.drivers import PLUGIN_GROUP, Driver, Health, InstrumentError, Sample, load_driver
+from machine_tool_calibration.instruments.drivers import (
+    PLUGIN_GROUP,
+    Driver,
+    Health,
+    InstrumentError,
+    Sample,
+    load_driver,
+)
 
 EXAMPLES = sorted((Path(__file__).parents[3] / "config" / "drivers").glob("*.yaml"))
 TEXT = r"""
