@@ -200,11 +200,14 @@ def test_a_wrong_request_is_one_line(tmp_path: Path, ros_domain: int) -> None:
                 ("flush_period:=5.0", "flush_period"),
             )
         ]
+        verb = stack.enter_context(command(tmp_path / "full"))
         for process, expected in started:
             said = process.said()
             assert process.returncode == 1
             assert len(said.strip().splitlines()) == 1
             assert expected in said
+        _, said = verb.communicate(timeout=PATIENCE)
+        assert said == f"mtcal: {tmp_path}/full: is not empty; a recording needs a new folder\n"
 
 
 def command(folder: Path, *words: str):
