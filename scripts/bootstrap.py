@@ -199,7 +199,7 @@ def make_venv(environment: Path, base: Path, *options: str) -> None:
 def libraries(python: str) -> str:
     """The folder into which pip installs for that Python."""
     where = "import sysconfig; print(sysconfig.get_path('purelib'))"
-    return subprocess.check_output([python, "-c", where], env=clean_environment(), text=True).strip()
+    return subprocess.check_output([python, "-c", where], env=undisturbed_environment(), text=True).strip()
 
 
 def install(python: Path, extras: list[str]) -> None:
@@ -227,18 +227,25 @@ def compile_all(python: str, folder: str) -> None:
         "import compileall, re, sys; folder = sys.argv[1]; "
         "compileall.compile_dir(folder, quiet=2, workers=0, rx=re.compile(re.escape(folder) + r'/.*/tests?/'))"
     )
-    subprocess.call([python, "-c", what, folder], env=clean_environment(), stderr=subprocess.DEVNULL)
+    subprocess.call([python, "-c", what, folder], env=undisturbed_environment(), stderr=subprocess.DEVNULL)
 
 
 def run(command: list[str], problem: str) -> None:
     """Run a step of the preparation."""
-    environment = clean_environment()
-    for name in ("PYTHONPATH", "PYTHONHOME", "PIP_TARGET", "PIP_PREFIX", "PIP_USER", "PIP_REQUIRE_VIRTUALENV"):
-        environment.pop(name, None)
-    done = subprocess.run(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    done = subprocess.run(
+        command, env=undisturbed_environment(), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
     if done.returncode != 0:
         sys.stderr.write(done.stdout)
         raise BootstrapError(problem)
+
+
+def undisturbed_environment() -> dict[str, str]:
+    """The clean environment without what would lead Python or pip into another folder."""
+    environment = clean_environment()
+    for name in ("PYTHONPATH", "PYTHONHOME", "PIP_TARGET", "PIP_PREFIX", "PIP_USER", "PIP_REQUIRE_VIRTUALENV"):
+        environment.pop(name, None)
+    return environment
 
 
 def clean_environment() -> dict[str, str]:
