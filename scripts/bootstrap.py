@@ -190,12 +190,16 @@ def make_venv(environment: Path, base: Path, *options: str) -> None:
         return
     run([*command, "--without-pip", str(environment)], "cannot make an environment")
     python = str(environment / "bin" / "python")
-    where = "import sysconfig; print(sysconfig.get_path('purelib'))"
-    target = subprocess.check_output([python, "-c", where], env=clean_environment(), text=True).strip()
     run(
-        [str(base), "-m", "pip", "install", "--quiet", "--target", target, "pip"],
+        [str(base), "-m", "pip", "install", "--quiet", "--target", libraries(python), "pip"],
         "this Python has neither ensurepip nor a pip that works: install one of them (Debian: python3-venv)",
     )
+
+
+def libraries(python: str) -> str:
+    """The folder into which pip installs for that Python."""
+    where = "import sysconfig; print(sysconfig.get_path('purelib'))"
+    return subprocess.check_output([python, "-c", where], env=undisturbed_environment(), text=True).strip()
 
 
 def install(python: Path, extras: list[str]) -> None:
@@ -209,19 +213,39 @@ def install(python: Path, extras: list[str]) -> None:
             elif source.exists():
                 shutil.copy2(source, folder)
         wanted = f"{folder}[{','.join(extras)}]" if extras else folder
-        pip = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+        pip = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-compile"]
         run([*pip, wanted], "pip could not install it; its messages are above")
+    compile_all(str(python), libraries(str(python)))
+
+
+def compile_all(python: str, folder: str) -> None:
+    """Compile what is installed, on all processors; pip would on one, and the libraries' own tests as well.
+
+    What cannot be compiled is none of ours: Python tries again where it is imported.
+    """
+    what = (
+        "import compileall, re, sys; folder = sys.argv[1]; "
+        "compileall.compile_dir(folder, quiet=2, workers=0, rx=re.compile(re.escape(folder) + r'/.*/tests?/'))"
+    )
+    subprocess.call([python, "-c", what, folder], env=undisturbed_environment(), stderr=subprocess.DEVNULL)
 
 
 def run(command: list[str], problem: str) -> None:
     """Run a step of the preparation."""
-    environment = clean_environment()
-    for name in ("PYTHONPATH", "PYTHONHOME", "PIP_TARGET", "PIP_PREFIX", "PIP_USER", "PIP_REQUIRE_VIRTUALENV"):
-        environment.pop(name, None)
-    done = subprocess.run(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    done = subprocess.run(
+        command, env=undisturbed_environment(), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
     if done.returncode != 0:
         sys.stderr.write(done.stdout)
         raise BootstrapError(problem)
+
+
+def undisturbed_environment() -> dict[str, str]:
+    """The clean environment without what would lead Python or pip into another folder."""
+    environment = clean_environment()
+    for name in ("PYTHONPATH", "PYTHONHOME", "PIP_TARGET", "PIP_PREFIX", "PIP_USER", "PIP_REQUIRE_VIRTUALENV"):
+        environment.pop(name, None)
+    return environment
 
 
 def clean_environment() -> dict[str, str]:

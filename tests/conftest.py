@@ -2,6 +2,7 @@
 """What all tests share: quiet libraries, and a ROS domain that no other test process on this machine uses."""
 
 import atexit
+import gc
 import os
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -12,10 +13,13 @@ from hypothesis import settings
 
 from machine_tool_calibration.nodes.ros.domain import free_domain
 
-# The same examples every time, and no limit of the wall clock; HYPOTHESIS_PROFILE=explore looks for new ones.
-settings.register_profile("repeatable", deadline=None, derandomize=True)
-settings.register_profile("explore", deadline=None, print_blob=True)
+# The same examples every time, and no limit of the wall clock; HYPOTHESIS_PROFILE=explore looks for many new ones.
+settings.register_profile("repeatable", deadline=None, derandomize=True, max_examples=50)
+settings.register_profile("explore", deadline=None, print_blob=True, max_examples=500)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
+
+# Little of what tests make lies in circles: to look for them as often as Python does takes a sixth of their time.
+gc.set_threshold(50_000, 20, 100)
 
 # Text is laid out as in a file, whatever the terminal is.
 for variable in ("COLUMNS", "LINES"):

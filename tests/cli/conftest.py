@@ -19,10 +19,20 @@ from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpe
 
 @pytest.fixture(scope="package", autouse=True)
 def rough_pictures() -> Iterator[None]:
-    """Pictures are coarse, and their panels not laid out, which draws them twice and more: those of tests/plots are."""
+    """Pictures are coarse, and their panels not laid out, which draws them twice and more: those of tests/plots are.
+
+    Of those that show the same over the same, one is drawn; the files of the others are written without it.
+    """
+    drawn: set[object] = set()
 
     def save(figure: Figure, file: Any, save: Callable[..., None] = Figure.savefig, **options: Any) -> None:
-        save(figure, file, **{**options, "dpi": 40})
+        panels = (
+            (panel.get_title(), panel.get_xlabel(), panel.get_ylabel(), len(panel.get_children()))
+            for panel in figure.axes
+        )
+        alike = (file.name if isinstance(file, Path) else None, *panels)
+        save(Figure() if alike in drawn else figure, file, **{**options, "dpi": 40})
+        drawn.add(alike)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Figure, "get_layout_engine", lambda figure: None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from machine_tool_calibration.estimation.problem import Group, group_points, group_rows
@@ -24,7 +24,6 @@ def places(groups: list[Group], point, block) -> None:
     assert len(points) == len(set(points.tolist()))
 
 
-@settings(max_examples=60, deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 12), st.integers(0, 5)), min_size=1, max_size=120))
 def test_any_readings(readings):
     point, block = np.array(readings).T

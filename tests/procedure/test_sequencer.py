@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from machine_tool_calibration.procedure.events import Aimed, Arrived, Captured, Motion, Refused
@@ -29,7 +29,6 @@ def test_commands_of_the_next_step_leave_before_the_reading_is_published():
     assert ["Motion", "Aim", "Emit"] in actions
 
 
-@settings(max_examples=60, deadline=None)
 @given(st.integers(0, 10**6), st.floats(0.0, 0.15), st.integers(0, 12))
 def test_never_pairs_wrongly_however_messages_come(seed, loss, disorder):
     world = World(small(), seed, loss, disorder)
@@ -38,7 +37,6 @@ def test_never_pairs_wrongly_however_messages_come(seed, loss, disorder):
     world.check()
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     st.integers(0, 10**6),
     st.lists(

@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from machine_tool_calibration.errors import SessionError
@@ -13,7 +13,6 @@ from machine_tool_calibration.recording.graph import GRAPH_TOPICS
 names = st.lists(st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=9), max_size=6)
 
 
-@settings(max_examples=200, deadline=None)
 @given(
     messages=st.lists(
         st.tuples(st.integers(0, 2**31 - 1), st.text("abc", max_size=9), names, st.integers(0, 3)),
@@ -45,7 +44,6 @@ def test_value_by_name() -> None:
     assert np.isnan(state.value("y"))
 
 
-@settings(max_examples=50, deadline=None)
 @given(st.lists(st.floats(), max_size=40), st.text("ab,", max_size=5))
 def test_numbers_as_the_library_reads_them(values: list[float], label: str) -> None:
     dims = [cdr.part("std_msgs/msg/MultiArrayDimension", label, len(values), 1)] * (len(values) % 3)
@@ -60,7 +58,6 @@ def test_big_endian() -> None:
     assert cdr.numbers(numbers).tolist() == [2.5]
 
 
-@settings(max_examples=300, deadline=None)
 @given(st.binary(max_size=200), st.sampled_from([0, 1]))
 def test_noise_gives_session_errors_only(data: bytes, order: int) -> None:
     for read in (cdr.joint_state, cdr.numbers, cdr.text, *(_reader(topic.type) for topic in GRAPH_TOPICS)):

@@ -9,7 +9,7 @@ import io
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from machine_tool_calibration.session import csv_text
@@ -101,7 +101,6 @@ def test_without_arrow(monkeypatch: pytest.MonkeyPatch) -> None:
 TEXT = st.text(st.characters(exclude_characters="\r", codec="utf-8"), max_size=5)
 
 
-@settings(max_examples=50, deadline=None)
 @given(st.lists(st.tuples(st.floats(allow_nan=False), TEXT), min_size=1, max_size=8))
 def test_any_row(rows: list[tuple[float, str]]) -> None:
     frame = pd.DataFrame(rows, columns=["number", "text"])

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from machine_tool_calibration.errors import SessionError
@@ -115,7 +115,6 @@ def is_identifier(text: str) -> bool:
 finite = st.one_of(st.just(0.0), st.floats(1e-100, 1e12), st.floats(-1e12, -1e-100))
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     x=finite,
     position=st.tuples(finite, finite, finite),

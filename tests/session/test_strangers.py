@@ -94,7 +94,7 @@ def test_a_link_out_of_the_folder_is_only_read(tmp_path: Path) -> None:
 
 
 def test_many_rows_take_seconds(tmp_path: Path) -> None:
-    rows = 300_000
+    rows = 100_000
     rng = np.random.default_rng(1)
     (tmp_path / "session.yaml").write_text(
         "format: mtcal-session/1\nmethod: direct\nmachine: {chain: w-X-b-t}\nsetups: [{id: a}]\n"
@@ -108,7 +108,7 @@ def test_many_rows_take_seconds(tmp_path: Path) -> None:
         )
     start = time.process_time()
     readings = read_session(tmp_path).readings
-    assert time.process_time() - start < 20.0  # about one second on one idle core
+    assert time.process_time() - start < 7.0  # about a third of a second on one idle core
     assert np.array_equal(readings.displacement, values[:, 1] * 1e-6)
 
 
@@ -139,7 +139,7 @@ TOKENS = [
 ]
 piece = st.one_of(st.sampled_from(TOKENS), st.binary(max_size=6))
 edits = st.lists(st.tuples(st.integers(0, 1 << 20), st.integers(0, 40), piece), max_size=6)
-loose = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+loose = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @loose

@@ -15,9 +15,9 @@ def test_linear_table_joins_its_nodes_by_straight_lines():
 
 def test_motions_of_an_axis_are_evaluated_together_as_each_alone():
     rng = np.random.default_rng(1)
-    smooth = random_smooth(rng, -0.2, 0.3, 4e-6)
+    smooth = random_smooth(rng, -0.2, 0.3, [4e-6])[0]
     broken = Table((-0.1, 0.0, 0.2), (1e-6, 0.0, 3e-6), "linear")
-    other = random_smooth(rng, -0.2, 0.3, 1e-5, knots=11)
+    other = random_smooth(rng, -0.2, 0.3, [1e-5], knots=11)[0]
     axis = AxisMotion("X", (("EXX", smooth), ("EYX", broken), ("ECX", other), ("EXX", broken)))
     x = np.linspace(-0.3, 0.4, 351)
     values = axis(x)
@@ -37,14 +37,14 @@ def test_outside_its_nodes_a_motion_keeps_its_end_value():
 
 
 def test_random_motion_has_the_stated_size_and_its_zero():
-    table = random_smooth(np.random.default_rng(3), -0.1, 0.4, 5e-6)
+    table = random_smooth(np.random.default_rng(3), -0.1, 0.4, [5e-6])[0]
     x = np.linspace(-0.1, 0.4, 2001)
     assert abs(table(0.0)) < 1e-18
     assert np.max(np.abs(table(x))) == pytest.approx(5e-6, rel=1e-3)
 
 
 def test_random_periodic_motion_repeats_after_a_turn():
-    table = random_periodic(np.random.default_rng(4), 2e-6)
+    table = random_periodic(np.random.default_rng(4), [2e-6])[0]
     axis = AxisMotion("C", (("EXC", table),))
     c = np.linspace(-1.0, 1.0, 50)
     np.testing.assert_allclose(axis(c), axis(c + 2 * np.pi), atol=1e-17)

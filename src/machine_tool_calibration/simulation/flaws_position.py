@@ -99,10 +99,10 @@ def shaped(name: str, size: float, parameters: Parameters, ends: Mapping[str, tu
     axis, shape = name[-1], parameters["shape"]
     if axis not in "XYZ":
         rng = np.random.default_rng(int(parameters["seed"]))
-        return random_periodic(rng, size) if shape == "random" else constant(0.0, 2 * np.pi, size)
+        return random_periodic(rng, [size])[0] if shape == "random" else constant(0.0, 2 * np.pi, size)
     low, high = ends.get(axis, (0.0, 1.0))
     if shape == "random":
-        return random_smooth(np.random.default_rng(int(parameters["seed"])), low, high, size, knots=5)
+        return random_smooth(np.random.default_rng(int(parameters["seed"])), low, high, [size], knots=5)[0]
     nodes = np.linspace(low, high, 33)
     u = 2.0 * (nodes - low) / (high - low) - 1.0
     shapes = {"constant": np.ones(33), "linear": u, "quadratic": u**2, "sine": np.sin(np.pi * u)}

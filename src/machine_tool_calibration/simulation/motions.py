@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -245,47 +245,59 @@ def constant(low: float, high: float, value: float) -> Table:
 
 
 def random_smooth(
-    rng: np.random.Generator, low: float, high: float, amplitude: float, *, zero: float | None = None, knots: int = 7
-) -> Table:
-    """A smooth random motion over [low, high]: zero at `zero`, largest absolute value `amplitude`.
+    rng: np.random.Generator,
+    low: float,
+    high: float,
+    amplitudes: Sequence[float],
+    *,
+    zero: float | None = None,
+    knots: int = 7,
+) -> list[Table]:
+    """Smooth random motions over [low, high]: zero at `zero`, each with its largest absolute value.
 
-    A natural spline through a random walk at `knots` nodes with a random slope, as guideways and ball
+    Natural splines through a random walk at `knots` nodes with a random slope, as guideways and ball
     screws show: long waves with some shorter ones.
 
     Args:
         rng: source of chance.
         low: lower end of the travel, m or rad.
         high: upper end.
-        amplitude: largest absolute value, m or rad.
-        zero: position where the motion is zero by definition; by default 0 if inside, else `low`.
+        amplitudes: largest absolute value of each, m or rad.
+        zero: position where the motions are zero by definition; by default 0 if inside, else `low`.
         knots: number of nodes; more give shorter waves.
     """
-    nodes = np.linspace(low, high, knots)
-    walk = np.cumsum(rng.normal(size=knots)) + rng.normal() * np.linspace(-1, 1, knots) + rng.normal(size=knots) * 0.5
+    nodes, slope = np.linspace(low, high, knots), np.linspace(-1, 1, knots)
+    walks = [
+        np.cumsum(rng.normal(size=knots)) + rng.normal() * slope + rng.normal(size=knots) * 0.5 for _ in amplitudes
+    ]
     reference = zero if zero is not None else (0.0 if low <= 0.0 <= high else low)
-    return _normalised(nodes, walk, amplitude, reference, "cubic")
+    return _normalised(nodes, np.array(walks).T, amplitudes, reference, "cubic")
 
 
 _ORDERS = 4  # harmonics of a rotary axis's motion
 
 
-def random_periodic(rng: np.random.Generator, amplitude: float) -> Table:
-    """A smooth random motion of a rotary axis: zero at 0, largest absolute value `amplitude`.
+def random_periodic(rng: np.random.Generator, amplitudes: Sequence[float]) -> list[Table]:
+    """Smooth random motions of a rotary axis: zero at 0, each with its largest absolute value.
 
     Harmonics up to the fourth, falling with the order.
     """
     nodes = np.linspace(0.0, 2.0 * np.pi, 37)
     k = np.arange(1, _ORDERS + 1)[:, None]
-    weights = rng.normal(size=(2, _ORDERS)) / np.sqrt(k[:, 0])
-    values = weights[0] @ np.cos(k * nodes) + weights[1] @ np.sin(k * nodes)
+    cosines, sines = np.cos(k * nodes), np.sin(k * nodes)
+    weights = [rng.normal(size=(2, _ORDERS)) / np.sqrt(k[:, 0]) for _ in amplitudes]
+    values = np.array([cosine @ cosines + sine @ sines for cosine, sine in weights]).T
     values[-1] = values[0]
-    return _normalised(nodes, values, amplitude, 0.0, "periodic")
+    return _normalised(nodes, values, amplitudes, 0.0, "periodic")
 
 
-def _normalised(nodes: Array, values: Array, amplitude: float, zero: float, interpolation: Interpolation) -> Table:
-    pieces = _pieces(nodes, values[:, None], interpolation)
-    shift = float(_value(nodes, pieces, np.array(min(max(zero, nodes[0]), nodes[-1])))[0])
+def _normalised(
+    nodes: Array, values: Array, amplitudes: Sequence[float], zero: float, interpolation: Interpolation
+) -> list[Table]:
+    """Motions through values (k, m), shifted and scaled; all at once, which takes little longer than one."""
+    pieces = _pieces(nodes, values, interpolation)
+    shift = _value(nodes, pieces, np.array(min(max(zero, nodes[0]), nodes[-1])))
     between = _value(nodes, pieces, np.linspace(nodes[0], nodes[-1], 20 * len(nodes)))
-    peak = float(np.max(np.abs(between - shift)))
-    scaled = (values - shift) * (amplitude / peak if peak > 0 else 0.0)
-    return Table(tuple(nodes.tolist()), tuple(scaled.tolist()), interpolation)
+    peak = np.max(np.abs(between - shift), axis=0)
+    scaled = (values - shift) * np.divide(amplitudes, peak, out=np.zeros(len(peak)), where=peak > 0)
+    return [Table(tuple(nodes.tolist()), tuple(motion), interpolation) for motion in scaled.T.tolist()]

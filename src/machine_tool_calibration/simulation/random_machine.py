@@ -106,22 +106,14 @@ def random_machine(
 def _linear(
     rng: np.random.Generator, axis: str, ends: tuple[float, float], size: Amplitudes
 ) -> tuple[tuple[str, Table], ...]:
-    tables = []
-    for name in motion_names(axis):
-        if name[1] in "ABC":
-            amplitude = size.angular
-        else:
-            amplitude = size.positioning if name[1] == axis else size.straightness
-        tables.append((name, random_smooth(rng, *ends, amplitude, knots=size.knots)))
-    return tuple(tables)
+    names = motion_names(axis)
+    along = {name: size.positioning if name[1] == axis else size.straightness for name in names}
+    amplitudes = [size.angular if name[1] in "ABC" else along[name] for name in names]
+    return tuple(zip(names, random_smooth(rng, *ends, amplitudes, knots=size.knots), strict=True))
 
 
 def _rotary(rng: np.random.Generator, axis: str, size: Amplitudes) -> tuple[tuple[str, Table], ...]:
-    tables = []
-    for name in motion_names(axis):
-        if name[1] in "XYZ":
-            amplitude = size.rotary_translation
-        else:
-            amplitude = size.rotary_angle if name[1] == axis else size.rotary_tilt
-        tables.append((name, random_periodic(rng, amplitude)))
-    return tuple(tables)
+    names = motion_names(axis)
+    about = {name: size.rotary_angle if name[1] == axis else size.rotary_tilt for name in names}
+    amplitudes = [size.rotary_translation if name[1] in "XYZ" else about[name] for name in names]
+    return tuple(zip(names, random_periodic(rng, amplitudes), strict=True))

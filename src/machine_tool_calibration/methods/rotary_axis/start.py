@@ -202,5 +202,5 @@ def _weighted(
         out -= (share @ out)[table.run]
         return np.concatenate([root[:, None] * out / _ERRORS, np.eye(len(x)) / within])
 
-    found = least_squares(residual, start, jacobian, method="trf", xtol=1e-9, ftol=1e-9, gtol=1e-9, max_nfev=60)
+    found = least_squares(residual, start, jacobian, method="lm", xtol=1e-9, ftol=1e-9, gtol=1e-9, max_nfev=60)
     return np.asarray(found.x), centred(line(found.x)[0] - reading)
