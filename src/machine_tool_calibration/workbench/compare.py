@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from html import escape
 
@@ -16,6 +17,7 @@ from machine_tool_calibration.reports.comparison import in_words, joint_in_words
 from machine_tool_calibration.reports.comparison_tables import comparison_tables, joint_tables
 from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.workbench.look import bar_button, new_figure, paragraphs, tables, text, when_changed
+from machine_tool_calibration.workbench.models import Model
 from machine_tool_calibration.workbench.readings import Readings
 from machine_tool_calibration.workbench.state import State
 from machine_tool_calibration.workbench.work import Work
@@ -196,15 +198,20 @@ class ComparePage:
                 yield TextTable(title, heads, tuple(rows), (more + note).removesuffix("; "))
 
     def _set_aside(self) -> None:
-        rows = self._state.model.aside | set(self._readings.selected)
-        self._clear()
-        self._work.run("fitting without them", self._state.changed(aside=rows))
+        self._use_without("fitting without them", self._state.model.aside | set(self._readings.selected))
 
     def _put_back(self) -> None:
         chosen = set(self._readings.selected) & self._state.model.aside
-        rows = self._state.model.aside - chosen if chosen else frozenset[int]()
-        self._clear()
-        self._work.run("fitting with them", self._state.changed(aside=rows))
+        self._use_without("fitting with them", self._state.model.aside - chosen if chosen else frozenset())
+
+    def _use_without(self, what: str, aside: frozenset[int]) -> None:
+        job = self._state.changed(aside=aside)
+
+        def take(made: Model) -> None:
+            self._clear()
+            job.take(made)
+
+        self._work.run(what, replace(job, take=take))
 
     def _clear(self) -> None:
         self._readings.source.selected.indices = []
