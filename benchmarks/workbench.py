@@ -28,7 +28,7 @@ from playwright.sync_api import Page, sync_playwright
 import machine_tool_calibration as mtcal
 
 FLAGS = ("--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking", "--disable-sync")
-WAIT = 120_000  # ms
+WAIT = 30_000  # ms
 # Begins at the next click. When the residuals have come, and four frames in a row without a pause, it is over.
 TIMER = """() => new Promise(done => {
     let clicked = 0, heard = 0, last = 0, calm = 0
@@ -37,7 +37,9 @@ TIMER = """() => new Promise(done => {
         && "studentized" in model.data)
     window.addEventListener("click", event => { clicked = event.timeStamp }, {capture: true, once: true})
     let before = JSON.stringify([...source.data["residual"]])
-    const look = () => { if (!heard && JSON.stringify([...source.data["residual"]]) !== before) heard = performance.now() }
+    const look = () => {
+        if (!heard && JSON.stringify([...source.data["residual"]]) !== before) heard = performance.now()
+    }
     source.properties.data.change.connect(look)
     source.patching?.connect(look)
     const frame = now => {

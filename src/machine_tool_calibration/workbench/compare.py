@@ -41,7 +41,10 @@ class ComparePage:
 
     def __init__(self, state: State, readings: Readings, work: Work) -> None:
         self._state, self._readings, self._work = state, readings, work
-        source = readings.source
+        source = readings.source(
+            self.title, "row", "setup", "repeat", "color", "residual", "studentized", "aside", "against0", "against1",
+            "across", "up", "u", "v", "arrow",
+        )  # fmt: skip
         self._words, self._setups, self._more = text(), text(), text()
         self._count = text("", min_width=150)
         self._against = [pn.widgets.Select(name=f"Plot {k}: residuals against", width=250) for k in (1, 2)]
@@ -143,7 +146,7 @@ class ComparePage:
         chosen, model = self._readings.selected, self._state.model
         aside = model.aside
         self._aside.disabled = not set(chosen) - aside
-        words = f"{len(chosen)} of {len(self._readings.source.data['row'])} readings selected; {len(aside)} set aside"
+        words = f"{len(chosen)} of {len(self._readings.data['row'])} readings selected; {len(aside)} set aside"
         words += " (× in the plots)" if aside else ""
         words += f"; {len(model.kept)} kept" if model.kept else ""
         self._count.object = escape(words)
@@ -151,7 +154,7 @@ class ComparePage:
 
     def _listed(self) -> TextTable:
         """The readings that are selected, or those that fit worst."""
-        data, chosen = self._readings.source.data, self._readings.source.selected.indices
+        data, chosen = self._readings.data, self._readings.chosen
         size = np.abs(np.asarray(data["studentized"], dtype=float))
         order = np.argsort(-np.nan_to_num(size, nan=np.inf if chosen else 0.0), kind="stable")
         among = set(chosen) if chosen else set(range(len(size)))
@@ -176,7 +179,7 @@ class ComparePage:
     def _set_aside_or_kept(self) -> Iterator[TextTable]:
         """The readings that are set aside and those that are kept though a search had set them aside, if there are."""
         state = self._state
-        data = self._readings.source.data
+        data = self._readings.data
         names = {name: k for k, name in enumerate(data["row"])}
         for title, numbers, note in (
             ("Set aside", state.model.aside, "select some to put them back alone; none is selected: all come back"),
@@ -214,7 +217,7 @@ class ComparePage:
         self._work.run(what, replace(job, take=take))
 
     def _clear(self) -> None:
-        self._readings.source.selected.indices = []
+        self._readings.select([])
 
     def _select_suggested(self) -> None:
         self._readings.select(self._state.found.keys() - self._state.model.aside - self._state.model.kept)

@@ -53,7 +53,9 @@ class DiagnosePage:
         self._ranking.toolbar.active_drag = None
         self._ranking.toolbar_location = None
         self._bars.selected.on_change("indices", lambda attr, old, new: self._clicked(new))
-        source = readings.source
+        source = readings.source(
+            self.title, "row", "setup", "repeat", "color", "residual", "pattern", "over"
+        )  # fmt: skip
         self._over = new_figure("Residuals, and what the effect would take out", "", "µm", height=330, hover=_HOVER)
         self._over.scatter(
             "over", "residual", source=source, size=4, color="color", alpha=0.6, legend_label="residual", **_DIM

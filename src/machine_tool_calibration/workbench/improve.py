@@ -66,12 +66,16 @@ class ImprovePage:
         self._fall.legend.background_fill_alpha = 0.6
         self._declared = Span(location=0.0, dimension="width", line_dash="dotted", line_color="#333333")
         self._fall.add_layout(self._declared)
+        source = readings.source(
+            self.title, "row", "setup", "repeat", "color", "x", "y", "z", "place_a", "place_b",
+            *(f"{name}_{end}" for name in ("before", "after") for end in "uv"),
+        )  # fmt: skip
         self._residuals, self._maps = {}, {}
         for name, color in (("before", _BEFORE), ("after", _AFTER)):
             plot = new_figure("", "", "", hover=_HOVER, match_aspect=True, height=330)
-            plot.scatter("place_a", "place_b", source=readings.source, size=3, color="#999999", nonselection_alpha=0.3)
+            plot.scatter("place_a", "place_b", source=source, size=3, color="#999999", nonselection_alpha=0.3)
             plot.segment(
-                "place_a", "place_b", f"{name}_u", f"{name}_v", source=readings.source, color="color", line_width=1.2,
+                "place_a", "place_b", f"{name}_u", f"{name}_v", source=source, color="color", line_width=1.2,
                 **_DIM,
             )  # fmt: skip
             plot.toolbar_location = None

@@ -20,6 +20,7 @@ __all__ = [
     "bar_button",
     "in_order",
     "new_figure",
+    "packed",
     "paragraphs",
     "setup_color",
     "tables",
@@ -47,6 +48,11 @@ _BUTTON = ".bk-btn { font-size: 13px; padding: 4px 8px; }"
 def setup_color(index: int) -> str:
     """Of a setup, by its number."""
     return COLORS[index % len(COLORS)]
+
+
+def packed(color: str) -> int:
+    """A colour such as #0072b2 as plots take it in a column of uint32: a browser reads texts one by one."""
+    return int(color.removeprefix("#") + "ff", 16)
 
 
 def text(html: str = "", **style: Any) -> Any:

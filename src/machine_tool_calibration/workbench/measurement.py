@@ -68,9 +68,10 @@ class MeasurementPage:
             self._plots[view] = new_figure(
                 f"Seen in {view}", f"{'xyz'[a]}, mm", f"{'xyz'[b]}, mm", hover=_HOVER, match_aspect=True
             )
+        source = readings.source(self.title, "row", "setup", "repeat", "color", "x", "y", "z", "3d:u", "3d:v")
         for name, plot in self._plots.items():
             across, upwards = ("3d:u", "3d:v") if name == "3d" else tuple(name)
-            plot.scatter(across, upwards, source=readings.source, size=4, color="color", alpha=0.7, **_DIM)
+            plot.scatter(across, upwards, source=source, size=4, color="color", alpha=0.7, **_DIM)
             ends = ("u", "v") if name == "3d" else tuple(name)
             plot.scatter(*ends, source=self._stations, size=11, marker="triangle", color="color", line_color="black")
             plot.text(*ends, text="id", source=self._stations, x_offset=8, y_offset=-4, text_font_size="12px")
@@ -116,10 +117,10 @@ class MeasurementPage:
     def _look(self) -> None:
         """Project onto what the sliders look at."""
         turn, tilt = self._turn.value, self._tilt.value
-        for source, names in ((self._readings.source, ("3d:u", "3d:v")), (self._stations, ("u", "v"))):
-            place = np.column_stack([np.asarray(source.data[axis], dtype=float) for axis in "xyz"])
-            source.data.update(dict(zip(names, seen_from(place, turn, tilt).T, strict=True)))
-        place = np.column_stack([np.asarray(self._readings.source.data[axis], dtype=float) for axis in "xyz"])
+        stations = np.column_stack([np.asarray(self._stations.data[axis], dtype=float) for axis in "xyz"])
+        self._stations.data.update(dict(zip("uv", seen_from(stations, turn, tilt).T, strict=True)))
+        place = np.column_stack([self._readings.data[axis] for axis in "xyz"])
+        self._readings.show(dict(zip(("3d:u", "3d:v"), seen_from(place, turn, tilt).T, strict=True)))
         place = place[np.isfinite(place).all(axis=1)]
         if not len(place):
             return

@@ -166,9 +166,10 @@ class _Window:
         new = title not in self._pages
         if new:
             self._pages[title] = self._makers[title]()
-        if title in self._stale:
-            self._stale.discard(title)
-            with self._readings.at_once():
+        with self._readings.at_once():
+            self._readings.look_at(title)
+            if title in self._stale:
+                self._stale.discard(title)
                 self._pages[title].refresh()
         if new:
             for place, block in zip(self._places[title], self._pages[title].view, strict=True):

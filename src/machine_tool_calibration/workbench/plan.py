@@ -67,8 +67,9 @@ class PlanPage:
         self._new = ColumnDataSource({name: [] for name in names})
         self._stations = ColumnDataSource({name: [] for name in ("x", "y", "z", "id", "color")})
         self._where = new_figure("What is measured", "", "", height=360, hover=_HOVER, match_aspect=True)
-        self._old = self._where.scatter(
-            "place_a", "place_b", source=readings.source, size=9, marker="square", color="#d8d8d8", legend_label="now"
+        now = readings.source(self.title, "place_a", "place_b")
+        self._where.scatter(
+            "place_a", "place_b", source=now, size=9, marker="square", color="#d8d8d8", legend_label="now"
         )
         self._dots = self._where.scatter(
             "x", "y", source=self._new, size=5, color="color", legend_label="with it"
