@@ -5,8 +5,8 @@
 
 Of a simulated session (144 readings a repeat) some readings are set aside and put back on the page Compare, as a person
 would; both clicks count. Said is the median, in all and in its parts: from the click until the browser has heard of the
-new residuals (the calculation, and the page's process), and from then until frames follow each other without a pause (the
-browser draws). Needs playwright and Debian's Chromium; any other load on the machine counts too.
+new residuals (the calculation, and the page's process), and from then until frames follow each other without a pause
+(the browser draws). Needs playwright and Debian's Chromium; any other load on the machine counts too.
 """
 
 from __future__ import annotations

@@ -259,11 +259,10 @@ class _Look:
         time = self.readings.columns.get("time")
         if sums:
             weights = [mask / max(int(mask.sum()), 1) for _, mask in parts]
-            timed = time is not None and np.isfinite(time).all()
-            if timed:
+            if time is not None and np.isfinite(time).all():
                 weights += [_slope_weights(time, mask) for _, mask in parts]
             found = self._sums(weights)
-            means, slopes = found[: len(parts)], found[len(parts) :] if timed else None
+            means, slopes = found[: len(parts)], found[len(parts) :]
         total = float(np.sum(self.normal**2))
         out = []
         for k, (name, mask) in enumerate(parts):

@@ -102,7 +102,7 @@ class ComparePage:
         else:
             words, every = joint_in_words(found), list(joint_tables(found))
             setups = [f"{label}/{share.name}" for label, share in found.setups]
-        self._words.object = paragraphs([words])
+        self._words.object = paragraphs([words[:1].upper() + words[1:]])
         self._choices()
         for k in range(len(self._against)):
             self._draw_against(k, self._against[k].value)

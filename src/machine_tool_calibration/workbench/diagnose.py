@@ -27,7 +27,8 @@ _HOVER = [
     ("pattern", "@pattern{0.000} µm"),
 ]  # fmt: skip
 _DIM = {"nonselection_alpha": 0.12, "nonselection_color": "#888888"}
-_PATTERN, _FOUND, _OTHER = "#d55e00", "#009e73", "#0072b2"
+# The pattern lies over residuals in all colours of setups.
+_PATTERN, _FOUND, _OTHER = "#222222", "#009e73", "#0072b2"
 # Effects of the bars.
 _SHOWN = 12
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from html import escape
@@ -25,6 +26,7 @@ __all__ = [
     "setup_color",
     "tables",
     "text",
+    "typed_out",
     "when_changed",
 ]
 
@@ -55,14 +57,28 @@ def packed(color: str) -> int:
     return int(color.removeprefix("#") + "ff", 16)
 
 
+class _Words(pn.pane.HTML):  # type: ignore[misc]
+    """Leaves its styles as they are: Panel sends them again, and Bokeh goes through all models of the page for that."""
+
+    def _update(self, ref: str, model: Any) -> None:
+        changed = self._get_properties(model.document)
+        changed.pop("stylesheets", None)
+        model.update(**changed)
+
+
 def text(html: str = "", **style: Any) -> Any:
     """A pane for words and tables of text."""
-    return pn.pane.HTML(html, stylesheets=[_STYLE], sizing_mode="stretch_width", margin=(2, 6), **style)
+    return _Words(html, stylesheets=[_STYLE], sizing_mode="stretch_width", margin=(2, 6), **style)
 
 
 def paragraphs(words: Iterable[str]) -> str:
-    """Each text as a paragraph."""
-    return "".join(f"<p>{escape(one)}</p>" for one in words)
+    """Each text as a paragraph; what stands between backticks is what one types."""
+    return "".join(f"<p>{re.sub('`([^`]*)`', r'<code>\1</code>', escape(one))}</p>" for one in words)
+
+
+def typed_out(words: str) -> str:
+    """What the command line prints; lines that are too long for the window run on."""
+    return f'<pre style="font-size:11px;margin:0;white-space:pre-wrap">{escape(words)}</pre>'
 
 
 def tables(every: Iterable[TextTable]) -> str:
@@ -74,7 +90,7 @@ def _table(table: TextTable) -> str:
     used = [k for k in range(len(table.columns)) if any(row[k] for row in table.rows)]
     head = "".join(f"<th>{escape(table.columns[k])}</th>" for k in used)
     body = "".join("<tr>" + "".join(f"<td>{escape(row[k])}</td>" for k in used) + "</tr>" for row in table.rows)
-    note = f'<p class="note">{escape(table.note)}</p>' if table.note else ""
+    note = paragraphs([table.note]).replace("<p>", '<p class="note">') if table.note else ""
     return f"<h3>{escape(table.title)}</h3><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{note}"
 
 

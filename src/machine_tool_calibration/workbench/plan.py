@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from html import escape
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,15 @@ from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.description import DESCRIPTION_FILE, OBSERVATIONS_FILE
 from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.workbench.ahead import looked_ahead, planned
-from machine_tool_calibration.workbench.look import bar_button, new_figure, setup_color, tables, text, when_changed
+from machine_tool_calibration.workbench.look import (
+    bar_button,
+    new_figure,
+    setup_color,
+    tables,
+    text,
+    typed_out,
+    when_changed,
+)
 from machine_tool_calibration.workbench.procedure_form import ProcedureForm
 from machine_tool_calibration.workbench.readings import Readings
 from machine_tool_calibration.workbench.saved import Saved, refuse_others
@@ -78,7 +85,7 @@ class PlanPage:
             "x", "y", source=self._stations, size=11, marker="triangle", color="color", line_color="black"
         )
         self._names = self._where.text(
-            "x", "y", text="id", source=self._stations, x_offset=8, y_offset=-4, text_font_size="12px"
+            "x", "y", text="id", source=self._stations, x_offset=9, text_baseline="middle", text_font_size="12px"
         )
         self._maps = {}
         self._map = new_figure("Uncertainty of the map", "", "", height=360, hover=_MAP_HOVER, match_aspect=True)
@@ -158,7 +165,7 @@ class PlanPage:
 
         def take(found: tuple[Outlook | None, Outlook, str]) -> None:
             now, then, words = found
-            self._plan.object = f'<pre style="font-size:11px;margin:0">{escape(words)}</pre>'
+            self._plan.object = typed_out(words)
             every = [*self._every, then] if now is None else [now, then]
             self._procedures[len(every) - 1] = content
             self._show(every, len(every) - 1)
