@@ -73,7 +73,7 @@ def text(html: str = "", **style: Any) -> Any:
 
 def paragraphs(words: Iterable[str]) -> str:
     """Each text as a paragraph; what stands between backticks is what one types."""
-    return "".join(f"<p>{re.sub('`([^`]*)`', r'<code>\1</code>', escape(one))}</p>" for one in words)
+    return "".join("<p>" + re.sub("`([^`]*)`", r"<code>\1</code>", escape(one)) + "</p>" for one in words)
 
 
 def typed_out(words: str) -> str:

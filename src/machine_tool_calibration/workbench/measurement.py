@@ -74,7 +74,9 @@ class MeasurementPage:
             plot.scatter(across, upwards, source=source, size=4, color="color", alpha=0.7, **_DIM)
             ends = ("u", "v") if name == "3d" else tuple(name)
             plot.scatter(*ends, source=self._stations, size=11, marker="triangle", color="color", line_color="black")
-            plot.text(*ends, text="id", source=self._stations, x_offset=9, text_baseline="middle", text_font_size="12px")
+            plot.text(
+                *ends, text="id", source=self._stations, x_offset=9, text_baseline="middle", text_font_size="12px"
+            )
         self.view = pn.Column(
             self._words,
             pn.Row(
