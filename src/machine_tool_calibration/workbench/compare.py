@@ -16,7 +16,15 @@ from machine_tool_calibration.diagnosis.comparison import Comparison
 from machine_tool_calibration.reports.comparison import in_words, joint_in_words
 from machine_tool_calibration.reports.comparison_tables import comparison_tables, joint_tables
 from machine_tool_calibration.reports.tables import TextTable
-from machine_tool_calibration.workbench.look import bar_button, new_figure, paragraphs, tables, text, when_changed
+from machine_tool_calibration.workbench.look import (
+    bar_button,
+    controls,
+    new_figure,
+    paragraphs,
+    tables,
+    text,
+    when_changed,
+)
 from machine_tool_calibration.workbench.models import Model
 from machine_tool_calibration.workbench.readings import Readings
 from machine_tool_calibration.workbench.state import State
@@ -55,7 +63,7 @@ class ComparePage:
             plot.scatter(x, "residual", source=source, size=4, color="color", alpha=0.7, **_DIM)
             plot.scatter(x, "aside", source=source, size=8, marker="x", color="#b00020", nonselection_alpha=0.3)
             plot.add_layout(Span(location=0.0, dimension="width", line_color="#999999", line_width=1))
-        self._map = new_figure("Residuals along the sensed direction", "", "", hover=_HOVER, match_aspect=True)
+        self._map = new_figure("Residuals as arrows", "", "", hover=_HOVER, match_aspect=True)
         self._map.scatter("across", "up", source=source, size=3, color="#999999", nonselection_alpha=0.3)
         self._map.segment(
             "across", "up", "u", "v", source=source, color="arrow", line_width=1.3,
@@ -76,12 +84,9 @@ class ComparePage:
         self._table, self._left = text(), text()
         self.view = pn.Column(
             self._words,
-            pn.Row(
-                *self._against, self._plane,
-                pn.Column(
-                    pn.Row(self._aside, self._back, self._look, self._cleared, self._suggest),
-                    self._count, margin=(12, 0),
-                ),
+            controls(
+                *self._against, self._plane, self._aside, self._back, self._look, self._cleared, self._suggest,
+                self._count,
             ),
             pn.Row(self._plots[0], self._plots[1], sizing_mode="stretch_width"),
             pn.Row(self._map, self._strip, sizing_mode="stretch_width"),
@@ -139,7 +144,7 @@ class ComparePage:
         self._map.xaxis.axis_label, self._map.yaxis.axis_label = (f"{axis}, mm" for axis in plane)
         long = f"{1e6 * self._readings.scale:.2g} µm"
         self._map.title.text = (
-            f"Residuals along the sensed direction (longest arrows {long}; orange: more than predicted)"
+            f"Residuals as arrows along the sensed direction, longest {long}; orange: +"
         )
 
     def _say_selected(self) -> None:

@@ -23,6 +23,8 @@ from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.workbench.ahead import looked_ahead, planned
 from machine_tool_calibration.workbench.look import (
     bar_button,
+    controls,
+    legend_above,
     new_figure,
     setup_color,
     tables,
@@ -97,21 +99,16 @@ class PlanPage:
             )  # fmt: skip
             self._maps[name] = (source, glyph)
         for plot in (self._where, self._map):
-            plot.legend.orientation = "horizontal"
-            plot.legend.label_text_font_size = "11px"
-            plot.legend.background_fill_alpha = 0.6
+            legend_above(plot)
         self.view = pn.Column(
-            pn.Row(
-                pn.Column(bar_button("Look ahead", self._look_ahead, "primary"), margin=(14, 0)),
-                self._choice, self._plane, self._saved.folder, pn.Column(self._save, margin=(14, 0)),
+            controls(
+                bar_button("Look ahead", self._look_ahead, "primary"),
+                self._choice, self._plane, self._saved.folder, self._save,
             ),
             self._saved.list,
             self._words,
             pn.Card(
-                pn.Row(
-                    self._form.view, self._variant, self._warming, self._angular,
-                    pn.Column(self._forecast, margin=(14, 0)),
-                ),
+                controls(self._form.view, self._variant, self._warming, self._angular, self._forecast),
                 self._plan,
                 title="Another measurement, by a procedure (as mtcal plan forecasts it)",
                 collapsed=True,
@@ -201,7 +198,6 @@ class PlanPage:
             source.data = _ellipses(one, factor)
         self._where.title.text = (
             f"What is measured: {len(then.session.readings)} readings in {duration(then.seconds)}"
-            f"{f'; besides: {then.aside}' if then.aside else ''}"
         )
         self._map.title.text = f"Uncertainty of the map: U (k = 2), {spaced(factor)} times magnified"
         self._sizes.object = tables([sizes_table(now, then)])

@@ -32,7 +32,7 @@ class Work:
         self._bar = pn.indicators.Progress(value=0, max=100, width=220, height=16, visible=False, margin=(10, 6))
         self._stop = bar_button("Stop", self.stop, "danger", visible=False)
         self._words = text("", min_width=200)
-        self.view = pn.Row(self._words, self._bar, self._stop, sizing_mode="stretch_width", min_height=36)
+        self.view = pn.Row(self._words, self._bar, self._stop)
         # For a window that was closed nobody waits.
         self._document.on_session_destroyed(lambda context: self._rest())
 
