@@ -31,7 +31,6 @@ from machine_tool_calibration.recording.cdr import (
     definition_of,
     encode,
     encode_joint_state,
-    joint_state,
     numbers,
     part,
     typestore,
@@ -255,7 +254,7 @@ def kill(count: int, seed: int) -> None:
             *_, last = bag.messages(["/joint_states"])
             samples = np.concatenate([numbers(message.data) for message in bag.messages(["/instrument/displacement"])])
             assert np.array_equal(samples, np.arange(len(samples))), "a gap"
-            cost = killed - float(joint_state(last.data).positions[0])
+            cost = killed - float(JointStateReader().read(last.data).positions[0])
             costs.append(cost)
             print(f"{number + 1:3}: {report.messages} messages saved, the last {cost:.3f} s lost", flush=True)
     print(f"{count} kills: lost {np.median(costs):.3f} s in the middle, at most {max(costs):.3f} s")

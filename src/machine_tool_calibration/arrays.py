@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Array types used throughout."""
+"""Array types used throughout, and what is drawn from distributions."""
 
 from __future__ import annotations
 
@@ -8,13 +8,48 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Array", "BoolArray", "IntArray", "group_ranges", "groups", "in_order_of_appearance", "rms"]
+__all__ = [
+    "COVERAGE",
+    "HALF_WIDTHS",
+    "Array",
+    "BoolArray",
+    "IntArray",
+    "group_ranges",
+    "groups",
+    "in_order_of_appearance",
+    "rms",
+    "standard_draws",
+]
 
 Array = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
+COVERAGE = 0.9545
+"""Coverage probability of an expanded uncertainty: that of k = 2 where a quantity is normal."""
+HALF_WIDTHS: dict[str, float] = {"rectangular": 3.0**0.5, "triangular": 6.0**0.5, "arcsine": 2.0**0.5}
+"""Half width over standard deviation of the distributions that have ends."""
+
 _LARGEST = 2**62
+
+
+def standard_draws(distribution: str, rng: np.random.Generator, shape: int | tuple[int, ...]) -> Array:
+    """Independent values with mean 0 and standard deviation 1 (JCGM 101, 6.4).
+
+    Args:
+        distribution: `normal`, or one of `HALF_WIDTHS`.
+        rng: source of chance.
+        shape: of the values.
+    """
+    if distribution == "normal":
+        return rng.standard_normal(shape)
+    if distribution == "arcsine":
+        unit = np.sin(rng.uniform(0.0, 2.0 * np.pi, shape))
+    elif distribution == "triangular":
+        unit = rng.random(shape) + rng.random(shape) - 1.0
+    else:
+        unit = 2.0 * rng.random(shape) - 1.0
+    return np.asarray(HALF_WIDTHS[distribution] * unit)
 
 
 def groups(*keys: npt.NDArray[Any]) -> IntArray:

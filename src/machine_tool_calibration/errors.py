@@ -7,7 +7,15 @@ import difflib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
-__all__ = ["CalibrationError", "ModelError", "SessionError", "did_you_mean", "suspected"]
+__all__ = [
+    "CalibrationError",
+    "ModelError",
+    "RecordingError",
+    "SessionError",
+    "UnfinishedError",
+    "did_you_mean",
+    "suspected",
+]
 
 
 class CalibrationError(ValueError):
@@ -35,3 +43,11 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     """` (did you mean 'backlash_x'?)` for the end of a message, with the nearest known name; empty if none is near."""
     near = difflib.get_close_matches(name, list(known), n=1)
     return f" (did you mean {near[0]!r}?)" if near else ""
+
+
+class RecordingError(SessionError):
+    """A recording that cannot be read or written; one line says which file and why."""
+
+
+class UnfinishedError(RecordingError):
+    """A recording whose recorder did not end it; `mtcal recover` makes it whole."""

@@ -358,7 +358,7 @@ GOOD = "X,M\n0,0.001\n100,100.002\n200,200.001\n"
         (GOOD, {"session": {**SESSION, "termz": ["EXX"]}}, r"unknown key 'termz' \(did you mean 'terms'\?\)$"),
         (GOOD, {"session": {**SESSION, "datum": "none"}, "align": True}, r"aligned first need datum: rigid$"),
         (GOOD, {"align": True}, r"setup 't': 0 points with all three coordinates; aligning needs at least 3$"),
-        (GOOD, {"separator": ";"}, r"mapping: separator: unknown key"),
+        (GOOD, {"separator": ";"}, r"mapping: unknown key 'separator'"),
         (
             GOOD,
             {"columns": {"x": "X", "actual_x": "M", "time": "X"}, "units": {"length": "mm", "time": "s", "x": "kg"}},

@@ -58,7 +58,7 @@ def test_conformity(fit: mtcal.Fit) -> None:
 
 
 def test_wrong_lines_and_names(fit: mtcal.Fit) -> None:
-    with pytest.raises(mtcal.CalibrationError, match="contributor 2: varies: Input should be 'reading'"):
+    with pytest.raises(mtcal.CalibrationError, match="contributor 2: varies is 'day', not 'reading'"):
         fit.budget([LINES[0], {**LINES[1], "varies": "day"}])
     with pytest.raises(mtcal.CalibrationError, match="contributor 1: one of standard_uncertainty"):
         fit.budget([{**LINES[0], "half_width": 1.0}])

@@ -99,7 +99,9 @@ def test_topics_of_the_probe_and_the_player(bench):
 @pytest.mark.parametrize("name", [*NODES, "probe", "player"])
 def test_every_parameter_has_its_row(name):
     source = (SOURCE / f"{name}.py").read_text()
-    declared = set(re.findall(r'declare\(\s*self,\s*"(\w+)"', source))
+    shared = {"declare_site": "site.py", "EnvironmentTopics": "environment.py"}
+    source += "".join((SOURCE / file).read_text() for call, file in shared.items() if f"{call}(" in source)
+    declared = set(re.findall(r'\.declare\(\s*"(\w+)"', source))
     assert declared
     (page,) = [page for page in PAGES.values() if f"## Parameters of `{name}`\n" in page]
     section = page.split(f"## Parameters of `{name}`\n")[1].split("\n## ")[0]

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Topics and services of a node's own follow its name."""
 
-import rclpy
 from rclpy.parameter import Parameter
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from machine_tool_calibration.nodes.ros.messages import LATCHED
 from machine_tool_calibration.nodes.ros.names import OwnPublisher, offer
+from machine_tool_calibration.nodes.ros.node import GuardedNode
 
 from .conftest import PATIENCE, ask
 
@@ -16,7 +16,7 @@ def made(bench, name, **parameters):
     """A node that says its name and answers with it, beside the bench's operator."""
     operator = bench.operator()
     given = [Parameter(key, value=value) for key, value in parameters.items()]
-    node = rclpy.create_node(name, context=operator._guest.context, parameter_overrides=given)
+    node = GuardedNode(name, context=operator._guest.context, parameter_overrides=given)
     operator._guest.executor.add_node(node)
     bench.stack.callback(node.destroy_node)
     OwnPublisher(node, "estimator", "words", String, LATCHED).publish(String(data=name))

@@ -13,7 +13,7 @@ from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.nodes.answers import event_of
+from machine_tool_calibration.nodes.procedure import event_of
 from machine_tool_calibration.nodes.ros.messages import stamp_among
 from machine_tool_calibration.nodes.ros.sound import require_sound
 from machine_tool_calibration.procedure.events import Captured, CaptureFailed, DatumSet

@@ -26,7 +26,7 @@ def test_help_says_what_it_is_and_takes_and_starts_nothing(name, given, capsys, 
     said = capsys.readouterr().out
     assert said.startswith(f"Usage: ros2 run machine_tool_calibration {name} ")
     assert module.__doc__.strip() in said
-    declared = re.findall(r'declare\(\s*self,\s*"(\w+)"', Path(module.__file__).read_text())
+    declared = re.findall(r'\.declare\(\s*"(\w+)"', Path(module.__file__).read_text())
     assert declared
     assert all(re.search(rf"^  .*\b{key}\b", said, re.M) for key in [*declared, "use_sim_time"])
     served = re.findall(rf"`({name}/\w+)`", PAGES["README"].split("## Services")[1].split("## ")[0])

@@ -6,8 +6,7 @@ import pytest
 
 from machine_tool_calibration.methods.identify import build_model
 from machine_tool_calibration.model.fit import fit_models
-from machine_tool_calibration.planning.option import Option
-from machine_tool_calibration.planning.options import further_options
+from machine_tool_calibration.planning.options import Option, further_options
 from machine_tool_calibration.planning.sensing import approached, first_repetition, pace
 from machine_tool_calibration.session.session import Session
 

@@ -78,7 +78,7 @@ def test_procedures_that_the_package_brings_can_be_planned(file):
     ("old", "new", "message"),
     [
         ("dwell: 1.0", "dwel: 1.0", "small.yaml line 16: unknown key 'motion.dwel'"),
-        ("dwell: 1.0", "dwell: 0", "small.yaml line 16: motion.dwell: input should be greater than 0"),
+        ("dwell: 1.0", "dwell: 0", "small.yaml line 16: motion.dwell must be greater than 0"),
         ("dimension: 2", "dimension: 4", "small.yaml line 6: dimension is 4, not 2 or 3"),
         ("id: B", "id: A", "small.yaml: setups has the id 'A' twice"),
         ("y: [0.1, 0.2]", "y: [0.1, 0.5]", "procedure small: target 3 at y = 0.5 is outside the travel 0 to 0.4"),

@@ -17,8 +17,8 @@ from mcap.writer import CompressionType, IndexType, Writer
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 
+from machine_tool_calibration.errors import RecordingError, UnfinishedError
 from machine_tool_calibration.recording.cdr import TEXT, decode, definition_of, encode, typestore
-from machine_tool_calibration.recording.errors import RecordingError, UnfinishedError
 from machine_tool_calibration.recording.mcap_file import MAGIC
 from machine_tool_calibration.recording.reader import BagReader
 

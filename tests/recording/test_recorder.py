@@ -21,8 +21,8 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 
-from machine_tool_calibration.recording.cdr import joint_state, numbers, text
-from machine_tool_calibration.recording.errors import UnfinishedError
+from machine_tool_calibration.errors import UnfinishedError
+from machine_tool_calibration.recording.cdr import JointStateReader, numbers, text
 from machine_tool_calibration.recording.reader import BagReader
 from machine_tool_calibration.recording.recover import recover
 
@@ -182,7 +182,7 @@ def test_a_kill_costs_less_than_a_second(tmp_path: Path, ros_domain: int, seed: 
         BagReader(folder)
     recover(folder, tmp_path / "saved")
     bag = BagReader(tmp_path / "saved")
-    walls = [float(joint_state(message.data).positions[0]) for message in bag.messages(["/joint_states"])]
+    walls = [float(JointStateReader().read(message.data).positions[0]) for message in bag.messages(["/joint_states"])]
     assert killed - walls[-1] < 1.0 + busy.seconds
     samples = samples_of(bag)
     assert np.array_equal(samples, np.arange(len(samples)))  # and no gap before
@@ -200,11 +200,14 @@ def test_a_wrong_request_is_one_line(tmp_path: Path, ros_domain: int) -> None:
                 ("flush_period:=5.0", "flush_period"),
             )
         ]
+        verb = stack.enter_context(command(tmp_path / "full"))
         for process, expected in started:
             said = process.said()
             assert process.returncode == 1
             assert len(said.strip().splitlines()) == 1
             assert expected in said
+        _, said = verb.communicate(timeout=PATIENCE)
+        assert said == f"mtcal: {tmp_path}/full: is not empty; a recording needs a new folder\n"
 
 
 def command(folder: Path, *words: str):

@@ -11,8 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rosbags.rosbag2 import Reader
 
-from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.recording.errors import RecordingError
+from machine_tool_calibration.errors import RecordingError, SessionError
 from machine_tool_calibration.recording.reader import BagReader, Message
 from machine_tool_calibration.recording.recover import recover
 from machine_tool_calibration.recording.session_bag import session_from_bag

@@ -11,9 +11,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.recording.cdr import JOINT_STATE, TEXT, encode, encode_joint_state, joint_state, part
-from machine_tool_calibration.recording.errors import RecordingError
+from machine_tool_calibration.errors import RecordingError, SessionError
+from machine_tool_calibration.recording.cdr import JOINT_STATE, TEXT, JointStateReader, encode, encode_joint_state, part
 from machine_tool_calibration.recording.open import open_measurement
 from machine_tool_calibration.recording.reader import BagReader
 from machine_tool_calibration.recording.session_bag import reading_columns, session_from_bag, session_to_bag
@@ -52,7 +51,7 @@ def test_there_and_back(name: str, namespace: str, tmp_path: Path) -> None:
 
 def test_a_recording_whose_frames_are_ids_of_setups_as_in_earlier_releases() -> None:
     bag = DATA / "earlier_recording"
-    frames = [joint_state(message.data).frame for message in BagReader(bag).messages(["/reading"])]
+    frames = [JointStateReader().read(message.data).frame for message in BagReader(bag).messages(["/reading"])]
     assert list(dict.fromkeys(frames)) == ["A", "B", "C", "D"]
     assert_equal(read_session(bag / "session"), session_from_bag(bag))
 
@@ -60,7 +59,7 @@ def test_a_recording_whose_frames_are_ids_of_setups_as_in_earlier_releases() -> 
 def test_readings_are_in_the_frame_of_the_machine(tmp_path: Path) -> None:
     session = read_session(DATA / "rotary_axis")
     session_to_bag(session, tmp_path / "bag")
-    messages = [joint_state(message.data) for message in BagReader(tmp_path / "bag").messages(["/reading"])]
+    messages = [JointStateReader().read(message.data) for message in BagReader(tmp_path / "bag").messages(["/reading"])]
     assert {message.frame for message in messages} == {"machine"}
     assert [message.value("setup_index") for message in messages] == session.readings.setup.tolist()
 

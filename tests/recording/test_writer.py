@@ -15,9 +15,9 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
+from machine_tool_calibration.errors import RecordingError
 from machine_tool_calibration.recording import mcap_file
 from machine_tool_calibration.recording.cdr import TEXT, encode
-from machine_tool_calibration.recording.errors import RecordingError
 from machine_tool_calibration.recording.reader import BagReader
 from machine_tool_calibration.recording.recover import recover
 from machine_tool_calibration.recording.writer import BagWriter

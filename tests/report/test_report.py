@@ -18,10 +18,11 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from machine_tool_calibration.budget.contributor import default_budget
+from machine_tool_calibration.diagnosis.history import Chosen
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.recording.session_bag import session_from_bag, session_to_bag
 from machine_tool_calibration.report import figures
-from machine_tool_calibration.report.evaluation import Chosen, Evaluation, evaluate
+from machine_tool_calibration.report.evaluation import Evaluation, evaluate
 from machine_tool_calibration.report.figures import Picture
 from machine_tool_calibration.report.page import html, write_report
 from machine_tool_calibration.report.sections import Section, Turnable, sections

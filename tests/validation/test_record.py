@@ -12,8 +12,7 @@ from click.testing import CliRunner
 from machine_tool_calibration.cli.validate import command
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.reports.validation import study_page, study_table, verdict_of
-from machine_tool_calibration.validation.catalogue import study, study_names
-from machine_tool_calibration.validation.record import Printed, Study
+from machine_tool_calibration.validation.record import Printed, Study, study, study_names
 
 SAME = Printed("length", "Table 1", 1.17e-6, 1.2e-6, "m", 5e-8)
 OTHER = Printed("angle", "Fig. 2", 8.9e-6, 1.2e-5, "rad", 1e-6, "the points are not printed")
@@ -40,7 +39,7 @@ def test_an_unknown_study_is_one_line() -> None:
 
 
 def test_the_verb_prints_and_writes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr("machine_tool_calibration.validation.catalogue.study", lambda name, progress: MADE)
+    monkeypatch.setattr("machine_tool_calibration.validation.record.study", lambda name, progress: MADE)
     answer = CliRunner().invoke(command, ["one", "--json", "--page", str(tmp_path / "page.md")])
     assert answer.exit_code == 0, answer.output
     document = json.loads(answer.stdout)

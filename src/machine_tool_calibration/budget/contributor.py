@@ -8,7 +8,6 @@ does to a result.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
@@ -17,7 +16,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import HALF_WIDTHS, Array, standard_draws
 from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.session.description import Finite, Instrument, Positive, Record
 from machine_tool_calibration.session.parse import parse_record
@@ -63,8 +62,7 @@ UNITS: dict[str, str] = {
 }
 """Unit of a contributor's value, by how it enters."""
 
-# Half width over standard uncertainty, and mean fourth power over the square of the variance.
-_HALF_WIDTHS = {"rectangular": math.sqrt(3.0), "triangular": math.sqrt(6.0), "arcsine": math.sqrt(2.0)}
+# Mean fourth power over the square of the variance.
 _FOURTHS = {"normal": 3.0, "rectangular": 9.0 / 5.0, "triangular": 12.0 / 5.0, "arcsine": 3.0 / 2.0}
 
 
@@ -122,7 +120,7 @@ class Contributor(Record):
     def u(self) -> float:
         """Standard uncertainty, in the unit of `UNITS`."""
         if self.half_width is not None:
-            return self.half_width / _HALF_WIDTHS[self.distribution]
+            return self.half_width / HALF_WIDTHS[self.distribution]
         if self.expanded is not None and self.coverage_factor is not None:
             return self.expanded / self.coverage_factor
         return float(self.standard_uncertainty or 0.0)
@@ -139,16 +137,9 @@ class Contributor(Record):
 
     def draw(self, rng: np.random.Generator, count: int) -> Array:
         """(count,) independent values; of a few degrees of freedom by the t-distribution (JCGM 101, 6.4.9)."""
-        if self.distribution == "normal":
-            if self.degrees_of_freedom is None:
-                return self.u * rng.standard_normal(count)
+        if self.distribution == "normal" and self.degrees_of_freedom is not None:
             return np.asarray(self.u * rng.standard_t(self.degrees_of_freedom, count))
-        half = self.u * _HALF_WIDTHS[self.distribution]
-        if self.distribution == "rectangular":
-            return rng.uniform(-half, half, count)
-        if self.distribution == "triangular":
-            return rng.triangular(-half, 0.0, half, count)
-        return np.asarray(half * np.sin(rng.uniform(0.0, 2.0 * np.pi, count)))
+        return self.u * standard_draws(self.distribution, rng, count)
 
 
 class BudgetFile(Record):

@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 from scipy import special
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import COVERAGE, Array
 from machine_tool_calibration.budget.contributor import Contributor
 from machine_tool_calibration.budget.patterns import Pattern, pattern
 from machine_tool_calibration.budget.published import (
@@ -62,8 +62,6 @@ DRAWS = 200
 _NOTHING = 0.01
 # Numbers that all draws of a check may have.
 _MOST_NUMBERS = 100_000_000
-# Probability of the expanded uncertainty: that of two standard uncertainties of a normal distribution.
-_COVERED = 0.9545
 _ALIKE = 1e-9
 
 
@@ -214,7 +212,7 @@ class Budget:
         total = float(squares.sum())
         shares = tuple(Share(float(p), float(s / total) if total else 0.0) for p, s in zip(parts, squares, strict=True))
         freedom = float(_effective(squares[:, None], self.lines)[0])
-        k = 2.0 if np.isinf(freedom) else float(special.stdtrit(freedom, 0.5 + _COVERED / 2.0))
+        k = 2.0 if np.isinf(freedom) else float(special.stdtrit(freedom, 0.5 + COVERAGE / 2.0))
         return Sum(quantity, index, shares, float(np.sqrt(total)), freedom, k, float(stated))
 
 
@@ -249,19 +247,16 @@ def propagate(
     return _Propagation(fitted, contributors, seed, progress).budget(draws)
 
 
-def draw_readings(
-    fitted: FittedSessions, contributors: Sequence[Contributor], draws: int, seed: int = 1, *, again: bool = False
-) -> Drawn:
-    """Deviations of everything that is published for readings that are drawn with the contributors' values.
+def draw_readings(fitted: FittedSessions, contributors: Sequence[Contributor], draws: int, seed: int) -> Drawn:
+    """Deviations of everything that is published for readings that are drawn with the contributors' values, linear.
 
     Args:
         fitted: the sessions.
         contributors: the lines of the budget.
         draws: how many.
         seed: of the draws.
-        again: whether to solve every problem again; otherwise linear in what is added to the readings.
     """
-    return _Propagation(fitted, contributors, seed, lambda what, share: None).drawn(draws, again=again)
+    return _Propagation(fitted, contributors, seed, lambda what, share: None).drawn(draws, again=False)
 
 
 class _Propagation:

@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import Command, keeping, model_options, note_written, own_effects
+from machine_tool_calibration.cli.diagnosing import Command, Wanted, model_options, note_written
 from machine_tool_calibration.cli.output import (
     MOST_DRAWS,
     PictureFile,
     console,
     json_option,
     progress_bar,
-    session_labels,
     write_json,
 )
 
@@ -65,10 +64,7 @@ def command(
     draws: int | None,
     seed: int,
     plot: Path | None,
-    effects: tuple[str, ...],
-    files: tuple[Path, ...],
-    model: str | None,
-    keep: tuple[str, ...],
+    wanted: Wanted,
     as_json: bool,
 ) -> None:
     """Say who contributes what to the uncertainty of everything that is identified.
@@ -96,7 +92,7 @@ def command(
     if not measurements:
         raise click.UsageError("Missing argument 'SESSION'.")
     with progress_bar() as progress:
-        sessions, found = fitted(measurements, effects, files, model, keep, progress)
+        sessions, found = fitted(wanted, measurements, progress)
         contributors = contributors_of(budgets, sessions)
         check_names(found, names)
         budget = propagate(found, contributors, draws=draws or 0, seed=seed, progress=progress)
@@ -114,25 +110,13 @@ def command(
         show_budget(console(), budget, names)
 
 
-def fitted(
-    paths: Sequence[Path],
-    effects: Sequence[str],
-    effect_files: Sequence[Path],
-    model: str | None,
-    keep: Sequence[str],
-    progress: Report,
-) -> tuple[list[Session], FittedSessions]:
+def fitted(wanted: Wanted, paths: Sequence[Path], progress: Report) -> tuple[Sequence[Session], FittedSessions]:
     """The sessions as they were read, and the fit of them as `mtcal identify` makes it."""
-    from machine_tool_calibration.methods.identify import fitted_sessions, identify, identify_sessions
-    from machine_tool_calibration.recording.open import open_measurement
+    from machine_tool_calibration.methods.identify import fitted_sessions
 
-    own = own_effects(effect_files)
-    sessions = keeping([open_measurement(path) for path in paths], paths, keep)
+    chosen = wanted.open(paths)
     progress("identifying")
-    if len(sessions) == 1:
-        return sessions, fitted_sessions(identify(sessions[0], model=model, effects=effects, own=own))
-    joint = identify_sessions(sessions, session_labels(paths), model=model, effects=effects, own=own)
-    return sessions, fitted_sessions(joint)
+    return chosen.sessions, fitted_sessions(chosen.identify())
 
 
 def contributors_of(files: Sequence[Path], sessions: Sequence[Session]) -> tuple[Contributor, ...]:

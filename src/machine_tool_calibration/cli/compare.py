@@ -8,15 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import (
-    current_models,
-    history_option,
-    keeping,
-    model_options,
-    note_written,
-    own_effects,
-)
-from machine_tool_calibration.cli.output import console, json_option, progress_bar, session_labels, write_json
+from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options, note_written
+from machine_tool_calibration.cli.output import console, json_option, progress_bar, write_json
 from machine_tool_calibration.reports.documents import write_table
 
 if TYPE_CHECKING:
@@ -41,11 +34,7 @@ __all__ = ["command"]
 @json_option
 def command(
     measurements: tuple[Path, ...],
-    effects: tuple[str, ...],
-    files: tuple[Path, ...],
-    model: str | None,
-    keep: tuple[str, ...],
-    from_history: bool,
+    wanted: Wanted,
     against: tuple[str, ...],
     output: Path | None,
     as_json: bool,
@@ -65,66 +54,43 @@ def command(
     mtcal compare measurements/cube measurements/grid_plate
     """
     from machine_tool_calibration.diagnosis.compare import compare, compare_sessions
-    from machine_tool_calibration.recording.open import open_measurement
+    from machine_tool_calibration.diagnosis.comparison import Comparison
+    from machine_tool_calibration.reports import comparison as documents
     from machine_tool_calibration.reports.comparison_tables import show_comparison
 
-    sessions = keeping([open_measurement(path) for path in measurements], measurements, keep)
-    own = own_effects(files)
-    if from_history:
-        entry, sessions = current_models(sessions, measurements, effects, model)[:2]
-        model, effects, own = entry.model, entry.effects, entry.own_effects(own)
-    if len(sessions) > 1:
-        labels = session_labels(measurements)
-        with progress_bar() as progress:
-            progress("comparing")
-            several = compare_sessions(sessions, labels, model=model, effects=effects, own=own)
-        _several(several, output, against, as_json=as_json)
-        return
+    chosen = wanted.open(measurements)
+    model, effects, own = chosen.model, chosen.effects, chosen.own
+    comparison: Comparison | JointComparison
     with progress_bar() as progress:
         progress("comparing")
-        comparison = compare(sessions[0], model=model, effects=effects, own=own)
-    for name in against:
-        comparison.covariate(name)
+        if chosen.labels is None:
+            comparison = compare(chosen.kept[0], model=model, effects=effects, own=own)
+            for name in against:
+                comparison.covariate(name)
+        else:
+            comparison = compare_sessions(chosen.kept, chosen.labels, model=model, effects=effects, own=own)
     if output is not None or against:
         note_written(_write(comparison, output or Path(), against))
-    if as_json:
-        from machine_tool_calibration.reports.comparison import comparison_document
-
-        write_json(comparison_document(comparison))
-    else:
+    if not as_json:
         show_comparison(console(), comparison)
+    elif isinstance(comparison, Comparison):
+        write_json(documents.comparison_document(comparison))
+    else:
+        write_json(documents.joint_document(comparison))
 
 
-def _several(comparison: JointComparison, output: Path | None, against: tuple[str, ...], *, as_json: bool) -> None:
+def _write(comparison: Comparison | JointComparison, folder: Path, against: tuple[str, ...]) -> list[Path]:
     import pandas as pd
 
-    from machine_tool_calibration.plots.compare import draw_joint
-    from machine_tool_calibration.reports.comparison import joint_columns, joint_document
-    from machine_tool_calibration.reports.comparison_tables import show_comparison
-
-    if output is not None or against:
-        folder = output or Path()
-        with progress_bar() as progress:
-            progress("drawing")
-            pictures = draw_joint(comparison, folder, against)
-            columns = pd.DataFrame(dict(joint_columns(comparison)))
-            table = write_table(columns, folder / "comparison.csv", comparison.provenance)
-        note_written([*pictures, table])
-    if as_json:
-        write_json(joint_document(comparison))
-    else:
-        show_comparison(console(), comparison)
-
-
-def _write(comparison: Comparison, folder: Path, against: tuple[str, ...]) -> list[Path]:
-    import pandas as pd
-
-    from machine_tool_calibration.plots.compare import draw
-    from machine_tool_calibration.reports.comparison import comparison_columns
+    from machine_tool_calibration.diagnosis.comparison import Comparison
+    from machine_tool_calibration.plots.compare import draw, draw_joint
+    from machine_tool_calibration.reports.comparison import comparison_columns, joint_columns
 
     with progress_bar() as progress:
         progress("drawing")
-        pictures = draw(comparison, folder, against)
-        columns = pd.DataFrame(dict(comparison_columns(comparison)))
-        table = write_table(columns, folder / "comparison.csv", comparison.provenance)
+        if isinstance(comparison, Comparison):
+            pictures, columns = draw(comparison, folder, against), comparison_columns(comparison)
+        else:
+            pictures, columns = draw_joint(comparison, folder, against), joint_columns(comparison)
+        table = write_table(pd.DataFrame(dict(columns)), folder / "comparison.csv", comparison.provenance)
     return [*pictures, table]

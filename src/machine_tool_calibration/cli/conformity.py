@@ -9,7 +9,7 @@ import click
 
 from machine_tool_calibration.budget.conformity import RULES, conformity
 from machine_tool_calibration.cli.budget import budget_option, contributors_of, fitted
-from machine_tool_calibration.cli.diagnosing import model_options
+from machine_tool_calibration.cli.diagnosing import Wanted, model_options
 from machine_tool_calibration.cli.output import console, json_option, progress_bar, write_json
 
 __all__ = ["command"]
@@ -47,10 +47,7 @@ def command(
     probability: float,
     budgets: tuple[Path, ...],
     seed: int,
-    effects: tuple[str, ...],
-    files: tuple[Path, ...],
-    model: str | None,
-    keep: tuple[str, ...],
+    wanted: Wanted,
     as_json: bool,
 ) -> None:
     """Say whether the machine keeps its tolerances: pass, fail or undecided, with the probability.
@@ -72,7 +69,7 @@ def command(
     if not tolerances:
         raise click.UsageError("Missing --tolerance NAME=VALUE or --tolerances FILE.")
     with progress_bar() as progress:
-        sessions, own = fitted(measurements, effects, files, model, keep, progress)
+        sessions, own = fitted(wanted, measurements, progress)
         budget = None
         if budgets:
             budget = propagate(own, contributors_of(budgets, sessions), seed=seed, progress=progress)

@@ -8,15 +8,13 @@ from pathlib import Path
 import click
 
 from machine_tool_calibration.cli.diagnosing import (
-    current_models,
+    Wanted,
     history_option,
-    keeping,
     model_options,
     note_written,
-    own_effects,
     search_options,
 )
-from machine_tool_calibration.cli.output import console, json_option, progress_bar, session_labels, write_json
+from machine_tool_calibration.cli.output import console, json_option, progress_bar, write_json
 
 __all__ = ["command"]
 
@@ -36,11 +34,7 @@ __all__ = ["command"]
 @json_option
 def command(
     measurements: tuple[Path, ...],
-    effects: tuple[str, ...],
-    files: tuple[Path, ...],
-    model: str | None,
-    keep: tuple[str, ...],
-    from_history: bool,
+    wanted: Wanted,
     seed: int,
     sets: int,
     everything: bool,
@@ -63,28 +57,22 @@ def command(
     """
     from machine_tool_calibration.diagnosis.diagnose import diagnose
     from machine_tool_calibration.planning.what_to_measure import SEARCH, conclude
-    from machine_tool_calibration.recording.open import open_measurement
     from machine_tool_calibration.reports.diagnosis import show_diagnosis
     from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
 
-    sessions = keeping([open_measurement(path) for path in measurements], measurements, keep)
-    own = own_effects(files)
-    if from_history:
-        entry, sessions = current_models(sessions, measurements, effects, model)[:2]
-        model, effects, own = entry.model, entry.effects, entry.own_effects(own)
-    labels = session_labels(measurements) if len(sessions) > 1 else None
+    chosen = wanted.open(measurements)
     with progress_bar() as progress:
         found = diagnose(
-            sessions,
-            labels,
-            model=model,
-            effects=effects,
-            own=own,
+            chosen.kept,
+            chosen.labels,
+            model=chosen.model,
+            effects=chosen.effects,
+            own=chosen.own,
             seed=seed,
             sets=sets,
             progress=lambda what, share: progress(what, SEARCH * share),
         )
-        then = conclude(found, model=model, own=own, progress=progress)
+        then = conclude(found, model=chosen.model, own=chosen.own, progress=progress)
     if output is not None:
         from machine_tool_calibration.plots.diagnosis import save_diagnosis
 

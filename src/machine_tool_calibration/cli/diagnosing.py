@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -13,20 +15,17 @@ from machine_tool_calibration.cli.output import MOST_DRAWS, note, session_labels
 from machine_tool_calibration.errors import CalibrationError, SessionError
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from machine_tool_calibration.diagnosis.history import Entry
+    from machine_tool_calibration.diagnosis.history import Chosen
     from machine_tool_calibration.effects.effect import Effect
     from machine_tool_calibration.model.fit import JointFit
     from machine_tool_calibration.session.session import Session
 
 __all__ = [
-    "current_model",
-    "current_models",
+    "Wanted",
+    "effects_file_option",
     "history_option",
-    "keep_option",
     "keeping",
+    "model_option",
     "model_options",
     "no_model",
     "note_written",
@@ -36,62 +35,77 @@ __all__ = [
 ]
 
 
-def current_model(session: Session, path: Path) -> tuple[Entry, Session, NDArray[np.bool_]]:
-    """The model in use of a session, its readings without those that were set aside, and which those are.
+@dataclass(frozen=True)
+class Wanted:
+    """The model that the options of `model_options` and `history_option` ask for.
 
-    Args:
-        session: as it was read.
-        path: where it was read; the history is in it or beside it.
-
-    Returns:
-        The entry of the history, the session to fit, and for each reading whether it is left out.
-
-    Raises:
-        CalibrationError: no model was tried yet.
+    Attributes:
+        effects: ids of the effects in it.
+        files: YAML files with effects of the user's own.
+        model: variant of the method's model; None for its default.
+        keep: readings that are not to be set aside, as `--keep` names them.
+        from_history: whether it is the one in use of the history.
     """
-    entry, (kept,), (aside,) = current_models([session], [path])
-    return entry, kept, aside
 
+    effects: tuple[str, ...]
+    files: tuple[Path, ...]
+    model: str | None
+    keep: tuple[str, ...]
+    from_history: bool = False
 
-def current_models(
-    sessions: Sequence[Session], paths: Sequence[Path], effects: Sequence[str] = (), model: str | None = None
-) -> tuple[Entry, list[Session], list[NDArray[np.bool_]]]:
-    """The same of one session or of several that are fitted together, in the order in which they are given.
+    def open(self, paths: Sequence[Path], topics: dict[str, str] | None = None) -> Chosen:
+        """Read measurements, and choose the model to fit to them.
 
-    Args:
-        sessions: as they were read; what they say to be sound is not left out.
-        paths: where.
-        effects: that the user asked for as well, which cannot be.
-        model: likewise.
+        Args:
+            paths: one session, or several that are fitted together; the history is in it or beside it.
+            topics: names of topics by their role, for recordings.
 
-    Raises:
-        UsageError: effects or a model were asked for.
-        CalibrationError: no model was tried yet.
-    """
-    if effects or model:
-        raise click.UsageError("--from-history is without --effect and --model.")
-    import numpy as np
+        Raises:
+            UsageError: effects or a model were asked for beside those of the history.
+            CalibrationError: a measurement cannot be read, `--keep` names no reading of it, or no model was tried yet.
+        """
+        from machine_tool_calibration.diagnosis.history import Chosen
+        from machine_tool_calibration.recording.open import open_measurement
 
-    from machine_tool_calibration.reports.history_file import fingerprint, history_path, read_history
+        own, labels = own_effects(self.files), session_labels(paths)
+        sessions = tuple(keeping([open_measurement(path, topics) for path in paths], labels, self.keep))
+        names = tuple(labels) if len(paths) > 1 else None
+        if not self.from_history:
+            return Chosen(sessions, sessions, names, self.model, self.effects, tuple(own))
+        if self.effects or self.model:
+            raise click.UsageError("--from-history is without --effect and --model.")
+        import numpy as np
 
-    entry = read_history(history_path(*paths)).in_use
-    if entry is None:
-        raise no_model(paths)
-    if entry.data != fingerprint(*sessions):
-        note(f"the readings have changed since model {entry.number} was made of them")
-    said = entry.of_sessions([fingerprint(session) for session in sessions], session_labels(paths))
-    # What was put back belongs to the model, as what was set aside does.
-    sessions = [
-        session if own is None else session.keeping(set(own.kept).intersection(session.readings.row.tolist()))
-        for session, own in zip(sessions, said, strict=True)
-    ]
-    rows = [
-        [] if own is None else [row for row in own.set_aside if row not in session.sound]
-        for session, own in zip(sessions, said, strict=True)
-    ]
-    asides = [np.isin(session.readings.row, own) for session, own in zip(sessions, rows, strict=True)]
-    kept = [session.without(aside) if aside.any() else session for session, aside in zip(sessions, asides, strict=True)]
-    return entry, kept, asides
+        from machine_tool_calibration.reports.history_file import fingerprint, history_path, read_history
+
+        history = read_history(history_path(*paths))
+        entry = history.in_use
+        if entry is None:
+            raise no_model(paths)
+        if entry.data != fingerprint(*sessions):
+            note(f"the readings have changed since model {entry.number} was made of them")
+        kept = []
+        said = entry.of_sessions([fingerprint(session) for session in sessions], labels)
+        for session, model in zip(sessions, said, strict=True):
+            if model is None:
+                kept.append(session)
+                continue
+            rows = session.readings.row.tolist()
+            # What was put back belongs to the model, as what was set aside does.
+            session = session.keeping(set(model.kept).intersection(rows))
+            aside = np.isin(rows, [row for row in model.set_aside if row not in session.sound])
+            kept.append(session.without(aside) if aside.any() else session)
+        return Chosen(
+            sessions,
+            tuple(kept),
+            names,
+            entry.model,
+            entry.effects,
+            tuple(entry.own_effects(own)),
+            tuple(entry.sets()),
+            keep_all=True,
+            history=history.way_to(entry.number),
+        )
 
 
 def unused_model(
@@ -149,17 +163,6 @@ def no_model(paths: Sequence[Path]) -> CalibrationError:
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
-def keep_option(function: Command) -> Command:
-    """Add `--keep`."""
-    return click.option(
-        "--keep",
-        "keep",
-        metavar="[SESSION:]ROW",
-        multiple=True,
-        help="Reading that is not to be set aside, as the table of those set aside names it; repeatable.",
-    )(function)
-
-
 def history_option(function: Command) -> Command:
     """Add `--from-history`."""
     return click.option(
@@ -169,18 +172,17 @@ def history_option(function: Command) -> Command:
     )(function)
 
 
-def keeping(sessions: Sequence[Session], paths: Sequence[Path], keep: Sequence[str]) -> list[Session]:
+def keeping(sessions: Sequence[Session], labels: Sequence[str], keep: Sequence[str]) -> list[Session]:
     """The sessions, with the readings that `--keep` names known to be sound.
 
     Args:
         sessions: as they were read.
-        paths: where.
+        labels: their names.
         keep: `ROW`, or of several sessions `SESSION:ROW`.
 
     Raises:
         CalibrationError: not a row, no such session or no such reading.
     """
-    labels = session_labels(paths)
     out = list(sessions)
     for text in keep:
         label, _, row = text.rpartition(":")
@@ -192,24 +194,49 @@ def keeping(sessions: Sequence[Session], paths: Sequence[Path], keep: Sequence[s
     return out
 
 
-def model_options(function: Command) -> Command:
-    """Add `--effect`, `--effects-file`, `--model` and `--keep`."""
-    for option in (
-        click.option("--model", help="Variant of the model, such as free; `mtcal info SESSION` says when which."),
-        click.option(
-            "--effects-file",
-            "files",
-            type=click.Path(path_type=Path, dir_okay=False),
-            multiple=True,
-            help="YAML file with effects of your own; they are looked for like the built-in ones.",
-        ),
-        click.option(
-            "-e", "--effect", "effects", multiple=True, metavar="ID", help="Effect that is in the model already."
-        ),
-        keep_option,
-    ):
-        function = option(function)
-    return function
+model_option = click.option("--model", help="Variant of the model, such as free; `mtcal info SESSION` says when which.")
+effects_file_option = click.option(
+    "--effects-file",
+    "files",
+    type=click.Path(path_type=Path, dir_okay=False),
+    multiple=True,
+    help="YAML file with effects of your own; they are looked for like the built-in ones.",
+)
+_MODEL_OPTIONS = (
+    model_option,
+    effects_file_option,
+    click.option("-e", "--effect", "effects", multiple=True, metavar="ID", help="Effect to have in the model."),
+    click.option(
+        "--keep",
+        "keep",
+        metavar="[SESSION:]ROW",
+        multiple=True,
+        help="Reading that is not to be set aside, as the table of those set aside names it; repeatable.",
+    ),
+)
+
+
+def model_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Add `--effect`, `--effects-file`, `--model` and `--keep` to a verb, as the keyword argument `wanted`.
+
+    It holds what `history_option` says as well.
+    """
+
+    @wraps(function)
+    def collected(
+        *,
+        effects: tuple[str, ...],
+        files: tuple[Path, ...],
+        model: str | None,
+        keep: tuple[str, ...],
+        from_history: bool = False,
+        **more: Any,
+    ) -> Any:
+        return function(wanted=Wanted(effects, files, model, keep, from_history), **more)
+
+    for option in _MODEL_OPTIONS:
+        option(collected)
+    return collected
 
 
 def search_options(function: Command) -> Command:

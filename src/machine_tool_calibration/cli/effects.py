@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import note_written, own_effects
+from machine_tool_calibration.cli.diagnosing import effects_file_option, note_written, own_effects
 from machine_tool_calibration.cli.output import console, json_option, progress_bar, write_json
 from machine_tool_calibration.reports.tables import show_table
 
@@ -21,13 +21,7 @@ __all__ = ["command"]
 
 @click.command("effects")
 @click.argument("ids", metavar="[ID …]", nargs=-1)
-@click.option(
-    "--effects-file",
-    "files",
-    type=click.Path(path_type=Path, dir_okay=False),
-    multiple=True,
-    help="YAML file with effects of your own; they are listed and drawn like the built-in ones.",
-)
+@effects_file_option
 @click.option(
     "--gallery",
     type=click.Path(path_type=Path, file_okay=False),

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import current_model, unused_model
+from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options, unused_model
 from machine_tool_calibration.cli.info import topic_names, topic_option
-from machine_tool_calibration.cli.output import console, json_option, note, progress_bar, session_labels, write_json
+from machine_tool_calibration.cli.output import console, json_option, note, progress_bar, write_json
 from machine_tool_calibration.errors import CalibrationError
 
 if TYPE_CHECKING:
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from machine_tool_calibration.effects.effect import Effect
     from machine_tool_calibration.export.compensation import Compensation, Exported
     from machine_tool_calibration.model.fit import JointFit
 
@@ -61,18 +60,8 @@ _PICTURE = "what_is_left.png"
     type=click.Path(path_type=Path, file_okay=False),
     help="Folder of the files; by default compensation_FORMAT. Files that are there are not overwritten.",
 )
-@click.option("--model", help="Model of the method; by default one with tables, such as rigid_body.")
-@click.option("--effect", "effects", multiple=True, help="Physical effect to add to the model; may be repeated.")
-@click.option(
-    "--from-history",
-    is_flag=True,
-    help="Effects and outliers as in the session's current model (`mtcal improve`, `mtcal history`).",
-)
-@click.option(
-    "--effects-file",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="YAML file with effects of your own, by formula.",
-)
+@model_options
+@history_option
 @click.option("--plot", is_flag=True, help=f"Draw the errors before and after: {_PICTURE} in the folder.")
 @topic_option
 @json_option
@@ -80,20 +69,18 @@ def command(
     measurements: tuple[Path, ...],
     form: str,
     output: Path | None,
-    model: str | None,
-    effects: tuple[str, ...],
-    from_history: bool,
-    effects_file: Path | None,
+    wanted: Wanted,
     plot: bool,
     topics: tuple[str, ...],
     as_json: bool,
 ) -> None:
     """Write compensation tables for a controller, and show what would be left of the errors.
 
-    MEASUREMENT is a session folder or a recording; several of one machine are fitted together. The files say sign,
-    units, reference point and squareness convention. The preview reads the written files as the controller does and
-    compares the errors before and after: a wrong sign would double them. What the model holds and the format cannot,
-    such as backlash in most of them, is in the errors before and after, and named.
+    MEASUREMENT is a session folder or a recording; several of one machine are fitted together. Without --model it is
+    one that has tables, such as rigid_body. The files say sign, units, reference point and squareness convention. The
+    preview reads the written files as the controller does and compares the errors before and after: a wrong sign would
+    double them. What the model holds and the format cannot, such as backlash in most of them, is in the errors before
+    and after, and named.
 
     \b
     mtcal export session --format linuxcnc        x.comp, y.comp, …, compensation.ini; positioning errors only
@@ -105,16 +92,14 @@ def command(
     mtcal export x_axis plate --format json       two sessions together
     mtcal export session --format isg --from-history   with the effects that `mtcal improve` found
     """
-    from machine_tool_calibration.effects.formula import read_effects
     from machine_tool_calibration.reports.identification import group_by_reason
     from machine_tool_calibration.reports.tables import show_suspicions
 
-    if from_history and (len(measurements) > 1 or effects):
+    if wanted.from_history and (len(measurements) > 1 or wanted.effects):
         raise click.UsageError("--from-history is for one session, without --effect.")
-    chosen = _Chosen(model, effects, from_history, read_effects(effects_file) if effects_file else [])
     with progress_bar() as progress:
         progress("identifying")
-        found = _identified(measurements, chosen, topic_names(topics))
+        found = _identified(measurements, wanted, topic_names(topics))
         progress("writing and reading tables")
         made = found.compensation.exported(form)
     origin, tables = found.compensation.origin, found.compensation.tables
@@ -159,16 +144,6 @@ def command(
 
 
 @dataclass(frozen=True)
-class _Chosen:
-    """The model that the user asked for."""
-
-    model: str | None
-    effects: tuple[str, ...]
-    from_history: bool
-    own: list[Effect]
-
-
-@dataclass(frozen=True)
 class _Found:
     """What was identified of one measurement or of several together, what they are called, and what to say of it."""
 
@@ -179,42 +154,34 @@ class _Found:
     suspicious: list[str]
 
 
-def _identified(paths: tuple[Path, ...], chosen: _Chosen, topics: dict[str, str]) -> _Found:
+def _identified(paths: tuple[Path, ...], wanted: Wanted, topics: dict[str, str]) -> _Found:
     from machine_tool_calibration.export.compensation import compensation
-    from machine_tool_calibration.methods.identify import identify, identify_sessions
-    from machine_tool_calibration.recording.open import open_measurement
+    from machine_tool_calibration.model.result import Result
     from machine_tool_calibration.session.checks.suspicion import suspicions
 
-    sessions = [open_measurement(path, topics) for path in paths]
-    source = " + ".join(session.source for session in sessions)
-    if len(sessions) > 1:
-        joint = identify_sessions(
-            sessions, session_labels(paths), model=chosen.model, effects=chosen.effects, own=chosen.own
-        )
-        note(joint.agreement.statement)
-        said = [bad_fit(joint.fit, joint.error_map.content)]
-        for opened, path in zip(sessions, paths, strict=True):
+    # beside the history's a model can be named, since not every one has tables
+    chosen = replace(wanted, model=None if wanted.from_history else wanted.model).open(paths, topics)
+    source = " + ".join(session.source for session in chosen.sessions)
+    if chosen.labels is None:
+        if wanted.from_history:
+            number = chosen.history[-1].number
+            note(f"with {', '.join(chosen.effects) or 'no effects'}, as in model {number} of the history")
+        model = wanted.model or (None if chosen.model == "free" else chosen.model)
+        chosen = replace(chosen, model=model or chosen.sessions[0].spec.with_tables, sets=())
+    result = chosen.identify()
+    said = [bad_fit(result.joint, result.error_map.content)]
+    if isinstance(result, Result):
+        models: tuple[str, ...] = (result.model_name,)
+        if not wanted.from_history:
+            said.append(unused_model(chosen.sessions, paths, chosen.effects, result.joint))
+    else:
+        models = result.model_names
+        note(result.agreement.statement)
+        for opened, path in zip(chosen.sessions, paths, strict=True):
             said.append(unused_model([opened], [path], chosen.effects, None, effects_only=True))
-        warnings = tuple(text for text in said if text)
-        suspicious = suspicions(sessions, session_labels(paths))
-        made = compensation(joint, source, chosen.own)
-        return _Found(made, joint.model_names, joint.fit, warnings, suspicious)
-    session, model, effects = sessions[0], chosen.model, chosen.effects
-    if chosen.from_history:
-        entry, session, _ = current_model(session, paths[0])
-        effects = tuple(entry.effects)
-        chosen = replace(chosen, own=entry.own_effects(chosen.own))
-        model = model or (None if entry.model == "free" else entry.model)
-        note(f"with {', '.join(effects) or 'no effects'}, as in model {entry.number} of the history")
-    model = model or session.spec.with_tables
-    result = identify(session, model=model, effects=effects, own=chosen.own, keep_all=chosen.from_history)
-    fit = result.fit.joint
-    said = [bad_fit(fit, result.error_map.content)]
-    if not chosen.from_history:
-        said.append(unused_model([session], paths, effects, fit))
     warnings = tuple(text for text in said if text)
     made = compensation(result, source, chosen.own)
-    return _Found(made, (result.model_name,), fit, warnings, suspicions([session]))
+    return _Found(made, models, result.joint, warnings, suspicions(chosen.kept, chosen.labels))
 
 
 def _save(folder: Path, files: dict[str, str], pictures: Sequence[str]) -> None:

@@ -10,12 +10,11 @@ from typing import Any
 import click
 
 from machine_tool_calibration.cli.diagnosing import (
-    current_models,
+    Wanted,
     history_option,
-    keeping,
     model_options,
     note_written,
-    own_effects,
+    unused_model,
 )
 from machine_tool_calibration.cli.output import MOST_DRAWS, PictureFile, console, json_option, note, write_json
 
@@ -103,11 +102,7 @@ def command(
     draws: int,
     distribution: str,
     seed: int,
-    effects: tuple[str, ...],
-    files: tuple[Path, ...],
-    model: str | None,
-    keep: tuple[str, ...],
-    from_history: bool,
+    wanted: Wanted,
     plot: Path | None,
     as_json: bool,
 ) -> None:
@@ -122,25 +117,20 @@ def command(
     mtcal features measurements/frame --through pitch=pin* --distance pitch,pin1
     mtcal features measurements/block --features walls.yaml --angle left,top
     """
-    from machine_tool_calibration.cli.diagnosing import unused_model
     from machine_tool_calibration.cli.export import bad_fit
-    from machine_tool_calibration.methods.identify import identify
     from machine_tool_calibration.methods.probing.features import features
     from machine_tool_calibration.methods.probing.propagation import monte_carlo
-    from machine_tool_calibration.recording.open import open_measurement
+    from machine_tool_calibration.model.result import Result
     from machine_tool_calibration.reports.features import features_document, show_features
     from machine_tool_calibration.session.feature_points import read_feature_points
 
-    named, own = None if listed is None else read_feature_points(listed), own_effects(files)
-    (opened,) = keeping([open_measurement(session)], [session], keep)
-    if from_history:
-        entry, (kept,), _ = current_models([opened], [session], effects, model)
-        own = entry.own_effects(own)
-        result = identify(kept, model=entry.model, effects=entry.effects, own=own, keep_all=True)
-        unused = None
-    else:
-        result = identify(opened, model=model, effects=effects, own=own)
-        unused = unused_model([opened], [session], effects, result.joint)
+    named = None if listed is None else read_feature_points(listed)
+    chosen = wanted.open([session])
+    result = chosen.identify()
+    assert isinstance(result, Result)  # of a single session
+    unused = None
+    if not wanted.from_history:
+        unused = unused_model(chosen.sessions, [session], chosen.effects, result.joint)
     fit = result.fit
     found = features(fit, named=named, centres=through, frame=frame, distances=distances, angles=angles)
     drawn = monte_carlo(fit, found.rows, draws, distribution, seed) if draws else None  # type: ignore[arg-type]

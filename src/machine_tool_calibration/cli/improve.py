@@ -11,14 +11,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import (
-    keeping,
-    model_options,
-    note_written,
-    own_effects,
-    search_options,
-)
-from machine_tool_calibration.cli.output import console, json_option, note, progress_bar, session_labels, write_json
+from machine_tool_calibration.cli.diagnosing import Wanted, model_options, note_written, search_options
+from machine_tool_calibration.cli.output import console, json_option, note, progress_bar, write_json
 from machine_tool_calibration.errors import CalibrationError, SessionError
 
 if TYPE_CHECKING:
@@ -45,9 +39,7 @@ class HistoryUpdate:
     failure: str = ""
 
 
-def keep_models(
-    done: Improvement, sessions: Sequence[Session], path: Path, own: Sequence[Effect] = ()
-) -> HistoryUpdate:
+def keep_models(done: Improvement, sessions: Sequence[Session], path: Path, own: Sequence[Effect]) -> HistoryUpdate:
     """Put the models into the history; a failure is returned, and loses nothing else.
 
     Args:
@@ -110,10 +102,7 @@ def draw(done: Improvement, folder: Path) -> tuple[list[Path], str]:
 @json_option
 def command(
     measurements: tuple[Path, ...],
-    effects: tuple[str, ...],
-    files: tuple[Path, ...],
-    model: str | None,
-    keep: tuple[str, ...],
+    wanted: Wanted,
     seed: int,
     sets: int,
     output: Path | None,
@@ -133,29 +122,26 @@ def command(
     mtcal improve measurements/cube measurements/cube_again
     """
     from machine_tool_calibration.diagnosis.improve import improve
-    from machine_tool_calibration.recording.open import open_measurement
     from machine_tool_calibration.reports.history_file import history_path, read_history
     from machine_tool_calibration.reports.improvement import improvement_document, show_improvement
 
-    sessions = keeping([open_measurement(path) for path in measurements], measurements, keep)
-    labels = session_labels(measurements) if len(sessions) > 1 else None
-    own, kept = own_effects(files), history_path(*measurements)
+    chosen, kept = wanted.open(measurements), history_path(*measurements)
     if history:
         # A damaged history is reported before a long calculation, not after it.
         read_history(kept)
     with progress_bar() as progress:
         done = improve(
-            sessions,
-            labels,
-            model=model,
-            effects=effects,
-            own=own,
+            chosen.sessions,
+            chosen.labels,
+            model=chosen.model,
+            effects=chosen.effects,
+            own=chosen.own,
             seed=seed,
             sets=sets,
             progress=progress,
         )
     # What is to be kept is written before anything is printed: the reader of the output may go away.
-    update = keep_models(done, sessions, kept, own) if history else HistoryUpdate()
+    update = keep_models(done, chosen.sessions, kept, chosen.own) if history else HistoryUpdate()
     if output is None:
         names = "+".join(path.absolute().name for path in measurements)
         output = Path("mtcal_output") / f"improve_{names}"

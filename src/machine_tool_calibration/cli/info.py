@@ -66,7 +66,7 @@ def command(measurement: Path, topics: tuple[str, ...], as_json: bool) -> None:
 def _recording(measurement: Path, names: dict[str, str]) -> tuple[BagReader | None, str]:
     """The recording, None if it is none, and why no session can be read from it."""
     # here, because a session folder needs none of the recording's libraries
-    from machine_tool_calibration.recording.errors import RecordingError
+    from machine_tool_calibration.errors import RecordingError
     from machine_tool_calibration.recording.graph import find_topics
     from machine_tool_calibration.recording.reader import BagReader, is_bag
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from machine_tool_calibration.cli.diagnosing import effects_file_option, model_option, own_effects
 from machine_tool_calibration.cli.output import console, json_option, progress_bar, write_json
 
 __all__ = ["command"]
@@ -14,11 +15,8 @@ __all__ = ["command"]
 
 @click.command("plan")
 @click.argument("procedure")
-@click.option(
-    "--model",
-    help="Variant of the model, such as free; `mtcal info SESSION` says when which.",
-)
-@click.option("--effects-file", type=click.Path(path_type=Path), help="YAML file with effects of your own, by formula.")
+@model_option
+@effects_file_option
 @click.option(
     "--warming", type=float, default=1.0, show_default=True, help="Change of the air's temperature assumed, K per hour."
 )
@@ -31,7 +29,7 @@ __all__ = ["command"]
 )
 @json_option
 def command(
-    procedure: str, model: str | None, effects_file: Path | None, warming: float, angular: float, as_json: bool
+    procedure: str, model: str | None, files: tuple[Path, ...], warming: float, angular: float, as_json: bool
 ) -> None:
     """Forecast what a procedure determines: uncertainties, gaps, time, and the smallest detectable effects.
 
@@ -42,13 +40,12 @@ def command(
     mtcal plan tracking_2d
     mtcal plan my_procedure.yaml --warming 3 --json
     """
-    from machine_tool_calibration.effects.formula import read_effects
     from machine_tool_calibration.nodes.shared import procedure_file
     from machine_tool_calibration.planning.forecast import forecast
     from machine_tool_calibration.procedure import read_procedure
     from machine_tool_calibration.reports.forecast import show_forecast
 
-    own = read_effects(effects_file) if effects_file else []
+    own = own_effects(files)
     with progress_bar() as progress:
         plan = read_procedure(procedure_file(procedure))
         found = forecast(plan, model=model, own=own, warming=warming, angular=angular, progress=progress)

@@ -59,10 +59,8 @@ def command(
     mtcal play bag --rate 10 --offset 60
     mtcal play bag /session /reading --fast --keep     feed a live estimator
     """
-    from rclpy.executors import ExternalShutdownException
-
     from machine_tool_calibration.nodes.player import Player
-    from machine_tool_calibration.nodes.ros.process import run
+    from machine_tool_calibration.nodes.ros.process import run_here
     from machine_tool_calibration.recording.reader import BagReader
 
     for entry in remap:
@@ -71,47 +69,21 @@ def command(
             raise click.UsageError(f"--remap {entry}: write FROM:=TO, such as /reading:=/cell/reading")
     BagReader(bag)  # a bag that cannot be read is refused in the same words as everywhere
     parameters = {
-        "bag": _quoted(str(bag)),
-        "rate": repr(0.0 if fast else rate),
-        "offset": repr(offset),
-        "loop": str(loop).lower(),
-        "paused": str(paused).lower(),
-        "delay": repr(delay),
-        "clock_rate": repr(clock_rate),
-        "exit_at_end": str(not keep).lower(),
+        "bag": str(bag),
+        "rate": 0.0 if fast else rate,
+        "offset": offset,
+        "loop": loop,
+        "paused": paused,
+        "delay": delay,
+        "clock_rate": clock_rate,
+        "exit_at_end": not keep,
     }
     if topics:
-        parameters["topics"] = "[" + ", ".join(map(_quoted, topics)) + "]"
-    arguments = ["--ros-args"]
-    for name, value in parameters.items():
-        arguments += ["-p", f"{name}:={value}"]
-    for entry in remap:
-        arguments += ["-r", entry]
-    made: list[Player] = []
-    refused: list[CalibrationError] = []
-
-    def create() -> Player:
-        try:
-            made.append(Player())
-        except CalibrationError as error:
-            refused.append(error)  # to be said once, by the command
-            raise ExternalShutdownException from None
-        return made[0]
-
-    status = run(create, arguments)
-    if refused:
-        raise refused[0]
-    if status or not made:
-        raise CalibrationError("the player did not start")
-    player = made[0]
+        parameters["topics"] = list(topics)
+    player = run_here(Player, parameters, remap)
     if as_json:
         write_json({"format": "mtcal-played/1", "bag": bag, "messages": player.sent, "state": player.state})
     else:
         console().print(f"[bold]{bag}[/]: {player.sent} messages sent, {player.state}")
     if player.trouble:
         raise CalibrationError(player.trouble)
-
-
-def _quoted(text: str) -> str:
-    """A YAML text in single quotes, which is how ROS reads parameters on a command line."""
-    return "'" + text.replace("'", "''") + "'"

@@ -7,6 +7,7 @@ import os
 import signal
 import threading
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -51,35 +52,26 @@ def command(
     mtcal record -o bag /cell/instrument/displacement /joint_states
     """
     from machine_tool_calibration.nodes.recorder import Recorder
-    from machine_tool_calibration.nodes.ros.process import run
+    from machine_tool_calibration.nodes.ros.process import run_here
 
-    arguments = ["--ros-args"]
-    if namespace:
-        arguments += ["-r", f"__ns:=/{namespace.strip('/')}"]
-    parameters: dict[str, str] = {"all_topics": str(everything).lower(), "use_sim_time": str(sim_time).lower()}
-    parameters |= {"split_size": str(split_size), "split_duration": repr(split_duration)}
+    parameters: dict[str, Any] = {"all_topics": everything, "use_sim_time": sim_time}
+    parameters |= {"split_size": split_size, "split_duration": split_duration}
     if output is not None:
-        parameters["folder"] = f"'{_quoted(str(output))}'"
+        parameters["folder"] = str(output)
     if topics:
-        parameters["topics"] = "[" + ", ".join(f"'{_quoted(topic)}'" for topic in topics) + "]"
-    for name, value in parameters.items():
-        arguments += ["-p", f"{name}:={value}"]
-    made: list[Recorder] = []
+        parameters["topics"] = list(topics)
     timer = threading.Timer(duration, os.kill, (os.getpid(), signal.SIGINT)) if duration else None
 
     def create() -> Recorder:
-        made.append(Recorder())
+        made = Recorder()
         if timer is not None:  # the time counts from when it listens
             timer.daemon = True
             timer.start()
-        return made[0]
+        return made
 
-    status = run(create, arguments)
+    recorder = run_here(create, parameters, [f"__ns:=/{namespace.strip('/')}"] if namespace else ())
     if timer is not None:
         timer.cancel()
-    if status or not made:
-        raise CalibrationError("the recorder did not start")
-    recorder = made[0]
     if as_json:
         write_json(
             {
@@ -99,8 +91,3 @@ def command(
         console().print(f"[bold]{recorder.bag.folder}[/]: {held}{lost}")
     if recorder.trouble:
         raise CalibrationError(recorder.trouble)
-
-
-def _quoted(text: str) -> str:
-    """For a YAML text in single quotes, which is how ROS reads parameters on a command line."""
-    return text.replace("'", "''")

@@ -4,29 +4,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from machine_tool_calibration.cli.budget import budget_option
 from machine_tool_calibration.cli.diagnosing import (
-    current_models,
+    Wanted,
     history_option,
-    keeping,
     model_options,
     note_written,
-    own_effects,
     search_options,
 )
-from machine_tool_calibration.cli.output import progress_bar, session_labels
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from machine_tool_calibration.diagnosis.history import Entry
-    from machine_tool_calibration.effects.effect import Effect
-    from machine_tool_calibration.report.evaluation import Chosen
-    from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.cli.output import progress_bar
 
 __all__ = ["command"]
 
@@ -59,11 +48,7 @@ def command(
     budgets: tuple[Path, ...],
     tolerances: Path | None,
     diagnosis: bool,
-    from_history: bool,
-    effects: tuple[str, ...],
-    files: tuple[Path, ...],
-    model: str | None,
-    keep: tuple[str, ...],
+    wanted: Wanted,
     seed: int,
     sets: int,
 ) -> None:
@@ -79,7 +64,6 @@ def command(
     mtcal report session -o report.html -o report.pdf --language de
     mtcal report session --from-history --budget mine.yaml --tolerances tolerances.yaml
     """
-    from machine_tool_calibration.recording.open import open_measurement
     from machine_tool_calibration.report.evaluation import evaluate
     from machine_tool_calibration.report.page import check_endings, write_report
     from machine_tool_calibration.report.words import words
@@ -97,10 +81,8 @@ def command(
 
         limits = read_tolerances(tolerances)
     with progress_bar() as progress:
-        opened = keeping([open_measurement(path) for path in measurements], measurements, keep)
-        chosen = _chosen(opened, measurements, effects, own_effects(files), model, from_history=from_history)
         found = evaluate(
-            chosen,
+            wanted.open(measurements),
             diagnosis=diagnosis,
             seed=seed,
             sets=sets,
@@ -111,42 +93,3 @@ def command(
         progress("drawing")
         written = write_report(found, spoken, outputs, figures)
     note_written(written)
-
-
-def _chosen(
-    opened: list[Session],
-    paths: Sequence[Path],
-    effects: Sequence[str],
-    own: Sequence[Effect],
-    model: str | None,
-    *,
-    from_history: bool,
-) -> Chosen:
-    from machine_tool_calibration.report.evaluation import Chosen
-
-    labels = tuple(session_labels(paths)) if len(opened) > 1 else None
-    if not from_history:
-        return Chosen(tuple(opened), tuple(opened), labels, model, tuple(effects), tuple(own))
-    entry, kept, _ = current_models(opened, paths, effects, model)
-    return Chosen(
-        tuple(opened),
-        tuple(kept),
-        labels,
-        entry.model,
-        entry.effects,
-        tuple(entry.own_effects(own)),
-        tuple(entry.sets()),
-        keep_all=True,
-        history=_way(entry, paths),
-    )
-
-
-def _way(last: Entry, paths: Sequence[Path]) -> tuple[Entry, ...]:
-    """The models of the history from the first one to the last, each made from the one before."""
-    from machine_tool_calibration.reports.history_file import history_path, read_history
-
-    history = read_history(history_path(*paths))
-    way = [last]
-    while way[0].parent is not None:
-        way.insert(0, history.entry(way[0].parent))
-    return tuple(way)

@@ -39,7 +39,7 @@ def command(names: tuple[str, ...], output: Path | None, page: Path | None, as_j
     mtcal validate rotary_axis -o pictures
     """
     from machine_tool_calibration.reports.validation import study_page, study_table, verdict_of
-    from machine_tool_calibration.validation.catalogue import study, study_names
+    from machine_tool_calibration.validation.record import study, study_names
 
     with progress_bar() as progress:
         studies = [

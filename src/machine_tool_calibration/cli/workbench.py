@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import own_effects
+from machine_tool_calibration.cli.diagnosing import effects_file_option, model_option, own_effects
 from machine_tool_calibration.cli.measuring import graph_place
 from machine_tool_calibration.cli.output import note
 from machine_tool_calibration.errors import CalibrationError
@@ -19,14 +19,8 @@ __all__ = ["command"]
 @click.argument("measurements", metavar="[MEASUREMENT…]", nargs=-1, type=click.Path(path_type=Path))
 @click.option("--live", is_flag=True, help="Begin beside a running graph or a replay: the page Live.")
 @graph_place
-@click.option("--model", help="Variant of the model, such as free; `mtcal info SESSION` says when which.")
-@click.option(
-    "--effects-file",
-    "files",
-    type=click.Path(path_type=Path, dir_okay=False),
-    multiple=True,
-    help="YAML file with effects of your own; they are looked for like the built-in ones.",
-)
+@model_option
+@effects_file_option
 @click.option(
     "--port", type=click.IntRange(0, 65535), default=0, help="Port to listen on; by default one that is free."
 )

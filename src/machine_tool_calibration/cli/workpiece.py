@@ -88,6 +88,7 @@ def _outline(
     from pydantic import ValidationError
 
     from machine_tool_calibration.procedure.workpiece import Workpiece, workpiece_points
+    from machine_tool_calibration.session.defects import first_defect
 
     if spacing is None:
         raise click.UsageError("An outline needs --spacing: how far its points are apart.")
@@ -102,8 +103,7 @@ def _outline(
     try:
         workpiece = Workpiece.model_validate(content)
     except ValidationError as error:
-        defect = error.errors(include_url=False)[0]
-        raise CalibrationError(f"{file}: {defect['loc'][-1]}: {defect['msg'].lower()}") from None
+        raise CalibrationError(first_defect(error, str(file))) from None
     return workpiece_points(workpiece, file.parent)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -13,9 +14,11 @@ from machine_tool_calibration.errors import ModelError
 
 if TYPE_CHECKING:
     from machine_tool_calibration.effects.effect import Effect
-    from machine_tool_calibration.model.result import EffectSet, Estimate
+    from machine_tool_calibration.methods.identify import JointResult
+    from machine_tool_calibration.model.result import EffectSet, Estimate, Result
+    from machine_tool_calibration.session.session import Session
 
-__all__ = ["Alternative", "Coefficient", "Entry", "History", "Part"]
+__all__ = ["Alternative", "Chosen", "Coefficient", "Entry", "History", "Part"]
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 
@@ -205,6 +208,17 @@ class History(_Record):
         known = ", ".join(str(entry.number) for entry in self.models) or "none yet"
         raise ModelError(f"the history has no model {number}; it has {known}")
 
+    def way_to(self, number: int) -> tuple[Entry, ...]:
+        """The models from a first one to that of a number, each made from the one before.
+
+        Raises:
+            ModelError: there is none of that number.
+        """
+        way = [self.entry(number)]
+        while way[0].parent is not None:
+            way.insert(0, self.entry(way[0].parent))
+        return tuple(way)
+
     @property
     def in_use(self) -> Entry | None:
         """The current model."""
@@ -246,3 +260,68 @@ class History(_Record):
             ModelError: there is none.
         """
         return self.model_copy(update={"current": self.entry(number).number})
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """Measurements and the model to fit to them: one that was asked for, or one of the history.
+
+    Attributes:
+        sessions: the measurements, with all readings that were recorded.
+        kept: those to fit; without what the history's model sets aside.
+        labels: names of several; None for a single one.
+        model: variant of the method's model; the default if None.
+        effects: ids of the effects in the model.
+        own: effects of the user's own.
+        sets: sets of effects over which the map is the mean.
+        keep_all: whether nothing more is set aside.
+        history: the models from the first to the one in use, where it is the history's.
+    """
+
+    sessions: tuple[Session, ...]
+    kept: tuple[Session, ...]
+    labels: tuple[str, ...] | None
+    model: str | None = None
+    effects: tuple[str, ...] = ()
+    own: tuple[Effect, ...] = ()
+    sets: tuple[EffectSet, ...] = ()
+    keep_all: bool = False
+    history: tuple[Entry, ...] = ()
+
+    def identify(self) -> Result | JointResult:
+        """The machine's errors by this model.
+
+        Raises:
+            ModelError: the data does not allow it.
+        """
+        from machine_tool_calibration.methods.identify import identify, identify_sessions
+
+        if self.labels is None:
+            return identify(
+                self.kept[0],
+                model=self.model,
+                effects=self.effects,
+                own=self.own,
+                keep_all=self.keep_all,
+                sets=self.sets,
+            )
+        return identify_sessions(
+            self.kept,
+            self.labels,
+            model=self.model,
+            effects=self.effects,
+            own=self.own,
+            keep_all=self.keep_all,
+            sets=self.sets,
+        )
+
+    def document(self, result: Result | JointResult) -> dict[str, Any]:
+        """The result as a JSON document, with the readings that the history's model set aside among the rejected."""
+        document = result.document()
+        last = f"model {self.history[-1].number} of the history" if self.history else "the history"
+        for label, session, kept in zip(self.labels or ("",), self.sessions, self.kept, strict=True):
+            gone = sorted(set(session.readings.row.tolist()) - set(kept.readings.row.tolist()))
+            named = {"session": label} if label else {}
+            document["rejected"] += [{**named, "row": row, "reason": f"set aside by {last}"} for row in gone]
+            document["observations"] += len(gone)
+        return document

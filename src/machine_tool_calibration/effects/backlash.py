@@ -6,8 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.effects.effect import Coefficient, Effect, axis_unit
-from machine_tool_calibration.effects.rotary import axis_direction, table_axis
+from machine_tool_calibration.effects.effect import Coefficient, Effect, axis_direction, axis_unit, table_axis
 from machine_tool_calibration.model.observations import Observations
 
 __all__ = ["Backlash", "RotaryBacklash"]

@@ -14,12 +14,11 @@ from machine_tool_calibration.effects.drift import LinearDrift, StationDrift
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.effects.error_motion import ErrorMotionEffect
 from machine_tool_calibration.effects.growth import TableThermalGrowth, WorkpieceThermal
+from machine_tool_calibration.effects.harmonics import ProbePretravel
 from machine_tool_calibration.effects.lost_motion import LostMotion
 from machine_tool_calibration.effects.mirror import MirrorMisalignment
 from machine_tool_calibration.effects.pitch_periodic import PitchPeriodic
-from machine_tool_calibration.effects.pointer import PointerRadialError, PointerZeroOffset
-from machine_tool_calibration.effects.pointer_axes import PointerAxisOffset
-from machine_tool_calibration.effects.pretravel import ProbePretravel
+from machine_tool_calibration.effects.pointer import PointerAxisOffset, PointerRadialError, PointerZeroOffset
 from machine_tool_calibration.effects.retroreflector import RetroreflectorForm
 from machine_tool_calibration.effects.reversal import REVERSALS, Reversal
 from machine_tool_calibration.effects.rotary_drift import RotaryAxisDrift

@@ -13,10 +13,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.model.observations import Observations
 
-__all__ = ["Coefficient", "Effect", "Shape", "axis_unit"]
-
-# Span of a column below which it says nothing: no reading was taken where the effect acts.
-_FLAT = 1e-12
+__all__ = ["Coefficient", "Effect", "Shape", "axis_direction", "axis_unit", "table_axis"]
 
 
 @dataclass(frozen=True)
@@ -158,3 +155,13 @@ class Effect(ABC):
 def axis_unit(axis: str) -> Array:
     """(3,) direction in which a linear axis moves the functional point."""
     return np.asarray(np.eye(3)["xyz".index(axis)])
+
+
+def table_axis(observations: Observations) -> str:
+    """Letter of the rotary axis that carries targets or workpiece: the one under test, C where none is named."""
+    return (observations.session.description.machine.axis or "C").upper()
+
+
+def axis_direction(axis: str) -> Array:
+    """(3,) direction of the rotary axis A (X), B (Y) or C (Z)."""
+    return np.asarray(np.eye(3)["ABC".index(axis.upper())])

@@ -99,21 +99,17 @@ def _coefficient(effect: Effect, of: Coefficient | Shape, reference: float, shar
     )
 
 
-def best_shape(
-    fit: Fit, effect: Effect, start: Sequence[tuple[float, ...]] | None = None
-) -> tuple[tuple[float, ...], Array]:
+def best_shape(fit: Fit, effect: Effect) -> tuple[tuple[float, ...], Array]:
     """Nonlinear coefficients with which an effect explains most of a fit's residuals, and the linear ones there.
 
     Args:
         fit: of a single session.
         effect: the effect.
-        start: where to search; the effect's own grid if absent.
 
     Raises:
         ModelError: the positions are too few to look for the effect.
     """
-    grid = effect.shape_grid(fit.model.observations) if start is None else start
-    shape, sizes = common_shape(fit.joint, effect, grid)
+    shape, sizes = common_shape(fit.joint, effect, effect.shape_grid(fit.model.observations))
     return shape, sizes[fit.index]
 
 

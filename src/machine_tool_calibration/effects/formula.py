@@ -27,6 +27,7 @@ from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape, 
 from machine_tool_calibration.effects.expression import parse, registry
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.model.observations import Observations
+from machine_tool_calibration.session.defects import first_defect
 from machine_tool_calibration.session.description import Finite
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
@@ -223,9 +224,7 @@ def checked_definition(definition: dict[str, Any], source: str) -> _Definition:
     try:
         return _Definition.model_validate(definition)
     except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"])
-        raise ModelError(f"{source}: {place}: {first['msg'].removeprefix('Value error, ')}") from None
+        raise ModelError(first_defect(error, source, record=_Definition)) from None
 
 
 def read_effects(path: Path) -> list[Effect]:

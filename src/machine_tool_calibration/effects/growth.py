@@ -6,8 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.effects.effect import Coefficient, Effect
-from machine_tool_calibration.effects.rotary import axis_direction, table_axis
+from machine_tool_calibration.effects.effect import Coefficient, Effect, axis_direction, table_axis
 from machine_tool_calibration.effects.thermal_expansion import REFERENCE_TEMPERATURE
 from machine_tool_calibration.model.observations import Observations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effects that repeat with an angle: harmonics from the second order on."""
+"""Effects that repeat with an angle, harmonics from the second order on; the pre-travel of a probe is one."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape
 from machine_tool_calibration.model.observations import Observations
 
-__all__ = ["HarmonicEffect"]
+__all__ = ["HarmonicEffect", "ProbePretravel"]
+
 
 _HIGHEST = (3.0, 5.0, 8.0)
 
@@ -50,3 +51,21 @@ class HarmonicEffect(Effect):
         """Sine and cosine of each order."""
         angle = self.angle(observations)
         return np.array([wave(k * angle) for k in range(2, int(shape[0]) + 1) for wave in (np.sin, np.cos)])
+
+
+class ProbePretravel(HarmonicEffect):
+    """The way from contact to trigger depends on the direction of the contact's normal (three lobes, typically)."""
+
+    id = "probe_pretravel"
+    title = "pre-travel variation of the probe"
+    formula = "reading = sum of s_k sin(k normal) + c_k cos(k normal), k from 2"
+    source = "ISO 230-10, pre-travel variation"
+    coefficients = ()
+    limit = 3e-5
+    covariates = ("normal",)
+    methods = ("probing",)
+
+    def angle(self, observations: Observations) -> Array:
+        """Direction of the normal in the machine frame."""
+        normal = observations.table_direction
+        return np.asarray(np.arctan2(normal[:, 1], normal[:, 0]))

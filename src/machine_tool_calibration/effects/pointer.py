@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Errors of the rotary pointer of an open-loop tracking interferometer."""
+"""Errors of a tracking instrument's pointer: its axes, its zero angle, and a beam that misses them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from machine_tool_calibration.effects.effect import Coefficient, Effect
 from machine_tool_calibration.effects.harmonics import HarmonicEffect
 from machine_tool_calibration.model.observations import Observations
 
-__all__ = ["PointerRadialError", "PointerZeroOffset", "beam_azimuth"]
+__all__ = ["PointerAxisOffset", "PointerRadialError", "PointerZeroOffset", "beam_azimuth"]
 
 
 def beam_azimuth(observations: Observations) -> Array:
@@ -60,3 +60,37 @@ class PointerZeroOffset(Effect):
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Minus the path."""
         return np.asarray(-observations.path)[None]
+
+
+class PointerAxisOffset(Effect):
+    """The elevation axis stands in front of the azimuth axis by d, and the beam passes it at a distance h.
+
+    The axis in front turns with the azimuth, towards the target: the path is shorter by d cos(elevation). A beam that
+    follows the target and misses the elevation axis by h reads a leg of the triangle: shorter by h^2 / (2 path); one
+    that is held on its direction (open loop) reads the projection whatever h. In a plane, where the elevation does not
+    change, the dead path takes d up.
+    """
+
+    id = "pointer_axis_offset"
+    title = "axes of the pointer that do not intersect"
+    formula = "reading = -d cos(elevation) - q / (2 path), q = h^2 where the beam follows the target"
+    source = "Hughes et al. 2011, laser tracker error determination; ISO 10360-10, offset of axes and beam"
+    kind = "reading"
+    coefficients = (
+        Coefficient("d", "m", -1e-3, 1e-3, "elevation axis in front of the azimuth axis"),
+        Coefficient("q", "m^2", 0.0, 1e-6, "square of the beam's distance from the axis"),
+    )
+    covariates = ("elevation", "path")
+    methods = ("tracking_interferometer", "rotary_axis")
+    instruments = ("tracking_interferometer", "laser_tracker")
+
+    def coefficients_for(self, observations: Observations, shape: tuple[float, ...] = ()) -> tuple[Coefficient, ...]:
+        """The beam's distance only where the beam follows."""
+        open_loop = getattr(observations.session.description, "pointing", "tracking") == "open_loop"
+        return self.coefficients[:1] if open_loop else self.coefficients
+
+    def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
+        """Minus the cosine of the beam's elevation, and minus the reciprocal of twice the path."""
+        level = np.hypot(observations.direction[:, 0], observations.direction[:, 1])
+        every = np.asarray([-level, -0.5 / observations.path])
+        return every[: len(self.coefficients_for(observations))]

@@ -6,9 +6,9 @@ from __future__ import annotations
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.effects.effect import table_axis
 from machine_tool_calibration.effects.harmonics import HarmonicEffect
 from machine_tool_calibration.effects.pointer import beam_azimuth
-from machine_tool_calibration.effects.rotary import table_axis
 from machine_tool_calibration.model.observations import Observations
 
 __all__ = ["RetroreflectorForm"]

@@ -6,8 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.effects.effect import Coefficient, Effect
-from machine_tool_calibration.effects.rotary import table_axis
+from machine_tool_calibration.effects.effect import Coefficient, Effect, table_axis
 from machine_tool_calibration.model.observations import Observations
 
 __all__ = ["RotaryAxisDrift"]

@@ -32,16 +32,16 @@ __all__ = [
 ]
 
 
-def null_vector(local: Array, least: float) -> tuple[Array, BoolArray]:
+def null_vector(local: Array) -> tuple[Array, BoolArray]:
     """Unit vectors w with local w = 0.
 
     Args:
         local: (d, d + 1, n) derivatives by the points' own unknowns, 1 <= d.
-        least: a point whose normal matrix has a determinant of no more than this times its trace^d is not sound: one of
-            its pivots may be smaller than this share of the trace, and there may be more than one such vector.
 
     Returns:
-        (d + 1, n) the vectors, 0 for points that are not sound, and (n,) which are sound.
+        (d + 1, n) the vectors, 0 for points that are not sound, and (n,) which are sound. A point is not where its
+        normal matrix has a determinant of no more than `_PIVOT` times its trace^d: one of its pivots may be smaller
+        than this share of the trace, and there may be more than one such vector.
     """
     d, slots, n = local.shape
     minors: dict[tuple[int, ...], Array] = {(s,): local[0, s] for s in range(slots)}
@@ -62,7 +62,7 @@ def null_vector(local: Array, least: float) -> tuple[Array, BoolArray]:
     # The sum of the squared minors is the determinant of the normal matrix (Cauchy and Binet).
     determinant = np.einsum("sn,sn->n", vector, vector)
     trace = np.einsum("dsn,dsn->n", local, local)
-    limit = trace * least
+    limit = trace * _PIVOT
     for _ in range(d - 1):
         limit *= trace
     sound = determinant > limit
@@ -243,7 +243,7 @@ def reduced_gram(rows: Rows, place: IntArray) -> Array:
         )
     if d == 0 or not by_vector:
         return _gram_by_factors(rows, place)
-    vector, sound = null_vector(rows.local, _PIVOT)
+    vector, sound = null_vector(rows.local)
     columns = _combined(rows, place, vector)
     gram = columns @ columns.T
     others = np.flatnonzero(~sound)

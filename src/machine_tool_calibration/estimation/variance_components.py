@@ -48,13 +48,17 @@ _COARSEST, _COARSE = (0.3, 1.2, 5.0), (0.15, 0.4, 1.0, 2.5, 6.0)
 _FINE = tuple(np.geomspace(0.05, 16.0, 16).tolist())
 
 
-def ratio_grid(families: int) -> list[tuple[float, ...]]:
-    """Sizes that are tried: every combination of a few for each family."""
+def ratio_grid(families: int, further: int = 0) -> list[tuple[float, ...]]:
+    """Sizes that are tried: every combination of a few for each family.
+
+    Args:
+        families: how many.
+        further: those whose sizes are given: the more there are, the fewer sizes of the others.
+    """
     if families == 0:
         return [()]
-    if families == 1:
-        return [(0.0,), *((value,) for value in _FINE)]
-    return list(product((0.0, *(_COARSE if families == 2 else _COARSEST)), repeat=families))
+    values = {1: _FINE, 2: _COARSE}.get(families + further, _COARSEST)
+    return list(product((0.0, *values), repeat=families))
 
 
 def log_prior(ratios: Sequence[tuple[float, ...]]) -> Array:

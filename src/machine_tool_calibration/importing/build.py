@@ -20,8 +20,8 @@ from machine_tool_calibration.importing.ranges import range_rows
 from machine_tool_calibration.importing.text_table import TextTable, read_text_table
 from machine_tool_calibration.importing.units import quantity
 from machine_tool_calibration.methods.direct.model import asked_tables
+from machine_tool_calibration.session.catalogue import require_columns
 from machine_tool_calibration.session.checks import check_session
-from machine_tool_calibration.session.columns import require_columns
 from machine_tool_calibration.session.description import Direct, Place
 from machine_tool_calibration.session.parse import describe
 from machine_tool_calibration.session.session import Session, assemble, distinct_labels

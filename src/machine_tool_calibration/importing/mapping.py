@@ -11,6 +11,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, fi
 from machine_tool_calibration.errors import SessionError, did_you_mean
 from machine_tool_calibration.importing.text_table import FileForm
 from machine_tool_calibration.importing.units import UNITS, spelled
+from machine_tool_calibration.session.defects import first_defect
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
 
@@ -180,15 +181,7 @@ def parse_mapping(content: dict[str, Any], source: str) -> Mapping:
     try:
         mapping = Mapping.model_validate(content)
     except ValidationError as error:
-        defect = error.errors(include_url=False)[0]
-        path = tuple(part for part in defect["loc"] if part != "[key]")
-        key = ".".join(str(part) for part in path)
-        said = str(defect["ctx"]["error"]) if "error" in defect.get("ctx", {}) else defect["msg"]
-        if defect["type"] == "extra_forbidden":
-            said = f"unknown key{did_you_mean(str(path[-1]), Mapping.model_fields)}"
-        elif defect["type"] == "missing":
-            said = "is missing"
-        raise SessionError(f"{source}: {key}: {said}") from None
+        raise SessionError(first_defect(error, source, record=Mapping, unnamed=("[key]",))) from None
     roles = ROLES[mapping.table]
     for kind in ("columns", "values"):
         for role in getattr(mapping, kind):

@@ -11,8 +11,8 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.importing.text_table import FileForm, read_text_table
+from machine_tool_calibration.session.catalogue import require_columns
 from machine_tool_calibration.session.collect import Collector
-from machine_tool_calibration.session.columns import require_columns
 from machine_tool_calibration.session.description import Description, Place
 from machine_tool_calibration.session.session import Session, assemble
 from machine_tool_calibration.session.table import LABEL_COLUMNS, NUMERIC_COLUMNS

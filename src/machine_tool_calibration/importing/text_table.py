@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A text file of rows and columns as it is: every cell a text, every row with its line in the file."""
+"""A text file of rows and columns as it is: every cell a text, every row with its line in the file.
+
+Cells become numbers in SI units or, where they are time stamps of other programs, seconds.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +22,47 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.importing.stamps import are_stamps, stamp_seconds
 from machine_tool_calibration.importing.units import si_values
+from machine_tool_calibration.session.defects import first_defect
 from machine_tool_calibration.session.text import reject_foreign_encoding
 
-__all__ = ["FileForm", "TextTable", "parse_form", "read_text_table"]
+__all__ = ["FileForm", "TextTable", "are_stamps", "parse_form", "read_text_table", "stamp_seconds"]
+
+
+_CLOCK = re.compile(r"\d?\d:\d\d(:\d\d([.,]\d+)?)?")
+_GERMAN = re.compile(r"(\d?\d)\.(\d?\d)\.(\d{4})[ T](.*)")
+
+
+def are_stamps(cells: np.ndarray) -> bool:
+    """Whether a column holds dates or times of day; numbers of seconds otherwise."""
+    return any(":" in cell for cell in cells[:1000])
+
+
+def stamp_seconds(text: str, pattern: str | None) -> float:
+    """A time stamp in seconds since 1970, or since midnight where it has no date; NaN where it is none.
+
+    Read are ISO 8601 (2024-05-03 10:15:00.25, with or without an offset), 3.5.2024 10:15:00 (the day first, as dots
+    say) and 10:15:00. Of 5/3/2024 nobody knows which is the day: that needs a pattern.
+
+    Args:
+        text: the cell.
+        pattern: of `datetime.strptime`, such as `%m/%d/%Y %H:%M:%S`; none of the above is tried then.
+    """
+    try:
+        if pattern is not None:
+            found = datetime.strptime(text, pattern)
+        elif _CLOCK.fullmatch(text):
+            hours, minutes, *rest = text.replace(",", ".").split(":")
+            return 3600.0 * int(hours) + 60.0 * int(minutes) + float(rest[0] if rest else 0)
+        else:
+            if (match := _GERMAN.fullmatch(text)) is not None:
+                day, month, year, clock = match.groups()
+                text = f"{year}-{int(month):02d}-{int(day):02d} {clock}"
+            found = datetime.fromisoformat(text.replace(",", "."))
+        return (found if found.tzinfo else found.replace(tzinfo=UTC)).timestamp()
+    except (ValueError, OverflowError):
+        return float("nan")
+
 
 _LARGEST = 64 << 20  # bytes
 _MOST_COLUMNS = 1000
@@ -185,8 +225,7 @@ def parse_form(content: dict[str, Any]) -> FileForm:
     try:
         return FileForm.model_validate(content)
     except ValidationError as error:
-        defect = error.errors(include_url=False)[0]
-        raise SessionError(f"{defect['loc'][0]}: {defect['msg']}") from None
+        raise SessionError(first_defect(error, "", record=FileForm)) from None
 
 
 def read_text_table(path: Path, form: FileForm) -> TextTable:

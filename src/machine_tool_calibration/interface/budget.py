@@ -25,6 +25,7 @@ from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.reports.budget import budget_document, show_budget
 from machine_tool_calibration.reports.conformity import conformity_document, show_conformity
 from machine_tool_calibration.reports.quantities import quantity
+from machine_tool_calibration.session.defects import first_defect
 from machine_tool_calibration.session.session import Session
 
 if TYPE_CHECKING:
@@ -220,8 +221,5 @@ def _contributors(
         try:
             out.append(line if isinstance(line, Contributor) else Contributor.model_validate(dict(line)))
         except ValidationError as error:
-            first = error.errors()[0]
-            place = ".".join(str(part) for part in first["loc"])
-            what = first["msg"].removeprefix("Value error, ")
-            raise ModelError(f"contributor {number}: {f'{place}: ' if place else ''}{what}") from None
+            raise ModelError(first_defect(error, f"contributor {number}", record=Contributor)) from None
     return tuple(out)

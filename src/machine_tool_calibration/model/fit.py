@@ -72,6 +72,20 @@ class JointFit:
         ]
         return assemble(models, self.assembly.labels).problem
 
+    @cached_property
+    def released(self) -> JointFit:
+        """The same readings fitted with the unknowns that are random functions at zero; itself without any.
+
+        How large these are was drawn from the readings, and what the model lacks made them larger: to be weighed
+        against it they must not be in the model already.
+        """
+        if self.random is None:
+            return self
+        gone = set(self.random.names)
+        models = [_without(model, gone) for model in self.assembly.models]
+        assembly = assemble(models, self.assembly.labels)
+        return JointFit(assembly, solve(assembly.problem))
+
     @property
     def fits(self) -> tuple[Fit, ...]:
         """The fit as each session sees it."""
@@ -182,6 +196,17 @@ def fit_models(
     if random is None and len(models) == 1:
         random = models[0].random
     return JointFit(assembly, solution, random)
+
+
+def _without(model: MethodModel, gone: set[str]) -> MethodModel:
+    """A model with some of its terms' unknowns at zero."""
+    kept = [{name: w for name, w in c.weights.items() if name not in gone} for c in model.constraints]
+    return replace(
+        model,
+        terms=tuple(term for term in model.terms if not gone & {p.name for p in term.parameters}),
+        priors=tuple(prior for prior in model.priors if not gone & set(prior.weights)),
+        constraints=tuple(replace(c, weights=w) for c, w in zip(model.constraints, kept, strict=True) if w),
+    )
 
 
 def screen(fit: Fit, columns: Array) -> Projected:

@@ -14,7 +14,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray, groups, in_order_of_appearance
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.session.columns import needed_columns
+from machine_tool_calibration.session.catalogue import needed_columns
 
 __all__ = ["Family", "reproducibility"]
 

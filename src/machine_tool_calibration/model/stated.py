@@ -66,6 +66,14 @@ class RandomUnknowns(Protocol):
     def names(self) -> tuple[str, ...]:
         """Of the unknowns."""
 
+    @property
+    def root(self) -> Array:
+        """(q, r) unknowns per unit of r independent coefficients whose standard deviation is the functions' size."""
+
+    @property
+    def sizes(self) -> dict[float, float]:
+        """Sizes that are possible, in their unit, with their probabilities before any reading; 0 among them."""
+
     def posterior(
         self, matrix: Array, right: Array, constraints: Array, values: Array, squares: Array
     ) -> RandomPosterior:

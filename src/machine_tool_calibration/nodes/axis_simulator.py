@@ -13,7 +13,6 @@ import uuid
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, Quaternion
-from rclpy.clock import Clock, ClockType
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
@@ -25,6 +24,7 @@ from machine_tool_calibration.nodes.ros.messages import (
     Level,
     from_duration,
     from_message,
+    joint_state,
     nanoseconds,
     now,
     pose_message,
@@ -33,11 +33,10 @@ from machine_tool_calibration.nodes.ros.messages import (
     to_message,
 )
 from machine_tool_calibration.nodes.ros.node import GuardedNode
-from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run_process
+from machine_tool_calibration.nodes.ros.process import STOP_GRACE, run_process
 from machine_tool_calibration.nodes.ros.status import StatusTopic
-from machine_tool_calibration.nodes.site import Moment, Site, read_site
+from machine_tool_calibration.nodes.site import Moment, declare_site
 from machine_tool_calibration.procedure.motion import AxisLimits, Trajectory, check_command
-from machine_tool_calibration.recording.graph import MACHINE
 
 __all__ = ["AxisSimulator", "main"]
 
@@ -52,7 +51,6 @@ class AxisSimulator(GuardedNode):
     def __init__(self) -> None:
         super().__init__("axis_simulator")
         self._declare()
-        self.site = Site(read_site(self._site_file))
         travel = self.site.travel
         rotary = {axis.lower() for axis in self.site.chain.rotary}
         self.limits = {
@@ -87,44 +85,33 @@ class AxisSimulator(GuardedNode):
         self._table = self.create_publisher(PoseStamped, "truth/table", STATE)
         self._ticks = self.create_publisher(ClockMessage, "/clock", 10) if self._jumping else None
         self.create_subscription(JointTrajectory, "axes/joint_trajectory", self._commanded, COMMAND)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_HEARTBEAT, self._heartbeat, clock=steady)
+        self.every(_HEARTBEAT, self._heartbeat)
         if not self._jumping:
-            self.create_timer(1.0 / self._rate, self._tick, clock=steady)
+            self.every(1.0 / self._rate, self._tick)
         self._heartbeat()
 
     def _declare(self) -> None:
-        self._site_file: str = declare(
-            self, "site", "", "YAML file with the machine's chain, travel and true errors; empty: a usual machine"
+        self.site, self._origin = declare_site(
+            self, "YAML file with the machine's chain, travel and true errors; empty: a usual machine"
         )
-        simulated = bool(self.get_parameter("use_sim_time").value)
-        self._jumping: bool = declare(
-            self,
+        simulated = self.lives_in_simulated_time
+        self._jumping: bool = self.declare(
             "publish_clock",
             simulated,
             "own the simulated clock (/clock) and jump it to the end of each trajectory; needs use_sim_time",
         )
         if self._jumping and not simulated:
             raise CalibrationError("parameter publish_clock needs use_sim_time: true")
-        origin: float = declare(
-            self,
-            "time_origin",
-            0.0,
-            "ROS time at which the site's time is zero and simulated time begins; 0: this node's start",
-            unit="s",
-            low=0.0,
-        )
-        self._origin = nanoseconds(origin) if origin else Clock().now().nanoseconds
-        self._rate: float = declare(
-            self, "state_rate", 100.0, "rate of joint_states in real time", unit="Hz", low=1.0, high=1000.0
+        self._rate: float = self.declare(
+            "state_rate", 100.0, "rate of joint_states in real time", unit="Hz", low=1.0, high=1000.0
         )
         self._linear_limits = (
-            declare(self, "speed", 0.5, "greatest speed of a linear axis", unit="m/s", low=1e-6, high=10.0),
-            declare(self, "acceleration", 2.0, "its greatest acceleration", unit="m/s^2", low=1e-6, high=100.0),
+            self.declare("speed", 0.5, "greatest speed of a linear axis", unit="m/s", low=1e-6, high=10.0),
+            self.declare("acceleration", 2.0, "its greatest acceleration", unit="m/s^2", low=1e-6, high=100.0),
         )
         self._rotary_limits = (
-            declare(self, "rotary_speed", 2.0, "greatest speed of a rotary axis", unit="rad/s", low=1e-6, high=1e3),
-            declare(self, "rotary_acceleration", 10.0, "its greatest acceleration", unit="rad/s^2", low=1e-6, high=1e5),
+            self.declare("rotary_speed", 2.0, "greatest speed of a rotary axis", unit="rad/s", low=1e-6, high=1e3),
+            self.declare("rotary_acceleration", 10.0, "its greatest acceleration", unit="rad/s^2", low=1e-6, high=1e5),
         )
 
     def _now(self) -> int:
@@ -216,7 +203,7 @@ class AxisSimulator(GuardedNode):
             self._known, self._point = known, self.site.functional_point(moment)
             self._rotation = quaternion_of(self.site.tool_rotation(moment))
             self._turned = None
-        self._truth.publish(pose_message(stamp, MACHINE, self._point + self._offset, self._rotation))
+        self._truth.publish(pose_message(stamp, self._point + self._offset, self._rotation))
         if self._turning:
             self._publish_table(stamp)
 
@@ -228,19 +215,13 @@ class AxisSimulator(GuardedNode):
             position, directions = self._motion.position(since), self._motion.directions(since, self._directions)
             place, rotation = self.site.table(Moment(seconds(stamp - self._origin), position, directions))
             self._turned = place, quaternion_of(rotation)
-        self._table.publish(pose_message(stamp, MACHINE, *self._turned))
+        self._table.publish(pose_message(stamp, *self._turned))
 
     def _publish_state(self, stamp: int) -> None:
         since = seconds(stamp - self._start)
         position, velocity = self._motion.position(since), self._motion.velocity(since)
-        message = JointState(
-            name=self._names,
-            position=[position[name] for name in self._names],
-            velocity=[velocity[name] for name in self._names],
-        )
-        message.header.stamp = to_message(stamp)
-        message.header.frame_id = MACHINE
-        self._states.publish(message)
+        here = {name: position[name] for name in self._names}
+        self._states.publish(joint_state(stamp, here, velocity))
 
     def _set_report(self, level: Level, text: str, **entries: object) -> None:
         self._report = (level, text, entries)

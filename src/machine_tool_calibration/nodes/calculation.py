@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from machine_tool_calibration.diagnosis.compare import compare
 from machine_tool_calibration.diagnosis.consequence import Consequence
@@ -36,6 +36,9 @@ __all__ = [
     "improved",
     "own_effects",
 ]
+
+
+Found = TypeVar("Found")
 
 
 @dataclass(frozen=True)
@@ -148,16 +151,7 @@ def diagnosed(request: Request, progress: Progress) -> Diagnosed:
         CalibrationError: the readings do not allow it.
     """
     own = request.own()
-    found = diagnose(
-        request.session(),
-        model=request.model,
-        effects=request.effects,
-        own=own,
-        seed=request.seed,
-        sets=request.sets,
-        progress=lambda step, share: progress(step, SEARCH * share),
-    )
-    return _diagnosed(request, own, found, progress)
+    return _diagnosed(request, own, _searched(diagnose, request, own, progress), progress)
 
 
 def improved(request: Request, progress: Progress) -> Improved:
@@ -167,7 +161,17 @@ def improved(request: Request, progress: Progress) -> Improved:
         CalibrationError: the readings do not allow it.
     """
     own = request.own()
-    steps = improve(
+    steps = _searched(improve, request, own, progress)
+    return Improved(
+        steps=steps,
+        diagnosed=_diagnosed(request, own, steps.diagnosis, progress),
+        identified=_identified(steps.steps[-1].result),
+        document=_json(improvement_document(steps)),
+    )
+
+
+def _searched(search: Callable[..., Found], request: Request, own: list[Effect], progress: Progress) -> Found:
+    return search(
         request.session(),
         model=request.model,
         effects=request.effects,
@@ -175,12 +179,6 @@ def improved(request: Request, progress: Progress) -> Improved:
         seed=request.seed,
         sets=request.sets,
         progress=lambda step, share: progress(step, SEARCH * share),
-    )
-    return Improved(
-        steps=steps,
-        diagnosed=_diagnosed(request, own, steps.diagnosis, progress),
-        identified=_identified(steps.steps[-1].result),
-        document=_json(improvement_document(steps)),
     )
 
 

@@ -4,13 +4,15 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable, Mapping
 
 from rclpy.node import Node
 from sensor_msgs.msg import FluidPressure, RelativeHumidity, Temperature
 
-from machine_tool_calibration.nodes.ros.messages import SLOW, from_message, nanoseconds
+from machine_tool_calibration.nodes.ros.messages import SLOW, dated, from_message, nanoseconds
+from machine_tool_calibration.nodes.ros.node import GuardedNode
 
-__all__ = ["TOPICS", "EnvironmentWatch", "interpolate"]
+__all__ = ["TOPICS", "EnvironmentTopics", "EnvironmentWatch", "interpolate"]
 
 TOPICS = {
     **{f"temperature_{place}": (Temperature, "temperature") for place in ("air", "x", "y", "z", "table", "work")},
@@ -20,6 +22,34 @@ TOPICS = {
 """Message type and field of `environment/<column>`, by the session's column."""
 
 _KEPT = 100
+
+
+class EnvironmentTopics:
+    """Publishes what the sensors of the environment show, now and then.
+
+    Args:
+        node: that publishes.
+        sensed: values by the session's column at a time, ns.
+    """
+
+    def __init__(self, node: GuardedNode, sensed: Callable[[int], Mapping[str, float]]) -> None:
+        usual = 60.0 if node.lives_in_simulated_time else 1.0
+        period: float = node.declare(
+            "environment_period", usual, "time between publications of the environment", unit="s", low=0.01, high=1e5
+        )
+        self._period, self._sensed, self._stamp = nanoseconds(period), sensed, 0
+        self._publishers = {
+            name: node.create_publisher(kind, f"environment/{name}", SLOW) for name, (kind, _) in TOPICS.items()
+        }
+
+    def tell(self, stamp: int) -> None:
+        """Publish what is sensed at a time, ns, if it was not told of late."""
+        if abs(stamp - self._stamp) < self._period:
+            return
+        self._stamp = stamp
+        for name, value in self._sensed(stamp).items():
+            kind, field = TOPICS[name]
+            self._publishers[name].publish(dated(kind(**{field: value}), stamp, name))
 
 
 class EnvironmentWatch:

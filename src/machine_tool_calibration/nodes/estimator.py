@@ -12,7 +12,6 @@ from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.clock import Clock, ClockType
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -36,7 +35,7 @@ from machine_tool_calibration.nodes.publications import Publications, in_words
 from machine_tool_calibration.nodes.ros.messages import LATCHED, READINGS, Level, from_message
 from machine_tool_calibration.nodes.ros.names import OwnPublisher, offer
 from machine_tool_calibration.nodes.ros.node import GuardedNode
-from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run_process
+from machine_tool_calibration.nodes.ros.process import STOP_GRACE, run_process
 from machine_tool_calibration.nodes.ros.services import Answer, Background, Progress
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.reports.quantities import micrometres
@@ -74,34 +73,30 @@ class Estimator(GuardedNode):
         ):
             self._offer(name, doing, work, done)
         offer(self, "estimator", "reset", Trigger, self._reset)
-        self.create_timer(_PERIOD, self._show, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.every(_PERIOD, self._show)
         self._show()
 
     def _declare(self) -> None:
-        declare(
-            self,
+        self.declare(
             "effects_files",
             [""],
             "YAML files with effects of the user's own, by formula; they are looked for beside the catalogue",
             read_only=False,
         )
-        declare(
-            self,
+        self.declare(
             "model",
             "",
             "variant of the method's model, such as free or rigid_body; empty: the method's default",
             read_only=False,
         )
-        declare(
-            self,
+        self.declare(
             "effects",
             [""],
             "ids of physical effects in the model; estimator/improve adds those that it finds",
             read_only=False,
         )
-        declare(self, "seed", 1, "of a diagnosis's simulated data sets", low=0, high=2**31 - 1, read_only=False)
-        declare(
-            self,
+        self.declare("seed", 1, "of a diagnosis's simulated data sets", low=0, high=2**31 - 1, read_only=False)
+        self.declare(
             "sets",
             199,
             "simulated data sets in which nothing is missing; they give the p-values",
@@ -109,9 +104,7 @@ class Estimator(GuardedNode):
             high=99_999,
             read_only=False,
         )
-        declare(
-            self, "magnification", 0.0, "of errors as arrows; 0: a round number", unit="1", low=0.0, read_only=False
-        )
+        self.declare("magnification", 0.0, "of errors as arrows; 0: a round number", unit="1", low=0.0, read_only=False)
 
     def close(self) -> None:
         """The node ends."""

@@ -21,7 +21,6 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import Clock, ClockType
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, String
@@ -30,28 +29,17 @@ from std_srvs.srv import Trigger
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.instruments.drivers import load_driver
 from machine_tool_calibration.nodes.averaging import Batch, NotYet, Recent, Source, Window
-from machine_tool_calibration.nodes.environment import TOPICS
+from machine_tool_calibration.nodes.environment import EnvironmentTopics
 from machine_tool_calibration.nodes.optics import make_optics
-from machine_tool_calibration.nodes.ros.messages import (
-    LATCHED,
-    SLOW,
-    STATE,
-    Level,
-    from_message,
-    nanoseconds,
-    now,
-    rotation_of,
-    seconds,
-    to_message,
-)
+from machine_tool_calibration.nodes.ros.messages import LATCHED, STATE, Level, from_message, now, rotation_of, seconds
 from machine_tool_calibration.nodes.ros.names import OwnPublisher, offer
 from machine_tool_calibration.nodes.ros.node import GuardedNode
-from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run_process
+from machine_tool_calibration.nodes.ros.process import STOP_GRACE, run_process
 from machine_tool_calibration.nodes.ros.services import Answer
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.samples import DriverSource, SimulatedSource, clock_offset
 from machine_tool_calibration.nodes.setups import Pairs, Target, hear_targets, setup_named
-from machine_tool_calibration.nodes.site import Beam, Site, read_site
+from machine_tool_calibration.nodes.site import Beam, declare_site
 from machine_tool_calibration.session.parse import parse_description
 
 __all__ = ["Instrument", "main"]
@@ -71,9 +59,8 @@ class Instrument(GuardedNode):
 
     def __init__(self) -> None:
         super().__init__("instrument")
-        self._simulated_time = bool(self.get_parameter("use_sim_time").value)
+        self._simulated_time = self.lives_in_simulated_time
         self._declare()
-        self._site = Site(read_site(self._site_file))
         self._epoch = uuid.uuid4().hex[:12]
         self._datums = 0
         self._datum: str = ""
@@ -81,15 +68,12 @@ class Instrument(GuardedNode):
         self._reason = "no datum has been set since the start"
         self._requests: list[_Request] = []
         self._recent = Recent(2.0 * self._averaging)
-        self._environment_stamp = 0
         self._setups: list[str] = []
         self._waiting: Target | None = None
         self._pairs = Pairs()
 
         self._stream = OwnPublisher(self, "instrument", "displacement", Float64MultiArray, STATE)
-        self._sensors = {
-            name: self.create_publisher(kind, f"environment/{name}", SLOW) for name, (kind, _) in TOPICS.items()
-        }
+        self._environment = EnvironmentTopics(self, self._sensed)
         self.source: Source
         self._simulated: SimulatedSource | None = None
         if self._driver == "simulated":
@@ -118,31 +102,18 @@ class Instrument(GuardedNode):
         self._status = StatusTopic(self, own, "instrument", hardware_id=hardware_id)
         offer(self, "instrument", "datum", Trigger, lambda answer: self._requested(answer, is_datum=True))
         offer(self, "instrument", "capture", Trigger, lambda answer: self._requested(answer, is_datum=False))
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(0.1, self._check, clock=steady)
+        self.every(0.1, self._check)
         if not self._simulated_time:
-            self.create_timer(1.0 / self._batch_rate, self._flow, clock=steady)
+            self.every(1.0 / self._batch_rate, self._flow)
         self.add_on_set_parameters_callback(self._changed)
         self._show()
 
     def _declare(self) -> None:
-        self._driver: str = declare(
-            self, "driver", "simulated", "`simulated`, or the YAML file of a real instrument's driver"
+        self._driver: str = self.declare(
+            "driver", "simulated", "`simulated`, or the YAML file of a real instrument's driver"
         )
-        self._site_file: str = declare(
-            self, "site", "", "YAML file with what is true in the simulated workshop; empty: the usual one"
-        )
-        origin: float = declare(
-            self,
-            "time_origin",
-            0.0,
-            "ROS time at which the site's time is zero; 0: this node's start",
-            unit="s",
-            low=0.0,
-        )
-        self._origin = nanoseconds(origin) if origin else Clock().now().nanoseconds
-        self._rate: float = declare(
-            self,
+        self._site, self._origin = declare_site(self)
+        self._rate: float = self.declare(
             "rate",
             1000.0 if self._simulated_time else 10000.0,
             "samples of the simulated stream",
@@ -150,14 +121,13 @@ class Instrument(GuardedNode):
             low=1.0,
             high=1e6,
         )
-        self._batch_rate: float = declare(
-            self, "batch_rate", 50.0, "batches of the stream in real time", unit="Hz", low=1.0, high=1000.0
+        self._batch_rate: float = self.declare(
+            "batch_rate", 50.0, "batches of the stream in real time", unit="Hz", low=1.0, high=1000.0
         )
-        self._averaging: float = declare(
-            self, "averaging", 0.1, "time over which a reading is averaged", unit="s", low=1e-3, high=1000.0
+        self._averaging: float = self.declare(
+            "averaging", 0.1, "time over which a reading is averaged", unit="s", low=1e-3, high=1000.0
         )
-        self._tolerance: float = declare(
-            self,
+        self._tolerance: float = self.declare(
             "stable_tolerance",
             1e-6,
             "a reading is stable when the means of its quarters agree within this",
@@ -165,8 +135,7 @@ class Instrument(GuardedNode):
             low=1e-12,
             high=1.0,
         )
-        self._timeout: float = declare(
-            self,
+        self._timeout: float = self.declare(
             "capture_timeout",
             3.0,
             "a reading that is not stable within this is refused (wall clock)",
@@ -174,17 +143,10 @@ class Instrument(GuardedNode):
             low=0.01,
             high=1000.0,
         )
-        self._sample_noise: float = declare(
-            self,
-            "sample_noise",
-            2e-8,
-            "standard deviation of one simulated sample's own noise",
-            unit="m",
-            low=0.0,
-            high=1.0,
+        self._sample_noise: float = self.declare(
+            "sample_noise", 2e-8, "standard deviation of one simulated sample's own noise", unit="m", low=0.0, high=1.0
         )
-        self._beam_radius: float = declare(
-            self,
+        self._beam_radius: float = self.declare(
             "beam_radius",
             2e-3,
             "farther beside the beam the retroreflector does not return it",
@@ -192,20 +154,11 @@ class Instrument(GuardedNode):
             low=1e-6,
             high=1.0,
         )
-        self._environment_period: float = declare(
-            self,
-            "environment_period",
-            60.0 if self._simulated_time else 1.0,
-            "time between publications of the environment",
-            unit="s",
-            low=0.01,
-            high=1e5,
+        self._noise_seed: int = self.declare(
+            "noise_seed", 0, "makes another run of the same site's noise", low=0, high=2**31
         )
-        self._noise_seed: int = declare(
-            self, "noise_seed", 0, "makes another run of the same site's noise", low=0, high=2**31
-        )
-        self._blocked: bool = declare(
-            self, "beam_blocked", False, "something stands in the simulated beam", read_only=False
+        self._blocked: bool = self.declare(
+            "beam_blocked", False, "something stands in the simulated beam", read_only=False
         )
 
     def _changed(self, parameters: list[Parameter]) -> SetParametersResult:
@@ -236,8 +189,7 @@ class Instrument(GuardedNode):
         rotation = rotation_of(message.pose.orientation)
         self._simulated.add_pose(stamp, np.array([place.x, place.y, place.z]), rotation)
         if self._simulated_time:
-            if abs(stamp - self._environment_stamp) >= nanoseconds(self._environment_period):
-                self._publish_environment(stamp)
+            self._environment.tell(stamp)
             if self._requests:
                 self._answer_requests()
 
@@ -394,9 +346,8 @@ class Instrument(GuardedNode):
         if self._requests:
             self._answer_requests()
         self._show()
-        stamp = now(self)
-        if not self._simulated_time and stamp - self._environment_stamp >= nanoseconds(self._environment_period):
-            self._publish_environment(stamp)
+        if not self._simulated_time:
+            self._environment.tell(now(self))
 
     def _show(self) -> None:
         """Publish the status where it has changed."""
@@ -410,15 +361,6 @@ class Instrument(GuardedNode):
     def _sensed(self, stamp: int) -> dict[str, float]:
         """The environment that this node knows itself; with a real driver the sensors publish it."""
         return self._site.sensed(seconds(stamp - self._origin)) if self._simulated is not None else {}
-
-    def _publish_environment(self, stamp: int) -> None:
-        self._environment_stamp = stamp
-        for name, value in self._sensed(stamp).items():
-            kind, field = TOPICS[name]
-            message = kind(**{field: value})
-            message.header.stamp = to_message(stamp)
-            message.header.frame_id = name
-            self._sensors[name].publish(message)
 
     def close(self) -> None:
         """Stop what runs beside the node's own thread."""

@@ -13,7 +13,6 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.srv import GetParameters
 from rclpy.client import Client
-from rclpy.clock import Clock, ClockType
 from rclpy.node import NodeNameNonExistentError
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import String
@@ -82,7 +81,7 @@ class Listener:
         node.create_subscription(
             String, "error_map/result", lambda message: heard.publish(document=message.data), LATCHED
         )
-        node.create_timer(_LOOK, self._look_around, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        node.every(_LOOK, self._look_around)
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._hear, name="listener", daemon=True)
         self._thread.start()

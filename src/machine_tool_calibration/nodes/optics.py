@@ -122,12 +122,7 @@ class OnTable:
 
     def _placed(self, pose: Pose, moment: Moment) -> Array:
         disturbance = self._site.live.disturbance(self._site.scene(moment))
-        axial = np.eye(3)["ABC".index(self._axis)]
-        places = self._targets
-        for growth, part in ((disturbance.table_radial, 1.0 - axial), (disturbance.table_axial, axial)):
-            if growth is not None:
-                places = places + growth[0] * self._targets * part
-        return np.asarray(places @ pose.rotation.T + pose.place)
+        return np.asarray(disturbance.grown(self._targets, self._axis) @ pose.rotation.T + pose.place)
 
     def target(self, pose: Pose, beam: Beam | None, moment: Moment) -> Array:
         """See `Optics`."""

@@ -15,22 +15,20 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import Trigger
 
-from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.errors import CalibrationError, RecordingError
 from machine_tool_calibration.nodes.ros.messages import LATCHED, Level, to_message
 from machine_tool_calibration.nodes.ros.names import OwnPublisher, offer
 from machine_tool_calibration.nodes.ros.node import GuardedNode
-from machine_tool_calibration.nodes.ros.process import declare, run_process
+from machine_tool_calibration.nodes.ros.process import run_process
 from machine_tool_calibration.nodes.ros.services import Answer
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.ros.taps import message_class
-from machine_tool_calibration.recording.errors import RecordingError
 from machine_tool_calibration.recording.graph import with_depth
 from machine_tool_calibration.recording.metadata import Qos
 from machine_tool_calibration.recording.reader import BagReader, Message, Topic
@@ -119,17 +117,15 @@ class Player(GuardedNode):
             CalibrationError: no bag, or a parameter is wrong.
         """
         super().__init__("player")
-        path = declare(self, "bag", "", "the recording: a rosbag2 folder or an .mcap file")
-        self._rate = declare(self, "rate", 1.0, "seconds of the bag per second; 0: as fast as possible", low=0.0)
-        offset = declare(self, "offset", 0.0, "where in the bag to begin", unit="s", low=0.0)
-        self._loop = declare(self, "loop", False, "begin again at the end")
-        paused = declare(self, "paused", False, "wait for the service player/resume")
-        frequency = declare(self, "clock_rate", 40.0, "of /clock; 0: none", unit="Hz", low=0.0, high=10000.0)
-        wanted = declare(self, "topics", [""], "names of the topics to play; all if there are none")
-        self._leave = declare(self, "exit_at_end", False, "end the node when the bag has been played")
-        delay = declare(
-            self, "delay", 0.0, "before the first message, so that subscribers are found", unit="s", low=0.0
-        )
+        path = self.declare("bag", "", "the recording: a rosbag2 folder or an .mcap file")
+        self._rate = self.declare("rate", 1.0, "seconds of the bag per second; 0: as fast as possible", low=0.0)
+        offset = self.declare("offset", 0.0, "where in the bag to begin", unit="s", low=0.0)
+        self._loop = self.declare("loop", False, "begin again at the end")
+        paused = self.declare("paused", False, "wait for the service player/resume")
+        frequency = self.declare("clock_rate", 40.0, "of /clock; 0: none", unit="Hz", low=0.0, high=10000.0)
+        wanted = self.declare("topics", [""], "names of the topics to play; all if there are none")
+        self._leave = self.declare("exit_at_end", False, "end the node when the bag has been played")
+        delay = self.declare("delay", 0.0, "before the first message, so that subscribers are found", unit="s", low=0.0)
         if not path:
             raise CalibrationError("the parameter bag is missing: which recording is to be played?")
         self.bag = BagReader(Path(path))
@@ -155,11 +151,10 @@ class Player(GuardedNode):
         self._next: Message | None = None
         self._ended = False
         self._rewind()
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_TICK, self._tick, clock=steady)
-        self.create_timer(_SHOW, self._show, clock=steady)
+        self.every(_TICK, self._tick)
+        self.every(_SHOW, self._show)
         if self._time_topic is not None:
-            self.create_timer(1.0 / frequency, self._tell_time, clock=steady)
+            self.every(1.0 / frequency, self._tell_time)
         self._show()
 
     def close(self) -> None:

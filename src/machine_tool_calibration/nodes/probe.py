@@ -16,39 +16,36 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
-from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+from trajectory_msgs.msg import JointTrajectory
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.instruments.touch import Limits, NominalTouch, Part, judge
-from machine_tool_calibration.nodes.environment import TOPICS
+from machine_tool_calibration.nodes.environment import EnvironmentTopics
 from machine_tool_calibration.nodes.ros.messages import (
     COMMAND,
     LATCHED,
-    SLOW,
     STATE,
     Level,
-    duration_message,
     from_message,
+    joint_state,
     nanoseconds,
     now,
     positions,
     seconds,
     stamp_among,
-    to_message,
+    trajectory,
     values,
 )
 from machine_tool_calibration.nodes.ros.names import OwnPublisher
 from machine_tool_calibration.nodes.ros.node import GuardedNode
-from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run_process
+from machine_tool_calibration.nodes.ros.process import STOP_GRACE, run_process
 from machine_tool_calibration.nodes.ros.services import Answer, DeferredService
 from machine_tool_calibration.nodes.ros.status import StatusTopic
-from machine_tool_calibration.nodes.site import Site, read_site
-from machine_tool_calibration.recording.graph import MACHINE
+from machine_tool_calibration.nodes.site import Site, declare_site
 from machine_tool_calibration.session.description import Probing
 from machine_tool_calibration.session.parse import parse_description
 from machine_tool_calibration.simulation.disturbance import Sight
@@ -153,9 +150,8 @@ class Probe(GuardedNode):
 
     def __init__(self) -> None:
         super().__init__("probe")
-        self._simulated_time = bool(self.get_parameter("use_sim_time").value)
+        self._simulated_time = self.lives_in_simulated_time
         self._declare()
-        self._site = Site(read_site(self._site_file))
         self._part: Part | None = None
         self._surface: SimulatedPart | None = None
         self._setups: dict[float, int] = {}
@@ -166,7 +162,6 @@ class Probe(GuardedNode):
         self._cycle: _Cycle | None = None
         self._touches = self._missed = self._early = 0
         self._last = ""
-        self._environment_stamp = 0
         self._floor = 0
         self._random = np.random.default_rng([self._site.spec.seed, 43, self._noise_seed])
 
@@ -175,60 +170,34 @@ class Probe(GuardedNode):
         self._status = StatusTopic(self, told, "probe", hardware_id="simulated probe")
         self._triggers = OwnPublisher(self, "probe", "trigger", JointState, STATE)
         self._commands = self.create_publisher(JointTrajectory, "axes/joint_trajectory", COMMAND)
-        self._sensors = {
-            name: self.create_publisher(kind, f"environment/{name}", SLOW) for name, (kind, _) in TOPICS.items()
-        }
+        self._environment = EnvironmentTopics(self, self._sensed)
         self.create_subscription(String, "session", self._described, LATCHED)
         self.create_subscription(JointState, "joint_states", self._moved, STATE)
         self.create_subscription(DiagnosticArray, "axes/status", self._axes_status, STATE)
         DeferredService(self, Trigger, "instrument/datum", self._no_datum)
         DeferredService(self, Trigger, "instrument/capture", self._requested)
-        self.create_timer(_CHECK, self._check, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.every(_CHECK, self._check)
         self._show()
 
     def _declare(self) -> None:
-        self._site_file: str = declare(
-            self, "site", "", "YAML file with what is true in the simulated workshop; empty: the usual one"
-        )
-        origin: float = declare(
-            self,
-            "time_origin",
-            0.0,
-            "ROS time at which the site's time is zero; 0: this node's start",
-            unit="s",
-            low=0.0,
-        )
-        self._origin = nanoseconds(origin) if origin else Clock().now().nanoseconds
-        self._speed: float = declare(self, "speed", 0.005, "speed of the approach", unit="m/s", low=1e-5, high=1.0)
-        self._reaction: float = declare(
-            self, "reaction", 0.004, "from the trigger until the axes turn back", unit="s", low=0.0, high=1.0
+        self._site, self._origin = declare_site(self)
+        self._speed: float = self.declare("speed", 0.005, "speed of the approach", unit="m/s", low=1e-5, high=1.0)
+        self._reaction: float = self.declare(
+            "reaction", 0.004, "from the trigger until the axes turn back", unit="s", low=0.0, high=1.0
         )
         self._limits = Limits(
-            search=declare(
-                self, "search", 0.001, "greatest way beyond the nominal surface", unit="m", low=1e-6, high=0.1
+            search=self.declare(
+                "search", 0.001, "greatest way beyond the nominal surface", unit="m", low=1e-6, high=0.1
             ),
-            early=declare(
-                self,
-                "early",
-                0.001,
-                "a trigger farther outside the nominal surface is refused",
-                unit="m",
-                low=1e-6,
-                high=0.1,
+            early=self.declare(
+                "early", 0.001, "a trigger farther outside the nominal surface is refused", unit="m", low=1e-6, high=0.1
             ),
         )
-        self._farthest: float = declare(
-            self,
-            "farthest",
-            0.02,
-            "greatest distance from the surface where a touch begins",
-            unit="m",
-            low=1e-4,
-            high=1.0,
+        self._farthest: float = self.declare(
+            "farthest", 0.02, "greatest distance from the surface where a touch begins", unit="m", low=1e-4, high=1.0
         )
-        self._attempts: int = declare(self, "attempts", 2, "touches tried before a point is given up", low=1, high=100)
-        self._repeatability: float = declare(
-            self,
+        self._attempts: int = self.declare("attempts", 2, "touches tried before a point is given up", low=1, high=100)
+        self._repeatability: float = self.declare(
             "repeatability",
             -1.0,
             "standard deviation of the trigger in one direction; negative: as the session declares for a touch",
@@ -237,8 +206,7 @@ class Probe(GuardedNode):
             high=1e-3,
         )
         self._pretravel = Pretravel(
-            amplitude=declare(
-                self,
+            amplitude=self.declare(
                 "pretravel_variation",
                 0.0,
                 "amplitude of the pre-travel's variation with the contact's direction",
@@ -246,25 +214,16 @@ class Probe(GuardedNode):
                 low=0.0,
                 high=1e-3,
             ),
-            lobes=declare(self, "pretravel_lobes", 3, "lobes of that variation in a turn", low=1, high=12),
+            lobes=self.declare("pretravel_lobes", 3, "lobes of that variation in a turn", low=1, high=12),
         )
-        self._form: float = declare(
-            self, "form", 3e-6, "standard deviation of the simulated part's form errors", unit="m", low=0.0, high=0.01
+        self._form: float = self.declare(
+            "form", 3e-6, "standard deviation of the simulated part's form errors", unit="m", low=0.0, high=0.01
         )
-        self._moves: bool = declare(
-            self, "services_move_axes", True, "whether instrument/capture is carried out; false: it is refused"
+        self._moves: bool = self.declare(
+            "services_move_axes", True, "whether instrument/capture is carried out; false: it is refused"
         )
-        self._noise_seed: int = declare(
-            self, "noise_seed", 0, "makes another run of the same site's noise", low=0, high=2**31
-        )
-        self._environment_period: float = declare(
-            self,
-            "environment_period",
-            60.0 if self._simulated_time else 1.0,
-            "time between publications of the environment",
-            unit="s",
-            low=0.01,
-            high=1e5,
+        self._noise_seed: int = self.declare(
+            "noise_seed", 0, "makes another run of the same site's noise", low=0, high=2**31
         )
 
     # --- what the others say
@@ -286,8 +245,7 @@ class Probe(GuardedNode):
             self._try_to_begin()
         if self._simulated_time:
             self._floor = max(self._floor, stamp)
-            if abs(stamp - self._environment_stamp) >= nanoseconds(self._environment_period):
-                self._publish_environment(stamp)
+            self._environment.tell(stamp)
         self._show()
 
     def _axes_status(self, message: DiagnosticArray) -> None:
@@ -358,19 +316,11 @@ class Probe(GuardedNode):
             turn = touch.standoff  # in contact before it moved
         travel = (touch.standoff - turn) / self._speed
         moment = begin + nanoseconds(max(touch.standoff - goes_to, 0.0) / self._speed)
-        names = list(position)
-        message = JointTrajectory(joint_names=names)
         command = max(begin, self._floor + 1)
         self._floor = command
-        message.header.stamp = to_message(command)
-        message.header.frame_id = MACHINE
         deepest = {**position, **touch.at(turn)}
-        message.points = [
-            JointTrajectoryPoint(positions=[place[name] for name in names], time_from_start=duration_message(clock))
-            for place, clock in ((deepest, travel), (position, 2.0 * travel))
-        ]
         self._cycle = _Cycle(touch, position, command, displacement, problem, attempt, begin, moment)
-        self._commands.publish(message)
+        self._commands.publish(trajectory(command, ((deepest, travel), (position, 2.0 * travel))))
 
     def _spread(self) -> float:
         assert self._part is not None
@@ -396,7 +346,7 @@ class Probe(GuardedNode):
             self._last = ""
             self._publish_trigger(cycle)
         self._show()
-        sensed = self._site.sensed(seconds(cycle.moment - self._origin))
+        sensed = self._sensed(cycle.moment)
         document = {
             "datum": "",
             "stamp": cycle.moment,
@@ -418,10 +368,7 @@ class Probe(GuardedNode):
 
     def _publish_trigger(self, cycle: _Cycle) -> None:
         latched = {**cycle.position, **cycle.touch.at(cycle.displacement), "point_index": float(cycle.touch.point)}
-        message = JointState(name=list(latched), position=list(latched.values()))
-        message.header.stamp = to_message(cycle.moment)
-        message.header.frame_id = MACHINE
-        self._triggers.publish(message)
+        self._triggers.publish(joint_state(cycle.moment, latched))
 
     def _refuse(self, reason: str) -> None:
         self._send(False, json.dumps({"kind": "other", "reason": reason}))
@@ -435,9 +382,11 @@ class Probe(GuardedNode):
 
     def _check(self) -> None:
         self._show()
-        stamp = now(self)
-        if not self._simulated_time and stamp - self._environment_stamp >= nanoseconds(self._environment_period):
-            self._publish_environment(stamp)
+        if not self._simulated_time:
+            self._environment.tell(now(self))
+
+    def _sensed(self, stamp: int) -> dict[str, float]:
+        return self._site.sensed(seconds(stamp - self._origin))
 
     def _show(self) -> None:
         """Publish the status where it has changed."""
@@ -451,15 +400,6 @@ class Probe(GuardedNode):
         level = Level.WARN if problem or self._last else Level.OK
         state = "no signal" if problem else "measuring"
         self._status.show(level, text, {"state": state, "datum": "", **counters})
-
-    def _publish_environment(self, stamp: int) -> None:
-        self._environment_stamp = stamp
-        for name, value in self._site.sensed(seconds(stamp - self._origin)).items():
-            kind, field = TOPICS[name]
-            message = kind(**{field: value})
-            message.header.stamp = to_message(stamp)
-            message.header.frame_id = name
-            self._sensors[name].publish(message)
 
 
 def main(args: list[str] | None = None) -> int:

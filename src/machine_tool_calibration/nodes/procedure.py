@@ -10,21 +10,22 @@ clear state in simulated time too.
 
 from __future__ import annotations
 
+import json
+import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped
-from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
-from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+from trajectory_msgs.msg import JointTrajectory
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.nodes.answers import event_of
 from machine_tool_calibration.nodes.environment import EnvironmentWatch
 from machine_tool_calibration.nodes.ros.messages import (
     COMMAND,
@@ -32,18 +33,20 @@ from machine_tool_calibration.nodes.ros.messages import (
     READINGS,
     STATE,
     Level,
-    duration_message,
+    dated,
     from_message,
+    joint_state,
     now,
     positions,
     stamp_among,
-    to_message,
+    trajectory,
     values,
 )
 from machine_tool_calibration.nodes.ros.names import OwnPublisher, offer
 from machine_tool_calibration.nodes.ros.node import GuardedNode
-from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run_process, use_sim_time
+from machine_tool_calibration.nodes.ros.process import STOP_GRACE, run_process
 from machine_tool_calibration.nodes.ros.services import Answer
+from machine_tool_calibration.nodes.ros.sound import LAST_SECOND
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.setups import setup_named, target_message
 from machine_tool_calibration.procedure import plan, read_procedure
@@ -53,6 +56,9 @@ from machine_tool_calibration.procedure.events import (
     Aimed,
     Arrived,
     Capture,
+    Captured,
+    CaptureFailed,
+    DatumSet,
     Emit,
     Event,
     Motion,
@@ -62,10 +68,54 @@ from machine_tool_calibration.procedure.events import (
 )
 from machine_tool_calibration.procedure.progress import State, Timing
 from machine_tool_calibration.procedure.sequencer import Sequencer
-from machine_tool_calibration.recording.graph import MACHINE
 from machine_tool_calibration.session.parse import description_yaml
 
-__all__ = ["ProcedureNode", "main"]
+__all__ = ["ProcedureNode", "event_of", "main"]
+
+
+def event_of(
+    token: int, success: bool, message: str, *, is_datum: bool, sensed: Callable[[int], Mapping[str, float]]
+) -> Captured | CaptureFailed | DatumSet:
+    """The event of an answer; one that makes no sense is a failure that says so.
+
+    Args:
+        token: of the request.
+        success: whether the instrument did what was asked.
+        message: its JSON document.
+        is_datum: whether a datum was asked for, not a reading.
+        sensed: the environment by column at a time, ns.
+    """
+    try:
+        document = json.loads(message)
+        if not success:
+            return CaptureFailed(token, document["kind"], document["reason"])
+        datum, inputs = str(document["datum"]), {name: _time(value) for name, value in document["inputs"].items()}
+        if is_datum:
+            return DatumSet(token, datum, _time(document["start"]), inputs)
+        stamp, displacement = _time(document["stamp"]), float(document["displacement"])
+        if math.isinf(displacement):
+            raise ValueError("a displacement without end")
+        own = {name: float(value) for name, value in document["environment"].items()}
+        return Captured(
+            token=token,
+            stamp=stamp,
+            start=_time(document["start"]),
+            end=_time(document["end"]),
+            displacement=displacement,
+            datum=datum,
+            columns={**sensed(stamp), **own},
+            inputs=inputs,
+        )
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        reason = f"not an answer of an instrument: {message[:80]!r} ({type(error).__name__})"
+        return CaptureFailed(token, "other", reason)
+
+
+def _time(value: Any) -> int:
+    if not isinstance(value, int) or not 0 <= value < LAST_SECOND * 1_000_000_000:
+        raise ValueError("not a time in ns")
+    return value
+
 
 _TICK = 0.1  # s of the wall clock
 _LEVELS = {State.ERROR: Level.ERROR, State.ABORTED: Level.WARN, State.PAUSED: Level.WARN}
@@ -76,22 +126,15 @@ class ProcedureNode(GuardedNode):
 
     def __init__(self) -> None:
         super().__init__("procedure")
-        simulated = bool(self.get_parameter("use_sim_time").value)
-        file: str = declare(self, "procedure", "", "YAML file of the procedure")
+        simulated = self.lives_in_simulated_time
+        file: str = self.declare("procedure", "", "YAML file of the procedure")
         if not file:
             raise CalibrationError("the parameter procedure must name a procedure's YAML file")
         timing = Timing(
-            resend=declare(
-                self,
-                "resend",
-                1.0,
-                "a command without an answer is sent again after this",
-                unit="s",
-                low=0.05,
-                high=100.0,
+            resend=self.declare(
+                "resend", 1.0, "a command without an answer is sent again after this", unit="s", low=0.05, high=100.0
             ),
-            answer=declare(
-                self,
+            answer=self.declare(
                 "answer",
                 2.0 if simulated else 5.0,
                 "a request to the instrument without an answer is sent again after this",
@@ -99,8 +142,7 @@ class ProcedureNode(GuardedNode):
                 low=0.05,
                 high=1e4,
             ),
-            patience=declare(
-                self,
+            patience=self.declare(
                 "patience",
                 15.0,
                 "a partner that does not answer for this long is an error",
@@ -109,8 +151,7 @@ class ProcedureNode(GuardedNode):
                 high=1e5,
             ),
             paced=not simulated,
-            pointing_tolerance=declare(
-                self,
+            pointing_tolerance=self.declare(
                 "pointing_tolerance",
                 1e-4,
                 "greatest deviation of the beam's angles from the command",
@@ -118,27 +159,24 @@ class ProcedureNode(GuardedNode):
                 low=1e-9,
                 high=0.1,
             ),
-            revisits=declare(
-                self,
+            revisits=self.declare(
                 "revisits",
                 4,
                 "targets measured again after a lost beam, to tie the new datum to the old",
                 low=0,
                 high=1000,
             ),
-            wait_between_setups=declare(
-                self, "wait_between_setups", False, "pause before each new setup, so that the instrument can be moved"
+            wait_between_setups=self.declare(
+                "wait_between_setups", False, "pause before each new setup, so that the instrument can be moved"
             ),
         )
-        self._arrival_source: str = declare(
-            self,
+        self._arrival_source: str = self.declare(
             "arrival",
             "status",
             "how the end of a motion is known: `status` (axes/status), or `joint_states` for a controller without it",
             choices=("status", "joint_states"),
         )
-        self._position_tolerance: float = declare(
-            self,
+        self._position_tolerance: float = self.declare(
             "position_tolerance",
             1e-5,
             "with arrival: joint_states, the axes are there within this",
@@ -146,22 +184,15 @@ class ProcedureNode(GuardedNode):
             low=1e-12,
             high=1.0,
         )
-        maximum_age: float = declare(
-            self,
-            "environment_age",
-            120.0,
-            "an environment sample older than this is not used",
-            unit="s",
-            low=0.1,
-            high=1e5,
+        maximum_age: float = self.declare(
+            "environment_age", 120.0, "an environment sample older than this is not used", unit="s", low=0.1, high=1e5
         )
-        self._moves: bool = declare(
-            self,
+        self._moves: bool = self.declare(
             "services_move_axes",
             True,
             "whether procedure/start and procedure/resume are carried out; false: they are refused",
         )
-        self._simulated_time = use_sim_time(self)
+        self._simulated_time = self.lives_in_simulated_time
         self.sequencer = Sequencer(plan(read_procedure(Path(file))), timing)
         self._setups = [setup.id for setup in self.sequencer.plan.procedure.session.setups]
         self._environment = EnvironmentWatch(self, maximum_age)
@@ -195,7 +226,7 @@ class ProcedureNode(GuardedNode):
             ("abort", self._abort),
         ):
             offer(self, "procedure", name, Trigger, partial(_answer_by, handler))
-        self.create_timer(_TICK, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.every(_TICK, self._tick)
         self._publish_session()
         self._show()
 
@@ -326,12 +357,9 @@ class ProcedureNode(GuardedNode):
             match action:
                 case Motion():
                     self._motion = action
-                    self._axes.publish(_trajectory(action))
+                    self._axes.publish(trajectory(action.stamp, action.points))
                 case Stop():
-                    message = JointTrajectory()
-                    message.header.stamp = to_message(action.stamp)
-                    message.header.frame_id = MACHINE
-                    self._axes.publish(message)
+                    self._axes.publish(trajectory(action.stamp, ()))
                 case Aim():
                     self._pointer.publish(target_message(action, self._setups))
                     self._point.publish(_point(action))
@@ -340,7 +368,7 @@ class ProcedureNode(GuardedNode):
                 case Capture():
                     self._call(self._capture, action.token, is_datum=False)
                 case Emit():
-                    self._readings.publish(_reading(action))
+                    self._readings.publish(joint_state(action.stamp, action.columns))
         if self.sequencer.state is not state or state is not State.RUNNING:
             self._show()
 
@@ -397,30 +425,9 @@ def _answer_by(handler: Callable[[], str], answer: Answer) -> None:
         answer.send(False, str(error))
 
 
-def _trajectory(motion: Motion) -> JointTrajectory:
-    names = list(motion.points[-1].position)
-    message = JointTrajectory(joint_names=names)
-    message.header.stamp = to_message(motion.stamp)
-    message.header.frame_id = MACHINE
-    message.points = [
-        JointTrajectoryPoint(positions=[place[name] for name in names], time_from_start=duration_message(clock))
-        for place, clock in motion.points
-    ]
-    return message
-
-
 def _point(aim: Aim) -> PointStamped:
-    message = PointStamped()
-    message.header.stamp = to_message(aim.stamp)
-    message.header.frame_id = MACHINE
+    message = dated(PointStamped(), aim.stamp)
     message.point.x, message.point.y, message.point.z = aim.point
-    return message
-
-
-def _reading(emit: Emit) -> JointState:
-    message = JointState(name=list(emit.columns), position=list(emit.columns.values()))
-    message.header.stamp = to_message(emit.stamp)
-    message.header.frame_id = MACHINE
     return message
 
 

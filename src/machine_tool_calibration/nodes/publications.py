@@ -20,8 +20,7 @@ from machine_tool_calibration.machine.error_motions import SQUARENESS
 from machine_tool_calibration.methods.axis_tables import axis_tables
 from machine_tool_calibration.model.result import ErrorMap, Estimate, Result
 from machine_tool_calibration.nodes.calculation import Diagnosed, Identified, Improved
-from machine_tool_calibration.nodes.ros.messages import LATCHED, Level, cloud, stamp_now, status, to_message
-from machine_tool_calibration.recording.graph import MACHINE
+from machine_tool_calibration.nodes.ros.messages import LATCHED, Level, cloud, dated, stamp_now, status
 from machine_tool_calibration.reports.quantities import sizes_in_words
 from machine_tool_calibration.reports.verdict import verdict_words
 
@@ -68,7 +67,7 @@ def axis_cloud(stamp: int, result: Result) -> PointCloud2:
     return cloud(stamp, {name: content[:, k] for k, name in enumerate(AXIS_FIELDS)})
 
 
-def arrows(stamp: int, error_map: ErrorMap, magnification: float = 0.0, frame: str = MACHINE) -> MarkerArray:
+def arrows(stamp: int, error_map: ErrorMap, magnification: float = 0.0) -> MarkerArray:
     """The position errors as arrows, magnified; grey where the error is within its U (k = 2).
 
     At most MOST_ARROWS of the points, evenly chosen. A first marker takes away the arrows of an earlier map; the last
@@ -78,7 +77,6 @@ def arrows(stamp: int, error_map: ErrorMap, magnification: float = 0.0, frame: s
         stamp: ROS time, ns.
         error_map: the map.
         magnification: of the errors; 0 chooses a round one.
-        frame: of the positions.
     """
     known = np.isfinite(error_map.error)
     some = np.flatnonzero(known.any(axis=1))
@@ -94,15 +92,15 @@ def arrows(stamp: int, error_map: ErrorMap, magnification: float = 0.0, frame: s
     size = float(np.ptp(error_map.points, axis=0).max()) if len(error_map.points) else 0.0
     size = size or 0.1
     scale = magnification or _round(_LARGEST * size / max(float(length.max(initial=0.0)), 1e-9))
-    array = MarkerArray(markers=[_marker(stamp, frame, 0, Marker.ARROW, action=Marker.DELETEALL)])
+    array = MarkerArray(markers=[_marker(stamp, 0, Marker.ARROW, action=Marker.DELETEALL)])
     for k, (start, vector, sure) in enumerate(
         zip(points, scale * error, length > 2 * np.linalg.norm(spread, axis=1), strict=True)
     ):
-        marker = _marker(stamp, frame, k, Marker.ARROW, _SURE if sure else _UNSURE)
+        marker = _marker(stamp, k, Marker.ARROW, _SURE if sure else _UNSURE)
         marker.points = [_point(start), _point(start + vector)]
         marker.scale.x, marker.scale.y, marker.scale.z = 0.004 * size, 0.01 * size, 0.015 * size
         array.markers.append(marker)
-    words = _marker(stamp, frame, len(chosen), Marker.TEXT_VIEW_FACING, _UNSURE)
+    words = _marker(stamp, len(chosen), Marker.TEXT_VIEW_FACING, _UNSURE)
     words.text = f"errors x {scale:g}, largest {1e6 * float(length.max(initial=0.0)):.1f} um"
     words.pose.position = (
         _point(np.append(points[:, :2].mean(axis=0), points[:, 2].max() + 0.1 * size)) if len(points) else Point()
@@ -119,20 +117,12 @@ def _round(value: float) -> float:
 
 
 def _marker(
-    stamp: int,
-    frame: str,
-    number: int,
-    kind: int,
-    color: tuple[float, float, float] = _UNSURE,
-    *,
-    action: int = Marker.ADD,
+    stamp: int, number: int, kind: int, color: tuple[float, float, float] = _UNSURE, *, action: int = Marker.ADD
 ) -> Marker:
     marker = Marker(ns="error_map", id=number, type=kind, action=action)
-    marker.header.stamp = to_message(stamp)
-    marker.header.frame_id = frame
     marker.pose.orientation.w = 1.0
     marker.color = ColorRGBA(r=color[0], g=color[1], b=color[2], a=1.0)
-    return marker
+    return dated(marker, stamp)
 
 
 def _point(position: Array) -> Point:
@@ -167,7 +157,7 @@ def verdict_message(stamp: int, done: Diagnosed) -> DiagnosticArray:
     """
     level = Level.OK if done.found.verdict == "adequate" else Level.WARN
     message = DiagnosticArray(status=[status("verdict", level, in_words(done), dict(_verdict(done.content)))])
-    message.header.stamp = to_message(stamp)
+    dated(message, stamp, "")
     titles = {r.name: r.candidate.effect.title for r in done.found.ranked if r.candidate.effect is not None}
     for rank, candidate in enumerate(done.content["candidates"], start=1):
         name = candidate["effect"]

@@ -8,16 +8,14 @@ from datetime import datetime
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.clock import Clock, ClockType
 
-from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.errors import CalibrationError, RecordingError
 from machine_tool_calibration.nodes.ros.messages import LATCHED, Level, now, status
 from machine_tool_calibration.nodes.ros.names import OwnPublisher, own_names
 from machine_tool_calibration.nodes.ros.node import GuardedNode
-from machine_tool_calibration.nodes.ros.process import declare, run_process, use_sim_time
+from machine_tool_calibration.nodes.ros.process import run_process
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.ros.taps import Taken, Tap, Taps
-from machine_tool_calibration.recording.errors import RecordingError
 from machine_tool_calibration.recording.graph import GRAPH_TOPICS, belongs_to_graph, with_depth
 from machine_tool_calibration.recording.metadata import Qos
 from machine_tool_calibration.recording.writer import BagWriter
@@ -41,18 +39,18 @@ class Recorder(GuardedNode):
         """
         super().__init__("recorder")
         self._wanted = [name for name in self._declare_topics() if name]
-        self._everything = declare(self, "all_topics", False, "record every topic that is discovered")
-        folder = declare(self, "folder", "", "folder of the bag; recording_<date>_<time> if empty")
-        split_bytes = declare(self, "split_size", 0, "size at which a new file begins; 0 never", unit="B", low=0)
-        split_time = declare(self, "split_duration", 0.0, "duration of a file; 0 endless", unit="s", low=0.0)
-        flush = declare(self, "flush_period", 0.4, "longest age of what a kill may cost", unit="s", low=0.02, high=0.8)
+        self._everything = self.declare("all_topics", False, "record every topic that is discovered")
+        folder = self.declare("folder", "", "folder of the bag; recording_<date>_<time> if empty")
+        split_bytes = self.declare("split_size", 0, "size at which a new file begins; 0 never", unit="B", low=0)
+        split_time = self.declare("split_duration", 0.0, "duration of a file; 0 endless", unit="s", low=0.0)
+        flush = self.declare("flush_period", 0.4, "longest age of what a kill may cost", unit="s", low=0.02, high=0.8)
         told = OwnPublisher(self, "recorder", "status", DiagnosticArray, LATCHED)
         self._status = StatusTopic(self, told, "recorder")
         self._ignored = {*_NEVER, *map(self.resolve_topic_name, own_names(self, "recorder", "status"))}
         self._refused: dict[str, str] = {}
         self._taken = 0
         self.trouble = ""
-        self._waiting = use_sim_time(self)
+        self._waiting = self.lives_in_simulated_time
         self.bag = BagWriter(
             Path(folder or f"recording_{datetime.now():%Y%m%d_%H%M%S}"),
             flush_seconds=flush,
@@ -63,10 +61,9 @@ class Recorder(GuardedNode):
         self._subscribe_known()
         self._discover()
         self._show()
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_TAKE, self._take, clock=steady)
-        self.create_timer(_DISCOVER, self._discover, clock=steady)
-        self.create_timer(_SHOW, self._show, clock=steady)
+        self.every(_TAKE, self._take)
+        self.every(_DISCOVER, self._discover)
+        self.every(_SHOW, self._show)
         self.get_logger().info(f"recording to {self.bag.folder}")
 
     def close(self) -> None:
@@ -92,7 +89,7 @@ class Recorder(GuardedNode):
 
     def _declare_topics(self) -> list[str]:
         return list(
-            declare(self, "topics", [""], "names of the topics to record; those of a measurement if there are none")
+            self.declare("topics", [""], "names of the topics to record; those of a measurement if there are none")
         )
 
     def _subscribe_known(self) -> None:
@@ -135,7 +132,7 @@ class Recorder(GuardedNode):
             self._waiting = now(self) == 0
             if self._waiting:
                 return
-        simulated = use_sim_time(self)
+        simulated = self.lives_in_simulated_time
         for message in self.taps.take(last=last):
             self._taken += 1
             time = (message.simulated or now(self)) if simulated else message.received

@@ -14,7 +14,6 @@ import math
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
-from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
@@ -23,20 +22,19 @@ from machine_tool_calibration.nodes.ros.messages import (
     LATCHED,
     STATE,
     Level,
+    joint_state,
     nanoseconds,
     now,
     pose_message,
     quaternion_along,
     seconds,
-    to_message,
 )
 from machine_tool_calibration.nodes.ros.node import GuardedNode
-from machine_tool_calibration.nodes.ros.process import STOP_GRACE, declare, run_process
+from machine_tool_calibration.nodes.ros.process import STOP_GRACE, run_process
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.setups import SETUP, Target, hear_targets
-from machine_tool_calibration.nodes.site import Beam, Moment, Site, read_site
+from machine_tool_calibration.nodes.site import Beam, Moment, declare_site
 from machine_tool_calibration.procedure.motion import AxisLimits, Move, move
-from machine_tool_calibration.recording.graph import MACHINE
 from machine_tool_calibration.session.description import Description, StationSetup
 from machine_tool_calibration.session.parse import parse_description
 
@@ -51,30 +49,20 @@ class RotaryPointer(GuardedNode):
 
     def __init__(self) -> None:
         super().__init__("rotary_pointer")
-        site: str = declare(
-            self, "site", "", "YAML file with the seed and the pointer's true errors; empty: a pointer without errors"
+        self.site, self._origin = declare_site(
+            self, "YAML file with the seed and the pointer's true errors; empty: a pointer without errors"
         )
-        origin: float = declare(
-            self,
-            "time_origin",
-            0.0,
-            "ROS time at which the site's time is zero; 0: this node's start",
-            unit="s",
-            low=0.0,
+        rate: float = self.declare(
+            "state_rate", 50.0, "rate of pointer/state in real time", unit="Hz", low=1.0, high=1000.0
         )
-        rate: float = declare(
-            self, "state_rate", 50.0, "rate of pointer/state in real time", unit="Hz", low=1.0, high=1000.0
+        speed: float = self.declare(
+            "speed", 2.0, "greatest speed of azimuth and elevation", unit="rad/s", low=1e-6, high=1e3
         )
-        speed: float = declare(
-            self, "speed", 2.0, "greatest speed of azimuth and elevation", unit="rad/s", low=1e-6, high=1e3
+        acceleration: float = self.declare(
+            "acceleration", 20.0, "their greatest acceleration", unit="rad/s^2", low=1e-6, high=1e5
         )
-        acceleration: float = declare(
-            self, "acceleration", 20.0, "their greatest acceleration", unit="rad/s^2", low=1e-6, high=1e5
-        )
-        self._simulated = bool(self.get_parameter("use_sim_time").value)
-        self._origin = nanoseconds(origin) if origin else Clock().now().nanoseconds
+        self._simulated = self.lives_in_simulated_time
         self._limits = dict.fromkeys(_ANGLES, AxisLimits(speed, acceleration))
-        self.site = Site(read_site(site))
         self._session: Description | None = None
         self._waiting: Target | None = None
         self._setup = ""
@@ -90,7 +78,7 @@ class RotaryPointer(GuardedNode):
         self.create_subscription(String, "session", self._described, LATCHED)
         hear_targets(self, self._commanded)
         period = _HEARTBEAT if self._simulated else 1.0 / rate
-        self.create_timer(period, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.every(period, self._tick)
 
     def _described(self, message: String) -> None:
         self._session = parse_description(message.data, "session")
@@ -152,22 +140,14 @@ class RotaryPointer(GuardedNode):
         place, rate = self._motion.position(since), self._motion.velocity(since)
         azimuth = math.remainder(place["azimuth"], math.tau)
         self._publish_truth(stamp, azimuth, place["elevation"])
-        message = JointState(
-            name=list(_ANGLES),
-            position=[azimuth, place["elevation"]],
-            velocity=[rate[name] for name in _ANGLES],
-        )
+        values = {"azimuth": azimuth, "elevation": place["elevation"]}
         if self._setup:
-            message.name.append(SETUP)
-            message.position.append(float(self._ids().index(self._setup)))
-            message.velocity.append(0.0)
-        message.header.stamp = to_message(stamp)
-        message.header.frame_id = MACHINE
-        self._states.publish(message)
+            values[SETUP], rate = float(self._ids().index(self._setup)), {**rate, SETUP: 0.0}
+        self._states.publish(joint_state(stamp, values, rate))
 
     def _publish_truth(self, stamp: int, azimuth: float, elevation: float) -> None:
         beam = self._beam(stamp, azimuth, elevation)
-        self._truth.publish(pose_message(stamp, MACHINE, beam.origin, quaternion_along(beam.direction)))
+        self._truth.publish(pose_message(stamp, beam.origin, quaternion_along(beam.direction)))
 
     def _beam(self, stamp: int, azimuth: float, elevation: float) -> Beam:
         """The true beam; from the machine's zero as long as no setup has been commanded."""

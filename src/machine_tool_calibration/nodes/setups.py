@@ -17,7 +17,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.nodes.ros.messages import COMMAND, from_message, positions, to_message
+from machine_tool_calibration.nodes.ros.messages import COMMAND, from_message, joint_state, positions
 from machine_tool_calibration.procedure.events import Aim
 from machine_tool_calibration.recording.graph import MACHINE
 
@@ -66,10 +66,7 @@ class Target:
 def target_message(aim: Aim, ids: Sequence[str]) -> JointState:
     """The message of topic `pointer/target`."""
     values = {**dict(zip("xyz", map(float, aim.point), strict=True)), SETUP: float(ids.index(aim.setup))}
-    message = JointState(name=list(values), position=list(values.values()))
-    message.header.stamp = to_message(aim.stamp)
-    message.header.frame_id = MACHINE
-    return message
+    return joint_state(aim.stamp, values)
 
 
 def hear_targets(node: Node, heard: Callable[[Target], None]) -> None:

@@ -8,11 +8,12 @@ from the seed.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -20,6 +21,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.machine.chain import Chain
+from machine_tool_calibration.session.defects import first_defect
 from machine_tool_calibration.session.description import Description, StationSetup, Target
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
@@ -28,12 +30,15 @@ from machine_tool_calibration.simulation.flaw import Chosen
 from machine_tool_calibration.simulation.flaws import choose_flaw
 from machine_tool_calibration.simulation.live import LiveMachine
 from machine_tool_calibration.simulation.machine import VirtualMachine
-from machine_tool_calibration.simulation.machine_file import MachineSpec, build_machine, one_line
+from machine_tool_calibration.simulation.machine_file import MachineSpec, build_machine
 from machine_tool_calibration.simulation.scene import Scene
 from machine_tool_calibration.simulation.sensors import Pointer
 from machine_tool_calibration.simulation.spec import FlawSpec
 
-__all__ = ["Beam", "Moment", "PointerSpec", "Site", "SiteSpec", "read_site"]
+if TYPE_CHECKING:
+    from machine_tool_calibration.nodes.ros.node import GuardedNode
+
+__all__ = ["Beam", "Moment", "PointerSpec", "Site", "SiteSpec", "declare_site", "read_site"]
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Size = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -262,6 +267,28 @@ def _linear(moment: Moment) -> Array:
     return np.array([[moment.position.get(axis, 0.0) for axis in "xyz"]])
 
 
+def declare_site(
+    node: GuardedNode, description: str = "YAML file with what is true in the simulated workshop; empty: the usual one"
+) -> tuple[Site, int]:
+    """The site that a node's parameters `site` and `time_origin` name.
+
+    Args:
+        node: whose parameters they are.
+        description: of the file.
+
+    Returns:
+        The site, and the ROS time at which its time is zero, ns.
+
+    Raises:
+        CalibrationError: as for `read_site` and `Site`.
+    """
+    file: str = node.declare("site", "", description)
+    origin: float = node.declare(
+        "time_origin", 0.0, "ROS time at which the site's time is zero; 0: this node's start", unit="s", low=0.0
+    )
+    return Site(read_site(file)), round(origin * 1e9) or time.time_ns()
+
+
 def read_site(path: str) -> SiteSpec:
     """The site described in a YAML file; the usual one for an empty path.
 
@@ -270,8 +297,8 @@ def read_site(path: str) -> SiteSpec:
     """
     if not path:
         return SiteSpec()
-    content = load_yaml(read_text(Path(path)), path).value
+    document = load_yaml(read_text(Path(path)), path)
     try:
-        return SiteSpec.model_validate(content if content is not None else {})
+        return SiteSpec.model_validate(document.value if document.value is not None else {})
     except ValidationError as error:
-        raise CalibrationError(f"{path}: {one_line(error)}") from None
+        raise CalibrationError(first_defect(error, path, document, SiteSpec)) from None

@@ -10,7 +10,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.methods.step_diagonal.geometry import Run, runs_of
-from machine_tool_calibration.planning.option import Option
+from machine_tool_calibration.planning.options import Option
 from machine_tool_calibration.planning.sensing import Changed, appended, first_repetition
 from machine_tool_calibration.session.description import StepDiagonal
 from machine_tool_calibration.session.session import Session

@@ -30,8 +30,7 @@ from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.model import Constraint, MethodModel
 from machine_tool_calibration.model.restated import declared
 from machine_tool_calibration.model.result import ErrorMap
-from machine_tool_calibration.planning.option import Option
-from machine_tool_calibration.planning.options import further_options
+from machine_tool_calibration.planning.options import Option, further_options
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["ANGULAR", "DRIFT", "Dominant", "Remedy", "dominant", "expected_model", "limits_of"]

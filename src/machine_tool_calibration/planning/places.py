@@ -11,21 +11,13 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.instruments.tracking import pointing
 from machine_tool_calibration.methods.probing.geometry import touches
-from machine_tool_calibration.planning.option import Option
+from machine_tool_calibration.planning.options import Option
 from machine_tool_calibration.planning.sensing import Changed, appended, first_repetition
 from machine_tool_calibration.session.checks.nominal_geometry import on_table, places
 from machine_tool_calibration.session.description import Probing, RotaryAxis, TrackingInterferometer
-from machine_tool_calibration.session.method import load
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["further_angles", "further_stations", "other_places"]
-
-
-def other_places(session: Session) -> Iterator[Option]:
-    """Further setups that the method allows, each with the readings of one that was made."""
-    further = session.spec.further_places
-    if further is not None:
-        yield from load(further)(session, session.description)
+__all__ = ["further_angles", "further_stations"]
 
 
 def _fresh(ids: list[str], name: str) -> str:

@@ -20,8 +20,7 @@ from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.planning.advice import ALIKE, Advice, Separation, Visibility, alias_groups_of
 from machine_tool_calibration.planning.dominant import limits_of
-from machine_tool_calibration.planning.option import Option
-from machine_tool_calibration.planning.options import further_options
+from machine_tool_calibration.planning.options import Option, further_options
 from machine_tool_calibration.planning.sensing import Assumed, Sensed, sense
 from machine_tool_calibration.session.session import Session
 

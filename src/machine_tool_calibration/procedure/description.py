@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Container
 from pathlib import Path as FilePath
 from typing import Annotated, Any, Literal
 
@@ -11,12 +10,13 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.catalogue import method_spec
+from machine_tool_calibration.session.defects import first_defect
 from machine_tool_calibration.session.description import Description
 from machine_tool_calibration.session.parse import describe
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import Document, load_yaml
 
-__all__ = ["Motion", "Path", "Procedure", "Spread", "first_defect", "parse_procedure", "read_procedure"]
+__all__ = ["Motion", "Path", "Procedure", "Spread", "parse_procedure", "read_procedure"]
 
 _MOST_REPEATS = 1000
 
@@ -161,7 +161,7 @@ def parse_procedure(text: str, source: str) -> Procedure:
     try:
         content = _File.model_validate(document.value)
     except ValidationError as error:
-        raise SessionError(first_defect(error, source, document, _UNNAMED)) from None
+        raise SessionError(first_defect(error, source, document, _File, _UNNAMED)) from None
     lines = {path[1:]: line for path, line in document.lines.items() if path[:1] == ("session",)}
     inner = Document({"format": "mtcal-session/1", **content.session}, lines)
     session = describe(inner.value, source, inner)
@@ -180,26 +180,3 @@ def parse_procedure(text: str, source: str) -> Procedure:
         path=content.path if content.path is not None else _FROM_SESSION,
         motion=content.motion,
     )
-
-
-def first_defect(error: ValidationError, source: str, document: Document, unnamed: Container[str]) -> str:
-    """The first defect in one line; an unknown key first, as it is often the misspelt one that is then missing.
-
-    Args:
-        error: of the records that the document was read into.
-        source: name of the file.
-        document: its text.
-        unnamed: parts of a defect's place that are names of records, not keys of the file.
-    """
-    defects = sorted(error.errors(include_url=False), key=lambda defect: defect["type"] != "extra_forbidden")
-    defect = defects[0]
-    path = tuple(part for part in defect["loc"] if part not in unnamed)
-    line = document.line(path)
-    where = source if line is None else f"{source} line {line}"
-    key = ".".join(str(part) for part in path)
-    if defect["type"] == "extra_forbidden":
-        return f"{where}: unknown key {key!r}"
-    if defect["type"] == "missing":
-        return f"{where}: the key {key!r} is missing"
-    text = str(defect.get("ctx", {}).get("error", defect["msg"]))
-    return f"{where}: {key}: {text[0].lower()}{text[1:]}" if key else f"{where}: {text}"

@@ -22,7 +22,7 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.recording.errors import RecordingError
+from machine_tool_calibration.errors import RecordingError
 
 __all__ = [
     "JOINT_STATE",
@@ -35,7 +35,6 @@ __all__ = [
     "definition_of",
     "encode",
     "encode_joint_state",
-    "joint_state",
     "numbers",
     "part",
     "text",
@@ -208,15 +207,6 @@ class JointStateReader:
             self._raw = b""
             raise RecordingError(f"a {JOINT_STATE} is damaged: {error}") from None
         return JointState(sec * 1_000_000_000 + nanosec, frame, self._names, positions)
-
-
-def joint_state(data: bytes) -> JointState:
-    """One JointState.
-
-    Raises:
-        RecordingError: damaged.
-    """
-    return JointStateReader().read(data)
 
 
 def _joint_state_by_library(data: bytes) -> JointState:

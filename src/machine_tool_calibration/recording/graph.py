@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from machine_tool_calibration.recording.errors import RecordingError
+from machine_tool_calibration.errors import RecordingError
 from machine_tool_calibration.recording.metadata import Qos
 
 if TYPE_CHECKING:  # who only names topics reads no bag

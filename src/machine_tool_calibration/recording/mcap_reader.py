@@ -10,7 +10,7 @@ from pathlib import Path
 from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Footer, Header, Schema, Statistics
 
-from machine_tool_calibration.recording.errors import RecordingError
+from machine_tool_calibration.errors import RecordingError
 from machine_tool_calibration.recording.records import (
     Budget,
     RawMessage,

@@ -12,9 +12,8 @@ from typing import Any, NamedTuple
 
 from mcap.records import Channel
 
-from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.errors import RecordingError, SessionError, UnfinishedError
 from machine_tool_calibration.recording.cdr import decode, definition_of
-from machine_tool_calibration.recording.errors import RecordingError, UnfinishedError
 from machine_tool_calibration.recording.mcap_reader import McapReader
 from machine_tool_calibration.recording.metadata import OfferedQos, Qos
 from machine_tool_calibration.session.text import read_text

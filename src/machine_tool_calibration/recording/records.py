@@ -19,7 +19,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 
-from machine_tool_calibration.recording.errors import RecordingError, UnfinishedError
+from machine_tool_calibration.errors import RecordingError, UnfinishedError
 from machine_tool_calibration.recording.mcap_file import MAGIC
 
 __all__ = [
@@ -143,7 +143,6 @@ def parse(path: Path, record: RawRecord, read: _Readable[Parsed]) -> Parsed:
         ) from None
 
 
-_HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 _IS_MESSAGE = int(Opcode.MESSAGE)  # what is compared for every message
 _CHUNK = struct.Struct("<QQQII")

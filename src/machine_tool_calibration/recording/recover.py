@@ -13,7 +13,7 @@ from pathlib import Path
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
-from machine_tool_calibration.recording.errors import RecordingError, UnfinishedError
+from machine_tool_calibration.errors import RecordingError, UnfinishedError
 from machine_tool_calibration.recording.mcap_file import MAGIC
 from machine_tool_calibration.recording.mcap_reader import Channels
 from machine_tool_calibration.recording.metadata import OfferedQos

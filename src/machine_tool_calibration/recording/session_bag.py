@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from machine_tool_calibration.errors import RecordingError
 from machine_tool_calibration.recording.cdr import JOINT_STATE, TEXT, JointStateReader, encode, encode_joint_state, text
-from machine_tool_calibration.recording.errors import RecordingError
 from machine_tool_calibration.recording.graph import LABELS, MACHINE, READING, SESSION, find_topics
 from machine_tool_calibration.recording.metadata import LATCHED, Qos
 from machine_tool_calibration.recording.reader import BagReader, Message

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from machine_tool_calibration.errors import RecordingError
 from machine_tool_calibration.recording.cdr import JOINT_STATE, NUMBERS
-from machine_tool_calibration.recording.errors import RecordingError
 from machine_tool_calibration.recording.reader import BagReader, Message, Topic
 from machine_tool_calibration.session.csv_text import write_csv
 

@@ -11,8 +11,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from machine_tool_calibration.errors import RecordingError
 from machine_tool_calibration.recording.cdr import definition_of
-from machine_tool_calibration.recording.errors import RecordingError
 from machine_tool_calibration.recording.mcap_file import McapFile
 from machine_tool_calibration.recording.metadata import (
     FileSummary,

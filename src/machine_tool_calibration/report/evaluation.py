@@ -13,41 +13,12 @@ from machine_tool_calibration.budget.contributor import Contributor
 from machine_tool_calibration.budget.propagate import Budget, propagate
 from machine_tool_calibration.diagnosis.compare import compare, compare_sessions
 from machine_tool_calibration.diagnosis.comparison import Comparison
-from machine_tool_calibration.diagnosis.history import Entry
+from machine_tool_calibration.diagnosis.history import Chosen
 from machine_tool_calibration.diagnosis.improve import Improvement, improve
-from machine_tool_calibration.effects.effect import Effect
-from machine_tool_calibration.methods.identify import JointResult, fitted_sessions, identify, identify_sessions
-from machine_tool_calibration.model.result import EffectSet, Result
-from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.methods.identify import JointResult, fitted_sessions
+from machine_tool_calibration.model.result import Result
 
-__all__ = ["Chosen", "Evaluation", "evaluate"]
-
-
-@dataclass(frozen=True)
-class Chosen:
-    """What is evaluated, and how.
-
-    Attributes:
-        sessions: the measurements, with all readings that were recorded.
-        kept: those to fit; without what the history's model sets aside.
-        labels: names of several; None for a single one.
-        model: variant of the method's model; the default if None.
-        effects: ids of the effects in the model.
-        own: effects of the user's own.
-        sets: sets of effects over which the map is the mean.
-        keep_all: whether nothing more is set aside.
-        history: the models from the first to the one in use, where it is the history's.
-    """
-
-    sessions: tuple[Session, ...]
-    kept: tuple[Session, ...]
-    labels: tuple[str, ...] | None
-    model: str | None = None
-    effects: tuple[str, ...] = ()
-    own: tuple[Effect, ...] = ()
-    sets: tuple[EffectSet, ...] = ()
-    keep_all: bool = False
-    history: tuple[Entry, ...] = ()
+__all__ = ["Evaluation", "evaluate"]
 
 
 @dataclass(frozen=True)
@@ -73,14 +44,7 @@ class Evaluation:
     @cached_property
     def document(self) -> dict[str, Any]:
         """The result as `mtcal identify --json` writes it, with the readings that the history's model set aside."""
-        document = self.result.document()
-        labels = self.chosen.labels or ("",)
-        for label, session, kept in zip(labels, self.chosen.sessions, self.chosen.kept, strict=True):
-            gone = sorted(set(session.readings.row.tolist()) - set(kept.readings.row.tolist()))
-            named = {"session": label} if label else {}
-            document["rejected"] += [{**named, "row": row, "reason": "set aside by the history"} for row in gone]
-            document["observations"] += len(gone)
-        return document
+        return self.chosen.document(self.result)
 
 
 def evaluate(
@@ -109,28 +73,15 @@ def evaluate(
     """
     progress("identifying", 0.0)
     model, effects, own = chosen.model, chosen.effects, chosen.own
-    result: Result | JointResult
-    if chosen.labels is None:
-        result = identify(
-            chosen.kept[0], model=model, effects=effects, own=own, keep_all=chosen.keep_all, sets=chosen.sets
-        )
+    result = chosen.identify()
+    if isinstance(result, Result):
         comparisons: tuple[Comparison, ...] = (compare(result),)
     else:
-        result = identify_sessions(
-            chosen.kept,
-            chosen.labels,
-            model=model,
-            effects=effects,
-            own=own,
-            keep_all=chosen.keep_all,
-            sets=chosen.sets,
-        )
-        comparisons = compare_sessions(chosen.kept, chosen.labels, model=model, effects=effects, own=own).sessions
+        comparisons = compare_sessions(chosen.kept, result.labels, model=model, effects=effects, own=own).sessions
     improved = None
     if diagnosis:
-        subject = chosen.kept[0] if chosen.labels is None else chosen.kept
         improved = improve(
-            subject, chosen.labels, model=model, effects=effects, own=own, seed=seed, sets=sets, progress=progress
+            chosen.kept, chosen.labels, model=model, effects=effects, own=own, seed=seed, sets=sets, progress=progress
         )
     fitted = fitted_sessions(result)
     budget = None

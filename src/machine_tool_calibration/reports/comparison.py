@@ -105,9 +105,6 @@ def _stand_out(count: int) -> str:
 def comparison_document(comparison: Comparison) -> dict[str, Any]:
     """The comparison as `mtcal-comparison/1`: SI units, None where the model takes a figure up."""
     overall, session = comparison.overall, comparison.fit.model.observations.session
-    rows = comparison.fit.model.observations.readings.row
-    ids = session.setup_ids
-    setup = comparison.fit.model.observations.readings.setup
     return {
         "format": "mtcal-comparison/1",
         "method": session.method,
@@ -130,15 +127,18 @@ def comparison_document(comparison: Comparison) -> dict[str, Any]:
         "trends": [asdict(trend) for trend in comparison.trends],
         "depends_on": [{"covariate": name, "share": share} for name, share in comparison.ranked],
         "outliers": list(comparison.outliers),
-        "worst": [
-            {
-                "row": int(rows[k]),
-                "setup": ids[setup[k]],
-                "residual": float(comparison.residual[k]),
-                "studentized": float(comparison.studentized[k]),
-            }
-            for k in comparison.worst
-        ],
+        "worst": [_reading(comparison, k) for k in comparison.worst],
+    }
+
+
+def _reading(comparison: Comparison, k: int) -> dict[str, Any]:
+    """How far off a reading is."""
+    observations = comparison.fit.model.observations
+    return {
+        "row": int(observations.readings.row[k]),
+        "setup": observations.session.setup_ids[observations.readings.setup[k]],
+        "residual": float(comparison.residual[k]),
+        "studentized": float(comparison.studentized[k]),
     }
 
 
@@ -183,17 +183,7 @@ def joint_document(comparison: JointComparison) -> dict[str, Any]:
             for label, one in zip(comparison.labels, comparison.sessions, strict=True)
         ],
         "setups": [{"session": label, **asdict(share)} for label, share in comparison.setups],
-        "worst": [
-            {
-                "session": label,
-                "row": int(readings.row[k]),
-                "setup": one.fit.model.observations.session.setup_ids[readings.setup[k]],
-                "residual": float(one.residual[k]),
-                "studentized": float(one.studentized[k]),
-            }
-            for label, one, k in comparison.worst
-            for readings in [one.fit.model.observations.readings]
-        ],
+        "worst": [{"session": label, **_reading(one, k)} for label, one, k in comparison.worst],
     }
 
 

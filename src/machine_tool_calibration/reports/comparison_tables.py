@@ -128,7 +128,6 @@ def _note(comparison: Comparison, shown: list[list[Trend]]) -> str:
     return "; ".join(notes)
 
 
-_MICRO = 1e6
 _MOST_PARTS, _MOST_LABELS = 12, 5
 _HOUR = 3600.0
 _HEADS = "× declared: scatter over the declared uncertainty; of all misfit: share of the sum of squares"

@@ -6,8 +6,9 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
+from machine_tool_calibration.arrays import COVERAGE
 from machine_tool_calibration.methods.probing.features import Features, Quantity
-from machine_tool_calibration.methods.probing.propagation import COVERAGE, MonteCarlo
+from machine_tool_calibration.methods.probing.propagation import MonteCarlo
 from machine_tool_calibration.methods.probing.shapes import Circle, Element
 from machine_tool_calibration.reports.quantities import NOT_DETERMINED, decimals, fixed, quantity
 from machine_tool_calibration.reports.tables import TextTable, show_table

@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import yaml
 from pydantic import ValidationError
@@ -17,8 +17,9 @@ from pydantic import ValidationError
 from machine_tool_calibration.diagnosis.history import History
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.recording.open import is_session_folder
+from machine_tool_calibration.session.defects import first_defect
 from machine_tool_calibration.session.text import read_text
-from machine_tool_calibration.session.yaml_text import Document, load_yaml
+from machine_tool_calibration.session.yaml_text import load_yaml
 
 if TYPE_CHECKING:
     import numpy as np
@@ -94,17 +95,8 @@ def read_history(path: Path) -> History:
     try:
         return History.model_validate(document.value)
     except ValidationError as error:
-        raise SessionError(_message(path, document, dict(error.errors(include_url=False)[0]))) from None
-
-
-def _message(path: Path, document: Document, defect: dict[str, Any]) -> str:
-    where = tuple(defect["loc"])
-    line = document.line(where) if where else None
-    key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in where).lstrip(".")
-    text = str(defect.get("ctx", {}).get("error") or defect["msg"])
-    at = f"{path} line {line}" if line else str(path)
-    what = f"{key}: {text}" if key else text
-    return f"{at}: {what[0].lower()}{what[1:]}; mend the file, or move it away to start a new history"
+        what = first_defect(error, str(path), document, History)
+        raise SessionError(f"{what}; mend the file, or move it away to start a new history") from None
 
 
 def update_history(path: Path, change: Callable[[History], History]) -> History:

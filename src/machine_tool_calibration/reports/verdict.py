@@ -33,8 +33,6 @@ _TOO_LARGE = 0.01
 _MANY = 3
 # Standard uncertainties between confounded effects from which the readings distinguish them all the same.
 _APART = 6.0
-# Chance below which a backlash of the impossible sign is no accident.
-_REVERSED = 1e-6
 # Scatter of repeats over that of all, below which places differ more than their repeats.
 _SHARED = 0.7
 

@@ -17,7 +17,13 @@ from machine_tool_calibration.model.model import Parameter, Term
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.reproducibility import reproducibility
 
-__all__ = ["Pool"]
+__all__ = ["RANDOM", "Pool"]
+
+# Standard uncertainties below which the signal of a random function of the largest size does not show.
+_SHOWN = 0.3
+
+RANDOM = "random functions"
+"""Name of the family of the model's own unknowns that are random functions."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +92,11 @@ class Pool:
 
     @cached_property
     def spread(self) -> tuple[Array, IntArray, tuple[str, ...]]:
-        """(u, n) columns of what does not reproduce, the family of each, and the families' names."""
+        """(u, n) columns of what does not reproduce, the family of each, and the families' names.
+
+        Unknowns of the model that are random functions are the last family: their columns are those of functions of
+        size 1, in their unit.
+        """
         every = [reproducibility(o) for o in self.observations]
         names = tuple(dict.fromkeys(family.name for own in every for family in own))[:3]
         columns, place = [np.zeros((0, len(self)))], [np.zeros(0, dtype=np.int64)]
@@ -96,7 +106,27 @@ class Pool:
                     mine = family.columns()
                     columns.append(self.only(mine * self.sigma[piece], piece))
                     place.append(np.full(len(mine), names.index(family.name), dtype=np.int64))
+        random = self.fit.random
+        if random is not None:
+            further = _shown(random.root.T @ self._columns_of(random.names), self.sigma / max(random.sizes))
+            columns.append(further)
+            place.append(np.full(len(further), len(names), dtype=np.int64))
+            names = (*names, RANDOM)
         return np.concatenate(columns), np.concatenate(place), names
+
+    @property
+    def sizes(self) -> tuple[dict[float, float], ...]:
+        """Sizes of unknowns that are random functions, with their probabilities before any reading; none without."""
+        return () if self.fit.random is None else (self.fit.random.sizes,)
+
+    def _columns_of(self, names: Sequence[str]) -> Array:
+        """(q, n) change of each reading per unit of unknowns of the model's terms."""
+        assembly = self.fit.assembly
+        place = {parameter.name: k for k, parameter in enumerate(assembly.parameters)}
+        every = np.zeros((len(assembly.parameters), len(self)))
+        for model, where, piece in zip(assembly.models, assembly.places, self.pieces, strict=True):
+            every[where[len(model.own) :], piece] = model.dense()
+        return every[[place[name] for name in names]]
 
     def only(self, columns: Array, piece: slice) -> Array:
         """(k, n) columns of one session's readings, zero elsewhere."""
@@ -105,14 +135,14 @@ class Pool:
         return out
 
     def screen(self, columns: Array) -> Projected:
-        """What the fit leaves of (k, n) further columns.
+        """What the fit, without unknowns that are random functions, leaves of (k, n) further columns.
 
         The squared norms before count within the runs: a constant of a run is its datum, and an effect counts by how it
         varies.
         """
         shared = tuple(Parameter(f"{k}", "1", shared=True) for k in range(len(columns)))
         terms: Sequence[Sequence[Term]] = [[Term("columns", shared, columns[:, piece])] for piece in self.pieces]
-        return screen_joint(self.fit, terms)
+        return screen_joint(self.fit.released, terms)
 
     def within_runs(self, columns: Array) -> Array:
         """(k,) squared norms of columns over the declared uncertainty, without the mean of each run."""
@@ -122,3 +152,15 @@ class Pool:
         for k, column in enumerate(scaled):
             out[k] = np.sum((column - (np.bincount(self.run, column) / count)[self.run]) ** 2)
         return out
+
+
+def _shown(columns: Array, sigma: Array) -> Array:
+    """(k, n) columns of independent coefficients of size 1 in directions of their own, without those that do not show.
+
+    Args:
+        columns: (r, n) of coefficients that are independent and alike.
+        sigma: (n,) what a reading must exceed, per unit of the coefficients.
+    """
+    _, size, readings = np.linalg.svd(columns / sigma, full_matrices=False)
+    kept = size > _SHOWN
+    return np.asarray(size[kept, None] * readings[kept] * sigma)

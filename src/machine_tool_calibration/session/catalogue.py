@@ -1,15 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The catalogue of measuring methods: built-in ones and those of plugins."""
+"""The catalogue of measuring methods, built-in ones and those of plugins, and the columns that each needs."""
 
 from __future__ import annotations
 
+import difflib
 import warnings
+from collections.abc import Collection
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
+from typing import TYPE_CHECKING
 
+from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.method import MethodSpec, load
 
-__all__ = ["ENTRY_POINT_GROUP", "METHODS", "method_names", "method_spec"]
+if TYPE_CHECKING:
+    from machine_tool_calibration.session.description import Description
+
+__all__ = ["ENTRY_POINT_GROUP", "METHODS", "method_names", "method_spec", "needed_columns", "require_columns"]
+
 
 ENTRY_POINT_GROUP = "machine_tool_calibration.methods"
 
@@ -62,3 +70,23 @@ def method_spec(name: str) -> MethodSpec:
         spec: MethodSpec = load(METHODS[name])
         return spec
     return _plugins()[name]
+
+
+_AXES = ("x", "y", "z", "a", "b", "c")
+
+
+def needed_columns(description: Description) -> tuple[str, ...]:
+    """Columns of `observations.csv` without which the method cannot work."""
+    return method_spec(description.method).columns(description)
+
+
+def require_columns(description: Description, columns: Collection[str], source: str) -> None:
+    """Raise a SessionError that names the first column that is missing."""
+    needed = needed_columns(description)
+    for name in needed:
+        if name not in columns:
+            near = difflib.get_close_matches(name, columns, n=1, cutoff=0.75)
+            hint = f" (it has {near[0]!r})" if near and near[0] not in needed else ""
+            raise SessionError(f"{source}: the column {name!r} is missing, which {description.method} needs{hint}")
+    if method_spec(description.method).any_axis and not any(axis in columns for axis in _AXES):
+        raise SessionError(f"{source}: no column of an axis position (x, y, z or c), which {description.method} needs")

@@ -11,8 +11,8 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.session.catalogue import require_columns
 from machine_tool_calibration.session.checks import check_session
-from machine_tool_calibration.session.columns import require_columns
 from machine_tool_calibration.session.description import Description, Place
 from machine_tool_calibration.session.parse import parse_description
 from machine_tool_calibration.session.session import Session, assemble

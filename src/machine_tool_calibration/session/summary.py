@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.session.catalogue import needed_columns
 from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.checks.suspicion import suspicions
-from machine_tool_calibration.session.columns import needed_columns
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["ColumnSummary", "SessionSummary", "SetupSummary", "summarize"]

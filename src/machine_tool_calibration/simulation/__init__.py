@@ -67,7 +67,7 @@ from machine_tool_calibration.simulation.sensors import (
     probed,
     sensed_path,
 )
-from machine_tool_calibration.simulation.simulate import Simulated, Truth, measured_again, simulate, simulate_many
+from machine_tool_calibration.simulation.simulate import Simulated, Truth, measured_again, simulate
 from machine_tool_calibration.simulation.spec import Chips, FlawSpec, SimulationSpec, Spread
 from machine_tool_calibration.simulation.tracking_run import TrackingPlan
 
@@ -113,5 +113,4 @@ __all__ = [
     "read_machine",
     "sensed_path",
     "simulate",
-    "simulate_many",
 ]

@@ -77,6 +77,17 @@ class Disturbance:
     table_shift: Array | None = None
     table_tilt: Array | None = None
 
+    def grown(self, points: Array, axis: str) -> Array:
+        """Where points (n, 3) of the table are in its own frame when it, or the part on it, has grown, m."""
+        axial = np.eye(3)["ABC".index(axis)]
+        place = points
+        for growth, part in (
+            (self.growth, np.ones(3)), (self.table_radial, 1.0 - axial), (self.table_axial, axial),
+        ):
+            if growth is not None:
+                place = place + growth[:, None] * points * part
+        return place
+
     def with_table(self, place: Array) -> Array:
         """Where points (n, 3) that the table carries are when its axis has moved, m."""
         turned = place if self.table_tilt is None else rotate(place, self.table_tilt)

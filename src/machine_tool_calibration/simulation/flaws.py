@@ -10,9 +10,8 @@ import numpy as np
 
 from machine_tool_calibration.errors import CalibrationError, did_you_mean
 from machine_tool_calibration.simulation.flaw import Chosen, Flaw
-from machine_tool_calibration.simulation.flaws_position import POSITION_FLAWS, REVERSAL_FLAWS
+from machine_tool_calibration.simulation.flaws_position import POSITION_FLAWS, REVERSAL_FLAWS, THERMAL_FLAWS
 from machine_tool_calibration.simulation.flaws_reading import READING_FLAWS
-from machine_tool_calibration.simulation.flaws_slow import THERMAL_FLAWS
 from machine_tool_calibration.simulation.flaws_unlisted import UNLISTED_FLAWS
 from machine_tool_calibration.simulation.scene import Scene
 

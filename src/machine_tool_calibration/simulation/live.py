@@ -117,12 +117,7 @@ class LiveMachine:
     def on_table(self, scene: Scene, point: Array) -> Array:
         """(n, 3) where a point of the table (its target, the workpiece) really is in the machine frame, m."""
         disturbance = self.disturbance(scene)
-        place = np.broadcast_to(np.asarray(point, float), (len(scene), 3))
-        axial = np.eye(3)["ABC".index(scene.axis)]
-        for growth, part in ((disturbance.growth, np.ones(3)), (disturbance.table_radial, 1.0 - axial),
-                             (disturbance.table_axial, axial)):
-            if growth is not None:
-                place = place + growth[:, None] * point * part
+        place = disturbance.grown(np.broadcast_to(np.asarray(point, float), (len(scene), 3)), scene.axis)
         shift = disturbance.axis.get(scene.axis, np.zeros(len(scene)))
         return disturbance.with_table(self.machine.on_table(place, scene.angle, scene.axis, shift))
 

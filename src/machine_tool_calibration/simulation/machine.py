@@ -115,10 +115,10 @@ class VirtualMachine:
         point: Array = self.position(command, shift, errors) - np.asarray(self.tool_offset)
         return point
 
-    def position_error(self, command: Array, shift: Mapping[str, Array] | None = None) -> Array:
+    def position_error(self, command: Array) -> Array:
         """Actual minus commanded position of the functional point, (n, 3), m."""
         at = np.atleast_2d(np.asarray(command, float))
-        error: Array = self.functional_point(at, shift) - at
+        error: Array = self.functional_point(at) - at
         return error
 
     def tool_rotation(self, command: Array, errors: Mapping[str, Array] | None = None) -> Array:

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from machine_tool_calibration.errors import CalibrationError, ModelError
 from machine_tool_calibration.machine.chain import Chain
+from machine_tool_calibration.session.defects import first_defect
 from machine_tool_calibration.session.description import Finite
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
@@ -19,7 +20,7 @@ from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.motions import AxisMotion, Table
 from machine_tool_calibration.simulation.random_machine import Amplitudes, random_machine
 
-__all__ = ["MachineSpec", "TableSpec", "build_machine", "machine_document", "one_line", "read_machine", "read_record"]
+__all__ = ["MachineSpec", "TableSpec", "build_machine", "machine_document", "read_machine", "read_record"]
 
 R = TypeVar("R", bound=BaseModel)
 _SHORTEST_TRAVEL = 1e-6  # m or rad
@@ -148,19 +149,7 @@ def read_record(path: Path, record: type[R]) -> R:
     try:
         return record.model_validate(document.value if document.value is not None else {})
     except ValidationError as error:
-        line = document.line(_key(error))
-        raise CalibrationError(f"{path}{'' if line is None else f' line {line}'}: {one_line(error)}") from None
-
-
-def one_line(error: ValidationError) -> str:
-    """The first complaint of a validation, with the key that it is about."""
-    key = ".".join(str(part) for part in _key(error)) or "the document"
-    return f"{key}: {error.errors()[0]['msg'].removeprefix('Value error, ')}"
-
-
-def _key(error: ValidationError) -> tuple[str | int, ...]:
-    """Keys and indices of the first complaint, without the method that pydantic puts in to say which plan it tried."""
-    return tuple(part for part in error.errors()[0]["loc"] if part not in ALL_METHODS)
+        raise CalibrationError(first_defect(error, str(path), document, record, ALL_METHODS)) from None
 
 
 def machine_document(machine: VirtualMachine) -> dict[str, Any]:

@@ -266,14 +266,17 @@ def random_smooth(
     return _normalised(nodes, walk, amplitude, reference, "cubic")
 
 
-def random_periodic(rng: np.random.Generator, amplitude: float, *, orders: int = 4) -> Table:
+_ORDERS = 4  # harmonics of a rotary axis's motion
+
+
+def random_periodic(rng: np.random.Generator, amplitude: float) -> Table:
     """A smooth random motion of a rotary axis: zero at 0, largest absolute value `amplitude`.
 
-    Harmonics up to `orders`, falling with the order.
+    Harmonics up to the fourth, falling with the order.
     """
     nodes = np.linspace(0.0, 2.0 * np.pi, 37)
-    k = np.arange(1, orders + 1)[:, None]
-    weights = rng.normal(size=(2, orders)) / np.sqrt(k[:, 0])
+    k = np.arange(1, _ORDERS + 1)[:, None]
+    weights = rng.normal(size=(2, _ORDERS)) / np.sqrt(k[:, 0])
     values = weights[0] @ np.cos(k * nodes) + weights[1] @ np.sin(k * nodes)
     values[-1] = values[0]
     return _normalised(nodes, values, amplitude, 0.0, "periodic")

@@ -11,9 +11,11 @@ from typing import Any
 from pydantic import ValidationError
 
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.session.defects import first_defect
 from machine_tool_calibration.session.yaml_text import load_yaml
+from machine_tool_calibration.simulation.flaw import ALL_METHODS
 from machine_tool_calibration.simulation.flaws import find_flaw
-from machine_tool_calibration.simulation.machine_file import one_line, read_machine, read_record
+from machine_tool_calibration.simulation.machine_file import read_machine, read_record
 from machine_tool_calibration.simulation.plans import PLANS, PRESETS
 from machine_tool_calibration.simulation.spec import SimulationSpec
 
@@ -149,6 +151,6 @@ def spec_from(
     try:
         spec = SimulationSpec.model_validate(content)
     except ValidationError as error:
-        raise CalibrationError(one_line(error)) from None
+        raise CalibrationError(first_defect(error, "", record=SimulationSpec, unnamed=ALL_METHODS)) from None
     refuse_implausible(spec)
     return spec

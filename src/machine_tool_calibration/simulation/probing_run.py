@@ -226,8 +226,7 @@ def plan_probing(plan: ProbingPlan, environment: Environment, rng: np.random.Gen
                   rates=environment.rate(time), lagged=environment.behind(time), ends=plan.travel())
 
     def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
-        grown = 1.0 if disturbance.growth is None else 1.0 + disturbance.growth[:, None]
-        place = nominal[label] * grown + form[label][:, None] * outward[label]
+        place = disturbance.grown(nominal[label], "C") + form[label][:, None] * outward[label]
         shift = disturbance.axis.get("C", np.zeros(len(angle)))
         surface = disturbance.with_table(machine.on_table(place, angle, "C", shift))
         facing = machine.table_direction(outward[label], angle, "C", shift)

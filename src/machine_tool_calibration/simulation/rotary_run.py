@@ -121,15 +121,10 @@ def plan_rotary(plan: RotaryPlan, environment: Environment, rng: np.random.Gener
     direction = plan.senses()[step]
     scene = Scene(time, setup, repeat, np.zeros((len(time), 3)), angle, {plan.axis: direction}, environment(time),
                   label, plan.axis, rates=environment.rate(time), lagged=environment.behind(time))
-    axial = np.eye(3)["ABC".index(plan.axis)]
     first, second = (("ABC".index(plan.axis) + k) % 3 for k in (1, 2))
 
     def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
-        place = target[label]
-        if disturbance.table_radial is not None:
-            place = place + disturbance.table_radial[:, None] * target[label] * (1.0 - axial)
-        if disturbance.table_axial is not None:
-            place = place + disturbance.table_axial[:, None] * target[label] * axial
+        place = disturbance.grown(target[label], plan.axis)
         shift = disturbance.axis.get(plan.axis, np.zeros(len(angle)))
         actual = disturbance.with_table(machine.on_table(place, angle, plan.axis, shift))
         if disturbance.point is not None:

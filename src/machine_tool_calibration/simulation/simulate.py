@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -24,7 +24,7 @@ from machine_tool_calibration.simulation.plans import measure
 from machine_tool_calibration.simulation.scene import blocks
 from machine_tool_calibration.simulation.spec import FlawSpec, SimulationSpec
 
-__all__ = ["Simulated", "Truth", "measured_again", "simulate", "simulate_many"]
+__all__ = ["Simulated", "Truth", "measured_again", "simulate"]
 
 
 @dataclass(frozen=True)
@@ -129,12 +129,6 @@ def simulate(
         measurement.truth(flawed),
     )
     return Simulated(session, truth)
-
-
-def simulate_many(spec: SimulationSpec, seeds: Sequence[int]) -> Iterator[Simulated]:
-    """One session for each seed."""
-    for seed in seeds:
-        yield simulate(spec.model_copy(update={"seed": int(seed)}))
 
 
 def measured_again(simulated: Simulated, seed: int, noise: float | None = None) -> Session:

@@ -12,18 +12,53 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.probing.features import Features, features
-from machine_tool_calibration.methods.probing.forecast import forecast
 from machine_tool_calibration.methods.probing.geometry import turn
 from machine_tool_calibration.methods.probing.map import common_motions, responses
 from machine_tool_calibration.methods.probing.model import ProbingModel
 from machine_tool_calibration.model.fit import Fit
+from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.model.rigid_body import map_field
 from machine_tool_calibration.session.description import Probing
+from machine_tool_calibration.session.session import Readings, Session
 from machine_tool_calibration.simulation import PartPoint, ProbingPlan, SimulationSpec, simulate
 from machine_tool_calibration.simulation.probing_run import cross, pins
 from machine_tool_calibration.validation.record import Printed, Study
 
-__all__ = ["ColouredPoints", "PinPositions", "fit_first_case", "study"]
+__all__ = ["ColouredPoints", "PinPositions", "fit_first_case", "forecast", "planned_session", "study"]
+
+
+def forecast(description: Probing) -> Result:
+    """The result that the planned touches will have; its values are zero, its uncertainties and gaps those to come.
+
+    As in Section 6 of the paper. The model is linear, so that no Monte Carlo is needed.
+
+    Args:
+        description: workpiece, angles of C, repeats and the uncertainty of one touch.
+
+    Raises:
+        ModelError: the touches are fewer than what they would have to determine.
+    """
+    return identify(planned_session(description), keep_all=True)
+
+
+def planned_session(description: Probing) -> Session:
+    """A session in which every point is touched at every angle as often as planned; all readings are zero."""
+    points = np.array([point.position for point in description.workpiece])
+    shape = (len(description.setups), description.repeats, len(points))
+    setup, repeat, point = (index.ravel() for index in np.indices(shape))
+    c = np.array([entry.c for entry in description.setups])[setup]
+    sign = description.machine.rotation_sign or -1
+    place = turn(points[point], sign * c)
+    readings = Readings(
+        setup=setup,
+        repeat=repeat,
+        displacement=np.zeros(len(setup)),
+        columns={"x": place[:, 0], "y": place[:, 1], "c": c},
+        labels={"point": np.array([entry.id for entry in description.workpiece], dtype=object)[point]},
+        row=np.arange(len(setup)),
+    )
+    return Session(description, readings, "plan")
+
 
 _PAPER = (
     "A self-calibration scheme for two-dimensional free-form probing measurement under the assumption of rigid-body "

@@ -10,12 +10,12 @@ from tempfile import TemporaryDirectory
 import pandas as pd
 
 from machine_tool_calibration.diagnosis.comparison import Comparison
-from machine_tool_calibration.diagnosis.history import Entry
+from machine_tool_calibration.diagnosis.history import Chosen, Entry
 from machine_tool_calibration.export.compensation import Exported, compensation
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.plots.compensation import draw_compensation
 from machine_tool_calibration.plots.style import save_as
-from machine_tool_calibration.report.evaluation import Chosen, evaluate
+from machine_tool_calibration.report.evaluation import evaluate
 from machine_tool_calibration.report.page import write_report
 from machine_tool_calibration.report.words import words
 from machine_tool_calibration.reports.comparison import comparison_columns, joint_columns

@@ -14,8 +14,17 @@ from machine_tool_calibration.diagnosis.search.priors import ACCEPTED
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.planning.advice import Advice
 from machine_tool_calibration.reports.verdict import verdict_words
+from machine_tool_calibration.residuals.pool import RANDOM
 from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, Spread, simulate
+from machine_tool_calibration.simulation import (
+    PRESETS,
+    Amplitudes,
+    FlawSpec,
+    MachineSpec,
+    SimulationSpec,
+    Spread,
+    simulate,
+)
 
 
 def simulated(plan: str, seed: int, flaws: Sequence[FlawSpec] = (), spread: float = 0.0) -> Session:
@@ -54,6 +63,22 @@ def test_an_effect_is_found_beside_setups_that_do_not_reproduce(plan: str, effec
     if effect == "backlash_y":
         (size,) = found.look.of(effect).sizes
         assert abs(size.value - true) < 4.0 * size.standard_uncertainty
+
+
+def test_angular_errors_of_a_step_diagonal_do_not_take_up_what_is_missing() -> None:
+    """How large they are is weighed with and without it: drawn from the readings before, they held all of a drift."""
+    session = simulated("step_diagonal", 31, [FlawSpec(id="linear_drift", amplitude=2e-6)])
+    found = diagnose(session, sets=19)
+    assert found.verdict == "missing_effect"
+    (named,) = found.accepted
+    assert any({named, "linear_drift"} <= set(group) for group in found.look.groups)
+
+
+def test_angular_errors_of_a_step_diagonal_are_no_effect() -> None:
+    machine = MachineSpec(random=Amplitudes(positioning=1.5e-6, straightness=1.5e-6, angular=1e-5, squareness=3e-5))
+    found = diagnose(simulate(SimulationSpec(plan=PRESETS["step_diagonal"], seed=31, machine=machine)).session, sets=19)
+    assert found.verdict == "adequate"
+    assert found.look.spread[RANDOM] > 1e-6
 
 
 def test_warm_up_and_backlash_of_an_axis_are_both_found() -> None:

@@ -5,7 +5,15 @@ from pathlib import Path
 import pytest
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.instruments.drivers import Driver, Health, InstrumentError, Sample, load, load_driver
+from machine_tool_calibration.instruments import drivers
+from machine_tool_calibration.instruments.drivers import (
+    PLUGIN_GROUP,
+    Driver,
+    Health,
+    InstrumentError,
+    Sample,
+    load_driver,
+)
 
 EXAMPLES = sorted((Path(__file__).parents[3] / "config" / "drivers").glob("*.yaml"))
 TEXT = r"""
@@ -44,8 +52,8 @@ def test_there_are_examples() -> None:
     [
         ("unit: mm", "unit: furlong", "line 6: value.unit"),
         ("unit: mm", "unit: mm, scale: 0", "line 6: value.scale: must not be 0"),
-        ("unit: mm", "unit: mm, scael: 1", "line 6: value.scael: unknown key"),
-        ("value: {unit: mm}", "", "value: the key is missing"),
+        ("unit: mm", "unit: mm, scael: 1", "line 6: unknown key 'value.scael' (did you mean 'scale'?)"),
+        ("value: {unit: mm}", "", "the key 'value' is missing"),
         (r"(?P<value>\S+)", r"(?P<value>\S+", "not a regular expression"),
         (r"(?P<value>\S+)", r"\S+", "no group"),
         (r"(?P<value>\S+)", r"(?P<value>\S+) (?P<beam>.)", "beam_ok"),
@@ -92,15 +100,15 @@ class Silent:
 
 def plugin(monkeypatch: pytest.MonkeyPatch, value: str) -> None:
     def found(*, group: str, name: str) -> list[EntryPoint]:
-        entry = EntryPoint("mine", value, load.PLUGIN_GROUP)
+        entry = EntryPoint("mine", value, PLUGIN_GROUP)
         return [entry] if (group, name) == (entry.group, entry.name) else []
 
-    monkeypatch.setattr(load, "entry_points", found)
+    monkeypatch.setattr(drivers, "entry_points", found)
 
 
 def test_a_plugin_is_found_by_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(load, "Silent", Silent, raising=False)
-    plugin(monkeypatch, f"{load.__name__}:Silent")
+    monkeypatch.setattr(drivers, "Silent", Silent, raising=False)
+    plugin(monkeypatch, f"{drivers.__name__}:Silent")
     driver = load_driver(write(tmp_path, "driver: mine\ncolour: red\n"))
     assert isinstance(driver, Silent)
     assert driver.content == {"driver": "mine", "colour": "red"}

@@ -141,14 +141,14 @@ def test_dxf_ellipse_and_unit(read, drawing):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("- {kind: pin, centre: [0, 0], diameter: 12, count: 4, hue: 1}\n", r"line 4: unknown key 'features.0.hue'"),
-        ("- {kind: pin, centre: [0, 0], count: 4}\n", r"the key 'features.0.diameter' is missing"),
-        ("- {kind: pin, centre: [0, 0], diameter: -1, count: 4}\n", r"features.0.diameter: input should be greater"),
-        ("- {kind: gear}\n", r"features.0: input tag 'gear'"),
-        ("- {kind: pin, centre: [1e308, 0], diameter: 12, count: 4}\n", r"features.0.centre.0: input should be less"),
+        ("- {kind: pin, centre: [0, 0], diameter: 12, count: 4, hue: 1}\n", r"line 4: unknown key 'features\[0\].hue'"),
+        ("- {kind: pin, centre: [0, 0], count: 4}\n", r"the key 'features\[0\].diameter' is missing"),
+        ("- {kind: pin, centre: [0, 0], diameter: -1, count: 4}\n", r"features\[0\].diameter must be at least"),
+        ("- {kind: gear}\n", r"features\[0\]: input tag 'gear'"),
+        ("- {kind: pin, centre: [1e308, 0], diameter: 12, count: 4}\n", r"features\[0\].centre\[0\] must be at most"),
         (
             "- {kind: pin, centre: [0, 0], diameter: 5e-324, count: 4}\n",
-            r"features.0.diameter: input should be greater",
+            r"features\[0\].diameter must be at least",
         ),
         (
             "- {kind: line, start: [0, 0], end: [1e6, 0], material: left, spacing: 1e-6}\n",

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from scipy.special import log_ndtr, ndtr
@@ -108,6 +109,7 @@ class Gram:
         squares: (B,) squared norm of each data set.
         family: (u,) family of each spread column.
         freedom: degrees of freedom of the readings beside the model's unknowns.
+        sizes: of the last families, where they are known in their own unit: with their prior probabilities.
         worth: readings that what is known of the noise is worth.
     """
 
@@ -119,6 +121,7 @@ class Gram:
     squares: Array
     family: IntArray
     freedom: int
+    sizes: tuple[dict[float, float], ...] = ()
     worth: float = DECLARED_WORTH
 
     @property
@@ -127,13 +130,16 @@ class Gram:
         return 0.5 * (self.freedom + self.worth)
 
     @classmethod
-    def of(cls, projected: Array, family: IntArray, fitted: Solution) -> Gram:
+    def of(
+        cls, projected: Array, family: IntArray, fitted: Solution, sizes: tuple[dict[float, float], ...] = ()
+    ) -> Gram:
         """Of the measured data.
 
         Args:
             projected: (K + u + 1, K + u + 1) inner products of candidates' columns, spread columns and the residual.
             family: (u,) family of each spread column.
             fitted: the model that was projected off.
+            sizes: see there.
         """
         k = len(projected) - 1 - len(family)
         return cls(
@@ -145,6 +151,7 @@ class Gram:
             squares=np.array([fitted.chi_square]),
             family=family,
             freedom=fitted.degrees_of_freedom,
+            sizes=sizes,
         )
 
     def with_data(self, data: Array, spread_data: Array, squares: Array) -> Gram:
@@ -216,8 +223,13 @@ class Metric:
 
 def metrics(gram: Gram) -> list[Metric]:
     """One for every size of what does not reproduce."""
-    ratios = ratio_grid(int(gram.family.max(initial=-1)) + 1)
-    return [metric_at(gram, ratio, float(prior)) for ratio, prior in zip(ratios, log_prior(ratios), strict=True)]
+    further = list(product(*(own.items() for own in gram.sizes)))
+    ratios = ratio_grid(int(gram.family.max(initial=-1)) + 1 - len(gram.sizes), len(gram.sizes))
+    return [
+        metric_at(gram, (*ratio, *(size for size, _ in own)), float(prior + sum(np.log(p) for _, p in own)))
+        for ratio, prior in zip(ratios, log_prior(ratios), strict=True)
+        for own in further
+    ]
 
 
 def metric_at(gram: Gram, ratio: tuple[float, ...], prior: float = 0.0) -> Metric:

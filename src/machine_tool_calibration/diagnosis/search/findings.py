@@ -116,6 +116,7 @@ def finding_of(
     place: slice | None,
     gram: Gram,
     metric: Metric,
+    plain: Metric,
     *,
     probability: float,
     p_value: float,
@@ -132,6 +133,7 @@ def finding_of(
         place: of its columns; None if the model absorbs it.
         gram: inner products.
         metric: see there.
+        plain: that in which all runs and mountings reproduce.
         probability: that it is missing.
         p_value: see `Finding`.
         family_p_value: see `Finding`.
@@ -141,10 +143,10 @@ def finding_of(
     """
     k = len(shaped.columns)
     squares = float(metric.squares(gram)[0])
-    plain = float(np.sqrt(gram.squares[0] / readings)) * sigma
+    left = float(plain.squares(gram)[0])
     if place is None:
-        nothing = np.zeros(k)
-        return Finding(candidate, shaped.shape, shaped.columns, (), nothing, 0, 0.0, 1.0, 1.0, -np.inf, plain, {}, None)
+        nothing, same = np.zeros(k), float(np.sqrt(left / readings)) * sigma
+        return Finding(candidate, shaped.shape, shaped.columns, (), nothing, 0, 0.0, 1.0, 1.0, -np.inf, same, {}, None)
     inner, data = metric.inner(gram, place, place), metric.data(gram)[place, 0]
     basis = basis_of(inner, slice(0, k))
     along = basis.T @ data
@@ -155,7 +157,7 @@ def finding_of(
     sizes = tuple(Size(c, float(v), float(u)) for c, v, u in zip(shaped.coefficients, signal, deviation, strict=True))
     # Readings without any noise leave nothing.
     rest = max(1.0 - gain / squares, 1e-12) if squares > 0 else 1.0
-    taken = basis_of(gram.inner, place).T @ gram.data[place, 0]
+    taken = basis_of(plain.inner(gram, place, place), slice(0, k)).T @ plain.data(gram)[place, 0]
     unknowns = basis.shape[1] + len(candidate.nonlinear)
     return Finding(
         candidate=candidate,
@@ -168,7 +170,7 @@ def finding_of(
         p_value=p_value,
         family_p_value=family_p_value,
         bic_gain=-readings * float(np.log(rest)) - unknowns * float(np.log(readings)),
-        rms_after=float(np.sqrt(max(gram.squares[0] - taken @ taken, 0.0) / readings)) * sigma,
+        rms_after=float(np.sqrt(max(left - float(taken @ taken), 0.0) / readings)) * sigma,
         detectable=_detectable(candidate, shaped, inner, variance, log_odds),
         place=place,
     )

@@ -11,7 +11,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped, opposites
 from machine_tool_calibration.diagnosis.search.chance import Chance, chance_of
-from machine_tool_calibration.diagnosis.search.evidence import Block, Gram, rounding
+from machine_tool_calibration.diagnosis.search.evidence import Block, Gram, metric_at, rounding
 from machine_tool_calibration.diagnosis.search.findings import Finding, alias_groups, basis_of, finding_of
 from machine_tool_calibration.diagnosis.search.posterior import Posterior, search
 from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, EFFECT, STRUCTURE, THE_SAME
@@ -219,7 +219,7 @@ def _columns(pool: Pool, candidates: Sequence[Candidate], structures: Sequence[C
     columns = np.concatenate([np.zeros((0, len(pool))), *stacked, spread])
     projected = pool.screen(columns)
     k = len(columns) - len(spread)
-    gram = Gram.of(projected.gram, family, pool.fit.solution)
+    gram = Gram.of(projected.gram, family, pool.fit.released.solution, pool.sizes)
     # What does not vary within the runs has rounding there.
     before = np.maximum(pool.within_runs(columns[:k]), np.maximum(_CONSTANT * projected.squares[:k], _NONE))
     blocks, shaped, seen, first = [], [], [], 0
@@ -330,6 +330,8 @@ def _variance(columns: _Columns, found: Posterior) -> float:
 
 def _findings(columns: _Columns, found: Posterior, chance: Chance) -> tuple[Finding, ...]:
     out = []
+    families = len(found.metric.ratio) - len(columns.gram.sizes)
+    plain = metric_at(columns.gram, (0.0,) * families + found.metric.ratio[families:])
     for k, candidate in enumerate(columns.candidates[: columns.effects]):
         point = found.best[k].point if k in found.best else found.single.best[k]
         at = None if point is None else columns.blocks[point.block]
@@ -345,6 +347,7 @@ def _findings(columns: _Columns, found: Posterior, chance: Chance) -> tuple[Find
                 None if at is None else at.place,
                 columns.gram,
                 found.metric,
+                plain,
                 probability=found.of(k),
                 p_value=chance.alone(k, factor) if at is not None else 1.0,
                 family_p_value=chance.paid(k, factor) if at is not None else 1.0,
@@ -375,7 +378,7 @@ def _absorbed(columns: _Columns) -> tuple[Absorbed, ...]:
         place = slice(first, first + len(candidate.shapes[0].columns))
         first += sum(len(s.columns) for s in candidate.shapes)
         if not columns.seen[k]:
-            out.append(Absorbed(candidate.name, absorbed_by(columns.pool.fit, columns.projected, place)))
+            out.append(Absorbed(candidate.name, absorbed_by(columns.pool.fit.released, columns.projected, place)))
     return tuple(out)
 
 

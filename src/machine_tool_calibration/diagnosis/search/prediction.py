@@ -96,9 +96,6 @@ def predictions(
     whole = _log_factors(look.fit, effects, look)
     out: dict[str, list[Prediction]] = {name: [] for name in names}
     for what, parts in _divisions(sessions):
-        if what == "cycles" and look.fit.random is not None:
-            # What is expected of random unknowns is drawn from the readings: a cycle alone expects something else.
-            continue
         gains, readings = [], 0
         for k in range(1 + max(int(part.max(initial=-1)) for part in parts)):
             left = [s.with_readings(s.readings.select(part != k)) for s, part in zip(sessions, parts, strict=True)]
@@ -114,9 +111,7 @@ def predictions(
     return {name: tuple(own) for name, own in out.items() if own}
 
 
-def _log_factors(
-    fit: JointFit, effects: Sequence[tuple[Effect, tuple[float, ...]]], look: Look
-) -> np.ndarray:
+def _log_factors(fit: JointFit, effects: Sequence[tuple[Effect, tuple[float, ...]]], look: Look) -> np.ndarray:
     """(effects,) logarithm of the Bayes factor of each beside the others.
 
     The noise and what does not reproduce have the same size for all readings and for a part of them: only so do the two
@@ -134,7 +129,7 @@ def _log_factors(
     # Structures without a cause stand beside every effect: what they leave out would count against it.
     further = look.without_cause[:, _rows(pool, Pool(look.fit))]
     projected = pool.screen(np.concatenate([*(s.columns for s in shaped), further, spread])).gram
-    gram = Gram.of(projected, family, fit.solution).with_noise(max(look.variance, _LEAST_NOISE))
+    gram = Gram.of(projected, family, fit.released.solution).with_noise(max(look.variance, _LEAST_NOISE))
     sizes = look.spread
     blocks = _blocks(shaped)
     # Where a part has one run in each mounting, they are one family.

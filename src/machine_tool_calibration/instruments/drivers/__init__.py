@@ -1,7 +1,66 @@
 # SPDX-License-Identifier: Apache-2.0
 """Drivers of real displacement instruments: what takes the simulated instrument's place."""
 
-from machine_tool_calibration.instruments.drivers.driver import Driver, Health, InstrumentError, Sample
-from machine_tool_calibration.instruments.drivers.load import load_driver
+from __future__ import annotations
 
-__all__ = ["Driver", "Health", "InstrumentError", "Sample", "load_driver"]
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from machine_tool_calibration.instruments.drivers.ascii_line import AsciiLineDriver
+from machine_tool_calibration.instruments.drivers.driver import Driver, Health, InstrumentError, Sample
+from machine_tool_calibration.instruments.drivers.settings import AsciiLineSettings
+from machine_tool_calibration.session.defects import first_defect
+from machine_tool_calibration.session.text import read_text
+from machine_tool_calibration.session.yaml_text import Document, load_yaml
+
+__all__ = ["PLUGIN_GROUP", "Driver", "Health", "InstrumentError", "Sample", "load_driver", "parse_ascii_line"]
+
+
+PLUGIN_GROUP = "machine_tool_calibration.drivers"
+LARGEST_FILE = 1 << 20
+
+
+def load_driver(file: Path) -> Driver:
+    """The driver that a YAML file describes, not yet opened.
+
+    The key `driver` names it: `ascii_line`, or a plugin of the entry-point group `machine_tool_calibration.drivers`,
+    a callable that takes the file's content as a mapping and returns a `Driver`.
+
+    Raises:
+        CalibrationError: the file cannot be read, or something in it is wrong; the message says what and where.
+    """
+    source = str(file)
+    document = load_yaml(read_text(file, LARGEST_FILE), source)
+    content = document.value
+    if not isinstance(content, dict) or not isinstance(content.get("driver"), str):
+        raise InstrumentError(f"{source}: the key 'driver' must name the driver, such as ascii_line")
+    if content["driver"] == "ascii_line":
+        return AsciiLineDriver(parse_ascii_line(document, source))
+    for entry in entry_points(group=PLUGIN_GROUP, name=content["driver"]):
+        return _from_plugin(entry.load, content, source)
+    raise InstrumentError(f"{source}: there is no driver {content['driver']!r}; ascii_line is built in")
+
+
+def parse_ascii_line(document: Document, source: str) -> AsciiLineSettings:
+    """The settings of an ASCII line protocol.
+
+    Raises:
+        InstrumentError: one line with the file, the line and the key of the first defect.
+    """
+    try:
+        return AsciiLineSettings.model_validate(document.value)
+    except ValidationError as error:
+        raise InstrumentError(first_defect(error, source, document, AsciiLineSettings)) from None
+
+
+def _from_plugin(load: Any, content: dict[str, Any], source: str) -> Driver:
+    try:
+        driver = load()(content)
+    except Exception as error:
+        raise InstrumentError(f"{source}: the driver {content['driver']!r} failed: {error}") from error
+    if not isinstance(driver, Driver):
+        raise InstrumentError(f"{source}: the plugin {content['driver']!r} is no driver")
+    return driver

@@ -144,7 +144,7 @@ def _statistics(index: IntArray, deviation: Array, mine: BoolArray, m: int) -> t
     return mean, s, count
 
 
-def positioning_uncertainty(figures: Positioning, seed: int = 1) -> dict[str, float]:
+def positioning_uncertainty(figures: Positioning) -> dict[str, float]:
     """Expanded uncertainty (k = 2) of the figures from the repeatability that they were found with.
 
     Every figure is worked out again for runs that are drawn about the means with the standard deviations found; twice
@@ -153,12 +153,11 @@ def positioning_uncertainty(figures: Positioning, seed: int = 1) -> dict[str, fl
 
     Args:
         figures: of one axis, with at least two runs in each direction in which it was measured.
-        seed: of the draws.
 
     Returns:
         By figure: B, B_mean, R, E, M, A; those that the readings do not give are left out.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(1)
     position, direction, centre, spread = [], [], [], []
     for sign, mean, s, count in (
         (1, figures.mean_up, figures.s_up, figures.count_up),

@@ -9,7 +9,7 @@ residuals.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,16 +64,13 @@ def nodes_from(positions: Array, unknowns_per_node: int = 1) -> Array:
     return np.unique(nodes[np.abs(nodes[:, None] - wanted).argmin(axis=0)])
 
 
-def asked_tables(
-    chain: Chain, terms: Sequence[str], position: Array, given: Mapping[str, Array] | None = None
-) -> tuple[MachineTable, ...]:
+def asked_tables(chain: Chain, terms: Sequence[str], position: Array) -> tuple[MachineTable, ...]:
     """Tables of the error motions and squareness errors that a session names.
 
     Args:
         chain: the machine.
         terms: names such as EXX, ECY, C0Y.
         position: (n, 3) commanded positions, m.
-        given: nodes by the name of the error motion, where they are fixed from outside.
 
     Raises:
         ModelError: an unknown name, one named twice, or an axis that the chain does not have.
@@ -91,9 +88,7 @@ def asked_tables(
             continue
         axis = parse_motion(name).axis
         same = sum(other not in SQUARENESS and parse_motion(other).axis == axis for other in terms)
-        nodes = (given or {}).get(name)
-        own = nodes_from(position[:, "XYZ".index(axis)], same) if nodes is None else nodes
-        tables.append(MachineTable(chain, name, own))
+        tables.append(MachineTable(chain, name, nodes_from(position[:, "XYZ".index(axis)], same)))
     return tuple(tables)
 
 
@@ -157,15 +152,12 @@ def build(session: Session, model: str = "rigid_body") -> DirectModel:
     return build_direct(session)
 
 
-def build_direct(
-    session: Session, terms: Sequence[str] | None = None, nodes: Mapping[str, Array] | None = None
-) -> DirectModel:
-    """The model, also with other machine errors than the session names, or on given nodes.
+def build_direct(session: Session, terms: Sequence[str] | None = None) -> DirectModel:
+    """The model, also with other machine errors than the session names.
 
     Args:
         session: the measurement.
         terms: names of machine errors; those of the session if absent.
-        nodes: of the tables, by the name of the error motion, m.
 
     Raises:
         ModelError: as for `build`.
@@ -186,7 +178,7 @@ def build_direct(
         description.datum, session.setup_ids, readings.setup, position, direction, readings.displacement
     )
     asked = description.terms if terms is None else tuple(terms)
-    tables = asked_tables(description.machine.kinematics, asked, position, nodes)
+    tables = asked_tables(description.machine.kinematics, asked, position)
     kept, machine, left = _sensed_terms(observations, tables, setups)
     constraints, words, fixed = _datum(kept, machine, setups, readings.setup, len(session.setup_ids))
     return DirectModel(

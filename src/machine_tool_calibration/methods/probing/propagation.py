@@ -9,37 +9,27 @@ that the draws also check the closed form.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import COVERAGE, Array, standard_draws
 from machine_tool_calibration.errors import CalibrationError, ModelError
 from machine_tool_calibration.estimation.normal import solve_normal
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.probing.model import ProbingModel
 from machine_tool_calibration.model.fit import Fit
 
-__all__ = ["COVERAGE", "FEWEST_DRAWS", "Distribution", "MonteCarlo", "monte_carlo"]
+__all__ = ["FEWEST_DRAWS", "Distribution", "MonteCarlo", "monte_carlo"]
 
 Distribution = Literal["normal", "rectangular", "triangular"]
-
-COVERAGE = 0.9545
-"""Coverage probability of the interval: that of k = 2 where a quantity is normal."""
 
 FEWEST_DRAWS = 100
 """Of fewer draws the interval's ends are hardly more than the extremes."""
 
 # Draws that are made at once: their touches stay in a few megabytes.
 _AT_ONCE = 1000
-# Samples of each distribution, standard deviation 1 (JCGM 101, 6.4).
-_SAMPLES: dict[str, Callable[[np.random.Generator, tuple[int, int]], Array]] = {
-    "normal": lambda rng, shape: rng.standard_normal(shape),
-    "rectangular": lambda rng, shape: (2.0 * rng.random(shape) - 1.0) * np.sqrt(3.0),
-    "triangular": lambda rng, shape: (rng.random(shape) + rng.random(shape) - 1.0) * np.sqrt(6.0),
-}
 
 
 @dataclass(frozen=True)
@@ -83,7 +73,7 @@ def monte_carlo(
     """
     if draws < FEWEST_DRAWS:
         raise CalibrationError(f"{draws} draws are too few for an interval; at least {FEWEST_DRAWS}")
-    if distribution not in _SAMPLES:
+    if distribution not in get_args(Distribution):
         raise CalibrationError(f"no distribution {distribution!r}; there are {', '.join(get_args(Distribution))}")
     open_ = np.asarray(np.isnan(rows).any(axis=1))
     gains = _gains(fit, np.where(open_[:, None], 0.0, rows))
@@ -91,7 +81,7 @@ def monte_carlo(
     found = np.empty((len(rows), draws))
     for first in range(0, draws, _AT_ONCE):
         count = min(_AT_ONCE, draws - first)
-        part = gains.touch @ _SAMPLES[distribution](rng, (gains.touch.shape[1], count))
+        part = gains.touch @ standard_draws(distribution, rng, (gains.touch.shape[1], count))
         found[:, first : first + count] = part + gains.normal @ rng.standard_normal((gains.normal.shape[1], count))
     found[open_] = np.nan
     low, high = np.quantile(found, [(1.0 - COVERAGE) / 2, (1.0 + COVERAGE) / 2], axis=1)

@@ -69,21 +69,20 @@ def suspicions(session: Session) -> Iterator[Suspicion]:
     yield from _exchanged_targets(session)
 
 
-def refuse_mistake(session: Session, misfit: Callable[[Session], float], now: float, limit: float) -> None:
+def refuse_mistake(session: Session, misfit: Callable[[Session], float], now: float) -> None:
     """Name the mistake that explains an absurd misfit, if one does.
 
     Args:
         session: the measurement.
         misfit: how badly a measurement fits, comparable between alternatives (free of the unit of the readings).
         now: misfit of the measurement as it is.
-        limit: misfit above which it is absurd.
 
     Raises:
         ModelError: the measurement is absurd, and a mistake is found that explains it; the best one is named.
     """
-    if not now > limit:
+    if not now > _ABSURD:
         return
-    best, what = min(now / _BETTER, limit), ""
+    best, what = min(now / _BETTER, _ABSURD), ""
     for suspicion in suspicions(session):
         try:
             value = misfit(suspicion.session)
@@ -157,7 +156,7 @@ def refuse_mistakes(session: Session, start: Start) -> None:
         targets = np.array([target.position for target in description.targets])
         return _misfit(other, table, find_start(table, stations, targets))
 
-    refuse_mistake(session, misfit, _misfit(session, table_readings(session), start), _ABSURD)
+    refuse_mistake(session, misfit, _misfit(session, table_readings(session), start))
 
 
 def _misfit(session: Session, table: TableReadings, start: Start) -> float:

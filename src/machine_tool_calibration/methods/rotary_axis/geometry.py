@@ -73,19 +73,18 @@ def axis_rotation(axis: str, angle: Array) -> Array:
     return out
 
 
-def merged_nodes(angle: Array, same: float = _SAME_ANGLE) -> tuple[Array, IntArray]:
+def merged_nodes(angle: Array) -> tuple[Array, IntArray]:
     """Distinct positions of an axis and which of them each reading was taken at.
 
     Args:
         angle: (n,) commanded positions.
-        same: positions that follow each other this closely are one.
 
     Returns:
-        (K,) increasing positions, each the mean of those merged, and (n,) their indices.
+        (K,) increasing positions, each the middle one of those that are nearly equal, and (n,) their indices.
     """
     order = np.argsort(angle, kind="stable")
     ordered = angle[order]
-    place = np.cumsum(np.r_[0, np.diff(ordered) > same])
+    place = np.cumsum(np.r_[0, np.diff(ordered) > _SAME_ANGLE])
     node = np.empty(len(angle), dtype=np.int64)
     node[order] = place
     # the median member keeps a commanded value as it was written

@@ -72,6 +72,9 @@ _LONG = 1.2
 _SHAPES = (*((length, share) for length in (0.1, 0.2, 0.4) for share in (0.1, 0.5)), (_LONG, 1.0))
 _MOST_NODES = 13
 _SIZES = 25
+# Sizes where an effect that may be missing is weighed against angular errors: coarser, as with all that does not
+# reproduce.
+_FEW = 5
 _FLOOR = 1e-6
 
 
@@ -105,6 +108,17 @@ class SmallAngles:
 
     names: tuple[str, ...]
     nodes: tuple[tuple[Array, int], ...]
+
+    @property
+    def root(self) -> Array:
+        """(q, r) angles per unit of r independent coefficients whose standard deviation is the size: of mean shape."""
+        return np.asarray(block_diag(*(_root(mean_shape(nodes, zero)) for nodes, zero in self.nodes)))
+
+    @property
+    def sizes(self) -> dict[float, float]:
+        """Sizes that are possible, rad, with their probabilities before any reading; 0 among them."""
+        few = np.geomspace(SMALLEST, LARGEST, _FEW).tolist()
+        return {0.0: NONE} | dict.fromkeys(few, (1.0 - NONE) / _FEW)
 
     def posterior(
         self, matrix: Array, right: Array, constraints: Array, values: Array, squares: Array

@@ -6,8 +6,9 @@ from __future__ import annotations
 import math
 import time
 from array import array
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from enum import IntEnum
+from typing import Any, TypeVar
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
@@ -16,10 +17,12 @@ from geometry_msgs.msg import Pose, PoseStamped, Quaternion
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState, PointCloud2, PointField
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.ros.sound import LAST_SECOND
+from machine_tool_calibration.recording.graph import MACHINE
 
 __all__ = [
     "COMMAND",
@@ -31,9 +34,10 @@ __all__ = [
     "Level",
     "cloud",
     "columns",
-    "duration_message",
+    "dated",
     "from_duration",
     "from_message",
+    "joint_state",
     "nanoseconds",
     "now",
     "pose_message",
@@ -46,16 +50,17 @@ __all__ = [
     "stamp_now",
     "status",
     "to_message",
+    "trajectory",
     "values",
 ]
 
 
+Message = TypeVar("Message", bound=Any)
+
+
 def _reliable(depth: int, durability: DurabilityPolicy = DurabilityPolicy.VOLATILE) -> QoSProfile:
     return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST,
-        depth=depth,
-        reliability=ReliabilityPolicy.RELIABLE,
-        durability=durability,
+        history=HistoryPolicy.KEEP_LAST, depth=depth, reliability=ReliabilityPolicy.RELIABLE, durability=durability
     )
 
 
@@ -213,23 +218,50 @@ def rotation_of(quaternion: Quaternion) -> Array:
     )
 
 
-def pose_message(stamp: int, frame: str, place: Array, turn: Quaternion) -> PoseStamped:
-    """A pose at a time, ns."""
-    message = PoseStamped(pose=Pose(orientation=turn))
+def dated(message: Message, stamp: int, frame: str = MACHINE) -> Message:
+    """The message, with a header of that time, ns, and frame."""
     message.header.stamp = to_message(stamp)
     message.header.frame_id = frame
-    position = message.pose.position
-    position.x, position.y, position.z = map(float, place)
     return message
 
 
-def cloud(stamp: int, fields: Mapping[str, Array], frame: str = "machine") -> PointCloud2:
-    """One row for each point.
+def joint_state(stamp: int, values: Mapping[str, float], rates: Mapping[str, float] | None = None) -> JointState:
+    """Values by name at a time, ns, and where they are given the rates at which they change; frame: the machine's."""
+    velocity = [] if rates is None else [rates[name] for name in values]
+    return dated(JointState(name=list(values), position=list(values.values()), velocity=velocity), stamp)
+
+
+def trajectory(stamp: int, points: Iterable[tuple[Mapping[str, float], float]]) -> JointTrajectory:
+    """A command to the axes.
+
+    Args:
+        stamp: its identity, ns.
+        points: positions by axis, m or rad, all of the same axes, and when they are reached, s from the start.
+    """
+    steps = list(points)
+    names = list(steps[0][0]) if steps else []
+    message = JointTrajectory(joint_names=names)
+    message.points = [
+        JointTrajectoryPoint(positions=[place[name] for name in names], time_from_start=duration_message(time))
+        for place, time in steps
+    ]
+    return dated(message, stamp)
+
+
+def pose_message(stamp: int, place: Array, turn: Quaternion) -> PoseStamped:
+    """A pose in the machine's frame at a time, ns."""
+    message = PoseStamped(pose=Pose(orientation=turn))
+    position = message.pose.position
+    position.x, position.y, position.z = map(float, place)
+    return dated(message, stamp)
+
+
+def cloud(stamp: int, fields: Mapping[str, Array]) -> PointCloud2:
+    """One row for each point, in the machine's frame.
 
     Args:
         stamp: ROS time, ns.
         fields: (n,) values by name; NaN is a value that is not determined.
-        frame: in which x, y, z are given.
     """
     rows = np.column_stack(list(fields.values())).astype("<f8")
     message = PointCloud2(
@@ -245,9 +277,7 @@ def cloud(stamp: int, fields: Mapping[str, Array], frame: str = "machine") -> Po
         data=array("B", rows.tobytes()),
         is_dense=bool(np.all(np.isfinite(rows))),
     )
-    message.header.stamp = to_message(stamp)
-    message.header.frame_id = frame
-    return message
+    return dated(message, stamp)
 
 
 def columns(message: PointCloud2) -> dict[str, Array]:

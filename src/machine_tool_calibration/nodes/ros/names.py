@@ -13,7 +13,6 @@ from typing import Any
 from rclpy.qos import QoSProfile
 
 from machine_tool_calibration.nodes.ros.node import GuardedNode
-from machine_tool_calibration.nodes.ros.process import declare
 from machine_tool_calibration.nodes.ros.services import Answer, DeferredService
 
 __all__ = ["OwnPublisher", "offer", "own_names"]
@@ -28,7 +27,7 @@ def own_names(node: GuardedNode, kind: str, name: str) -> tuple[str, ...]:
         name: of the topic or service, below the node's.
     """
     if not node.has_parameter("old_names"):
-        declare(node, "old_names", True, "a renamed node also has topics and services of the name that it usually has")
+        node.declare("old_names", True, "a renamed node also has topics and services of the name that it usually has")
     own, old = f"~/{name}", f"{kind}/{name}"
     is_renamed = node.resolve_topic_name(own) != node.resolve_topic_name(old)
     return (own, old) if is_renamed and node.get_parameter("old_names").value else (own,)

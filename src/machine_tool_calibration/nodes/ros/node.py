@@ -8,7 +8,8 @@ import traceback
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message
@@ -53,6 +54,56 @@ class GuardedNode(Node):
     def ignored_entries(self) -> dict[str, object]:
         """For a status: how many messages were ignored, and why the last one was."""
         return {"ignored": sum(self.ignored.values()), "ignored_last": self._last_ignored}
+
+    @property
+    def lives_in_simulated_time(self) -> bool:
+        """Whether the node's time is that of `/clock` (parameter `use_sim_time`)."""
+        return bool(self.get_parameter("use_sim_time").value)
+
+    def declare(
+        self,
+        name: str,
+        default: Any,
+        description: str,
+        *,
+        unit: str = "",
+        low: float | None = None,
+        high: float | None = None,
+        choices: tuple[str, ...] = (),
+        read_only: bool = True,
+    ) -> Any:
+        """Declare a parameter and return its value.
+
+        Args:
+            name: its name.
+            default: its value where nobody sets it; gives the type.
+            description: what it does.
+            unit: of a number.
+            low: least value.
+            high: greatest value.
+            choices: of a text.
+            read_only: whether it can be set at the start only.
+        """
+        descriptor = ParameterDescriptor(
+            name=name,
+            description=f"{description} [{unit}]" if unit else description,
+            read_only=read_only,
+            additional_constraints=f"one of {', '.join(choices)}" if choices else "",
+        )
+        if low is not None or high is not None:
+            low, high = (-1e308 if low is None else low), (1e308 if high is None else high)
+            if isinstance(default, float):
+                descriptor.floating_point_range = [FloatingPointRange(from_value=float(low), to_value=float(high))]
+            elif isinstance(default, int):
+                low, high = max(low, -(2**63)), min(high, 2**63 - 1)
+                descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
+        if choices:
+            self.choices[name] = choices
+        return self.declare_parameter(name, default, descriptor).value
+
+    def every(self, period: float, callback: Callable[[], None]) -> Timer:
+        """Have a function called every so many seconds of a clock that neither jumps nor follows `/clock`."""
+        return self.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def create_subscription(  # type: ignore[override]
         self, msg_type: Any, topic: str, callback: Callable[[Any], None], qos_profile: Any, **more: Any

@@ -4,24 +4,23 @@
 from __future__ import annotations
 
 import faulthandler
+import json
 import os
 import signal
 import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeVar
 
 import rclpy
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
-from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from machine_tool_calibration.errors import CalibrationError, did_you_mean
@@ -29,60 +28,10 @@ from machine_tool_calibration.nodes.ros.node import GuardedNode
 from machine_tool_calibration.nodes.shared import shared_file
 from machine_tool_calibration.nodes.usage import usage
 
-__all__ = [
-    "STOP_GRACE",
-    "declare",
-    "default_environment",
-    "post",
-    "run",
-    "run_process",
-    "say_unknown_parameters",
-    "use_sim_time",
-]
+__all__ = ["STOP_GRACE", "default_environment", "post", "run", "run_here", "run_process", "say_unknown_parameters"]
 
 
-def declare(
-    node: GuardedNode,
-    name: str,
-    default: Any,
-    description: str,
-    *,
-    unit: str = "",
-    low: float | None = None,
-    high: float | None = None,
-    choices: tuple[str, ...] = (),
-    read_only: bool = True,
-) -> Any:
-    """Declare a parameter and return its value.
-
-    Args:
-        node: whose parameter it is.
-        name: its name.
-        default: its value where nobody sets it; gives the type.
-        description: what it does.
-        unit: of a number.
-        low: least value.
-        high: greatest value.
-        choices: of a text.
-        read_only: whether it can be set at the start only.
-    """
-    descriptor = ParameterDescriptor(
-        name=name,
-        description=f"{description} [{unit}]" if unit else description,
-        read_only=read_only,
-        additional_constraints=f"one of {', '.join(choices)}" if choices else "",
-    )
-    if low is not None or high is not None:
-        low, high = (-1e308 if low is None else low), (1e308 if high is None else high)
-        if isinstance(default, float):
-            descriptor.floating_point_range = [FloatingPointRange(from_value=float(low), to_value=float(high))]
-        elif isinstance(default, int):
-            low, high = max(low, -(2**63)), min(high, 2**63 - 1)
-            descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
-    if choices:
-        node.choices[name] = choices
-    return node.declare_parameter(name, default, descriptor).value
-
+Node = TypeVar("Node", bound=GuardedNode)
 
 STOP_GRACE = 1.8  # s: nodes that have nothing to save end within 2 s, whatever happens
 _SAVE_GRACE = 30.0  # s: others may have a disk to wait for
@@ -166,6 +115,41 @@ def run(create: Callable[[], GuardedNode], args: list[str] | None = None, *, gra
     return status
 
 
+def run_here(create: Callable[[], Node], parameters: Mapping[str, Any], rules: Iterable[str] = ()) -> Node:
+    """Run a node in this process until it ends or is interrupted, and return it.
+
+    Args:
+        create: makes it.
+        parameters: of the node, by name.
+        rules: for names of topics and the namespace, `FROM:=TO`.
+
+    Raises:
+        CalibrationError: it cannot start.
+    """
+    arguments = ["--ros-args"]
+    for name, value in parameters.items():
+        arguments += ["-p", f"{name}:={json.dumps(value)}"]  # which is YAML as well
+    for rule in rules:
+        arguments += ["-r", rule]
+    made: list[Node] = []
+    refused: list[CalibrationError] = []
+
+    def created() -> Node:
+        try:
+            made.append(create())
+        except CalibrationError as error:
+            refused.append(error)  # to be said once, by the caller
+            raise ExternalShutdownException from None
+        return made[0]
+
+    status = run(created, arguments)
+    if refused:
+        raise refused[0]
+    if status or not made:
+        raise CalibrationError("the node did not start")
+    return made[0]
+
+
 def run_process(create: Callable[[], GuardedNode], args: list[str] | None = None, *, grace: float = _SAVE_GRACE) -> int:
     """As `run`, and end the process once a node has run: what it had to save is saved.
 
@@ -226,9 +210,3 @@ def post(node: GuardedNode, function: Callable[[], None]) -> None:
     An exception in the function is logged: this executor would crash on it.
     """
     node._post(node.guarded(function))  # type: ignore[attr-defined]
-
-
-def use_sim_time(node: GuardedNode) -> bool:
-    """Whether the node lives in simulated time."""
-    parameter: Parameter = node.get_parameter("use_sim_time")
-    return bool(parameter.value)

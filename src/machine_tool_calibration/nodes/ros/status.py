@@ -12,7 +12,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.clock import Clock, ClockType
 
 from machine_tool_calibration.nodes.ros.messages import NO_HARDWARE, SLOW, Level, now, status, to_message
 from machine_tool_calibration.nodes.ros.node import GuardedNode
@@ -54,7 +53,7 @@ class StatusTopic:
         self._ignored = node.ignored_entries
         self._is_dated = True
         self._common = node.create_publisher(DiagnosticArray, "/diagnostics", SLOW)
-        node.create_timer(_PERIOD, self._repeat, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        node.every(_PERIOD, self._repeat)
 
     def say(
         self, level: Level, text: str, entries: Mapping[str, object], more: Sequence[DiagnosticStatus] = ()

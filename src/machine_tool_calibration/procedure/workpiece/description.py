@@ -24,7 +24,6 @@ from pydantic import Field, ValidationError
 
 from machine_tool_calibration.arrays import BoolArray
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.procedure.description import first_defect
 from machine_tool_calibration.procedure.workpiece.features import Circle, Feature, File, Line, Outline, Points, Record
 from machine_tool_calibration.procedure.workpiece.outline import (
     Contour,
@@ -35,6 +34,7 @@ from machine_tool_calibration.procedure.workpiece.outline import (
     reachable,
 )
 from machine_tool_calibration.procedure.workpiece.outline_files import read_csv_outline, read_dxf_outline
+from machine_tool_calibration.session.defects import first_defect
 from machine_tool_calibration.session.description import WorkpiecePoint
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
@@ -71,7 +71,7 @@ def read_workpiece(file: Path) -> tuple[WorkpiecePoint, ...]:
     try:
         workpiece = Workpiece.model_validate(document.value)
     except ValidationError as error:
-        raise SessionError(first_defect(error, str(file), document, _KINDS)) from None
+        raise SessionError(first_defect(error, str(file), document, Workpiece, _KINDS)) from None
     return workpiece_points(workpiece, file.parent)
 
 

@@ -6,10 +6,10 @@ from __future__ import annotations
 import numpy as np
 
 from machine_tool_calibration.errors import SessionError, suspected
-from machine_tool_calibration.session.checks.consistency import check_consistency
+from machine_tool_calibration.session.catalogue import needed_columns
 from machine_tool_calibration.session.checks.enough import check_enough
+from machine_tool_calibration.session.checks.mistakes import check_consistency
 from machine_tool_calibration.session.checks.units import check_sizes, check_units
-from machine_tool_calibration.session.columns import needed_columns
 from machine_tool_calibration.session.description import Place
 from machine_tool_calibration.session.session import Session
 

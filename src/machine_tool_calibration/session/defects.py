@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is wrong with a record that was read, in one line: the first defect, with file, line and key."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Sequence
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+
+from machine_tool_calibration.errors import did_you_mean
+from machine_tool_calibration.session.yaml_text import Document
+
+__all__ = ["either", "first_defect", "kind_of", "place_in", "shown"]
+
+
+def first_defect(
+    error: ValidationError,
+    source: str,
+    document: Document | None = None,
+    record: type[BaseModel] | None = None,
+    unnamed: Container[object] = (),
+) -> str:
+    """The first defect in one line; an unknown key first, as it is often the misspelt one that is then missing.
+
+    Args:
+        error: of the record that the content was read into.
+        source: name of the file, or of what else was read.
+        document: the file's content with its lines; without it no line is named.
+        record: what was read; for what a misspelt key may have meant.
+        unnamed: parts of a defect's place that pydantic puts in and that are no keys, such as names of variants.
+    """
+    order = ("extra_forbidden", "missing")
+    defects = error.errors(include_url=False)
+    defects.sort(key=lambda d: order.index(d["type"]) if d["type"] in order else len(order))
+    defect: dict[str, Any] = dict(defects[0])
+    defect["loc"] = tuple(part for part in defect["loc"] if part not in unnamed)
+    place = place_in(source, document or Document(None, {}), defect["loc"])
+    return f"{place}: {_words(defect, record)}" if place else _words(defect, record)
+
+
+def _words(defect: dict[str, Any], record: type[BaseModel] | None) -> str:
+    path = tuple(defect["loc"])
+    key, kind, context, value = _key(path) or "the content", defect["type"], defect.get("ctx", {}), defect["input"]
+    if kind == "extra_forbidden":
+        return f"unknown key {key!r}{_meant(defect['loc'], record)}"
+    if kind == "missing" and path and isinstance(path[-1], int):
+        return f"{_key(path[:-1])} is too short: its entry [{path[-1]}] is missing"
+    if kind == "missing":
+        return f"the key {key!r} is missing"
+    if kind == "literal_error":
+        return f"{key} is {shown(value)}, not {context['expected']}"
+    if kind in ("too_short", "too_long"):
+        bound = f"at least {context['min_length']}" if "min_length" in context else str(context["max_length"])
+        return f"{key} has {context['actual_length']} entries, not {bound}"
+    if kind in ("finite_number", "float_parsing", "float_type"):
+        return f"{key} must be a finite number, not {shown(value)}"
+    if kind in ("int_parsing", "int_type", "int_from_float", "int_parsing_size"):
+        return f"{key} must be a whole number, not {shown(value)}"
+    if kind in ("tuple_type", "list_type"):
+        return f"{key} must be a list, not {kind_of(value)}"
+    if kind in ("model_type", "dict_type", "model_attributes_type"):
+        return f"{key} must be a mapping of keys, not {kind_of(value)}"
+    if kind == "string_type":
+        return f"{key} must be text, not {shown(value)}"
+    if kind == "greater_than":
+        return f"{key} must be greater than {context['gt']:g}, not {shown(value)}"
+    if kind == "greater_than_equal":
+        return f"{key} must be at least {context['ge']:g}, not {shown(value)}"
+    if kind == "less_than":
+        return f"{key} must be less than {context['lt']:g}, not {shown(value)}"
+    if kind == "less_than_equal":
+        return f"{key} must be at most {context['le']:g}, not {shown(value)}"
+    if kind == "value_error":
+        text = str(context["error"])
+        return f"{key}: {text}" if path else text
+    text = defect["msg"]
+    text = f"{text[:1].lower()}{text[1:]}"
+    return f"{key}: {text}" if path else text
+
+
+def place_in(source: str, document: Document, path: tuple[Any, ...]) -> str:
+    """File and line of a key, as far as they are known."""
+    line = document.line(path) if path else None
+    return source if line is None else f"{source} line {line}"
+
+
+def _key(path: tuple[Any, ...]) -> str:
+    text = ""
+    for part in path:
+        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else str(part)
+    return text
+
+
+def _meant(location: tuple[Any, ...], whole: type[BaseModel] | None) -> str:
+    """A suggestion for a misspelt key: the nearest that the record at that place has."""
+    record: Any = whole
+    for part in location[:-1]:
+        field = getattr(record, "model_fields", {}).get(part)
+        if field is not None:  # else a place in a list, or a name of the user's own
+            record = _record_in(field.annotation)
+    names = list(getattr(record, "model_fields", {}))
+    return did_you_mean(str(location[-1]), names)
+
+
+def _record_in(annotation: Any) -> Any:
+    if hasattr(annotation, "model_fields"):
+        return annotation
+    for inner in get_args(annotation):
+        found = _record_in(inner)
+        if found is not None:
+            return found
+    return None
+
+
+def kind_of(value: Any) -> str:
+    """What a value is, for people."""
+    if isinstance(value, dict):
+        return "a mapping"
+    if isinstance(value, list):
+        return "a list"
+    return "text" if isinstance(value, str) else shown(value)
+
+
+def shown(value: Any) -> str:
+    """A value, for people, of bounded length."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, dict | list):
+        return kind_of(value)
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def either(values: Sequence[str]) -> str:
+    """Alternatives in words."""
+    return values[0] if len(values) == 1 else ", ".join(values[:-1]) + f" or {values[-1]}"
