@@ -3,13 +3,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.effects.catalogue import catalogue
+from machine_tool_calibration.methods.build import build_model
+from machine_tool_calibration.planning.options import further_options
 from machine_tool_calibration.planning.sensing import Assumed, sense
-from machine_tool_calibration.planning.what_to_measure import what_to_measure
+from machine_tool_calibration.planning.what_to_measure import visibilities, what_to_measure
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
@@ -46,3 +51,18 @@ def test_an_effect_of_the_machine_is_sensed_by_both_and_one_of_a_setup_by_its_ow
     )
     # Each of them leaves the other's readings to say more of what they share.
     assert both.information("backlash_y")[0] > sum(one.information("backlash_y")[0] for one in alone)
+
+
+def test_an_effect_that_each_session_has_for_itself_is_planned_for_where_it_shows_best(days: list[Session]) -> None:
+    index = Assumed(catalogue()["refractive_index"], (), {})
+    now = sense(days, [index], labels=LABELS)
+    assert len(now.information("refractive_index")) == 2, "one column a session, of one coefficient"
+    scale = np.array([10.0, 100.0])
+    then = replace(now, gram=now.gram * np.outer(scale, scale), squares=now.squares * scale**2)
+    finding = SimpleNamespace(name="refractive_index", rank=0, detectable={})
+    models = [build_model(day, "rigid_body")[0] for day in days]
+    fit = SimpleNamespace(reduced_chi_square=1.0, assembly=SimpleNamespace(models=models))
+    diagnosis = SimpleNamespace(fits=[fit], look=SimpleNamespace(findings=[finding]))
+    option = next(iter(further_options(days[1])))
+    found = visibilities(diagnosis, now, [(option, then)], {"refractive_index": index})  # type: ignore[arg-type]
+    assert [(one.effect, one.coefficient) for one in found] == [("refractive_index", "g")]

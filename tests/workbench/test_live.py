@@ -4,9 +4,12 @@
 from __future__ import annotations
 
 import json
+import pickle
 import sys
 from array import array
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,8 +22,10 @@ from machine_tool_calibration.recording.session_bag import reading_columns, sess
 from machine_tool_calibration.session.collect import Reading
 from machine_tool_calibration.session.parse import description_yaml
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.workbench import live_feed
 from machine_tool_calibration.workbench.live import Thinned, answer_words, node_table
 from machine_tool_calibration.workbench.live_feed import Feed
+from machine_tool_calibration.workbench.process import Calculation
 
 START = 1_700_000_000_000_000_000
 
@@ -203,6 +208,27 @@ def test_the_map_comes_as_soon_as_it_can_be_calculated_and_not_more_often_than_i
     number = feed.number
     calculated(feed, feed._due)
     assert feed.number == number, "no reading has come since"
+
+
+def test_a_large_session_is_calculated_in_another_process(
+    feed: Feed, session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    beside: list[Calculation] = []
+
+    class Recorded(Calculation):
+        def outcome(self, progress: Callable[[str, float], object]) -> Any:
+            beside.append(self)
+            return pickle.loads(pickle.dumps(pickle.loads(pickle.dumps(self._work))(progress)))
+
+    monkeypatch.setattr(live_feed, "Calculation", Recorded)
+    monkeypatch.setattr(live_feed, "_MANY", len(session.readings))
+    tell(feed.heard, session)
+    calculated(feed, 0.0)
+    assert feed.map is not None and not beside
+    monkeypatch.setattr(live_feed, "_MANY", 100)
+    tell(feed.heard, session, slice(0, 200), start=START + 10**12)
+    calculated(feed, feed._due)
+    assert len(beside) == 1 and feed.map is not None and feed.map.whose == "calculated here from 200 readings"
 
 
 def test_the_estimators_map_is_shown_until_readings_come(feed: Feed, session: Session) -> None:

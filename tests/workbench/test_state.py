@@ -101,29 +101,29 @@ def test_readings_set_aside_stay_in_the_source_and_come_back(hidden: Path) -> No
     readings = Readings(state)
     state.watch(readings.refresh)
     readings.refresh()
-    before = np.array(readings.source.data["residual"])
+    before = np.array(readings.data["residual"])
     readings.select([5, 6])
     state.changed(aside=readings.selected)()
-    residual, aside = (np.array(readings.source.data[name]) for name in ("residual", "aside"))
+    residual, aside = (np.array(readings.data[name]) for name in ("residual", "aside"))
     assert np.flatnonzero(np.isnan(residual)).tolist() == [5, 6] == np.flatnonzero(np.isfinite(aside)).tolist()
     np.testing.assert_array_equal(aside[[5, 6]], before[[5, 6]])
     assert readings.selected == [5, 6], "a selection outlives another model"
     state.changed(aside=[])()
-    np.testing.assert_allclose(readings.source.data["residual"], before, atol=1e-9)
+    np.testing.assert_allclose(readings.data["residual"], before, atol=1e-9)
 
 
 def test_arrows_point_along_what_is_sensed(hidden: Path) -> None:
     state = opened(hidden)
     readings = Readings(state)
     readings.refresh()
-    data = readings.source.data
+    data = readings.data
     ends = {"xy:u": "x", "xy:v": "y"}
     drawn = np.column_stack([np.array(data[end]) - np.array(data[axis]) for end, axis in ends.items()])
     sensed = state.model.each[0].fit.model.observations.direction[:, :2]
     residual = np.array(data["residual"])
     scale = 0.12 * 400.0 / (1e6 * readings.scale)
     np.testing.assert_allclose(drawn, scale * residual[:, None] * sensed, atol=1e-9)
-    assert set(np.array(data["arrow"])[residual > 0]) == {"#d55e00"}
+    assert set(np.array(data["arrow"])[residual > 0]) == {0xD55E00FF}
 
 
 def test_measurements_are_found_in_a_folder(hidden: Path) -> None:
@@ -169,7 +169,7 @@ def test_several_sessions_are_fitted_together(struck: Path, hidden: Path) -> Non
     readings = Readings(state)
     state.watch(readings.refresh)
     readings.refresh()
-    data = readings.source.data
+    data = readings.data
     assert len(data["row"]) == 2 * count and data["row"][count] == "struck:0"
     assert np.flatnonzero(np.isfinite(np.array(data["aside"]))).tolist() == sorted(state.model.aside)
     for found, part in zip(state.model.each, (slice(0, count), slice(count, None)), strict=True):

@@ -6,7 +6,7 @@ This describes and draws; whether something is missing, and what, is for `diagno
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -205,6 +205,10 @@ class _Look:
             f"{ids[s]}, repeat {r}": (readings.setup == s) & (readings.repeat == r)
             for s, r in np.unique(np.stack([readings.setup, readings.repeat]), axis=1).T
         }
+        regions = self._regions()
+        # All at once: each pass over the readings costs as much as many sums.
+        shares = self._shares([*setups.items(), *runs.items(), *(part for _, part in regions)], sums=True)
+        first, last = len(setups), len(setups) + len(runs)
         order = np.argsort(-np.nan_to_num(np.abs(self.studentized)), kind="stable")
         overall = self._overall() if self.alone else self._share_of_all()
         return Comparison(
@@ -212,10 +216,13 @@ class _Look:
             effects=effects,
             variant=variant,
             overall=overall,
-            setups=_worst_first(self._shares(setups, sums=True)),
-            runs=_worst_first(self._shares(runs, sums=True)),
+            setups=_worst_first(shares[:first]),
+            runs=_worst_first(shares[first:last]),
             labels={name: self._labels(values) for name, values in readings.labels.items()},
-            regions=self._regions(),
+            regions=tuple(
+                Region(axis, *_ends(self.covariates[axis][mask]), share)
+                for (axis, (_, mask)), share in zip(regions, shares[last:], strict=True)
+            ),
             approaches=self._approaches(),
             trends=self._trends(),
             ranked=tuple(rank_covariates(self.covariates, np.nan_to_num(self.studentized))),
@@ -247,16 +254,18 @@ class _Look:
         noise = Noise(declared, scatter, repeats, p, None)
         return Overall(self.n, rms(self.residual), squares / left if left > _LEAST_LEFT else 1.0, round(left), p, noise)
 
-    def _shares(self, parts: Mapping[str, BoolArray], *, sums: bool) -> list[Share]:
+    def _shares(self, parts: Sequence[tuple[str, BoolArray]], *, sums: bool) -> list[Share]:
         means = slopes = None
         time = self.readings.columns.get("time")
         if sums:
-            means = self._sums([mask / max(int(mask.sum()), 1) for mask in parts.values()])
+            weights = [mask / max(int(mask.sum()), 1) for _, mask in parts]
             if time is not None and np.isfinite(time).all():
-                slopes = self._sums([_slope_weights(time, mask) for mask in parts.values()])
+                weights += [_slope_weights(time, mask) for _, mask in parts]
+            found = self._sums(weights)
+            means, slopes = found[: len(parts)], found[len(parts) :]
         total = float(np.sum(self.normal**2))
         out = []
-        for k, (name, mask) in enumerate(parts.items()):
+        for k, (name, mask) in enumerate(parts):
             squares, left = float(np.sum(self.normal[mask] ** 2)), float(np.sum(self.free[mask]))
             where = np.flatnonzero(mask)
             worst = where[int(np.argmax(np.nan_to_num(np.abs(self.studentized[where]))))]
@@ -283,38 +292,42 @@ class _Look:
         names, number = np.unique(values.astype(str), return_inverse=True)
         if len(names) * self.n > 20_000_000:
             return ()
-        return _worst_first(self._shares({str(n): number == k for k, n in enumerate(names)}, sums=False))
+        return _worst_first(self._shares([(str(n), number == k) for k, n in enumerate(names)], sums=False))
 
-    def _regions(self) -> tuple[Region, ...]:
+    def _regions(self) -> list[tuple[str, tuple[str, BoolArray]]]:
+        """Parts of the readings, each after the axis that stands between two values in it."""
         out = []
         for axis in _POSITIONS:
             values = self.covariates.get(axis)
             if values is None or not np.isfinite(values).all():
                 continue
             number = bins(values, 10)
-            masks = {f"{axis} {k}": number == k for k in np.unique(number)}
-            shares = self._shares(masks, sums=True)
-            out += [
-                Region(axis, float(values[mask].min()), float(values[mask].max()), share)
-                for mask, share in zip(masks.values(), shares, strict=True)
-            ]
-        return tuple(out)
+            out += [(axis, (f"{axis} {k}", number == k)) for k in np.unique(number)]
+        return out
 
     def _approaches(self) -> tuple[Approach, ...]:
-        out = []
+        found = []
         for axis in _POSITIONS:
             sign = np.sign(self.readings.columns.get(f"dir_{axis}", np.zeros(self.n)))
             forward, backward = int((sign > 0).sum()), int((sign < 0).sum())
             if not forward or not backward:
                 continue
             weights = np.where(sign > 0, 1.0 / forward, np.where(sign < 0, -1.0 / backward, 0.0))
-            (difference, u), (moved, moved_u) = self._sums([weights])[0], (None, None)
-            along = sign * sensed(self.observations, axis)
-            if np.abs(along).max() > 1e-6:
-                sums = residual_sums(self.fit, along[None] / 2)
-                moved, moved_u = _number(sums.added[0]), _number(self.factor * sums.added_uncertainty[0])
-            p = self._p(moved, moved_u) if moved is not None else self._p(difference, u)
-            out.append(Approach(axis, forward, backward, difference, u, moved, moved_u, p))
+            found.append((axis, forward, backward, weights, sign * sensed(self.observations, axis) / 2))
+        if not found:
+            return ()
+        sums = residual_sums(self.fit, np.array([w for *_, mean, along in found for w in (mean, along)]))
+        value, u, added, added_u = (
+            [_number(x) for x in values]
+            for values in (sums.value, self.factor * sums.uncertainty, sums.added, self.factor * sums.added_uncertainty)
+        )
+        out = []
+        for k, (axis, forward, backward, _, along) in enumerate(found):
+            moved, moved_u = None, None
+            if np.abs(along).max() > 5e-7:
+                moved, moved_u = added[2 * k + 1], added_u[2 * k + 1]
+            p = self._p(moved, moved_u) if moved is not None else self._p(value[2 * k], u[2 * k])
+            out.append(Approach(axis, forward, backward, value[2 * k], u[2 * k], moved, moved_u, p))
         return tuple(out)
 
     def _trends(self) -> tuple[Trend, ...]:
@@ -323,23 +336,16 @@ class _Look:
             for name, values in self.covariates.items()
             if np.isfinite(values).all() and not name.startswith("dir_") and name not in ("order", "repeat")
         }
-        everywhere = np.ones(self.n, dtype=bool)
         if not chosen:
             return ()
-        slopes = self._sums([_slope_weights(values, everywhere) for values in chosen.values()])
         centred = np.array([values - values.mean() for values in chosen.values()])
+        squares = np.einsum("kn,kn->k", centred, centred)
         sums = residual_sums(self.fit, centred)
-        out = [
-            Trend(
-                name,
-                float(np.ptp(values)),
-                *slopes[k],
-                _number(sums.added[k]),
-                _number(self.factor * sums.added_uncertainty[k]),
-                self._p(*slopes[k]),
-            )
-            for k, (name, values) in enumerate(chosen.items())
-        ]
+        out = []
+        for k, (name, values) in enumerate(chosen.items()):
+            slope, u = _number(sums.value[k] / squares[k]), _number(self.factor * sums.uncertainty[k] / squares[k])
+            added, added_u = _number(sums.added[k]), _number(self.factor * sums.added_uncertainty[k])
+            out.append(Trend(name, float(np.ptp(values)), slope, u, added, added_u, self._p(slope, u)))
         return tuple(sorted(out, key=lambda t: 2.0 if t.p_value is None else t.p_value))
 
     def _p(self, value: float | None, uncertainty: float | None) -> float | None:
@@ -358,6 +364,10 @@ def _slope_weights(values: Array, mask: BoolArray) -> Array:
     if squares > 0:
         out[mask] = centred / squares
     return out
+
+
+def _ends(values: Array) -> tuple[float, float]:
+    return float(values.min()), float(values.max())
 
 
 def _worst_first(shares: Sequence[Share]) -> tuple[Share, ...]:

@@ -256,5 +256,5 @@ def screen_joint(joint: JointFit, terms: Sequence[Sequence[Term]]) -> Projected:
 
 
 def _further(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
-    """Unknowns under names that no model has."""
-    return tuple(replace(p, name=f"{_FURTHER}{p.name}") for p in parameters)
+    """Unknowns under names that no model has, and whether they are shared: all that putting them together asks for."""
+    return tuple(Parameter(f"{_FURTHER}{p.name}", p.unit, shared=p.shared) for p in parameters)

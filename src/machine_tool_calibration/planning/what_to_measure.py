@@ -104,20 +104,22 @@ def visibilities(
         if best is None:
             continue
         information, option, k = best
-        limit = max(abs(coefficients[k].low), abs(coefficients[k].high)) / 2.0
+        # What is not shared has columns of its own in every session.
+        coefficient = coefficients[k % len(coefficients)]
+        possible = max(abs(coefficient.low), abs(coefficient.high))
+        limit = possible / 2.0
         strength = np.array([information * limit**2 / variance])
         needed = smallest_signal(strength, float(strength[0]), -np.log(EFFECT)) ** 2 * variance
-        smallest = r.detectable.get(coefficients[k].name)
+        smallest = r.detectable.get(coefficient.name)
         if smallest is not None and before[k] > 0:
             needed = smallest**2 * float(before[k])
         after_size = float(np.sqrt(needed / information))
-        possible = max(abs(coefficients[k].low), abs(coefficients[k].high))
         if after_size > possible or (smallest is not None and after_size > _WORTH * smallest):
             continue
-        unit, words = coefficients[k].unit, option.words
+        unit, words = coefficient.unit, option.words
         out.append(
             Visibility(
-                name, coefficients[k].name, unit, smallest, after_size, option.kind, words, option.seconds, option.aside
+                name, coefficient.name, unit, smallest, after_size, option.kind, words, option.seconds, option.aside
             )
         )
     return out

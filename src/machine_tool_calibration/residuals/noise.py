@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special
+from scipy import linalg, special
 
 from machine_tool_calibration.arrays import Array, IntArray, groups, rms
 from machine_tool_calibration.model.fit import Fit, screen
@@ -88,8 +88,9 @@ def noise_of(fit: Fit) -> Noise:
 
 
 def _explained(inner: Array, right: Array) -> tuple[float, int]:
-    """Squared norm that columns explain, and their rank."""
-    values, vectors = np.linalg.eigh(inner)
-    keep = values > 1e-9
-    along = vectors[:, keep].T @ right
-    return float(np.sum(along**2 / values[keep])), int(keep.sum())
+    """Squared norm that columns explain, and their rank, by a pivoted Cholesky decomposition."""
+    if not inner.any():
+        return 0.0, 0
+    factor, pivots, rank, _ = linalg.lapack.dpstrf(inner, tol=1e-9, lower=1)
+    along = linalg.solve_triangular(factor[:rank, :rank], right[pivots[:rank] - 1], lower=True)
+    return float(along @ along), int(rank)

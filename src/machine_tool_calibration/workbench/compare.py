@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from html import escape
 
@@ -15,7 +16,16 @@ from machine_tool_calibration.diagnosis.comparison import Comparison
 from machine_tool_calibration.reports.comparison import in_words, joint_in_words
 from machine_tool_calibration.reports.comparison_tables import comparison_tables, joint_tables
 from machine_tool_calibration.reports.tables import TextTable
-from machine_tool_calibration.workbench.look import bar_button, new_figure, paragraphs, tables, text, when_changed
+from machine_tool_calibration.workbench.look import (
+    bar_button,
+    controls,
+    new_figure,
+    paragraphs,
+    tables,
+    text,
+    when_changed,
+)
+from machine_tool_calibration.workbench.models import Model
 from machine_tool_calibration.workbench.readings import Readings
 from machine_tool_calibration.workbench.state import State
 from machine_tool_calibration.workbench.work import Work
@@ -39,7 +49,10 @@ class ComparePage:
 
     def __init__(self, state: State, readings: Readings, work: Work) -> None:
         self._state, self._readings, self._work = state, readings, work
-        source = readings.source
+        source = readings.source(
+            self.title, "row", "setup", "repeat", "color", "residual", "studentized", "aside", "against0", "against1",
+            "across", "up", "u", "v", "arrow",
+        )  # fmt: skip
         self._words, self._setups, self._more = text(), text(), text()
         self._count = text("", min_width=150)
         self._against = [pn.widgets.Select(name=f"Plot {k}: residuals against", width=250) for k in (1, 2)]
@@ -50,7 +63,7 @@ class ComparePage:
             plot.scatter(x, "residual", source=source, size=4, color="color", alpha=0.7, **_DIM)
             plot.scatter(x, "aside", source=source, size=8, marker="x", color="#b00020", nonselection_alpha=0.3)
             plot.add_layout(Span(location=0.0, dimension="width", line_color="#999999", line_width=1))
-        self._map = new_figure("Residuals along the sensed direction", "", "", hover=_HOVER, match_aspect=True)
+        self._map = new_figure("Residuals as arrows", "", "", hover=_HOVER, match_aspect=True)
         self._map.scatter("across", "up", source=source, size=3, color="#999999", nonselection_alpha=0.3)
         self._map.segment(
             "across", "up", "u", "v", source=source, color="arrow", line_width=1.3,
@@ -71,12 +84,9 @@ class ComparePage:
         self._table, self._left = text(), text()
         self.view = pn.Column(
             self._words,
-            pn.Row(
-                *self._against, self._plane,
-                pn.Column(
-                    pn.Row(self._aside, self._back, self._look, self._cleared, self._suggest),
-                    self._count, margin=(12, 0),
-                ),
+            controls(
+                *self._against, self._plane, self._aside, self._back, self._look, self._cleared, self._suggest,
+                self._count,
             ),
             pn.Row(self._plots[0], self._plots[1], sizing_mode="stretch_width"),
             pn.Row(self._map, self._strip, sizing_mode="stretch_width"),
@@ -97,7 +107,7 @@ class ComparePage:
         else:
             words, every = joint_in_words(found), list(joint_tables(found))
             setups = [f"{label}/{share.name}" for label, share in found.setups]
-        self._words.object = paragraphs([words])
+        self._words.object = paragraphs([words[:1].upper() + words[1:]])
         self._choices()
         for k in range(len(self._against)):
             self._draw_against(k, self._against[k].value)
@@ -134,14 +144,14 @@ class ComparePage:
         self._map.xaxis.axis_label, self._map.yaxis.axis_label = (f"{axis}, mm" for axis in plane)
         long = f"{1e6 * self._readings.scale:.2g} µm"
         self._map.title.text = (
-            f"Residuals along the sensed direction (longest arrows {long}; orange: more than predicted)"
+            f"Residuals as arrows along the sensed direction, longest {long}; orange: +"
         )
 
     def _say_selected(self) -> None:
         chosen, model = self._readings.selected, self._state.model
         aside = model.aside
         self._aside.disabled = not set(chosen) - aside
-        words = f"{len(chosen)} of {len(self._readings.source.data['row'])} readings selected; {len(aside)} set aside"
+        words = f"{len(chosen)} of {len(self._readings.data['row'])} readings selected; {len(aside)} set aside"
         words += " (× in the plots)" if aside else ""
         words += f"; {len(model.kept)} kept" if model.kept else ""
         self._count.object = escape(words)
@@ -149,7 +159,7 @@ class ComparePage:
 
     def _listed(self) -> TextTable:
         """The readings that are selected, or those that fit worst."""
-        data, chosen = self._readings.source.data, self._readings.source.selected.indices
+        data, chosen = self._readings.data, self._readings.chosen
         size = np.abs(np.asarray(data["studentized"], dtype=float))
         order = np.argsort(-np.nan_to_num(size, nan=np.inf if chosen else 0.0), kind="stable")
         among = set(chosen) if chosen else set(range(len(size)))
@@ -174,7 +184,7 @@ class ComparePage:
     def _set_aside_or_kept(self) -> Iterator[TextTable]:
         """The readings that are set aside and those that are kept though a search had set them aside, if there are."""
         state = self._state
-        data = self._readings.source.data
+        data = self._readings.data
         names = {name: k for k, name in enumerate(data["row"])}
         for title, numbers, note in (
             ("Set aside", state.model.aside, "select some to put them back alone; none is selected: all come back"),
@@ -196,18 +206,23 @@ class ComparePage:
                 yield TextTable(title, heads, tuple(rows), (more + note).removesuffix("; "))
 
     def _set_aside(self) -> None:
-        rows = self._state.model.aside | set(self._readings.selected)
-        self._clear()
-        self._work.run("fitting without them", self._state.changed(aside=rows))
+        self._use_without("fitting without them", self._state.model.aside | set(self._readings.selected))
 
     def _put_back(self) -> None:
         chosen = set(self._readings.selected) & self._state.model.aside
-        rows = self._state.model.aside - chosen if chosen else frozenset[int]()
-        self._clear()
-        self._work.run("fitting with them", self._state.changed(aside=rows))
+        self._use_without("fitting with them", self._state.model.aside - chosen if chosen else frozenset())
+
+    def _use_without(self, what: str, aside: frozenset[int]) -> None:
+        job = self._state.changed(aside=aside)
+
+        def take(made: Model) -> None:
+            self._clear()
+            job.take(made)
+
+        self._work.run(what, replace(job, take=take))
 
     def _clear(self) -> None:
-        self._readings.source.selected.indices = []
+        self._readings.select([])
 
     def _select_suggested(self) -> None:
         self._readings.select(self._state.found.keys() - self._state.model.aside - self._state.model.kept)

@@ -13,7 +13,16 @@ from machine_tool_calibration.diagnosis.consequence import effect_estimates
 from machine_tool_calibration.model.result import spread_document
 from machine_tool_calibration.reports.diagnosis import diagnosis_report
 from machine_tool_calibration.reports.quantities import probability, quantity, reproducibility_words, sizes_in_words
-from machine_tool_calibration.workbench.look import bar_button, new_figure, paragraphs, tables, text, when_changed
+from machine_tool_calibration.workbench.look import (
+    bar_button,
+    controls,
+    legend_above,
+    new_figure,
+    paragraphs,
+    tables,
+    text,
+    when_changed,
+)
 from machine_tool_calibration.workbench.models import Model
 from machine_tool_calibration.workbench.own_effect import OwnEffect, addable
 from machine_tool_calibration.workbench.readings import Readings
@@ -27,7 +36,8 @@ _HOVER = [
     ("pattern", "@pattern{0.000} µm"),
 ]  # fmt: skip
 _DIM = {"nonselection_alpha": 0.12, "nonselection_color": "#888888"}
-_PATTERN, _FOUND, _OTHER = "#d55e00", "#009e73", "#0072b2"
+# The pattern lies over residuals in all colours of setups.
+_PATTERN, _FOUND, _OTHER = "#222222", "#009e73", "#0072b2"
 # Effects of the bars.
 _SHOWN = 12
 
@@ -53,8 +63,10 @@ class DiagnosePage:
         self._ranking.toolbar.active_drag = None
         self._ranking.toolbar_location = None
         self._bars.selected.on_change("indices", lambda attr, old, new: self._clicked(new))
-        source = readings.source
-        self._over = new_figure("Residuals, and what the effect would take out", "", "µm", height=330, hover=_HOVER)
+        source = readings.source(
+            self.title, "row", "setup", "repeat", "color", "residual", "pattern", "over"
+        )  # fmt: skip
+        self._over = new_figure("Residuals, and what it would take out", "", "µm", height=330, hover=_HOVER)
         self._over.scatter(
             "over", "residual", source=source, size=4, color="color", alpha=0.6, legend_label="residual", **_DIM
         )
@@ -67,9 +79,7 @@ class DiagnosePage:
         self._added.scatter("pattern", "residual", source=source, size=4, color="color", alpha=0.7, **_DIM)
         self._line = ColumnDataSource({"x": [], "y": []})
         self._added.line("x", "y", source=self._line, color="#555555")
-        self._over.legend.orientation = "horizontal"
-        self._over.legend.label_text_font_size = "11px"
-        self._over.legend.background_fill_alpha = 0.6
+        legend_above(self._over)
         for plot in (self._over, self._added):
             plot.add_layout(Span(location=0.0, dimension="width", line_color="#999999", line_width=1))
         self._against = pn.widgets.Select(name="Residuals against", width=230)
@@ -80,11 +90,12 @@ class DiagnosePage:
         self._all = bar_button("Add all that the diagnosis names", self._improve, disabled=True)
         self._own = OwnEffect(state, self._new_effect)
         self.view = pn.Column(
-            pn.Row(
-                pn.Column(bar_button("Look for what is missing", self._diagnose, "primary"), margin=(14, 0)),
+            controls(
+                bar_button("Look for what is missing", self._diagnose, "primary"),
                 self._effect,
                 self._against,
-                pn.Column(pn.Row(self._add, self._all), margin=(14, 0)),
+                self._add,
+                self._all,
             ),
             self._words,
             self._said,

@@ -16,7 +16,7 @@ from machine_tool_calibration.export.compensation import Exported
 from machine_tool_calibration.report.words import LANGUAGES
 from machine_tool_calibration.reports.compensation import absent_words, left_table
 from machine_tool_calibration.workbench.handed_over import PICTURE, TABLES, left, reported, written_tables
-from machine_tool_calibration.workbench.look import bar_button, tables, text, when_changed
+from machine_tool_calibration.workbench.look import bar_button, controls, tables, text, when_changed
 from machine_tool_calibration.workbench.readings import Readings
 from machine_tool_calibration.workbench.saved import Saved, refuse_others
 from machine_tool_calibration.workbench.state import Job, State
@@ -59,18 +59,13 @@ class ExportPage:
         self._picture = pn.pane.PNG(None, sizing_mode="scale_width", max_width=1000, alt_text="errors before and after")
         self._keep = bar_button("Save the files", self._save_files, "primary", disabled=True)
         self.view = pn.Column(
-            pn.Row(self._saved.folder),
+            self._saved.folder,
             self._saved.list,
             text("<h3>Report to hand over</h3>"),
-            pn.Row(
+            controls(
                 self._language, self._diagnosis,
-                pn.Column(
-                    pn.Row(
-                        bar_button("Save the report as HTML", partial(self._report, "html"), "primary"),
-                        bar_button("Save the report as PDF", partial(self._report, "pdf")),
-                    ),
-                    margin=(14, 0),
-                ),
+                bar_button("Save the report as HTML", partial(self._report, "html"), "primary"),
+                bar_button("Save the report as PDF", partial(self._report, "pdf")),
             ),
             text(
                 f"<h3>Tables and documents</h3><p>{TABLES[0]}: all errors with their U (k = 2); {TABLES[1]}: every "
@@ -78,12 +73,7 @@ class ExportPage:
             ),
             bar_button("Save the tables", self._tables, "primary"),
             text("<h3>Compensation for a controller</h3>"),
-            pn.Row(
-                self._form,
-                pn.Column(
-                    pn.Row(bar_button("Show what would be left", self._show_left), self._keep), margin=(14, 0)
-                ),
-            ),
+            controls(self._form, bar_button("Show what would be left", self._show_left), self._keep),
             self._preview,
             self._picture,
             sizing_mode="stretch_width",

@@ -17,7 +17,15 @@ from machine_tool_calibration.plots.style import spaced
 from machine_tool_calibration.reports.history_tables import compared_models, tried_models
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.residuals.noise import noise_of
-from machine_tool_calibration.workbench.look import bar_button, new_figure, tables, text, when_changed
+from machine_tool_calibration.workbench.look import (
+    bar_button,
+    controls,
+    legend_above,
+    new_figure,
+    tables,
+    text,
+    when_changed,
+)
 from machine_tool_calibration.workbench.map_plot import MapPlot, magnification
 from machine_tool_calibration.workbench.own_effect import addable
 from machine_tool_calibration.workbench.readings import Readings
@@ -62,16 +70,19 @@ class ImprovePage:
             self._fall.scatter("step", name, source=self._steps, color=color, size=7, marker=marker, legend_label=label)
         self._fall.y_range.start = 0.0
         self._fall.xaxis.major_label_orientation = 0.4
-        self._fall.legend.label_text_font_size = "11px"
-        self._fall.legend.background_fill_alpha = 0.6
+        legend_above(self._fall)
         self._declared = Span(location=0.0, dimension="width", line_dash="dotted", line_color="#333333")
         self._fall.add_layout(self._declared)
+        source = readings.source(
+            self.title, "row", "setup", "repeat", "color", "x", "y", "z", "place_a", "place_b",
+            *(f"{name}_{end}" for name in ("before", "after") for end in "uv"),
+        )  # fmt: skip
         self._residuals, self._maps = {}, {}
         for name, color in (("before", _BEFORE), ("after", _AFTER)):
             plot = new_figure("", "", "", hover=_HOVER, match_aspect=True, height=330)
-            plot.scatter("place_a", "place_b", source=readings.source, size=3, color="#999999", nonselection_alpha=0.3)
+            plot.scatter("place_a", "place_b", source=source, size=3, color="#999999", nonselection_alpha=0.3)
             plot.segment(
-                "place_a", "place_b", f"{name}_u", f"{name}_v", source=readings.source, color="color", line_width=1.2,
+                "place_a", "place_b", f"{name}_u", f"{name}_v", source=source, color="color", line_width=1.2,
                 **_DIM,
             )  # fmt: skip
             plot.toolbar_location = None
@@ -82,10 +93,7 @@ class ImprovePage:
         for pair in (self._residuals, maps):
             pair["after"].x_range, pair["after"].y_range = pair["before"].x_range, pair["before"].y_range
         self.view = pn.Column(
-            pn.Row(
-                pn.Column(pn.Row(self._all, self._undo), margin=(14, 0)),
-                self._add, self._take, self._go, self._before, self._plane,
-            ),
+            controls(self._all, self._undo, self._add, self._take, self._go, self._before, self._plane),
             self._note,
             pn.Row(self._fall, pn.Column(self._table, sizing_mode="stretch_width"), sizing_mode="stretch_width"),
             pn.Row(
@@ -143,8 +151,8 @@ class ImprovePage:
         maps = {name: model.fit.result.error_map for name, model in pair.items()}
         factor = magnification(list(maps.values()))
         self._scale.object = escape(
-            f"Longest arrows of the residuals: {quantity(scale, 'm')}, in the colour of their setup. Errors of the "
-            f"map: {spaced(factor)} times magnified; ellipses: U (k = 2)."
+            f"Above the plots: RMS. Longest arrows of the residuals: {quantity(scale, 'm')}, in the colour of their "
+            f"setup. Errors of the map: {spaced(factor)} times magnified; ellipses: U (k = 2)."
         )
         a, b = plane
         self._readings.draw(place_a=a, place_b=b)
@@ -152,10 +160,10 @@ class ImprovePage:
             plot = self._residuals[name]
             self._readings.draw(**{f"{name}_{end}": f"{name}:{plane}:{end}" for end in "uv"})
             rms = quantity(model.step.result.rms_residual, "m")
-            plot.title.text = f"Residuals {name}: {rms} RMS"
+            plot.title.text = f"Residuals {name}: {rms}"
             plot.xaxis.axis_label, plot.yaxis.axis_label = f"{a}, mm", f"{b}, mm"
             size = model.step.map_rms
-            what = "no position errors" if size is None else f"{quantity(size, 'm')} RMS"
+            what = "no position errors" if size is None else quantity(size, "m")
             self._maps[name].show(maps[name], plane, factor, f"Map {name}: {what}")
 
     def _changed(self, add: str = "", take: str = "") -> None:

@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,6 +24,8 @@ from machine_tool_calibration.nodes.heard import Heard, Offer, Published
 from machine_tool_calibration.reports.identification import summary_rows
 from machine_tool_calibration.session.collect import Reading, live_session
 from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.workbench.models import Progress
+from machine_tool_calibration.workbench.process import Calculation
 
 if TYPE_CHECKING:
     from machine_tool_calibration.nodes.listener import Listener
@@ -30,6 +33,8 @@ if TYPE_CHECKING:
 __all__ = ["Feed", "LiveMap"]
 
 _EVERY = 3.0  # s from the end of one calculation to the next
+# Readings from which the map takes gigabytes: it is calculated in another process, which gives them back.
+_MANY = 5000
 _SHARE = 10.0  # of the time that one takes: the page is not to be kept waiting by large sessions
 
 
@@ -223,7 +228,11 @@ class Feed:
     def _calculate(self) -> None:
         begin, run, published = time.monotonic(), self.heard.count[0], self.heard.published.number
         try:
-            found = LiveMap.of_session(_session(*self.heard.session()), self._variant, self._own)
+            asked = _session(*self.heard.session()), self._variant, self._own
+            if len(asked[0].readings) > _MANY:
+                found = Calculation(partial(_calculated, *asked)).outcome(lambda what, share: None)
+            else:
+                found = LiveMap.of_session(*asked)
             self.why_not = ""
             # Else another session has begun, or the estimator's map is newer.
             if (run, published) == (self.heard.count[0], self.heard.published.number):
@@ -239,6 +248,12 @@ class Feed:
 
     def _show(self, found: LiveMap | None) -> None:
         self.map, self.number = found, self.number + 1
+
+
+def _calculated(
+    session: Session, variant: str | None, own: Sequence[PhysicalEffect], progress: Progress
+) -> LiveMap:
+    return LiveMap.of_session(session, variant, own)
 
 
 def _session(description: str, readings: Sequence[Reading], *, check: bool = True) -> Session:

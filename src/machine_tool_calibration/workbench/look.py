@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from html import escape
@@ -18,12 +19,16 @@ from machine_tool_calibration.reports.tables import TextTable
 __all__ = [
     "CSS",
     "bar_button",
+    "controls",
     "in_order",
+    "legend_above",
     "new_figure",
+    "packed",
     "paragraphs",
     "setup_color",
     "tables",
     "text",
+    "typed_out",
     "when_changed",
 ]
 
@@ -38,8 +43,10 @@ p { margin: 0 0 6px 0; } h3 { font-size: 13px; margin: 10px 0 3px 0; }
 table { border-collapse: collapse; font-size: 12px; margin-bottom: 4px; }
 th { text-align: left; border-bottom: 1px solid #888; padding: 1px 10px 1px 0; vertical-align: bottom; }
 td { padding: 1px 10px 1px 0; border-bottom: 1px solid #e8e8e8; vertical-align: top; }
+.short { white-space: nowrap; }
 .note { color: #555; font-size: 11px; } .error { color: #b00020; font-weight: 600; }
 """
+_SHORT = 24  # characters of a table's cell that are not broken
 _TOOLS = "box_select,lasso_select,tap,pan,wheel_zoom,box_zoom,reset"
 _BUTTON = ".bk-btn { font-size: 13px; padding: 4px 8px; }"
 
@@ -49,14 +56,33 @@ def setup_color(index: int) -> str:
     return COLORS[index % len(COLORS)]
 
 
+def packed(color: str) -> int:
+    """A colour such as #0072b2 as plots take it in a column of uint32: a browser reads texts one by one."""
+    return int(color.removeprefix("#") + "ff", 16)
+
+
+class _Words(pn.pane.HTML):  # type: ignore[misc]
+    """Leaves its styles as they are: Panel sends them again, and Bokeh goes through all models of the page for that."""
+
+    def _update(self, ref: str, model: Any) -> None:
+        changed = self._get_properties(model.document)
+        changed.pop("stylesheets", None)
+        model.update(**changed)
+
+
 def text(html: str = "", **style: Any) -> Any:
     """A pane for words and tables of text."""
-    return pn.pane.HTML(html, stylesheets=[_STYLE], sizing_mode="stretch_width", margin=(2, 6), **style)
+    return _Words(html, stylesheets=[_STYLE], sizing_mode="stretch_width", margin=(2, 6), **style)
 
 
 def paragraphs(words: Iterable[str]) -> str:
-    """Each text as a paragraph."""
-    return "".join(f"<p>{escape(one)}</p>" for one in words)
+    """Each text as a paragraph; what stands between backticks is what one types."""
+    return "".join("<p>" + re.sub("`([^`]*)`", r"<code>\1</code>", escape(one)) + "</p>" for one in words)
+
+
+def typed_out(words: str) -> str:
+    """What the command line prints; lines that are too long for the window run on."""
+    return f'<pre style="font-size:11px;margin:0;white-space:pre-wrap">{escape(words)}</pre>'
 
 
 def tables(every: Iterable[TextTable]) -> str:
@@ -67,9 +93,15 @@ def tables(every: Iterable[TextTable]) -> str:
 def _table(table: TextTable) -> str:
     used = [k for k in range(len(table.columns)) if any(row[k] for row in table.rows)]
     head = "".join(f"<th>{escape(table.columns[k])}</th>" for k in used)
-    body = "".join("<tr>" + "".join(f"<td>{escape(row[k])}</td>" for k in used) + "</tr>" for row in table.rows)
-    note = f'<p class="note">{escape(table.note)}</p>' if table.note else ""
+    body = "".join("<tr>" + "".join(_cell(row[k]) for k in used) + "</tr>" for row in table.rows)
+    note = paragraphs([table.note]).replace("<p>", '<p class="note">') if table.note else ""
     return f"<h3>{escape(table.title)}</h3><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{note}"
+
+
+def _cell(words: str) -> str:
+    """A number keeps its unit beside it."""
+    short = ' class="short"' if len(words) <= _SHORT else ""
+    return f"<td{short}>{escape(words)}</td>"
 
 
 def new_figure(
@@ -115,6 +147,18 @@ def bar_button(name: str, act: Callable[[], object], kind: str = "default", **mo
     button = pn.widgets.Button(name=name, button_type=kind, margin=(3, 4), stylesheets=[_BUTTON], **more)
     button.on_click(lambda event: _locked(act))
     return button
+
+
+def controls(*items: Any) -> Any:
+    """Fields and buttons beside each other, on further lines where the window is narrow; buttons level with fields."""
+    return pn.FlexBox(*items, align_items="end", sizing_mode="stretch_width")
+
+
+def legend_above(plot: Any) -> None:
+    """Put the legend where it hides nothing."""
+    legend = plot.legend[0]
+    legend.update(orientation="horizontal", label_text_font_size="11px", border_line_color=None, margin=0, padding=0)
+    plot.add_layout(legend, "above")
 
 
 def when_changed(widget: Any, act: Callable[[Any], object], what: str = "value") -> None:

@@ -12,7 +12,7 @@ from bokeh.models import ColumnDataSource
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.session.summary import summarize
-from machine_tool_calibration.workbench.look import new_figure, setup_color, text, when_changed
+from machine_tool_calibration.workbench.look import new_figure, setup_color, text, typed_out, when_changed
 from machine_tool_calibration.workbench.readings import VIEWS, Readings
 from machine_tool_calibration.workbench.state import State
 from machine_tool_calibration.workbench.work import Work
@@ -68,12 +68,15 @@ class MeasurementPage:
             self._plots[view] = new_figure(
                 f"Seen in {view}", f"{'xyz'[a]}, mm", f"{'xyz'[b]}, mm", hover=_HOVER, match_aspect=True
             )
+        source = readings.source(self.title, "row", "setup", "repeat", "color", "x", "y", "z", "3d:u", "3d:v")
         for name, plot in self._plots.items():
             across, upwards = ("3d:u", "3d:v") if name == "3d" else tuple(name)
-            plot.scatter(across, upwards, source=readings.source, size=4, color="color", alpha=0.7, **_DIM)
+            plot.scatter(across, upwards, source=source, size=4, color="color", alpha=0.7, **_DIM)
             ends = ("u", "v") if name == "3d" else tuple(name)
             plot.scatter(*ends, source=self._stations, size=11, marker="triangle", color="color", line_color="black")
-            plot.text(*ends, text="id", source=self._stations, x_offset=8, y_offset=-4, text_font_size="12px")
+            plot.text(
+                *ends, text="id", source=self._stations, x_offset=9, text_baseline="middle", text_font_size="12px"
+            )
         self.view = pn.Column(
             self._words,
             pn.Row(
@@ -100,7 +103,7 @@ class MeasurementPage:
             suspicious.append(f"{len(state.found)} readings do not belong to the rest (rows {rows}{more}): see Compare")
         said = "".join(f'<p class="error">Suspicious: {escape(words)}</p>' for words in suspicious)
         self._words.object = f"<p>{escape(measurement.headline)}</p>{said or '<p>Nothing is suspicious.</p>'}"
-        self._report.object = f'<pre style="font-size:11px;margin:0">{escape(measurement.report())}</pre>'
+        self._report.object = typed_out(measurement.report())
         setups = [setup for session in measurement.sessions for setup in session.description.setups]
         at = [(s.id, s.position, setup_color(k)) for k, s in enumerate(setups) if hasattr(s, "position")]
         place = 1e3 * np.array([position for _, position, _ in at]).reshape(-1, 3)
@@ -116,10 +119,10 @@ class MeasurementPage:
     def _look(self) -> None:
         """Project onto what the sliders look at."""
         turn, tilt = self._turn.value, self._tilt.value
-        for source, names in ((self._readings.source, ("3d:u", "3d:v")), (self._stations, ("u", "v"))):
-            place = np.column_stack([np.asarray(source.data[axis], dtype=float) for axis in "xyz"])
-            source.data.update(dict(zip(names, seen_from(place, turn, tilt).T, strict=True)))
-        place = np.column_stack([np.asarray(self._readings.source.data[axis], dtype=float) for axis in "xyz"])
+        stations = np.column_stack([np.asarray(self._stations.data[axis], dtype=float) for axis in "xyz"])
+        self._stations.data.update(dict(zip("uv", seen_from(stations, turn, tilt).T, strict=True)))
+        place = np.column_stack([self._readings.data[axis] for axis in "xyz"])
+        self._readings.show(dict(zip(("3d:u", "3d:v"), seen_from(place, turn, tilt).T, strict=True)))
         place = place[np.isfinite(place).all(axis=1)]
         if not len(place):
             return

@@ -19,7 +19,7 @@ from machine_tool_calibration.workbench.export import ExportPage
 from machine_tool_calibration.workbench.improve import ImprovePage
 from machine_tool_calibration.workbench.live import LivePage
 from machine_tool_calibration.workbench.live_feed import Feed
-from machine_tool_calibration.workbench.look import bar_button, text, when_changed
+from machine_tool_calibration.workbench.look import bar_button, controls, text, when_changed
 from machine_tool_calibration.workbench.measurement import MeasurementPage
 from machine_tool_calibration.workbench.plan import PlanPage
 from machine_tool_calibration.workbench.readings import Readings
@@ -131,7 +131,7 @@ class _Window:
             options = {" + ".join(options): tuple(found), **options}
         self._choice = pn.widgets.Select(name="Measurement", options=options, width=260, visible=len(found) > 1)
         when_changed(self._choice, lambda _: self._open())
-        bar = pn.Row(*self._buttons.values(), self._choice, self._work.view, sizing_mode="stretch_width")
+        bar = controls(*self._buttons.values(), self._choice, self._work.view)
         self.roots = [bar, self._head, *(place for places in self._places.values() for place in places)]
         if found:
             pn.state.onload(self._open)
@@ -166,9 +166,10 @@ class _Window:
         new = title not in self._pages
         if new:
             self._pages[title] = self._makers[title]()
-        if title in self._stale:
-            self._stale.discard(title)
-            with self._readings.at_once():
+        with self._readings.at_once():
+            self._readings.look_at(title)
+            if title in self._stale:
+                self._stale.discard(title)
                 self._pages[title].refresh()
         if new:
             for place, block in zip(self._places[title], self._pages[title].view, strict=True):

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from html import escape
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,17 @@ from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.description import DESCRIPTION_FILE, OBSERVATIONS_FILE
 from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.workbench.ahead import looked_ahead, planned
-from machine_tool_calibration.workbench.look import bar_button, new_figure, setup_color, tables, text, when_changed
+from machine_tool_calibration.workbench.look import (
+    bar_button,
+    controls,
+    legend_above,
+    new_figure,
+    setup_color,
+    tables,
+    text,
+    typed_out,
+    when_changed,
+)
 from machine_tool_calibration.workbench.procedure_form import ProcedureForm
 from machine_tool_calibration.workbench.readings import Readings
 from machine_tool_calibration.workbench.saved import Saved, refuse_others
@@ -67,8 +76,9 @@ class PlanPage:
         self._new = ColumnDataSource({name: [] for name in names})
         self._stations = ColumnDataSource({name: [] for name in ("x", "y", "z", "id", "color")})
         self._where = new_figure("What is measured", "", "", height=360, hover=_HOVER, match_aspect=True)
-        self._old = self._where.scatter(
-            "place_a", "place_b", source=readings.source, size=9, marker="square", color="#d8d8d8", legend_label="now"
+        now = readings.source(self.title, "place_a", "place_b")
+        self._where.scatter(
+            "place_a", "place_b", source=now, size=9, marker="square", color="#d8d8d8", legend_label="now"
         )
         self._dots = self._where.scatter(
             "x", "y", source=self._new, size=5, color="color", legend_label="with it"
@@ -77,7 +87,7 @@ class PlanPage:
             "x", "y", source=self._stations, size=11, marker="triangle", color="color", line_color="black"
         )
         self._names = self._where.text(
-            "x", "y", text="id", source=self._stations, x_offset=8, y_offset=-4, text_font_size="12px"
+            "x", "y", text="id", source=self._stations, x_offset=9, text_baseline="middle", text_font_size="12px"
         )
         self._maps = {}
         self._map = new_figure("Uncertainty of the map", "", "", height=360, hover=_MAP_HOVER, match_aspect=True)
@@ -89,21 +99,16 @@ class PlanPage:
             )  # fmt: skip
             self._maps[name] = (source, glyph)
         for plot in (self._where, self._map):
-            plot.legend.orientation = "horizontal"
-            plot.legend.label_text_font_size = "11px"
-            plot.legend.background_fill_alpha = 0.6
+            legend_above(plot)
         self.view = pn.Column(
-            pn.Row(
-                pn.Column(bar_button("Look ahead", self._look_ahead, "primary"), margin=(14, 0)),
-                self._choice, self._plane, self._saved.folder, pn.Column(self._save, margin=(14, 0)),
+            controls(
+                bar_button("Look ahead", self._look_ahead, "primary"),
+                self._choice, self._plane, self._saved.folder, self._save,
             ),
             self._saved.list,
             self._words,
             pn.Card(
-                pn.Row(
-                    self._form.view, self._variant, self._warming, self._angular,
-                    pn.Column(self._forecast, margin=(14, 0)),
-                ),
+                controls(self._form.view, self._variant, self._warming, self._angular, self._forecast),
                 self._plan,
                 title="Another measurement, by a procedure (as mtcal plan forecasts it)",
                 collapsed=True,
@@ -157,7 +162,7 @@ class PlanPage:
 
         def take(found: tuple[Outlook | None, Outlook, str]) -> None:
             now, then, words = found
-            self._plan.object = f'<pre style="font-size:11px;margin:0">{escape(words)}</pre>'
+            self._plan.object = typed_out(words)
             every = [*self._every, then] if now is None else [now, then]
             self._procedures[len(every) - 1] = content
             self._show(every, len(every) - 1)
@@ -193,7 +198,6 @@ class PlanPage:
             source.data = _ellipses(one, factor)
         self._where.title.text = (
             f"What is measured: {len(then.session.readings)} readings in {duration(then.seconds)}"
-            f"{f'; besides: {then.aside}' if then.aside else ''}"
         )
         self._map.title.text = f"Uncertainty of the map: U (k = 2), {spaced(factor)} times magnified"
         self._sizes.object = tables([sizes_table(now, then)])

@@ -15,7 +15,7 @@ from machine_tool_calibration.nodes.shared import procedure_file, procedure_name
 from machine_tool_calibration.procedure import Procedure, parse_procedure
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
-from machine_tool_calibration.workbench.look import text, when_changed
+from machine_tool_calibration.workbench.look import controls, text, when_changed
 
 __all__ = ["ProcedureForm", "changed_procedure"]
 
@@ -87,7 +87,7 @@ class ProcedureForm:
         }
         self._choices = pn.Column(
             pn.Row(pn.pane.HTML("<label>Setups that are measured</label>", margin=(8, 6)), self._setups),
-            pn.Row(self._repeats, self._dwell, *self._counts.values()),
+            controls(self._repeats, self._dwell, *self._counts.values()),
             visible=False,
         )
         self._said = text()

@@ -5,11 +5,15 @@ from __future__ import annotations
 
 import logging
 import multiprocessing
+import os
 import signal
+import threading
 from collections.abc import Callable
+from enum import Enum, auto
 from multiprocessing import forkserver
 from multiprocessing.connection import Connection
-from typing import Any
+from pathlib import Path
+from typing import Any, ClassVar
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.workbench.models import Progress
@@ -20,6 +24,8 @@ __all__ = ["Calculation", "FaultError", "warm_up"]
 # milliseconds, and no thread of the page's process was in the middle of anything. Nothing of the page is loaded there.
 _PROCESSES = multiprocessing.get_context("forkserver")
 _PRELOADED = [f"{__package__}.{name}" for name in ("process", "state", "ahead", "handed_over")]
+# Bytes beyond which a process is not kept for the next calculation.
+_LEAN = 0.6e9
 
 
 def warm_up() -> None:
@@ -33,13 +39,13 @@ class FaultError(Exception):
 
 
 class Calculation:
-    """One calculation."""
+    """One calculation, in a process that has done others before, if there is one: what it knows from them is warm."""
 
     def __init__(self, work: Callable[[Progress], Any]) -> None:
-        self._ours, theirs = _PROCESSES.Pipe()
-        self._theirs = theirs
-        self._process = _PROCESSES.Process(target=_calculate, args=(theirs, work), daemon=True)
+        self._work = work
+        self._process: _Process | None = None
         self._ended = False
+        self._lock = threading.Lock()
 
     def outcome(self, progress: Callable[[str, float], object]) -> Any:
         """Do it, and wait for it.
@@ -52,41 +58,109 @@ class Calculation:
             OSError: likewise.
             FaultError: it failed otherwise.
         """
-        self._process.start()
-        self._theirs.close()
-        if self._ended:  # before there was anything to end
-            self._process.kill()
+        process = _Process.free()
+        with self._lock:
+            self._process = process
+            if self._ended:  # before there was anything to end
+                process.kill()
         try:
+            process.pipe.send(self._work)
             while True:
-                done, said = self._ours.recv()
-                if done is None:
+                kind, said = process.pipe.recv()
+                if kind is _Said.PROGRESS:
                     progress(*said)
-                elif done:
-                    return said
                 else:
-                    raise said
-        except EOFError:
+                    break
+        except (EOFError, ConnectionError):
+            process.kill()
             raise CalibrationError("the process that calculated it has ended") from None
-        finally:
-            self._ours.close()
-            self._process.join()
+        except BaseException:  # what it says next would be taken for the next one's
+            process.kill()
+            raise
+        with self._lock:
+            self._process = None
+            if not self._ended:
+                process.rest()
+        if kind is _Said.RAISED:
+            raise said
+        return said
 
     def end(self) -> None:
         """Have it end at once; nothing happens where it is over."""
-        self._ended = True
-        if self._process.pid is not None:
-            self._process.kill()
+        with self._lock:
+            self._ended = True
+            if self._process is not None:
+                self._process.kill()
 
 
-def _calculate(pipe: Connection, work: Callable[[Progress], Any]) -> None:
-    """In the process: calculate, and send progress and the outcome."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the page's process, which ends this one
+class _Said(Enum):
+    """What a process sends of a calculation."""
+
+    PROGRESS = auto()
+    FOUND = auto()
+    RAISED = auto()
+
+
+class _Process:
+    """Calculates one thing after the other."""
+
+    _idle: ClassVar[list[_Process]] = []
+
+    def __init__(self) -> None:
+        self.pipe, theirs = _PROCESSES.Pipe()
+        self._process = _PROCESSES.Process(target=_calculate, args=(theirs,), daemon=True)
+        self._process.start()
+        theirs.close()
+
+    @classmethod
+    def free(cls) -> _Process:
+        """One that has nothing to do."""
+        try:
+            waiting = cls._idle.pop()
+        except IndexError:
+            return cls()
+        return waiting if waiting._process.is_alive() else cls()
+
+    def rest(self) -> None:
+        """Wait for the next calculation; one waits at most, and not with the memory of a large one."""
+        if self._idle or _memory(self._process.pid) > _LEAN:
+            self.kill()
+        else:
+            self._idle.append(self)
+
+    def kill(self) -> None:
+        """End it at once."""
+        self._process.kill()
+        self._process.join()
+
+
+def _memory(process: int | None) -> float:
+    """Bytes that a process holds; none where the system does not say."""
     try:
-        pipe.send((True, work(lambda what, share: pipe.send((None, (what, share))))))
-    except BrokenPipeError:
-        return  # nobody waits for it
-    except (CalibrationError, OSError) as error:
-        pipe.send((False, error))
-    except Exception as error:
-        logging.getLogger(__name__).error("a fault of the workbench", exc_info=error)
-        pipe.send((False, FaultError(repr(error))))
+        return float(Path(f"/proc/{process}/statm").read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except (OSError, IndexError, ValueError):
+        return 0.0
+
+
+def _calculate(pipe: Connection) -> None:
+    """In the process: calculate, and send progress and the outcome, again and again."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the page's process, which ends this one
+    while True:
+        try:
+            work = pipe.recv()
+        except EOFError:
+            return
+        try:
+            outcome = _Said.FOUND, work(lambda what, share: pipe.send((_Said.PROGRESS, (what, share))))
+        except BrokenPipeError:
+            return  # nobody waits for it
+        except (CalibrationError, OSError) as error:
+            outcome = _Said.RAISED, error
+        except Exception as error:
+            logging.getLogger(__name__).error("a fault of the workbench", exc_info=error)
+            outcome = _Said.RAISED, FaultError(repr(error))
+        try:
+            pipe.send(outcome)
+        except BrokenPipeError:
+            return
+        del work, outcome

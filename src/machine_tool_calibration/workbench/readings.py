@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The readings of one window in one source for all plots, so that a selection in one lights up in every other."""
+"""The readings of one window for all plots, so that a selection in one lights up in every other."""
 
 from __future__ import annotations
 
@@ -13,37 +13,43 @@ from bokeh.models import ColumnDataSource
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.comparison import Comparison
 from machine_tool_calibration.plots.residuals import axis_label, planes
-from machine_tool_calibration.workbench.look import setup_color
+from machine_tool_calibration.workbench.look import packed, setup_color
 from machine_tool_calibration.workbench.models import Model
 from machine_tool_calibration.workbench.state import State
 
-__all__ = ["DRAWN", "VIEWS", "Readings"]
+__all__ = ["VIEWS", "Readings"]
 
 VIEWS = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 """Planes in which places are drawn."""
 # Share of the largest extent that an arrow of the bulk's largest residual takes.
 _LENGTH = 0.12
-_MORE, _LESS = "#d55e00", "#0072b2"
+_MORE, _LESS = packed("#d55e00"), packed("#0072b2")
+
+# Columns of packed colours.
+_COLORS = ("color", "arrow")
 
 
 class Readings:
     """All readings of the window's measurement, those set aside too; of several sessions one after the other.
 
-    Columns of the source: `row` (with the session's name where there are several), `setup`, `repeat`, `color` of the
-    setup; places `x y z` (mm); every covariate under `c:NAME` in the unit of its label; `measured`, `predicted`,
-    `residual` (µm; NaN where set aside), `studentized`; `aside` (µm, of one that is set aside the residual that it had
-    before); `pattern` (µm, what an effect that is looked at would take out); for each plane of `VIEWS` the end of the
-    residual's arrow, such as `xy:u`, `xy:v` (mm), and `arrow`, its colour.
+    Columns: `row` (with the session's name where there are several), `setup`, `repeat`, `color` of the setup; places
+    `x y z` (mm); every covariate under `c:NAME` in the unit of its label; `measured`, `predicted`, `residual` (µm; NaN
+    where set aside), `studentized`; `aside` (µm, of one that is set aside the residual that it had before); `pattern`
+    (µm, what an effect that is looked at would take out); for each plane of `VIEWS` the end of the residual's arrow,
+    such as `xy:u`, `xy:v` (mm), and `arrow`, its colour; and what pages add.
+
+    Each page draws from a source of its own, which holds what that page needs: a browser works on every plot whose
+    source changes, a hidden one too.
 
     Attributes:
-        source: what plots draw.
+        data: the columns.
         labels: of each covariate by its column.
         ranked: the columns of covariates, those first that the first model's residuals follow.
         scale: residual that an arrow as long as `_LENGTH` of the extent stands for, m.
     """
 
     def __init__(self, state: State) -> None:
-        self.source = ColumnDataSource({name: [] for name in _FIXED + _CHANGING + _OF_PAGES})
+        self.data: dict[str, Any] = {}
         self.labels: dict[str, str] = {}
         self.ranked: list[str] = []
         self.scale = 0.0
@@ -52,23 +58,51 @@ class Readings:
         self._number = np.zeros(0, dtype=np.int64)
         self._place = self._direction = np.zeros((0, 3))
         self.planes: list[str] = ["xy"]
-        self._waiting: dict[str, Any] | None = None
+        self._sources: dict[str, ColumnDataSource] = {}
+        self._page = ""
+        self._chosen: list[int] = []
+        self._held = False
+
+    def source(self, page: str, *columns: str) -> ColumnDataSource:
+        """What the plots of a page draw.
+
+        Args:
+            page: its title.
+            columns: that it needs.
+        """
+        for name in columns:
+            self.data.setdefault(name, self._empty(name))
+        source = self._sources[page] = ColumnDataSource({name: self.data[name] for name in columns})
+        source.selected.on_change("indices", lambda attr, old, new: self._choose(page, new))
+        return source
+
+    def look_at(self, page: str) -> None:
+        """Another page is looked at: its source is brought up to date."""
+        self._page = page
+        self._send()
+        if page in self._sources:
+            self._sources[page].selected.indices = self._chosen
 
     def refresh(self) -> None:
-        """Draw the model in use."""
+        """Hold the model in use."""
         measurement = self._state.subject.measurement
         if measurement is not self._measurement:
             self._measurement = measurement
-            data = self._fixed()
-            self.source.selected.indices = []
-            self.source.data = data | self._changing()
+            fixed = self._fixed()
+            self.select([])
+            self.show({**{name: self._empty(name) for name in self.data}, **fixed, **self._changing()})
         else:
-            self._send(self._changing())
+            self.show(self._changing())
 
     @property
     def selected(self) -> list[int]:
         """Numbers of the readings that are selected."""
-        return [int(self._number[k]) for k in self.source.selected.indices]
+        return [int(self._number[k]) for k in self._chosen]
+
+    @property
+    def chosen(self) -> list[int]:
+        """Places of these in the columns."""
+        return self._chosen
 
     def show_pattern(self, trial: Model | None) -> Array:
         """Lay what a model with one effect more would take out over the residuals; nothing if there is none.
@@ -80,20 +114,34 @@ class Readings:
             pattern = np.full(len(self._number), np.nan)
         else:
             pattern = 1e6 * (self._of(self._state.model, "residual") - self._of(trial, "residual"))
-        self._send({"pattern": pattern})
+        self.show({"pattern": pattern})
         return pattern
 
     def draw(self, **columns: str) -> None:
-        """Have the plots' own columns (`DRAWN`) hold what other columns do.
+        """Have columns of a page hold what others do.
 
         A plot that is told to draw another column goes on looking for its points where they were.
         """
-        held = {**self.source.data, **(self._waiting or {})}
-        self._send({name: held[column] for name, column in columns.items()})
+        self.show({name: self.data[column] for name, column in columns.items()})
+
+    def show(self, columns: Mapping[str, Any]) -> None:
+        """Change columns."""
+        self.data |= columns
+        self._send()
 
     def select(self, numbers: Iterable[int]) -> None:
         """Light up readings."""
-        self.source.selected.indices = np.flatnonzero(np.isin(self._number, sorted(numbers))).tolist()
+        self._chosen = np.flatnonzero(np.isin(self._number, sorted(numbers))).tolist()
+        if self._page in self._sources:
+            self._sources[self._page].selected.indices = self._chosen
+
+    def _empty(self, name: str) -> Array:
+        count = len(self._number)
+        return np.zeros(count, dtype=np.uint32) if name in _COLORS else np.full(count, np.nan)
+
+    def _choose(self, page: str, chosen: list[int]) -> None:
+        if page == self._page:
+            self._chosen = chosen
 
     def _fixed(self) -> dict[str, object]:
         """Of the first model, which has every reading that can be used unless its history begins later."""
@@ -119,14 +167,13 @@ class Readings:
         for k, (session, readings) in enumerate(zip(state.sessions, taken, strict=True)):
             named = "" if first.labels is None else f"{first.labels[k]}/"
             setups += [named + session.setup_ids[int(s)] for s in readings.setup]
-            colors += [setup_color(color + int(s)) for s in readings.setup]
+            colors += [packed(setup_color(color + int(s))) for s in readings.setup]
             color += len(session.setup_ids)
         return {
-            **dict.fromkeys(_OF_PAGES, np.full(len(self._number), np.nan)),
             "row": [subject.name(int(number)) for number in self._number],
             "setup": setups,
             "repeat": np.concatenate([one.repeat for one in taken]),
-            "color": colors,
+            "color": np.array(colors, dtype=np.uint32),
             "measured": 1e6 * np.concatenate([one.displacement for one in taken]),
             **{name: 1e3 * values for name, values in zip("xyz", self._place.T, strict=True)},
             **{column: axis_label(column[2:])[1] * self._of(first, column) for column in self.labels},
@@ -142,7 +189,7 @@ class Readings:
             "residual": 1e6 * residual,
             "studentized": self._of(model, "studentized"),
             "pattern": np.full(len(self._number), np.nan),
-            "arrow": np.where(residual > 0, _MORE, _LESS).tolist(),
+            "arrow": np.where(residual > 0, _MORE, _LESS).astype(np.uint32),
             **self._arrows(residual, self.scale),
         }
 
@@ -155,30 +202,31 @@ class Readings:
         both = {"before": self._of(before, "residual"), "after": self._of(after, "residual")}
         scale = max(_bulk(residual) for residual in both.values())
         for name, residual in both.items():
-            self._send({f"{name}:{end}": at for end, at in self._arrows(residual, scale).items()})
+            self.show({f"{name}:{end}": at for end, at in self._arrows(residual, scale).items()})
         return scale
 
     @contextmanager
     def at_once(self) -> Iterator[None]:
         """Whatever is changed meanwhile goes to the browser in one piece: all plots draw themselves anew for each."""
-        if self._waiting is not None:
-            yield
-            return
-        self._waiting = {}
+        held, self._held = self._held, True
         try:
             yield
         finally:
-            waiting, self._waiting = self._waiting, None
-            self._send(waiting)
+            self._held = held
+            self._send()
 
-    def _send(self, columns: Mapping[str, Any]) -> None:
-        """Change columns of the source; those that stay the same are not sent."""
-        if self._waiting is not None:
-            self._waiting |= columns
+    def _send(self) -> None:
+        """Bring the source of the page that is looked at up to date; columns that stay the same are not sent."""
+        source = self._sources.get(self._page)
+        if self._held or source is None:
             return
-        changed = {name: values for name, values in columns.items() if not _same(self.source.data[name], values)}
+        columns = {name: self.data[name] for name in source.data}
+        if {len(values) for values in source.data.values()} != {len(values) for values in columns.values()}:
+            source.data = columns
+            return
+        changed = {name: values for name, values in columns.items() if not _same(source.data[name], values)}
         if changed:
-            self.source.data.update(changed)
+            source.data.update(changed)
 
     def _arrows(self, residual: Array, scale: float) -> dict[str, Array]:
         """Ends of the arrows of residuals (m) in every plane, mm."""
@@ -230,14 +278,3 @@ def _bulk(residual: Array) -> float:
     """Size of the largest residuals but for a few, m."""
     size = np.abs(residual[np.isfinite(residual)])
     return float(np.quantile(size, 0.98)) if len(size) else 0.0
-
-
-_FIXED = ("row", "setup", "repeat", "color", "measured", "x", "y", "z")
-_ENDS = tuple(f"{view}:{end}" for view in VIEWS for end in "uv")
-_CHANGING = ("aside", "predicted", "residual", "studentized", "pattern", "arrow", *_ENDS)
-# What single pages fill; there from the start, as plots ask for them.
-DRAWN = ("against0", "against1", "over", "across", "up", "u", "v", "place_a", "place_b", *(
-    f"{name}_{end}" for name in ("before", "after") for end in "uv"
-))  # fmt: skip
-"""Columns that plots draw, filled from others as the user chooses."""
-_OF_PAGES = ("3d:u", "3d:v", *DRAWN, *(f"{name}:{end}" for name in ("before", "after") for end in _ENDS))

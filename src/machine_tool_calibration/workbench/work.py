@@ -19,6 +19,8 @@ from machine_tool_calibration.workbench.state import Job
 
 __all__ = ["Work"]
 
+_SOON = 300  # ms after which work is told of, unless it says sooner how far it is
+
 
 class Work:
     """One piece of work at a time of one window."""
@@ -30,7 +32,7 @@ class Work:
         self._bar = pn.indicators.Progress(value=0, max=100, width=220, height=16, visible=False, margin=(10, 6))
         self._stop = bar_button("Stop", self.stop, "danger", visible=False)
         self._words = text("", min_width=200)
-        self.view = pn.Row(self._words, self._bar, self._stop, sizing_mode="stretch_width", min_height=36)
+        self.view = pn.Row(self._words, self._bar, self._stop)
         # For a window that was closed nobody waits.
         self._document.on_session_destroyed(lambda context: self._rest())
 
@@ -59,8 +61,8 @@ class Work:
             self.say("One thing at a time: wait for what is running, or stop it.")
             return
         mine = self._job = object()
-        self.say(f"{what} …")
-        self._bar.value, self._bar.visible, self._stop.visible = -1, True, True
+        # What is over at once need not be told of: every change of the bar is laid out anew.
+        self._document.add_timeout_callback(self._if_runs(mine, partial(self._show, what, None)), _SOON)
         calculation = self._calculation = Calculation(job.work)
 
         def follow() -> None:
@@ -80,15 +82,21 @@ class Work:
 
     def _later(self, mine: object, act: Callable[[], None]) -> None:
         """Do something on the page, unless the work was stopped in the meantime."""
+        self._document.add_next_tick_callback(self._if_runs(mine, act))
 
+    def _if_runs(self, mine: object, act: Callable[[], None]) -> Callable[[], None]:
         def now() -> None:
             if self._job is mine:
                 in_order(self._document, act)
 
-        self._document.add_next_tick_callback(now)
+        return now
 
-    def _show(self, what: str, share: float) -> None:
-        self._bar.value = int(100 * min(max(share, 0.0), 1.0))
+    def _show(self, what: str, share: float | None) -> None:
+        """What is being done, and how much of it is, if that is known."""
+        if share is None and self._bar.visible:
+            return
+        self._bar.value = -1 if share is None else int(100 * min(max(share, 0.0), 1.0))
+        self._bar.visible = self._stop.visible = True
         self.say(f"{what} …")
 
     def _done(self, then: Callable[[Any], None], outcome: Any) -> None:

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the pages Plan and Export ask for: a procedure with other choices, its forecast, and the report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.nodes.shared import procedure_file
+from machine_tool_calibration.procedure import parse_procedure
+from machine_tool_calibration.session.yaml_text import load_yaml
+from machine_tool_calibration.workbench.ahead import planned
+from machine_tool_calibration.workbench.export import ExportPage
+from machine_tool_calibration.workbench.handed_over import reported
+from machine_tool_calibration.workbench.procedure_form import ProcedureForm, changed_procedure
+from machine_tool_calibration.workbench.readings import Readings
+from machine_tool_calibration.workbench.state import Job, State
+
+
+def content(name: str) -> dict[str, object]:
+    found = load_yaml(procedure_file(name).read_text(encoding="utf-8"), name).value
+    assert isinstance(found, dict)
+    return found
+
+
+def test_a_procedure_with_other_choices_is_one_that_can_be_run() -> None:
+    given = content("tracking_2d")
+    changed = changed_procedure(given, setups=["A", "C"], repeats=3, dwell=2.5, counts={"x": 4})
+    made = parse_procedure(changed, "changed")
+    usual = parse_procedure(changed_procedure(given), "usual")
+    assert [setup.id for setup in made.session.setups] == ["A", "C"]
+    assert (made.session.repeats, made.motion.dwell) == (3, 2.5)
+    assert (made.path.grid["x"].count, made.path.grid["y"].count) == (4, usual.path.grid["y"].count)
+
+
+@pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")
+def test_the_form_says_what_a_procedure_is_and_why_one_is_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("machine_tool_calibration.workbench.look._locked", lambda act: act())
+    ready: list[bool] = []
+    form = ProcedureForm(ready.append)
+    form._read("step_diagonal")
+    assert ready[-1] and form.procedure().session.method == "step_diagonal"
+    form._counts["blocks"].value = 4
+    assert form.procedure().session.blocks == 4
+    wrong = tmp_path / "wrong.yaml"
+    wrong.write_text("session: {method: nonsense}\n", encoding="utf-8")
+    form._read(str(wrong))
+    assert ready[-1] is False and not form.text
+    assert 'role="alert"' in form._said.object and "wrong.yaml" in form._said.object
+    with pytest.raises(SessionError):
+        form.procedure()
+    form._read("")
+    assert ready[-1] is False and not form._choices.visible
+
+
+def test_a_procedure_with_more_runs_is_forecast_to_tell_more(hidden: Path) -> None:
+    state = State()
+    state.opened(hidden)()
+    wide = []
+    for repeats in (1, 4):
+        text = changed_procedure(content("tracking_2d"), repeats=repeats, counts={"x": 3, "y": 3})
+        now, then, words = planned(
+            state.subject, None, parse_procedure(text, "small"), "rigid_body", 0.0, 0.0, lambda what, share: None
+        )
+        assert now is None and then.words.startswith("procedure ") and f"{repeats * 36} readings" in words
+        assert len(then.session.readings) == repeats * 36 and then.seconds is not None
+        wide.append((float(np.nanmean(then.uncertainty)), then.seconds))
+    assert wide[1][0] < wide[0][0] and wide[1][1] > 2 * wide[0][1]
+
+
+@pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")
+def test_the_buttons_ask_for_the_report_in_their_format(
+    hidden: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("machine_tool_calibration.workbench.look._locked", lambda act: act())
+    state = State()
+    state.opened(hidden)()
+    asked: list[Job] = []
+    work = SimpleNamespace(run=lambda what, job: asked.append(job))
+    page = ExportPage(state, Readings(state), work)  # type: ignore[arg-type]
+    page.refresh()
+    page._saved.folder.value = str(tmp_path)
+    for row in page.view:
+        for button in getattr(row, "objects", ()):
+            if button.name.startswith("Save the report"):
+                button.clicks += 1
+    assert [job.work.func for job in asked] == [reported, reported]
+    assert [job.work.args[4] for job in asked] == [[tmp_path / "report.html"], [tmp_path / "report.pdf"]]
