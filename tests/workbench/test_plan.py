@@ -13,6 +13,7 @@ from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.nodes.shared import procedure_file
 from machine_tool_calibration.procedure import parse_procedure
 from machine_tool_calibration.session.yaml_text import load_yaml
+from machine_tool_calibration.workbench import look
 from machine_tool_calibration.workbench.ahead import planned
 from machine_tool_calibration.workbench.export import ExportPage
 from machine_tool_calibration.workbench.handed_over import reported
@@ -41,7 +42,7 @@ def test_a_procedure_with_other_choices_is_one_that_can_be_run() -> None:
 def test_the_form_says_what_a_procedure_is_and_why_one_is_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("machine_tool_calibration.workbench.look._locked", lambda act: act())
+    monkeypatch.setattr(look, "_locked", lambda act: act())
     ready: list[bool] = []
     form = ProcedureForm(ready.append)
     form._read("step_diagonal")
@@ -78,7 +79,7 @@ def test_a_procedure_with_more_runs_is_forecast_to_tell_more(hidden: Path) -> No
 def test_the_buttons_ask_for_the_report_in_their_format(
     hidden: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("machine_tool_calibration.workbench.look._locked", lambda act: act())
+    monkeypatch.setattr(look, "_locked", lambda act: act())
     state = State()
     state.opened(hidden)()
     asked: list[Job] = []
