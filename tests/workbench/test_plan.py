@@ -39,9 +39,7 @@ def test_a_procedure_with_other_choices_is_one_that_can_be_run() -> None:
 
 
 @pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")
-def test_the_form_says_what_a_procedure_is_and_why_one_is_none(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_form_says_what_a_procedure_is_and_why_one_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(look, "_locked", lambda act: act())
     ready: list[bool] = []
     form = ProcedureForm(ready.append)
