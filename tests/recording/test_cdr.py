@@ -38,7 +38,7 @@ def test_joint_states_as_the_library_reads_them(messages: list[tuple[int, str, l
 
 
 def test_value_by_name() -> None:
-    state = cdr.joint_state(cdr.encode_joint_state(5, "A", ["time", "x"], np.array([1.5, np.nan])))
+    state = cdr.JointStateReader().read(cdr.encode_joint_state(5, "A", ["time", "x"], np.array([1.5, np.nan])))
     assert state.value("time") == 1.5
     assert np.isnan(state.value("x"))
     assert np.isnan(state.value("y"))
@@ -60,7 +60,7 @@ def test_big_endian() -> None:
 
 @given(st.binary(max_size=200), st.sampled_from([0, 1]))
 def test_noise_gives_session_errors_only(data: bytes, order: int) -> None:
-    for read in (cdr.joint_state, cdr.numbers, cdr.text, *(_reader(topic.type) for topic in GRAPH_TOPICS)):
+    for read in (cdr.JointStateReader().read, cdr.numbers, cdr.text, *(_reader(topic.type) for topic in GRAPH_TOPICS)):
         try:
             read(bytes([0, order, 0, 0]) + data)
         except SessionError as error:
