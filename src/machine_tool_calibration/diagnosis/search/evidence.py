@@ -178,7 +178,7 @@ class Metric:
     """The metric for one size of what does not reproduce.
 
     Attributes:
-        ratio: these sizes, in units of the noise.
+        ratio: these sizes, in units of the noise; of the last families, whose sizes are given, in their own.
         log_prior: of these sizes, and the determinant that they cost.
         half: (u', K) and half_data (u', B): X^T V^-1 Y = X^T Y - half_X^T half_Y.
         half_data: see there.

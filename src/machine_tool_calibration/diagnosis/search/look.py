@@ -107,7 +107,8 @@ class Look:
         false_alarms: share of data sets without any effect in which one would have been accepted.
         sets: ids of the effects of every set that matters, with its probability; structures without a cause are
             `unknown`.
-        spread: size of every family of what does not reproduce beside the most probable effects, in units of the noise.
+        spread: size of every family of what does not reproduce beside the most probable effects, in units of the noise;
+            of unknowns that are random functions in theirs.
         variance: of the noise beside them, over that declared.
         without_cause: (k, n) columns of the structures in the most probable set.
         expected: (k,) standard deviation of their coefficients.
