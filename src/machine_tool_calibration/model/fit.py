@@ -81,8 +81,8 @@ class JointFit:
         """
         if self.random is None:
             return self
-        gone = set(self.random.names)
-        models = [_without(model, gone) for model in self.assembly.models]
+        gone = frozenset(self.random.names)
+        models = [model.without(gone) for model in self.assembly.models]
         assembly = assemble(models, self.assembly.labels)
         return JointFit(assembly, solve(assembly.problem))
 
@@ -196,17 +196,6 @@ def fit_models(
     if random is None and len(models) == 1:
         random = models[0].random
     return JointFit(assembly, solution, random)
-
-
-def _without(model: MethodModel, gone: set[str]) -> MethodModel:
-    """A model with some of its terms' unknowns at zero."""
-    kept = [{name: w for name, w in c.weights.items() if name not in gone} for c in model.constraints]
-    return replace(
-        model,
-        terms=tuple(term for term in model.terms if not gone & {p.name for p in term.parameters}),
-        priors=tuple(prior for prior in model.priors if not gone & set(prior.weights)),
-        constraints=tuple(replace(c, weights=w) for c, w in zip(model.constraints, kept, strict=True) if w),
-    )
 
 
 def screen(fit: Fit, columns: Array) -> Projected:

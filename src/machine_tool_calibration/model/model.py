@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from enum import Enum, auto
 from typing import TYPE_CHECKING, Self
@@ -207,6 +207,20 @@ class MethodModel(ABC):
     def with_terms(self, terms: Sequence[Term]) -> Self:
         """The same model with further terms."""
         return replace(self, terms=self.terms + tuple(terms))
+
+    def without(self, names: Set[str]) -> Self:
+        """The same model with unknowns of its terms at zero, and without what was known of them.
+
+        Args:
+            names: of all unknowns of these terms.
+        """
+        kept = [{name: w for name, w in c.weights.items() if name not in names} for c in self.constraints]
+        return replace(
+            self,
+            terms=tuple(term for term in self.terms if names.isdisjoint(p.name for p in term.parameters)),
+            priors=tuple(prior for prior in self.priors if names.isdisjoint(prior.weights)),
+            constraints=tuple(replace(c, weights=w) for c, w in zip(self.constraints, kept, strict=True) if w),
+        )
 
     def settled(self) -> Self:
         """The same model with what it draws from the readings besides unknowns (a spread) estimated again.

@@ -123,10 +123,12 @@ class Pool:
         """(q, n) change of each reading per unit of unknowns of the model's terms."""
         assembly = self.fit.assembly
         place = {parameter.name: k for k, parameter in enumerate(assembly.parameters)}
-        every = np.zeros((len(assembly.parameters), len(self)))
+        wanted = [place[name] for name in names]
+        out = np.zeros((len(wanted), len(self)))
         for model, where, piece in zip(assembly.models, assembly.places, self.pieces, strict=True):
-            every[where[len(model.own) :], piece] = model.dense()
-        return every[[place[name] for name in names]]
+            _, rows, own = np.intersect1d(wanted, where[len(model.own) :], return_indices=True)
+            out[rows, piece] = model.dense()[own]
+        return out
 
     def only(self, columns: Array, piece: slice) -> Array:
         """(k, n) columns of one session's readings, zero elsewhere."""

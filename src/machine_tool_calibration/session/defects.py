@@ -13,6 +13,14 @@ from machine_tool_calibration.session.yaml_text import Document
 
 __all__ = ["either", "first_defect", "kind_of", "place_in", "shown"]
 
+# Kinds of defects of a number that is too small or too large: where pydantic has the bound, and what it is.
+_BOUNDS = {
+    "greater_than": ("gt", "greater than"),
+    "greater_than_equal": ("ge", "at least"),
+    "less_than": ("lt", "less than"),
+    "less_than_equal": ("le", "at most"),
+}
+
 
 def first_defect(
     error: ValidationError,
@@ -63,14 +71,9 @@ def _words(defect: dict[str, Any], record: type[BaseModel] | None) -> str:
         return f"{key} must be a mapping of keys, not {kind_of(value)}"
     if kind == "string_type":
         return f"{key} must be text, not {shown(value)}"
-    if kind == "greater_than":
-        return f"{key} must be greater than {context['gt']:g}, not {shown(value)}"
-    if kind == "greater_than_equal":
-        return f"{key} must be at least {context['ge']:g}, not {shown(value)}"
-    if kind == "less_than":
-        return f"{key} must be less than {context['lt']:g}, not {shown(value)}"
-    if kind == "less_than_equal":
-        return f"{key} must be at most {context['le']:g}, not {shown(value)}"
+    if kind in _BOUNDS:
+        bound, words = _BOUNDS[kind]
+        return f"{key} must be {words} {context[bound]:g}, not {shown(value)}"
     if kind == "value_error":
         text = str(context["error"])
         return f"{key}: {text}" if path else text

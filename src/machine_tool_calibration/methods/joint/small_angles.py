@@ -85,14 +85,7 @@ def without_spread(model: MethodModel) -> MethodModel:
     """The model without angular errors of its own."""
     if not isinstance(model, StepDiagonalModel) or model.spread is None:
         return model
-    gone = {term.name for term in model.spread.terms}
-    unknowns = {name for names in model.spread.names for name in names}
-    return replace(
-        model,
-        terms=tuple(term for term in model.terms if term.name not in gone),
-        priors=tuple(prior for prior in model.priors if not unknowns & set(prior.weights)),
-        spread=None,
-    )
+    return replace(model.without({name for names in model.spread.names for name in names}), spread=None)
 
 
 def expected(models: Sequence[MethodModel], angles: Sequence[MachineTable]) -> tuple[MethodModel, ...]:
