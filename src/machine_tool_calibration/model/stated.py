@@ -17,7 +17,7 @@ import numpy as np
 from scipy import special
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.estimation.normal import covariance_root, solve_normal
+from machine_tool_calibration.estimation.normal import covariance_root
 from machine_tool_calibration.estimation.problem import Part, Problem
 from machine_tool_calibration.estimation.reduction import gram, project, single_blas
 from machine_tool_calibration.estimation.solve import Solution, local_steps
@@ -171,7 +171,8 @@ def state(joint: JointFit) -> Stated:
     )
     theta = np.concatenate([solution.theta, np.zeros(u)])
     total, squares = gram(wide, theta, solution.local)
-    projected = project(total, squares, _root(joint, total, squares), u).gram
+    root = _root(joint, total, squares)
+    projected = project(total, squares, root, u).gram
     projected[-1, -1] = solution.chi_square
     freedom = solution.degrees_of_freedom
     found = components(projected, place, freedom)
@@ -181,11 +182,14 @@ def state(joint: JointFit) -> Stated:
     weights = found.weights[chosen] / found.weights[chosen].sum()
     left = float(weights @ found.squares[chosen])
     scatter = _scatter(left, freedom)
-    tried = [_at(joint, problem, total, squares, place, found.ratios[k], scatter) for k in chosen]
-    mean = np.sum([w * t.step for w, t in zip(weights, tried, strict=True)], axis=0)
-    between = [np.outer(t.step - mean, t.step - mean) for t in tried]
-    covariance = np.sum([w * t.covariance for w, t in zip(weights, tried, strict=True)], axis=0)
-    covariance += np.tensordot(weights, between, axes=1) / scatter**2
+    ratios = np.array([found.ratios[k] for k in chosen]).reshape(len(chosen), -1)
+    random = None
+    if joint.random is None:
+        mean, covariance = _marginal(total, projected, root, ratios[:, place], weights, scatter)
+    else:
+        tried = [_at(joint, joint.random, problem, total, squares, tau[place], scatter) for tau in ratios]
+        mean, covariance = _mixture([t.step for t in tried], [t.covariance for t in tried], weights, scatter)
+        random = tried[int(np.argmax(weights))].random
     if sizes:
         value, known = with_sizes(theta + mean, scatter**2 * covariance, sizes)
         mean, covariance = value - theta, known / scatter**2
@@ -203,10 +207,8 @@ def state(joint: JointFit) -> Stated:
         np.concatenate([np.zeros((0, part.n_readings)), *(f.columns() * model.sigma for f in own if f.name in names)])
         for part, own, model in zip(parts, families, joint.assembly.models, strict=True)
     )
-    squared = np.array([found.ratios[k] for k in chosen]).reshape(len(chosen), -1) ** 2
-    ratios = np.sqrt(weights @ squared)[place] if u else np.zeros(0)
-    random = tried[int(np.argmax(weights))].random
-    return Stated(tuple(parts), stated, scatter, spread, random, functions, left, ratios)
+    size = np.sqrt(weights @ ratios**2)[place] if u else np.zeros(0)
+    return Stated(tuple(parts), stated, scatter, spread, random, functions, left, size)
 
 
 def _root(joint: JointFit, total: Array, squares: Array) -> Array:
@@ -223,7 +225,7 @@ class _Tried:
 
     step: Array
     covariance: Array
-    random: RandomPosterior | None
+    random: RandomPosterior
 
 
 def _widened(problem: Problem, families: Sequence[tuple[Family, ...]]) -> tuple[list[Part], IntArray, tuple[str, ...]]:
@@ -240,18 +242,56 @@ def _widened(problem: Problem, families: Sequence[tuple[Family, ...]]) -> tuple[
     return parts, np.concatenate(place), names
 
 
+def _mixture(
+    means: Sequence[Array], covariances: Sequence[Array], weights: Array, scatter: float
+) -> tuple[Array, Array]:
+    """Mean and covariance (over the square of `scatter`, as those given) where one of several sizes is the true one."""
+    mean = np.einsum("k,ki->i", weights, means)
+    away = (np.array(means) - mean) * np.sqrt(weights)[:, None] / scatter
+    return mean, np.tensordot(weights, covariances, axes=1) + away.T @ away
+
+
+def _marginal(
+    total: Array, projected: Array, root: Array, sizes: Array, weights: Array, scatter: float
+) -> tuple[Array, Array]:
+    """Mean and covariance (over the square of `scatter`) of all unknowns with what does not reproduce.
+
+    Given its coefficients, the model's own unknowns are linear in them: only the coefficients need each size.
+
+    Args:
+        total: (m + u + 1, m + u + 1) Gram matrix of the model's columns, those of u random functions and the residual.
+        projected: (u + 1, u + 1) of the last ones, outside the model.
+        root: (m, r) of the covariance of the model's unknowns without random functions.
+        sizes: (s, u) standard deviations of the functions' coefficients that are tried.
+        weights: (s,) of these.
+        scatter: standard uncertainties in units of those declared.
+    """
+    m, u = len(root), sizes.shape[1]
+    means, covariances = np.zeros((len(sizes), u)), np.zeros((len(sizes), u, u))
+    for k, tau in enumerate(sizes):
+        used = np.flatnonzero(tau > 0)
+        inner = np.linalg.inv(projected[np.ix_(used, used)] + np.diag(tau[used] ** -2.0))
+        # At the solution the residual has nothing left along the model.
+        means[k, used] = inner @ total[m + used, -1]
+        covariances[k][np.ix_(used, used)] = inner
+    mean, covariance = _mixture(means, covariances, weights, scatter)
+    along = np.concatenate([-root @ (root.T @ total[:m, m:-1]), np.eye(u)])
+    whole = along @ covariance @ along.T
+    whole[:m, :m] += root @ root.T
+    return along @ mean, whole
+
+
 def _at(
     joint: JointFit,
+    random: RandomUnknowns,
     problem: Problem,
     total: Array,
     squares: Array,
-    family: IntArray,
-    ratio: tuple[float, ...],
+    tau: Array,
     scatter: float,
 ) -> _Tried:
     """Mean and covariance (over the square of `scatter`) if what does not reproduce has a given size."""
-    m, u = problem.size, len(family)
-    tau = np.array(ratio)[family] if ratio else np.zeros(u)
+    m, u = problem.size, len(tau)
     used = m + np.flatnonzero(tau > 0)
     inner = total[np.ix_(used, used)] + np.diag(tau[used - m] ** -2.0)
     cross = total[used, :m]
@@ -259,16 +299,7 @@ def _at(
     matrix = total[:m, :m] - cross.T @ carried[:, :m]
     # At the solution the residual has nothing left along the model.
     right = -cross.T @ carried[:, m]
-    theta = joint.solution.theta
-    random = None
-    if joint.random is None:
-        distance = problem.constraint_values - problem.constraints @ theta
-        normal = solve_normal(matrix, right, problem.constraints, distance, squares[:m])
-        step, covariance = normal.step, normal.covariance
-    else:
-        random, step, covariance = _with_random(
-            joint, joint.random, problem, total[:m, -1], matrix, right, squares, scatter
-        )
+    found, step, covariance = _with_random(joint, random, problem, total[:m, -1], matrix, right, squares, scatter)
     full, both = np.zeros(m + u), np.zeros((m + u, m + u))
     full[:m], both[:m, :m] = step, covariance
     response = carried[:, :m]
@@ -276,7 +307,7 @@ def _at(
     both[used, :m] = -response @ covariance
     both[:m, used] = both[used, :m].T
     both[np.ix_(used, used)] = carried[:, m + 1 :] + response @ covariance @ response.T
-    return _Tried(full, both, random)
+    return _Tried(full, both, found)
 
 
 def _with_random(
