@@ -6,6 +6,7 @@ log, environment, arguments, middleware and exit status. Started as a program th
 argument is the name by which it is asked.
 """
 
+import gc
 import inspect
 import os
 import signal
@@ -85,6 +86,7 @@ def serve(name: str) -> None:
     typestore()
     # rclpy looks through all modules when a process writes its first line into the log.
     inspect.getmodule(inspect.currentframe())
+    gc.freeze()  # no node looks for circles in what they share
     with Listener("\0" + name, "AF_UNIX", backlog=20) as listener:
         signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # who keeps a node needs no keeper
         os.write(1, b"ready")
