@@ -188,7 +188,8 @@ def state(joint: JointFit) -> Stated:
         mean, covariance = _marginal(total, projected, root, ratios[:, place], weights, scatter)
     else:
         tried = [_at(joint, joint.random, problem, total, squares, tau[place], scatter) for tau in ratios]
-        mean, covariance = _mixture([t.step for t in tried], [t.covariance for t in tried], weights, scatter)
+        steps, covariances = np.array([t.step for t in tried]), np.array([t.covariance for t in tried])
+        mean, covariance = _mixture(steps, covariances, weights, scatter)
         random = tried[int(np.argmax(weights))].random
     if sizes:
         value, known = with_sizes(theta + mean, scatter**2 * covariance, sizes)
@@ -242,12 +243,17 @@ def _widened(problem: Problem, families: Sequence[tuple[Family, ...]]) -> tuple[
     return parts, np.concatenate(place), names
 
 
-def _mixture(
-    means: Sequence[Array], covariances: Sequence[Array], weights: Array, scatter: float
-) -> tuple[Array, Array]:
-    """Mean and covariance (over the square of `scatter`, as those given) where one of several sizes is the true one."""
-    mean = np.einsum("k,ki->i", weights, means)
-    away = (np.array(means) - mean) * np.sqrt(weights)[:, None] / scatter
+def _mixture(means: Array, covariances: Array, weights: Array, scatter: float) -> tuple[Array, Array]:
+    """Mean and covariance (over the square of `scatter`) where one of several sizes is the true one.
+
+    Args:
+        means: (s, n) of each size.
+        covariances: (s, n, n) over the square of `scatter`.
+        weights: (s,) of the sizes; their sum is 1.
+        scatter: standard uncertainties in units of those declared.
+    """
+    mean = weights @ means
+    away = (means - mean) * np.sqrt(weights)[:, None] / scatter
     return mean, np.tensordot(weights, covariances, axes=1) + away.T @ away
 
 

@@ -164,8 +164,8 @@ def _plain(value: Any, depth: int) -> Any:
         return [_plain(entry, depth + 1) for entry in value.tolist()]
     if isinstance(value, list | tuple):
         return [_plain(entry, depth + 1) for entry in value]
-    names = _field_names(value.__class__)
-    if names:
+    if is_dataclass(value):
+        names = _field_names(value.__class__)
         return {name: _plain(getattr(value, name), depth + 1) for name in names} if depth < _DEPTH else None
     if isinstance(value, float) and not math.isfinite(value):
         return None
