@@ -228,28 +228,30 @@ def fitted_sessions(result: Result | JointResult) -> FittedSessions:
 
 def identify_sessions(
     sessions: Sequence[Session],
-    labels: Sequence[str],
+    labels: Sequence[str] | None = None,
     *,
     model: str | None = None,
     effects: Sequence[str] = (),
     own: Sequence[Effect] = (),
     keep_all: bool = False,
     sets: Sequence[EffectSet] = (),
-) -> JointResult:
-    """Identify one machine from several sessions, of the same or of different methods.
+) -> Result | JointResult:
+    """Identify one machine from one session, or from several of the same or of different methods.
 
     Args:
         sessions: the measurements.
-        labels: their names, all different.
-        model: variant of the methods that have it.
+        labels: names of several, all different; not needed for one.
+        model: variant of the methods that have it; for one session, its method must.
         effects: ids of physical effects to add, in every session in which they can act.
         own: the user's own effects, beside the catalogue.
         keep_all: use all readings; otherwise those that stand out of all others of their session are set aside.
         sets: of effects that the readings do not distinguish, over which the map is the mean.
 
     Raises:
-        ModelError: as for `joint_models`; a session that contradicts itself; or too few readings.
+        ModelError: as for `identify` and `joint_models`; a session that contradicts itself; or too few readings.
     """
+    if len(sessions) == 1:
+        return identify(sessions[0], model=model, effects=effects, own=own, keep_all=keep_all, sets=sets)
     rejected = [rejected_readings(session) for session in sessions]
     if not keep_all:
         # Each by itself: where an effect is missing, all its residuals are large, and none stands out.
@@ -257,10 +259,10 @@ def identify_sessions(
         sessions, rejected = [kept for kept, _ in pairs], [gone for _, gone in pairs]
     fitted = fit_sessions(sessions, labels, model=model, effects=effects, own=own)
     joint, common = fitted.joint, fitted.common
-    if common is None:
-        raise ModelError("several sessions are needed to fit them together")
+    names = joint.assembly.labels
+    assert common is not None and names is not None
     angles = stated(joint, common.angles)
-    agreed = agreement(joint, common, labels, _spread(common))
+    agreed = agreement(joint, common, names, _spread(common))
     if angles is not None:
         agreed = replace(agreed, statement=agreed.statement + angles.hidden)
     error_map, averaged = averaged_map(
@@ -270,7 +272,7 @@ def identify_sessions(
         lambda others: fit_sessions(sessions, labels, model=model, effects=others, own=own).error_map,
     )
     return JointResult(
-        labels=tuple(labels),
+        labels=names,
         fit=joint,
         angles=angles,
         common=common,

@@ -59,7 +59,7 @@ def refuse_mistakes(session: Session, start: Start) -> None:
     what = explanation(session, [Judgement(misfit, suppositions(session), _ABSURD, _ABSURD, _BETTER)])
     if what is not None:
         with suspected():
-            raise ModelError(f"{session.source}: the readings do not fit at all, but {what}: then they would")
+            raise ModelError(f"{session.source}: the readings do not fit at all; they would without a mistake: {what}")
 
 
 def _stated(entries: Sequence[StationSetup | Target]) -> tuple[Array, Array]:
