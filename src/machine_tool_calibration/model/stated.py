@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from scipy import special
@@ -97,6 +97,11 @@ class FamilySize:
     low: float
     high: float
     probability: float
+
+    def document(self) -> dict[str, Any]:
+        """For JSON."""
+        interval = [self.low, self.high]
+        return {"family": self.name, "size": self.size, "interval": interval, "probability": self.probability}
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, best_motion
 from machine_tool_calibration.errors import ModelError, suspected
 from machine_tool_calibration.methods.rotary_axis.geometry import table_readings
-from machine_tool_calibration.methods.rotary_axis.start import Start, aligned, find_start
+from machine_tool_calibration.methods.rotary_axis.start import Start, find_start
 from machine_tool_calibration.session.checks.mistakes import Judgement, Supposition, exchanged, explanation
 from machine_tool_calibration.session.checks.nominal_geometry import turning_mistakes
 from machine_tool_calibration.session.description import RotaryAxis, StationSetup, Target
@@ -52,7 +52,8 @@ def refuse_mistakes(session: Session, start: Start) -> None:
         extent = max(float(np.ptp(table.readings.displacement)), 1e-12)
         used = np.unique(table.readings.setup)
         size = max(float(np.ptp(stations[used], axis=0).max()), 1e-3)
-        off = (aligned(found.stations, stations, used) - stations)[used]
+        turn, shift = best_motion(found.stations[used], stations[used])
+        off = found.stations[used] @ turn.T + shift - stations[used]
         misplaced = _too_far(off, stations_u[used]) + _too_far(found.targets - targets, targets_u)
         return found.misfit / extent + misplaced / size
 
