@@ -12,13 +12,14 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.session.description import Place
-from machine_tool_calibration.session.session import Readings, Session
+from machine_tool_calibration.session.session import Session
 
 __all__ = [
     "LENGTHS",
@@ -162,12 +163,9 @@ def exchanged(session: Session, kind: str, among: Sequence[str]) -> Iterator[Sup
     for pair in itertools.combinations(among[:_MOST], 2):
         one, other = map(session.setup_ids.index, pair) if kind == "setup" else pair
         new = np.where(labels == one, other, np.where(labels == other, one, labels))
-        changed = replace(readings, setup=new) if kind == "setup" else _labelled(readings, kind, new)
-        yield Supposition(f"the {kind}s {pair[0]!r} and {pair[1]!r} look exchanged", session.with_readings(changed))
-
-
-def _labelled(readings: Readings, column: str, labels: np.ndarray) -> Readings:
-    return replace(readings, labels={**readings.labels, column: labels})
+        changed: dict[str, Any] = {"setup": new} if kind == "setup" else {"labels": {**readings.labels, kind: new}}
+        what = f"the {kind}s {pair[0]!r} and {pair[1]!r} look exchanged"
+        yield Supposition(what, session.with_readings(replace(readings, **changed)))
 
 
 def described(session: Session, what: str, **update: object) -> Supposition:
