@@ -137,7 +137,8 @@ def _relative(session: Session, predicted: Array, group: IntArray) -> Array:
 
 def _extent(predicted: Array, group: IntArray) -> float:
     low, _, high = group_ranges(predicted, group, int(group.max(initial=-1)) + 1)
-    return float(np.nanmedian(high - low)) / 2
+    known = np.isfinite(low)
+    return float(np.median((high - low)[known])) / 2 if known.any() else np.nan
 
 
 def nominal_tracking(session: Session, place: Place) -> Iterator[Judgement]:
