@@ -11,9 +11,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from machine_tool_calibration.arrays import best_motion
 from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.importing import Imported, import_table, parse_mapping, read_mapping
-from machine_tool_calibration.importing.points import best_motion
 from machine_tool_calibration.importing.units import quantity, si_values
 from machine_tool_calibration.methods.identify import identify
 

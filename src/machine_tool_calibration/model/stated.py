@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from scipy import special
@@ -98,6 +98,11 @@ class FamilySize:
     high: float
     probability: float
 
+    def document(self) -> dict[str, Any]:
+        """For JSON."""
+        interval = [self.low, self.high]
+        return {"family": self.name, "size": self.size, "interval": interval, "probability": self.probability}
+
 
 @dataclass(frozen=True)
 class Stated:
@@ -152,25 +157,60 @@ def state(joint: JointFit) -> Stated:
     # Rows of a plate that differ are the part's, as far as the map is concerned.
     families = [tuple(f for f in reproducibility(m.observations) if f.of_runs) for m in joint.assembly.models]
     parts, place, names = _widened(problem, families)
-    m, u = problem.size, len(place)
-    sizes = effect_sizes(joint.assembly.parameters, solution.is_determined())
-    if not u and joint.random is None:
-        scatter = _scatter(solution.chi_square, solution.degrees_of_freedom)
-        none = tuple(np.zeros((0, part.n_readings)) for part in parts)
-        if sizes:
-            value, known = with_sizes(solution.theta, scatter**2 * solution.covariance, sizes)
-            local = local_steps(problem, solution.theta, solution.local, value - solution.theta)
-            solution = replace(solution, theta=value, covariance=known / scatter**2, local=local)
-        return Stated(tuple(problem.parts), solution, scatter, (), None, none, joint.solution.chi_square, np.zeros(0))
+    u = len(place)
     wide = Problem(
         parts,
-        m + u,
+        problem.size + u,
         np.pad(problem.constraints, ((0, 0), (0, u))),
         problem.constraint_values,
         problem.priors and replace(problem.priors, columns=np.pad(problem.priors.columns, ((0, 0), (0, u)))),
     )
     theta = np.concatenate([solution.theta, np.zeros(u)])
-    total, squares = gram(wide, theta, solution.local)
+    if u or joint.random is not None:
+        found = _averaged(joint, problem, wide, place, names)
+    else:
+        scatter = _scatter(solution.chi_square, solution.degrees_of_freedom)
+        found = _Marginal(
+            np.zeros_like(theta), solution.covariance, scatter, (), None, solution.chi_square, np.zeros(0)
+        )
+    mean, covariance = found.mean, found.covariance
+    if sizes := effect_sizes(joint.assembly.parameters, solution.is_determined()):
+        value, known = with_sizes(theta + mean, found.scatter**2 * covariance, sizes)
+        mean, covariance = value - theta, known / found.scatter**2
+    stated = replace(
+        solution,
+        theta=theta + mean,
+        covariance=covariance,
+        undetermined=np.pad(solution.undetermined, ((0, u), (0, 0))),
+        determined=np.pad(solution.determined, (0, u), constant_values=True),
+        local=local_steps(wide, theta, solution.local, mean) if mean.any() else solution.local,
+    )
+    functions = tuple(
+        np.concatenate([np.zeros((0, part.n_readings)), *(f.columns() * model.sigma for f in own if f.name in names)])
+        for part, own, model in zip(parts, families, joint.assembly.models, strict=True)
+    )
+    return Stated(
+        tuple(parts), stated, found.scatter, found.sizes, found.random, functions, found.squares, found.ratios
+    )
+
+
+@dataclass(frozen=True)
+class _Marginal:
+    """What `Stated` has of the marginal model; `mean` counts from the fit, without what is known of effects' sizes."""
+
+    mean: Array
+    covariance: Array
+    scatter: float
+    sizes: tuple[FamilySize, ...]
+    random: RandomPosterior | None
+    squares: float
+    ratios: Array
+
+
+def _averaged(joint: JointFit, problem: Problem, wide: Problem, place: IntArray, names: tuple[str, ...]) -> _Marginal:
+    """The mean over the sizes of what does not reproduce."""
+    solution, m, u = joint.solution, problem.size, len(place)
+    total, squares = gram(wide, np.concatenate([solution.theta, np.zeros(u)]), solution.local)
     root = _root(joint, total, squares)
     projected = project(total, squares, root, u).gram
     projected[-1, -1] = solution.chi_square
@@ -191,25 +231,10 @@ def state(joint: JointFit) -> Stated:
         steps, covariances = np.array([t.step for t in tried]), np.array([t.covariance for t in tried])
         mean, covariance = _mixture(steps, covariances, weights, scatter)
         random = tried[int(np.argmax(weights))].random
-    if sizes:
-        value, known = with_sizes(theta + mean, scatter**2 * covariance, sizes)
-        mean, covariance = value - theta, known / scatter**2
-    stated = replace(
-        solution,
-        theta=theta + mean,
-        covariance=covariance,
-        undetermined=np.pad(solution.undetermined, ((0, u), (0, 0))),
-        determined=np.pad(solution.determined, (0, u), constant_values=True),
-        local=local_steps(wide, theta, solution.local, mean),
-    )
     seen = np.diag(projected)[:-1] > _SEEN * squares[m:-1]
-    spread = _sizes(joint, found, np.where(seen, squares[m:-1], 0.0), place, names, scatter)
-    functions = tuple(
-        np.concatenate([np.zeros((0, part.n_readings)), *(f.columns() * model.sigma for f in own if f.name in names)])
-        for part, own, model in zip(parts, families, joint.assembly.models, strict=True)
-    )
+    sizes = _sizes(joint, found, np.where(seen, squares[m:-1], 0.0), place, names, scatter)
     size = np.sqrt(weights @ ratios**2)[place] if u else np.zeros(0)
-    return Stated(tuple(parts), stated, scatter, spread, random, functions, left, size)
+    return _Marginal(mean, covariance, scatter, sizes, random, left, size)
 
 
 def _root(joint: JointFit, total: Array, squares: Array) -> Array:
