@@ -39,7 +39,7 @@ def test_the_steps_of_a_plate_say_what_is_significant() -> None:
         "(they take 1.00 µm)."
     )
     table, *_ = direct_tables({"plate": plate(curves=1e-4, aside=[])})
-    assert not isinstance(table, TextTable | str) and table.row_count == 4
+    assert isinstance(table, TextTable) and len(table.rows) == 4
     (*_, sizes) = table.columns
     _, one, two, _ = sizes.cells
     assert "(not significant)" not in str(one)
