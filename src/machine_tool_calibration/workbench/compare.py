@@ -13,6 +13,7 @@ import panel as pn
 from bokeh.models import FactorRange, Span
 
 from machine_tool_calibration.diagnosis.comparison import Comparison
+from machine_tool_calibration.plots.style import spaced
 from machine_tool_calibration.reports.comparison import in_words, joint_in_words
 from machine_tool_calibration.reports.comparison_tables import comparison_tables, joint_tables
 from machine_tool_calibration.reports.tables import TextTable
@@ -55,7 +56,7 @@ class ComparePage:
         )  # fmt: skip
         self._words, self._setups, self._more = text(), text(), text()
         self._count = text("", min_width=150)
-        self._against = [pn.widgets.Select(name=f"Plot {k}: residuals against", width=250) for k in (1, 2)]
+        self._against = [pn.widgets.Select(name=f"Plot {k}: residuals against", width=330) for k in (1, 2)]
         self._plane = pn.widgets.Select(name="Map in the plane", width=120)
         self._plots = [new_figure("Residuals", "", "residual, µm", hover=_HOVER) for _ in (1, 2)]
         for k, plot in enumerate(self._plots):
@@ -142,10 +143,7 @@ class ComparePage:
             return
         self._readings.draw(across=plane[0], up=plane[1], u=f"{plane}:u", v=f"{plane}:v")
         self._map.xaxis.axis_label, self._map.yaxis.axis_label = (f"{axis}, mm" for axis in plane)
-        long = f"{1e6 * self._readings.scale:.2g} µm"
-        self._map.title.text = (
-            f"Residuals as arrows along the sensed direction, longest {long}; orange: +"
-        )
+        self._map.title.text = f"Residuals, {spaced(self._readings.magnification)} times magnified; orange: +"
 
     def _say_selected(self) -> None:
         chosen, model = self._readings.selected, self._state.model

@@ -54,7 +54,7 @@ class DiagnosePage:
         self._words, self._more, self._said = text(), text(), text()
         self._bars = ColumnDataSource({"effect": [], "probability": [], "color": [], "words": []})
         self._ranking = new_figure(
-            "Probability that it is missing (click: its pattern)", "", "", height=330, y_range=FactorRange(),
+            "Probability that it is missing", "", "", height=330, y_range=FactorRange(),
             x_range=(0, 1.15),
         )  # fmt: skip
         self._ranking.hbar("effect", 0.7, "probability", source=self._bars, color="color", nonselection_alpha=0.5)
@@ -82,7 +82,7 @@ class DiagnosePage:
         legend_above(self._over)
         for plot in (self._over, self._added):
             plot.add_layout(Span(location=0.0, dimension="width", line_color="#999999", line_width=1))
-        self._against = pn.widgets.Select(name="Residuals against", width=230)
+        self._against = pn.widgets.Select(name="Residuals against", width=330)
         when_changed(self._against, lambda _: self._draw_against())
         self._effect = pn.widgets.Select(name="Effect", width=230, options=[""])
         when_changed(self._effect, self._look_at)

@@ -16,7 +16,6 @@ from machine_tool_calibration.planning.what_to_measure import Conclusions
 from machine_tool_calibration.plots.style import spaced
 from machine_tool_calibration.reports.history_tables import compared_models, tried_models
 from machine_tool_calibration.reports.quantities import quantity
-from machine_tool_calibration.residuals.noise import noise_of
 from machine_tool_calibration.workbench.look import (
     bar_button,
     controls,
@@ -116,16 +115,20 @@ class ImprovePage:
             value=0,
         )
         self._undo.disabled = len(state.models) < 2
-        names = {f"{k}: {one.step.label}": k for k, one in enumerate(state.models)}
+        names = {name: k for k, name in enumerate(self._names())}
         self._plane.param.update(options=self._readings.planes, value=self._plane.value or self._readings.planes[0])
         self._before.param.update(options=names, value=max(len(state.models) - 2, 0))
         self._history.object = tables([tried_models(state.history)]) if state.history.models else ""
         self._draw_fall()
         self._draw()
 
+    def _names(self) -> list[str]:
+        """Of the models on the way, each with its number in the history, or that it would have there."""
+        return [f"{one.number or k}: {one.step.label}" for k, one in enumerate(self._state.models, 1)]
+
     def _draw_fall(self) -> None:
         steps = [model.step for model in self._state.models]
-        labels = [f"{k}: {step.label}" for k, step in enumerate(steps)]
+        labels = self._names()
         left = [residual_volumetric_error(step, steps[-1]) for step in steps]
         self._fall.x_range.factors = labels
         self._steps.data = {
@@ -133,7 +136,7 @@ class ImprovePage:
             "residual": [1e6 * step.result.rms_residual for step in steps],
             "tool": [np.nan if value is None else 1e6 * value for value in left],
         }
-        declared = noise_of(self._state.models[0].each[0].fit).declared
+        declared = self._state.models[0].each[0].overall.noise.declared
         self._declared.location = 1e6 * declared
         self._fall.title.text = (
             f"The error falls (dotted: declared uncertainty of a reading, {quantity(declared, 'm')})"
@@ -147,12 +150,12 @@ class ImprovePage:
         pair = {"before": state.models[k], "after": state.model}
         every = state.entries()
         self._table.object = tables([compared_models(every[k], every[-1])])
-        scale = self._readings.show_side_by_side(*pair.values())
+        larger = self._readings.show_side_by_side(*pair.values())
         maps = {name: model.fit.result.error_map for name, model in pair.items()}
         factor = magnification(list(maps.values()))
         self._scale.object = escape(
-            f"Above the plots: RMS. Longest arrows of the residuals: {quantity(scale, 'm')}, in the colour of their "
-            f"setup. Errors of the map: {spaced(factor)} times magnified; ellipses: U (k = 2)."
+            f"Above the plots: RMS. Residuals: {spaced(larger)} times magnified, in the colour of their setup. "
+            f"Errors of the map: {spaced(factor)} times magnified; ellipses: U (k = 2)."
         )
         a, b = plane
         self._readings.draw(place_a=a, place_b=b)

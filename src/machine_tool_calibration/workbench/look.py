@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from html import escape
 from typing import Any
 
 import panel as pn
+from bokeh.document.callbacks import invoke_with_curdoc
 from bokeh.models import HoverTool
 from bokeh.plotting import figure
 
@@ -173,13 +175,50 @@ def _locked(act: Callable[[], object]) -> None:
 
 
 def in_order(document: Any, act: Callable[[], object]) -> None:
-    """Do something, and tell the browser of all that it changed when it is done, in the order in which it was changed.
+    """Do something, and tell the browser in one message of all that it changed, in the order in which it was changed.
 
     Panel sends what changes in its own models by another way than Bokeh, which may be faster: of a plot that is new the
-    browser would hear what changes in it before it hears of it.
+    browser would hear what changes in it before it hears of it. And Bokeh sends a message for each change, upon each of
+    which the browser goes through all models of the page.
     """
     document.hold("combine")
+    callbacks, events = document.callbacks, []
     try:
         act()
+        while callbacks._held_events:
+            held, callbacks._held_events = callbacks._held_events, []
+            for event in held:
+                # Who waits for a change may change more.
+                if event.callback_invoker is not None:
+                    invoke_with_curdoc(document, event.callback_invoker)
+                    event.callback_invoker = None
+            events += held
     finally:
-        document.unhold()
+        with _one_message(document):
+            callbacks._held_events = [*events, *callbacks._held_events]
+            document.unhold()
+
+
+@contextmanager
+def _one_message(document: Any) -> Iterator[None]:
+    """Have each browser that shows a document be told in one message of the changes that are sent meanwhile."""
+    session = getattr(document.session_context, "session", None)
+    changes: dict[Any, list[Any]] = {each: [] for each in (session._subscribed_connections if session else ())}
+
+    async def send(connection: Any, first: bool) -> None:
+        if first:
+            await connection._socket.send_message(messages[connection])
+
+    def keep(connection: Any, event: Any) -> Any:
+        changes[connection].append(event)
+        return send(connection, len(changes[connection]) == 1)
+
+    for connection in changes:
+        connection.send_patch_document = partial(keep, connection)
+    try:
+        yield
+    finally:
+        for connection in changes:
+            del connection.send_patch_document
+        # Bokeh waits for what was to be sent when it lets go of the document.
+        messages = {each: each.protocol.create("PATCH-DOC", every) for each, every in changes.items() if every}
