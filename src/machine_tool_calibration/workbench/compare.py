@@ -19,6 +19,7 @@ from machine_tool_calibration.reports.comparison_tables import comparison_tables
 from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.workbench.look import (
     bar_button,
+    beside,
     controls,
     new_figure,
     paragraphs,
@@ -89,10 +90,9 @@ class ComparePage:
                 *self._against, self._plane, self._aside, self._back, self._look, self._cleared, self._suggest,
                 self._count,
             ),
-            pn.Row(self._plots[0], self._plots[1], sizing_mode="stretch_width"),
-            pn.Row(self._map, self._strip, sizing_mode="stretch_width"),
-            pn.Row(self._setups, pn.Column(self._left, self._table, sizing_mode="stretch_width"),
-                   sizing_mode="stretch_width"),
+            beside(*self._plots),
+            beside(self._map, self._strip),
+            beside(self._setups, pn.Column(self._left, self._table, sizing_mode="stretch_width"), least=560),
             pn.Card(self._more, title="By repeat, region, direction of approach and covariate", collapsed=True,
                     sizing_mode="stretch_width"),
             sizing_mode="stretch_width",

@@ -15,6 +15,7 @@ from machine_tool_calibration.reports.diagnosis import diagnosis_report
 from machine_tool_calibration.reports.quantities import probability, quantity, reproducibility_words, sizes_in_words
 from machine_tool_calibration.workbench.look import (
     bar_button,
+    beside,
     controls,
     legend_above,
     new_figure,
@@ -99,7 +100,7 @@ class DiagnosePage:
             ),
             self._words,
             self._said,
-            pn.Row(self._ranking, self._over, self._added, sizing_mode="stretch_width"),
+            beside(self._ranking, self._over, self._added, least=400),
             self._own.view,
             self._more,
             sizing_mode="stretch_width",
@@ -113,6 +114,7 @@ class DiagnosePage:
             self._against.param.update(options=options, value=self._readings.ranked[0])
         self._draw_against()
         self._forget()
+        self._ranking.visible = state.diagnosis is not None
         self._effect.param.update(options=["", *addable(state)], value="")
         self._all.disabled = state.diagnosis is None or not state.diagnosis[0].accepted + state.diagnosis[0].outliers
         if state.diagnosis is None:
@@ -157,6 +159,7 @@ class DiagnosePage:
 
     def _forget(self) -> None:
         self._trial, self._add.disabled, self._said.object = None, True, ""
+        self._added.visible = False
         self._readings.show_pattern(None)
         self._line.data = {"x": [], "y": []}
 
@@ -164,6 +167,7 @@ class DiagnosePage:
         """Show what an effect would take out of the residuals."""
         now, then = self._state.model.fit, trial.fit
         self._trial, self._add.disabled = trial, False
+        self._added.visible = True
         pattern = self._readings.show_pattern(trial)
         ends = [float(np.nanmin(pattern)), float(np.nanmax(pattern))]
         self._line.data = {"x": ends, "y": ends}

@@ -18,6 +18,7 @@ from machine_tool_calibration.reports.history_tables import compared_models, tri
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.workbench.look import (
     bar_button,
+    beside,
     controls,
     legend_above,
     new_figure,
@@ -60,7 +61,7 @@ class ImprovePage:
         when_changed(self._before, lambda _: self._draw())
         when_changed(self._plane, lambda _: self._draw())
         self._steps = ColumnDataSource({name: [] for name in ("step", "residual", "tool")})
-        self._fall = new_figure("The error falls", "", "µm", x_range=FactorRange(), height=320)
+        self._fall = new_figure("", "", "µm", x_range=FactorRange(), height=320)
         for name, color, marker, label in (
             ("residual", _BEFORE, "circle", "residual, RMS"),
             ("tool", _AFTER, "square", "residual volumetric error (k = 2), RMS"),
@@ -94,12 +95,8 @@ class ImprovePage:
         self.view = pn.Column(
             controls(self._all, self._undo, self._add, self._take, self._go, self._before, self._plane),
             self._note,
-            pn.Row(self._fall, pn.Column(self._table, sizing_mode="stretch_width"), sizing_mode="stretch_width"),
-            pn.Row(
-                *self._residuals.values(),
-                *maps.values(),
-                sizing_mode="stretch_width",
-            ),
+            beside(self._fall, self._table),
+            beside(*self._residuals.values(), *maps.values(), least=300),
             self._scale,
             self._history,
             sizing_mode="stretch_width",
@@ -139,7 +136,7 @@ class ImprovePage:
         declared = self._state.models[0].each[0].overall.noise.declared
         self._declared.location = 1e6 * declared
         self._fall.title.text = (
-            f"The error falls (dotted: declared uncertainty of a reading, {quantity(declared, 'm')})"
+            f"The error from model to model (dotted: declared, {quantity(declared, 'm')})"
         )
 
     def _draw(self) -> None:

@@ -21,6 +21,7 @@ from machine_tool_calibration.reports.tables import TextTable
 __all__ = [
     "CSS",
     "bar_button",
+    "beside",
     "controls",
     "in_order",
     "legend_above",
@@ -40,7 +41,7 @@ body { font-family: Helvetica, Arial, sans-serif; font-size: 13px; margin: 0; ba
 
 # A pane's HTML lives in a shadow root of its own, which the page's style does not reach.
 _STYLE = """
-:host { font-family: Helvetica, Arial, sans-serif; font-size: 13px; line-height: 1.35; color: #111; }
+:host { font-family: Helvetica, Arial, sans-serif; font-size: 13px; line-height: 1.35; color: #111; overflow-x: auto; }
 p { margin: 0 0 6px 0; } h3 { font-size: 13px; margin: 10px 0 3px 0; }
 table { border-collapse: collapse; font-size: 12px; margin-bottom: 4px; }
 th { text-align: left; border-bottom: 1px solid #888; padding: 1px 10px 1px 0; vertical-align: bottom; }
@@ -154,6 +155,13 @@ def bar_button(name: str, act: Callable[[], object], kind: str = "default", **mo
 def controls(*items: Any) -> Any:
     """Fields and buttons beside each other, on further lines where the window is narrow; buttons level with fields."""
     return pn.FlexBox(*items, align_items="end", sizing_mode="stretch_width")
+
+
+def beside(*items: Any, least: int = 420) -> Any:
+    """Plots and tables beside each other, on further lines where the window leaves them less than so many pixels."""
+    styles = {"display": "grid", "grid-template-columns": f"repeat(auto-fit, minmax(min({least}px, 100%), 1fr))"}
+    # In a column, which can be hidden: the style of the row would show it all the same.
+    return pn.Column(pn.Row(*items, sizing_mode="stretch_width", styles=styles), sizing_mode="stretch_width")
 
 
 def legend_above(plot: Any) -> None:

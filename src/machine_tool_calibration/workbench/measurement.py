@@ -14,7 +14,15 @@ from bokeh.models import ColumnDataSource
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.reports.information import counts_in_words, session_tables
 from machine_tool_calibration.session.summary import summarize
-from machine_tool_calibration.workbench.look import new_figure, paragraphs, setup_color, tables, text, when_changed
+from machine_tool_calibration.workbench.look import (
+    beside,
+    new_figure,
+    paragraphs,
+    setup_color,
+    tables,
+    text,
+    when_changed,
+)
 from machine_tool_calibration.workbench.readings import VIEWS, Readings
 from machine_tool_calibration.workbench.state import State
 from machine_tool_calibration.workbench.work import Work
@@ -55,7 +63,7 @@ class MeasurementPage:
         for slider in (self._turn, self._tilt):
             when_changed(slider, lambda _: self._look())
         space = new_figure(
-            "Places of the readings and stations (parallel projection)",
+            "Places of readings and stations",
             "",
             "",
             height=420,
@@ -81,12 +89,10 @@ class MeasurementPage:
             )
         self.view = pn.Column(
             self._words,
-            pn.Row(
-                pn.Column(pn.Row(self._turn, self._tilt), space, sizing_mode="stretch_width"),
-                pn.Column(self._setups, sizing_mode="stretch_width"),
-                sizing_mode="stretch_width",
+            beside(
+                pn.Column(pn.Row(self._turn, self._tilt), space, sizing_mode="stretch_width"), self._setups, least=480
             ),
-            pn.Row(*(self._plots[view] for view in VIEWS), sizing_mode="stretch_width"),
+            beside(*(self._plots[view] for view in VIEWS), least=320),
             self._more,
             sizing_mode="stretch_width",
         )

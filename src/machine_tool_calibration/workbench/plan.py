@@ -23,6 +23,7 @@ from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.workbench.ahead import looked_ahead, planned
 from machine_tool_calibration.workbench.look import (
     bar_button,
+    beside,
     controls,
     legend_above,
     new_figure,
@@ -97,7 +98,7 @@ class PlanPage:
                 "x", "y", "wx", "wy", source=source, fill_color=None, line_color=color, line_width=1.5
             )
             # The legend would show the first ellipse, which may be a point.
-            self._map.line([], [], line_color=color, line_width=1.5, legend_label=label)
+            self._map.line([np.nan], [np.nan], line_color=color, line_width=1.5, legend_label=label)
             self._maps[name] = (source, glyph)
         for plot in (self._where, self._map):
             legend_above(plot)
@@ -116,7 +117,7 @@ class PlanPage:
                 sizing_mode="stretch_width",
             ),
             self._table,
-            pn.Row(self._where, self._map, sizing_mode="stretch_width"),
+            beside(self._where, self._map),
             self._sizes,
             sizing_mode="stretch_width",
         )  # fmt: skip
