@@ -11,6 +11,8 @@ from machine_tool_calibration.model.observations import Observations
 
 __all__ = ["Warmup"]
 
+# An aluminium frame of half a metre grows by this while it warms by 40 K, m; a cast one by a quarter of it.
+_LARGEST = 5e-4
 _IN_READINGS = Shape("tau", "1", 0.5, 1e5, meaning="time constant, in readings")
 
 
@@ -30,7 +32,7 @@ class Warmup(Effect):
         self.id = f"warmup_{axis}"
         self.title = f"warm-up of {axis.upper()}"
         self.formula = f"e_{axis} = a (1 - exp(-time / tau))"
-        self.coefficients = (Coefficient("a", "m", -1e-4, 1e-4, "displacement when warm"),)
+        self.coefficients = (Coefficient("a", "m", -_LARGEST, _LARGEST, "displacement when warm"),)
         self.shapes = (Shape("tau", "s", 10.0, 1e5, meaning="time constant"),)
         self.needs = (axis,)
         self.covariates = ("time",)

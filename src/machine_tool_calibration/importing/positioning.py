@@ -39,7 +39,8 @@ def positioning_rows(columns: Columns, name: str) -> Rows:
     mapping = columns.mapping
     if mapping.axis is None:
         raise SessionError(f"{columns.table.source}: which axis was moved is not said, as in --axis x")
-    if mapping.layout == "wide":
+    # Only where every reading has its row is there a column of directions.
+    if mapping.layout == "wide" and not columns.has("direction"):
         position, run, up, deviation, row = _wide(columns)
     else:
         position, run, up, deviation, row = _long(columns)

@@ -140,7 +140,7 @@ def _screened(
 def _outside(pool: Pool, candidates: Sequence[Candidate]) -> list[_Screened]:
     """The columns outside the model, in one pass: the model is the same for all."""
     stacked = [block.columns for candidate in candidates for block in candidate.shapes]
-    projected = pool.screen(np.concatenate(stacked))
+    projected = pool.screen(np.concatenate(stacked), random=True)
     inner = np.diag(projected.gram)[:-1]
     seen = np.asarray(inner > _SEEN * projected.squares[:-1])
     ends = np.cumsum([len(columns) for columns in stacked])[:-1]

@@ -136,15 +136,19 @@ class Pool:
         out[:, piece] = columns
         return out
 
-    def screen(self, columns: Array) -> Projected:
-        """What the fit, without unknowns that are random functions, leaves of (k, n) further columns.
+    def screen(self, columns: Array, *, random: bool = False) -> Projected:
+        """What the fit leaves of (k, n) further columns.
 
         The squared norms before count within the runs: a constant of a run is its datum, and an effect counts by how it
         varies.
+
+        Args:
+            columns: change of each reading, m.
+            random: whether unknowns that are random functions take their share, of the size that they have in the fit.
         """
         shared = tuple(Parameter(f"{k}", "1", shared=True) for k in range(len(columns)))
         terms: Sequence[Sequence[Term]] = [[Term("columns", shared, columns[:, piece])] for piece in self.pieces]
-        return screen_joint(self.fit.released, terms)
+        return screen_joint(self.fit if random else self.fit.released, terms)
 
     def within_runs(self, columns: Array) -> Array:
         """(k,) squared norms of columns over the declared uncertainty, without the mean of each run."""

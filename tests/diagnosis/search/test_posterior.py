@@ -75,6 +75,20 @@ def test_columns_nearly_alike_share_the_probability() -> None:
     assert found.without(0, 1) + found.without(1, 0) > 0.8
 
 
+def test_candidates_exchange_their_probability_only_where_one_is_instead_of_the_other() -> None:
+    """Two that are each as probable as not are no alternatives to each other for that."""
+    columns, noise = made(2, 4)
+    noise -= columns @ (columns.T @ noise) / 64.0
+    apart = searched(columns, noise + 0.45 * (columns[:, 0] + columns[:, 1]))
+    assert 0.2 < apart.of(0) < 0.8
+    # As often one without the other as the other without the one.
+    assert apart.without(1, 0) == pytest.approx(apart.without(0, 1)) and apart.without(1, 0) > 0.2 * apart.of(0)
+    assert not apart.exchanges(0, 1) and not apart.exchanges(1, 0)
+    columns[:, 1] = 8.0 * (0.999 * columns[:, 0] / 8.0 + np.sqrt(1.0 - 0.999**2) * columns[:, 1] / 8.0)
+    alike = searched(columns, noise + 0.45 * columns[:, 0])
+    assert alike.exchanges(0, 1) and alike.exchanges(1, 0)
+
+
 def test_a_pair_that_hides_each_other_is_found() -> None:
     """Two columns that are almost opposite: neither leads alone, both together are certain."""
     columns, noise = made(3, 6)

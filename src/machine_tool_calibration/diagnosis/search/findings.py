@@ -231,8 +231,8 @@ def alias_groups(
     """Effects that this data cannot distinguish: the first of each group is its most probable member.
 
     Two are alike if one reproduces at least 0.9 (cosine) of the other's signal outside the model, or if they exchange
-    probability: where one is not in, the other is. What contains the first describes all that it does, and is no
-    alternative to it for that.
+    probability (`Posterior.exchanges`). What contains the first describes all that it does, and is no alternative to it
+    for that.
 
     Args:
         findings: the most probable first.
@@ -252,9 +252,7 @@ def alias_groups(
                 head.name not in f.candidate.contains
                 and max(_cosine(head, f, gram, bases[f.name]), _cosine(f, head, gram, bases[head.name])) >= ALIKE
             )
-            or (
-                head.probability > LIKELY and found.without(index[f.name], index[head.name]) > LIKELY * head.probability
-            )
+            or (head.probability > LIKELY and found.exchanges(index[head.name], index[f.name]))
         ]
         if alike:
             groups.append((head.name, *(f.name for f in alike)))

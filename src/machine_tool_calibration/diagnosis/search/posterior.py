@@ -17,6 +17,7 @@ from scipy.special import logsumexp
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.diagnosis.search.evidence import Block, Gram, Metric, Point, Table, metrics, table
+from machine_tool_calibration.diagnosis.search.priors import LIKELY
 
 __all__ = ["Member", "Posterior", "search"]
 
@@ -106,6 +107,11 @@ class Posterior:
             return float(self.single.log_factors[candidate, 0])
         gained = self.log_weights[frozenset(self.best)] - self.log_weights[rest]
         return gained - float(self.log_odds[candidate])
+
+    def exchanges(self, candidate: int, other: int) -> bool:
+        """Whether another candidate is in where this one is not, and more probably than where this one is."""
+        instead = self.without(other, candidate)
+        return instead > max(LIKELY * self.of(candidate), self.of(other) * (1.0 - self.of(candidate)))
 
     def without(self, member: int, other: int) -> float:
         """Probability of the sets that hold one candidate and not the other."""
