@@ -16,8 +16,10 @@ from panel.io.state import set_curdoc
 
 from machine_tool_calibration.reports.history_file import history_path, read_history
 from machine_tool_calibration.workbench.improve import ImprovePage
+from machine_tool_calibration.workbench.live_feed import Feed
 from machine_tool_calibration.workbench.look import in_order
 from machine_tool_calibration.workbench.measurement import MeasurementPage
+from machine_tool_calibration.workbench.page import _Window
 from machine_tool_calibration.workbench.readings import Readings
 from machine_tool_calibration.workbench.state import State
 from machine_tool_calibration.workbench.work import Work
@@ -67,6 +69,19 @@ def test_the_tables_of_a_measurement_are_tables(state: State, document: Document
     assert "<pre" not in page._setups.object + page._more.object, "no lines that break in the middle"
     assert "<td" in page._setups.object and "(-350.0, 50.0, 0.0) mm" in page._setups.object
     assert "Models" in page._more.object
+
+
+def test_a_page_is_put_in_its_place_at_once(
+    hidden: Path, document: Document, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    window = _Window([hidden], (), None, Feed(), False)
+    for root in window.roots:
+        document.add_root(root.get_root(document))
+    through: list[None] = []
+    recompute = document.models.recompute
+    monkeypatch.setattr(document.models, "recompute", lambda: through.append(recompute()))
+    window._show("Export")
+    assert len(through) == 1, "Bokeh goes through all models of the window"
 
 
 class Connection:
