@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.diagnosis.diagnose import diagnose
+from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
 from ..diagnosed import SETS
 
@@ -103,3 +104,25 @@ def test_passes_that_differ_are_no_drift(plates: ModuleType, many: Any) -> None:
     some = many.part(0.5)
     every = [plates.axis(seed, between=5e-7, terms=("EXX",)) for seed in range(some.count)]
     assert sum(bool(diagnose(session, sets=SETS).accepted) for session in every) <= some.at_most(0.05)
+
+
+def test_play_with_the_wrong_sign_is_no_cause() -> None:
+    spec = SimulationSpec(plan=PRESETS["iso230_2"], seed=5, effects=(FlawSpec(id="lost_motion_x", amplitude=2e-6),))
+    session = simulate(spec).session
+    assert diagnose(session, sets=SETS).accepted == ("lost_motion_x",)
+    columns = session.readings.columns
+    turned = replace(session.readings, columns={**columns, "dir_x": -columns["dir_x"]})
+    found = diagnose(session.with_readings(turned), sets=SETS)
+    assert (found.verdict, found.accepted) == ("unexplained", ())
+    assert "sign" in found.refused["lost_motion_x"]
+
+
+def test_a_frame_may_warm_up_by_tenths_of_a_millimetre(plates: ModuleType) -> None:
+    """Read by a switch at one place, as on printers and wood working machines."""
+    n = 300
+    time, one, none = 60.0 * np.arange(n), np.ones(n), np.zeros(n)
+    warm = 3e-4 * (1.0 - np.exp(-time / 4000.0)) + 5e-6 * np.random.default_rng(3).normal(size=n)
+    columns = {"time": time, "z": none, "gx": none, "gy": none, "gz": one, "displacement": warm}
+    found = diagnose(plates.session(columns, 5e-6, "offset", (), np.zeros(n, np.int64), "top"), sets=SETS)
+    assert (found.verdict, found.accepted) == ("missing_effect", ("warmup_z",))
+    assert {"dead_path", "refractive_index"} <= set(found.excluded)

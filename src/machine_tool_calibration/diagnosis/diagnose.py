@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 import threadpoolctl
 
-from machine_tool_calibration.diagnosis.search.candidates import effect_candidates
+from machine_tool_calibration.diagnosis.search.candidates import Candidate, between_the_grid, effect_candidates
 from machine_tool_calibration.diagnosis.search.findings import Finding
 from machine_tool_calibration.diagnosis.search.look import Look, look_at
 from machine_tool_calibration.diagnosis.search.prediction import Prediction, predictions
@@ -291,8 +291,11 @@ def _search(
     excluded |= {e.id: "the model has it already, as a random function" for e in known if e.id in held}
     progress(f"{len(candidates)} effects, alone and together", 0.2)
     side_by_side = all(session.spec.reads_machine for session in sessions)
-    rng = np.random.default_rng(seed)
-    look = look_at(first.joint, candidates, structure_candidates(pool), rng, sets, side_by_side=side_by_side)
+    structures = structure_candidates(pool)
+    look = look_at(first.joint, candidates, structures, np.random.default_rng(seed), sets, side_by_side=side_by_side)
+    fine = _resolved(pool, candidates, look, lambda added: fit_of(parts, added).joint)
+    if fine is not None:
+        look = look_at(first.joint, fine, structures, np.random.default_rng(seed), sets, side_by_side=side_by_side)
     if averaged is not None:
         told = averaged[1]
         noise = replace(look.noise[0], from_repeats=told.from_repeats, repeats=told.repeats)
@@ -303,7 +306,8 @@ def _search(
     for name in look.accepted:
         effect = next(e for e in known if e.id == name)
         if not look.of(name).plausible:
-            refused[name] = "no machine or instrument has such a size"
+            what = "such a size" if look.of(name).possible else "it with this sign"
+            refused[name] = f"no machine or instrument has {what}"
             continue
         against = [p for p in predicted.get(name, ()) if p.speaks_against]
         if against:
@@ -334,6 +338,23 @@ def _search(
         set_aside=tuple(() for _ in sessions),
         fit_with=partial(fit_of, parts),
     )
+
+
+def _resolved(
+    pool: Pool, candidates: Sequence[Candidate], look: Look, fit_with: Callable[[Sequence[Effect]], JointFit]
+) -> list[Candidate] | None:
+    """The candidates with finer nonlinear coefficients of the accepted effects; None where the grid does."""
+    named = [c for c in candidates if c.name in look.accepted and c.effect is not None]
+    used = {
+        c.name: look.of(c.name).shape for c in named if c.nonlinear and not any(shape.discrete for shape in c.nonlinear)
+    }
+    if not used:
+        return None
+    try:
+        fit = fit_with([candidate.effect for candidate in named if candidate.effect is not None])
+    except ModelError:
+        return None
+    return between_the_grid(pool, candidates, used, fit)
 
 
 def _verdict(look: Look, fits: Sequence[JointFit], accepted: bool) -> str:

@@ -3,21 +3,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape
+from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.residuals.pool import Pool
 
-__all__ = ["Candidate", "Shaped", "effect_candidates", "opposites", "shaped_at"]
+__all__ = ["Candidate", "Shaped", "between_the_grid", "effect_candidates", "opposites", "shaped_at"]
 
 # Change of a reading, in standard uncertainties, below which an effect does not act.
 _TRACE = 0.01
 # Sets of nonlinear coefficients of one effect in several sessions.
 _MOST_SHAPES = 48
+# Standard uncertainties between a fitted nonlinear coefficient and the grid's from which the grid is too coarse.
+_BETWEEN = 2.0
 
 
 @dataclass(frozen=True)
@@ -88,6 +91,41 @@ def effect_candidates(pool: Pool, effects: Sequence[Effect]) -> tuple[list[Candi
         else:
             excluded[effect.id] = "no reading depends on it"
     return found, excluded
+
+
+def between_the_grid(
+    pool: Pool, candidates: Sequence[Candidate], used: Mapping[str, tuple[float, ...]], fit: JointFit
+) -> list[Candidate] | None:
+    """The candidates with what a fit says of their nonlinear coefficients, where the readings tell these that well.
+
+    A strong warm-up at a time constant that is a fifth wrong leaves what looks like a drift.
+
+    Args:
+        pool: the readings.
+        candidates: with the values of the grid.
+        used: of the grid's values those that explain the readings best, of the effects that are in the fit; none of
+            them discrete.
+        fit: with these effects.
+
+    Returns:
+        None where the grid's values are as good.
+    """
+    place = {parameter.name: k for k, parameter in enumerate(fit.assembly.parameters)}
+    scatter = max(fit.reduced_chi_square, 1.0)
+    out, finer = [], False
+    for candidate in candidates:
+        at = [place.get(f"{candidate.name}.{shape.name}", -1) for shape in candidate.nonlinear if not shape.discrete]
+        # A coefficient that the readings do not bound is none of the fit's unknowns.
+        if candidate.effect is not None and candidate.name in used and at and min(at) >= 0:
+            reference = np.array([fit.assembly.parameters[k].reference for k in at])
+            found = reference + fit.solution.theta[at]
+            apart = np.abs(found - used[candidate.name])
+            if (apart > _BETWEEN * np.sqrt(scatter * np.diag(fit.solution.covariance)[at])).any():
+                more = shaped_at(pool, candidate.effect, tuple(found.tolist()))
+                candidate = replace(candidate, shapes=(*candidate.shapes, more), equally=candidate.count)
+                finer = True
+        out.append(candidate)
+    return out if finer else None
 
 
 def opposites(candidates: Sequence[Candidate]) -> list[Candidate]:
