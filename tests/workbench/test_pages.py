@@ -14,6 +14,7 @@ from bokeh.protocol import Protocol
 from bokeh.server.session import ServerSession
 from panel.io.state import set_curdoc
 
+from machine_tool_calibration.interface.session import simulate
 from machine_tool_calibration.reports.history_file import history_path, read_history
 from machine_tool_calibration.workbench.improve import ImprovePage
 from machine_tool_calibration.workbench.live_feed import Feed
@@ -62,6 +63,19 @@ def test_models_have_the_numbers_of_the_history(state: State, hidden: Path, docu
     assert numbers == [1, 2, 3, 4]
     assert list(page._before.options) == ["1: first model", "4: + dead_path"] == page._fall.x_range.factors
     assert "model 1" in page._table.object and "model 4" in page._table.object
+
+
+def test_another_measurement_may_lie_in_another_plane(
+    state: State, tmp_path: Path, document: Document
+) -> None:
+    page = shown(ImprovePage, state)
+    assert page._plane.value == "xy"
+    simulate("step_diagonal", seed=3).save(tmp_path / "diagonals")
+    state.opened(tmp_path / "diagonals")()
+    page._readings.refresh()
+    page._readings.planes.remove("xy")
+    page.refresh()
+    assert page._plane.value == "xz" == page._plane.options[0]
 
 
 def test_the_tables_of_a_measurement_are_tables(state: State, document: Document) -> None:

@@ -113,7 +113,8 @@ class ImprovePage:
         )
         self._undo.disabled = len(state.models) < 2
         names = {name: k for k, name in enumerate(self._names())}
-        self._plane.param.update(options=self._readings.planes, value=self._plane.value or self._readings.planes[0])
+        there = self._readings.planes
+        self._plane.param.update(options=there, value=self._plane.value if self._plane.value in there else there[0])
         self._before.param.update(options=names, value=max(len(state.models) - 2, 0))
         self._history.object = tables([tried_models(state.history)]) if state.history.models else ""
         self._draw_fall()

@@ -195,12 +195,12 @@ def in_order(document: Any, act: Callable[[], object]) -> None:
         act()
         while callbacks._held_events:
             held, callbacks._held_events = callbacks._held_events, []
+            events += held
             for event in held:
                 # Who waits for a change may change more.
-                if event.callback_invoker is not None:
-                    invoke_with_curdoc(document, event.callback_invoker)
-                    event.callback_invoker = None
-            events += held
+                waiting, event.callback_invoker = event.callback_invoker, None
+                if waiting is not None:
+                    invoke_with_curdoc(document, waiting)
     finally:
         with _one_message(document):
             callbacks._held_events = [*events, *callbacks._held_events]
