@@ -86,6 +86,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: place.get(item.path, len(place)))
 
 
+def pytest_collection_finish() -> None:
+    """What there is before the first test stays: to look for circles in it, as at the end, takes half a second."""
+    gc.freeze()
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     """The statistics of a few simulated measurements are tests; those of hundreds are benchmarks."""
     parser.addoption("--runs", type=int, default=10, help="simulated measurements of a statistical test (default 10)")

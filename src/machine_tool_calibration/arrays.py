@@ -14,6 +14,7 @@ __all__ = [
     "Array",
     "BoolArray",
     "IntArray",
+    "best_motion",
     "group_ranges",
     "groups",
     "in_order_of_appearance",
@@ -101,6 +102,24 @@ def group_ranges(values: Array, group: IntArray, count: int) -> tuple[Array, Arr
     low[there], high[there] = ordered[start], ordered[start + many - 1]
     median[there] = 0.5 * (ordered[start + (many - 1) // 2] + ordered[start + many // 2])
     return low, median, high
+
+
+def best_motion(points: Array, onto: Array) -> tuple[Array, Array]:
+    """The rigid motion that brings points nearest to others by least squares (Kabsch 1976); no mirror image.
+
+    Args:
+        points: (n, d).
+        onto: (n, d).
+
+    Returns:
+        Rotation (d, d) and shift (d,): a point goes to rotation @ point + shift.
+    """
+    middle, goal = points.mean(axis=0), onto.mean(axis=0)
+    left, _, right = np.linalg.svd((onto - goal).T @ (points - middle))
+    sense = np.ones(len(left))
+    sense[-1] = np.sign(np.linalg.det(left @ right))
+    rotation = np.asarray((left * sense) @ right)
+    return rotation, goal - rotation @ middle
 
 
 def rms(values: Array) -> float:

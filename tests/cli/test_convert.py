@@ -123,3 +123,9 @@ def test_a_target_is_needed(capsys: pytest.CaptureFixture[str]) -> None:
     assert "Missing argument 'TARGET'" in err
     _, err = ask(capsys, "convert", DATA.parent / "tracking_2d", "--dry-run", status=2)
     assert "--dry-run is for tables of other programs" in err
+
+
+def test_its_options_for_foreign_tables_stand_apart_in_its_help(capsys: pytest.CaptureFixture[str]) -> None:
+    out, _ = ask(capsys, "convert", "--help")
+    own, foreign = (out.index(title) for title in ("\nOptions:", "\nTables of other programs:"))
+    assert own < out.index("\n  --topic") < foreign < out.index("\n  --mapping")

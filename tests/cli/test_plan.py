@@ -49,7 +49,7 @@ def test_a_run_of_one_axis_promises_that_axis_alone(capsys: pytest.CaptureFixtur
     (line,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("position error")]
     typical = 2e6 * np.sqrt(np.mean([row[0] ** 2 for row in rows]))
     assert line.split()[2] == f"{typical:.3g}"
-    assert line.endswith(f"{2 * len(rows)} of {3 * len(rows)}")
+    assert line.rstrip().endswith(f"{2 * len(rows)} of {3 * len(rows)}")
 
 
 def test_promised_uncertainty_and_detectable_size_of_a_tracking_interferometer() -> None:

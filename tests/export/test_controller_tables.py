@@ -58,6 +58,12 @@ def test_tables_are_the_parameters_of_the_result(plane: Result, tables: AxisTabl
     assert "EZX" in {entry.name for entry in tables.left_out}
 
 
+@pytest.mark.parametrize("text", ["{", "[]", '{"tables": {"EXX": {}}}', '{"tables": 3}'])
+def test_what_is_no_document_of_tables_is_one_line(text: str, tables: AxisTables) -> None:
+    with pytest.raises(CalibrationError, match=r"^compensation\.json: not a document of "):
+        read_tables("json", {"compensation.json": text}, tables)
+
+
 @pytest.mark.parametrize("form", VOLUMETRIC)
 def test_a_volumetric_table_takes_all_errors_away(form: str, plane: Result, tables: AxisTables) -> None:
     left = preview(plane.error_map, read_tables(form, write_tables(form, tables, "cell 1"), tables))

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from machine_tool_calibration.arrays import best_motion
 from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.importing import Imported, import_table, parse_mapping, read_mapping
-from machine_tool_calibration.importing.points import best_motion
 from machine_tool_calibration.importing.units import quantity, si_values
 from machine_tool_calibration.methods.identify import identify
 
@@ -419,6 +419,37 @@ def test_runs_that_cannot_be_read(more: dict[str, Any], said: str) -> None:
         content["units"] = {"position": "mm", "deviation": "um"}
     with pytest.raises(SessionError, match=said):
         read("iso230_wide.csv", content)
+
+
+@pytest.mark.parametrize(
+    ("session", "said"),
+    [
+        ({"setups": [{"id": "r"}]}, None),
+        ({"setups": [{"id": "q"}]}, r"r\.csv: setups names 'q', of which the table has no row"),
+        ({"setups": {"id": "r"}}, r"r\.csv: setups must be a list of entries with an id"),
+        ({"method": "probing"}, r"r\.csv: this table makes a session of direct; leave out method"),
+    ],
+)
+def test_what_a_mapping_says_of_the_session(tmp_path: Path, session: dict[str, Any], said: str | None) -> None:
+    file = tmp_path / "r.csv"
+    file.write_text("p,d,s\n0,1,up\n1,1,up\n")
+    columns = {"position": "p", "deviation": "d", "direction": "s"}
+    content = {**RUNS, "layout": "long", "columns": columns, "units": {"position": "m", "deviation": "um"}}
+    mapping = parse_mapping({**content, "session": {**RUNS["session"], **session}}, "m")
+    if said is None:
+        assert import_table(file, mapping).session.setup_ids == ("r",)
+        return
+    with pytest.raises(SessionError, match=said):
+        import_table(file, mapping)
+
+
+def test_a_setup_is_in_one_file(tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        (tmp_path / f"{name}.csv").write_text("X,M,S\n0,0.001,a\n100,100.002,a\n")
+    columns = {"x": "X", "actual_x": "M", "setup": "S"}
+    mapping = parse_mapping({"table": "points", "columns": columns, "units": {"length": "mm"}, "session": SESSION}, "m")
+    with pytest.raises(SessionError, match=r"two\.csv: setup 'a' is in .*one\.csv too; a setup is in one file"):
+        import_table([tmp_path / "one.csv", tmp_path / "two.csv"], mapping)
 
 
 def test_directions_in_words(tmp_path: Path) -> None:

@@ -75,6 +75,25 @@ def test_what_differs_in_shape_is_found_and_named() -> None:
     assert int(np.nanargmax(np.abs(found.normalised[:, 0]))) == 2
 
 
+def test_maps_of_a_plane_are_drawn_where_they_were_found_and_listed() -> None:
+    first = np.zeros((4, 3))
+    first[2, 0] = 2e-5
+    roots = (alone(1e-6, (4, 3), False), alone(1e-6, (4, 3), True))
+    compared = compare_maps(SQUARE, first, np.zeros((4, 3)), roots, labels=("new", "old"))
+    found = MapComparison(compared)
+    left, right = found.plot().axes
+    drawn = {line.get_label(): line.get_xydata() for line in left.lines}
+    magnified = drawn["new"] - drawn["commanded"]
+    np.testing.assert_allclose(magnified / magnified[2, 0], compared.first[:, :2] / compared.first[2, 0], atol=1e-9)
+    np.testing.assert_allclose(drawn["commanded"], 1e3 * SQUARE[:, :2])
+    assert {line.get_label() for line in right.lines} >= {"along x", "along y"}
+    assert len(found.table) == 12, "of 4 points in 3 directions"
+    assert found.table.loc[(0.2, 0.2, 0.0, "x"), "normalised"] > 1.0
+    assert not found.agree and found.document()["maps"] == ["new", "old"]
+    assert found.headline == "new and old contradict each other at 4 points"
+    assert "E_n" in found.report()
+
+
 def test_a_single_point_has_nothing_but_the_motion() -> None:
     first = np.array([[5e-6, 1e-6, NAN]])
     roots = (alone(1e-6, (1, 3), False), alone(1e-6, (1, 3), True))

@@ -135,7 +135,15 @@ def test_p_value_and_predicted():
 def result_of(model):
     fit = fit_models([model]).fits[0]
     error_map = model.error_map(fit)
-    return Result(fit, error_map, ("scale",), "line", (), 9, error_map)
+    return Result(
+        fit=fit,
+        error_map=error_map,
+        effects=("scale",),
+        model_name="line",
+        rejected=(),
+        observations=9,
+        alone=error_map,
+    )
 
 
 def test_published_value_counts_from_its_reference():

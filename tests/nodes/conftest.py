@@ -9,18 +9,12 @@ import yaml
 
 pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 
-from sensor_msgs.msg import JointState
-from std_msgs.msg import String
-
 from machine_tool_calibration.nodes.graph import Graph, Program
 from machine_tool_calibration.nodes.operator import Operator
-from machine_tool_calibration.nodes.ros.messages import LATCHED, READINGS, to_message
-from machine_tool_calibration.recording.graph import MACHINE
-from machine_tool_calibration.recording.session_bag import reading_columns
-from machine_tool_calibration.session.parse import description_yaml
 from machine_tool_calibration.session.session import Session
 
 from .forked import ForkedGraph
+from .publishing import publish
 
 # s: as long as a slow and busy machine may take for anything that needs no time of its own; reached only in a failure
 PATIENCE = 300.0
@@ -168,16 +162,8 @@ def ask(operator: Operator, kind: Any, service: str, request: Any) -> Any:
 
 def feed(operator: Operator, session: Session, start: int = round(ORIGIN * 1e9)) -> None:
     """Publish a session as the procedure does, latched, and wait until the estimator has it."""
-    description = operator._node.create_publisher(String, "session", LATCHED)
-    publisher = operator._node.create_publisher(JointState, "reading", READINGS)
-    description.publish(String(data=description_yaml(session.description)))
-    names, table = reading_columns(session)
-    for row in table:
-        message = JointState(name=names, position=row.tolist())
-        message.header.stamp = to_message(start + round(row[names.index("time")] * 1e9))
-        message.header.frame_id = MACHINE
-        publisher.publish(message)
-    collected(operator, len(table))
+    publish(operator._node, session, start)
+    collected(operator, len(session.readings))
 
 
 def collected(operator: Operator, count: int) -> None:

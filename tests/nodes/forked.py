@@ -6,6 +6,8 @@ log, environment, arguments, middleware and exit status. Started as a program th
 argument is the name by which it is asked.
 """
 
+import gc
+import inspect
 import os
 import signal
 import subprocess
@@ -17,6 +19,7 @@ from multiprocessing.connection import Client, Connection, Listener
 from pathlib import Path
 
 from machine_tool_calibration.nodes.graph import Graph, end_with_parent
+from machine_tool_calibration.recording.cdr import typestore
 
 NODES = (
     "axis_simulator", "estimator", "instrument", "player", "probe", "procedure", "recorder", "rotary_pointer",
@@ -80,6 +83,10 @@ def address() -> str:
 def serve(name: str) -> None:
     for node in NODES:
         import_module(f"machine_tool_calibration.nodes.{node}")
+    typestore()
+    # rclpy looks through all modules when a process writes its first line into the log.
+    inspect.getmodule(inspect.currentframe())
+    gc.freeze()  # no node looks for circles in what they share
     with Listener("\0" + name, "AF_UNIX", backlog=20) as listener:
         signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # who keeps a node needs no keeper
         os.write(1, b"ready")

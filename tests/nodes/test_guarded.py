@@ -2,6 +2,7 @@
 """Nodes in this process, without a graph: parameters that cannot be, missing readings, starts that come too early."""
 
 import gc
+import time
 from types import SimpleNamespace
 
 import pytest
@@ -9,6 +10,7 @@ import rclpy
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.exceptions import InvalidParameterValueException
+from rclpy.experimental import EventsExecutor
 from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
@@ -23,11 +25,11 @@ from machine_tool_calibration.nodes.estimator import Estimator
 from machine_tool_calibration.nodes.operator import Status
 from machine_tool_calibration.nodes.probe import Probe
 from machine_tool_calibration.nodes.procedure import ProcedureNode
-from machine_tool_calibration.nodes.ros.messages import Level, status, to_message, values
+from machine_tool_calibration.nodes.ros.messages import READINGS, Level, status, to_message, values
 from machine_tool_calibration.nodes.ros.process import post, say_unknown_parameters
 from machine_tool_calibration.nodes.ros.services import Answer, DeferredService
 
-from .conftest import ORIGIN, PROCEDURE
+from .conftest import ORIGIN, PATIENCE, PROCEDURE
 
 START = round(ORIGIN * 1e9)
 
@@ -189,6 +191,40 @@ def test_the_estimator_says_which_readings_never_came(made):
     assert shown(node).message.endswith("; 1 of 10 readings are missing")
     hear(node, "reading", reading(6, reading_index=6.0))
     assert values_of(shown(node))["missing"] == "0" and shown(node).level == b"\0"
+
+
+def test_the_estimator_says_that_no_reading_of_a_publisher_was_heard(made):
+    node = made(Estimator)
+    executor = EventsExecutor()
+    executor.add_node(node)
+
+    def comes_and_goes(*messages):
+        total, _ = node._sources
+        other = rclpy.create_node("bag")
+        publisher = other.create_publisher(JointState, "reading", READINGS)
+        for message in messages:
+            publisher.publish(message)
+        wait(lambda: node._sources == (total + 1, 1) and len(node._received) >= len(messages))
+        other.destroy_node()
+        wait(lambda: node._sources == (total + 1, 0))
+        return shown(node)
+
+    def wait(condition):
+        ends = time.monotonic() + PATIENCE
+        while not condition():
+            assert time.monotonic() < ends
+            executor.spin_once(timeout_sec=0.1)
+
+    words = "; a publisher of readings came and went, and none of its readings was heard"
+    assert shown(node).level == b"\0"
+    entry = comes_and_goes()
+    assert entry.level == bytes([Level.WARN]) and entry.message.endswith(words)
+    entry = comes_and_goes(reading(0, reading_index=0.0))
+    assert entry.level == b"\0" and not entry.message.endswith(words)
+    assert comes_and_goes().message.endswith(words), "another one"
+    node._reset(Answer(Trigger.Response()))
+    assert shown(node).level == b"\0"
+    executor.shutdown()
 
 
 def test_a_reset_is_counted_and_what_follows_shows_the_gap(made):

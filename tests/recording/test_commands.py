@@ -12,9 +12,12 @@ import pandas as pd
 import pytest
 
 from machine_tool_calibration.cli.main import run
+from machine_tool_calibration.errors import RecordingError
+from machine_tool_calibration.recording.cdr import NUMBERS, encode, part
 from machine_tool_calibration.recording.reader import BagReader
 from machine_tool_calibration.recording.session_bag import session_to_bag
 from machine_tool_calibration.recording.tables import save_tables
+from machine_tool_calibration.recording.writer import BagWriter
 from machine_tool_calibration.session.folder import read_session
 
 DATA = Path(__file__).parents[1] / "data"
@@ -177,3 +180,33 @@ def test_a_bag_that_is_given_as_the_present_folder(tmp_path: Path, monkeypatch: 
 def test_a_bag_without_a_name(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["recover", "/"]) == 1
     assert "has no name" in capsys.readouterr().err
+
+
+def test_lists_of_messages_and_unnamed_samples_become_columns(tmp_path: Path) -> None:
+    diagnostics = "diagnostic_msgs/msg/DiagnosticArray"
+    header = part("std_msgs/msg/Header", part("builtin_interfaces/msg/Time", 7, 5), "machine")
+    entry = part("diagnostic_msgs/msg/KeyValue", "state", "µ")
+    status = part("diagnostic_msgs/msg/DiagnosticStatus", 1, "axes", "moving", "none", [entry])
+    layout = part("std_msgs/msg/MultiArrayLayout", [], 0)
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add_topic("/diagnostics", diagnostics)
+        bag.add_topic("/samples", NUMBERS)
+        bag.write("/diagnostics", encode(diagnostics, header, [status]), 10)
+        bag.write("/samples", encode(NUMBERS, layout, np.array([1.5, 2.5])), 20)
+    files, skipped = save_tables(BagReader(tmp_path / "bag"), tmp_path / "tables", "csv")
+    assert not skipped
+    (told,) = pd.read_csv(files["/diagnostics"]).to_dict("records")
+    assert (told["header.stamp.sec"], told["header.frame_id"]) == (7, "machine")
+    assert json.loads(told["status"]) == [
+        {"level": 1, "name": "axes", "message": "moving", "hardware_id": "none",
+         "values": [{"key": "state", "value": "µ"}]},
+    ]  # fmt: skip
+    assert pd.read_csv(files["/samples"])["data"].tolist() == [1.5, 2.5]
+
+
+def test_tables_are_not_written_among_other_files(session_bag: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("kept")
+    for folder, said in ((tmp_path, "is not empty"), (tmp_path / "file", "cannot be made: File exists")):
+        with pytest.raises(RecordingError, match=said):
+            save_tables(BagReader(session_bag), folder, "csv")
+    assert (tmp_path / "file").read_text() == "kept"

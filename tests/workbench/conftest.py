@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sessions with a hidden effect, and the page's libraries."""
 
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
-pytest.importorskip("panel", reason="the workbench needs panel and bokeh")
+# Where they are used they are imported: that takes seconds, in every process of the tests.
+if find_spec("panel") is None:
+    pytest.skip("the workbench needs panel and bokeh", allow_module_level=True)
 
 from machine_tool_calibration.interface.session import simulate
 

@@ -11,19 +11,13 @@ from collections.abc import Iterator
 from contextlib import closing
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 import pandas as pd
 import pytest
 
 import machine_tool_calibration as mtcal
-from machine_tool_calibration.recording.session_bag import reading_columns
 from machine_tool_calibration.reports.history_file import history_path, read_history
-from machine_tool_calibration.session.parse import description_yaml
-
-if TYPE_CHECKING:
-    from machine_tool_calibration.nodes.ros.guest import Guest
 
 CHROMIUM = Path("/usr/bin/chromium")
 pytestmark = pytest.mark.skipif(not CHROMIUM.exists(), reason="no browser: Debian's package chromium has one")
@@ -197,35 +191,18 @@ def beside_a_graph(page: "playwright.Page", hidden: Path, domain: int) -> None:
     """Readings that come are drawn, become a map, and are opened in the other pages."""
     from machine_tool_calibration.nodes.ros.guest import Guest
 
+    from ..nodes.publishing import publish
+
     page.get_by_role("button", name="Live", exact=True).click()
     page.get_by_text(f"Nothing is heard in ROS domain {domain} yet").wait_for()
     with closing(Guest("procedure_of_the_test", domain)) as guest:
-        kept = publish(guest, hidden)
+        kept = publish(guest.node, mtcal.load(hidden).sessions[0], START)
         page.get_by_text("The map, calculated here from 288 readings").wait_for()
         assert kept
         page.get_by_role("button", name="Open in the other pages", exact=True).click()
         page.get_by_text("mtcal_output/live is open in the other pages.").wait_for()
     taken, given = (mtcal.load(folder).readings for folder in (hidden.parent / "mtcal_output" / "live", hidden))
     assert taken["displacement"].tolist() == given["displacement"].tolist()
-
-
-def publish(guest: "Guest", folder: Path) -> list[object]:
-    """What a procedure publishes of a session; kept for those who come late as long as the publishers are."""
-    from sensor_msgs.msg import JointState
-    from std_msgs.msg import String
-
-    from machine_tool_calibration.nodes.ros.messages import LATCHED, READINGS, to_message
-
-    session = mtcal.load(folder).sessions[0]
-    sessions = guest.node.create_publisher(String, "session", LATCHED)
-    readings = guest.node.create_publisher(JointState, "reading", READINGS)
-    sessions.publish(String(data=description_yaml(session.description)))
-    names, table = reading_columns(session)
-    for row in table:
-        message = JointState(name=names, position=row.tolist())
-        message.header.stamp = to_message(START + round(row[names.index("time")] * 1e9))
-        readings.publish(message)
-    return [sessions, readings]
 
 
 def test_without_the_token_there_is_nothing(address: str) -> None:

@@ -9,10 +9,7 @@ import pytest
 
 from machine_tool_calibration.effects.formula import formula_effect
 from machine_tool_calibration.errors import CalibrationError, ModelError
-from machine_tool_calibration.workbench.map_plot import map_arrows
-from machine_tool_calibration.workbench.measurement import seen_from
 from machine_tool_calibration.workbench.models import Model
-from machine_tool_calibration.workbench.own_effect import unknowns_of
 from machine_tool_calibration.workbench.state import State
 
 
@@ -39,6 +36,8 @@ def test_what_the_diagnosis_names_is_added_as_improve_does(state: State) -> None
 
 
 def test_the_pattern_of_an_effect_of_the_users_own_is_that_of_the_same_effect_of_the_catalogue(state: State) -> None:
+    from machine_tool_calibration.workbench.own_effect import unknowns_of
+
     coefficients = {"coefficients": unknowns_of("b m -2e-5 2e-5")}
     state.know(formula_effect({"id": "mine", "enters": "y", "formula": "b * dir_y", **coefficients}))
     looked: list[Model] = []
@@ -51,6 +50,8 @@ def test_the_pattern_of_an_effect_of_the_users_own_is_that_of_the_same_effect_of
 
 
 def test_unknowns_are_read_from_a_line() -> None:
+    from machine_tool_calibration.workbench.own_effect import unknowns_of
+
     assert unknowns_of("b m -2e-5 2e-5, q 1/K -1 1") == {
         "b": {"unit": "m", "low": -2e-5, "high": 2e-5},
         "q": {"unit": "1/K", "low": -1.0, "high": 1.0},
@@ -61,6 +62,8 @@ def test_unknowns_are_read_from_a_line() -> None:
 
 
 def test_a_map_is_drawn_with_its_expanded_uncertainty(state: State) -> None:
+    from machine_tool_calibration.workbench.map_plot import map_arrows
+
     found = state.model.fit.result.error_map
     drawn = map_arrows(found, 1000.0)
     np.testing.assert_allclose(drawn["x1"] - drawn["x"], 1e3 * 1000.0 * found.error[:, 0])
@@ -69,6 +72,8 @@ def test_a_map_is_drawn_with_its_expanded_uncertainty(state: State) -> None:
 
 
 def test_the_view_of_space_is_a_parallel_projection() -> None:
+    from machine_tool_calibration.workbench.measurement import seen_from
+
     axes = np.eye(3)
     np.testing.assert_allclose(seen_from(axes, 0.0, 90.0), [[1, 0], [0, 1], [0, 0]], atol=1e-12)
     np.testing.assert_allclose(seen_from(axes, 0.0, 0.0), [[1, 0], [0, 0], [0, 1]], atol=1e-12)

@@ -23,7 +23,6 @@ from machine_tool_calibration.session.collect import Reading
 from machine_tool_calibration.session.parse import description_yaml
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.workbench import live_feed
-from machine_tool_calibration.workbench.live import Thinned, answer_words, node_table
 from machine_tool_calibration.workbench.live_feed import Feed
 from machine_tool_calibration.workbench.process import Calculation
 
@@ -135,6 +134,8 @@ def test_more_nodes_than_a_graph_has_are_refused() -> None:
 
 
 def test_what_nodes_say_cannot_be_taken_for_the_page() -> None:
+    from machine_tool_calibration.workbench.live import node_table
+
     hostile = NodeState("<b>x</b>", "estimator", 9, "<script>1</script>", {"step": "<i>", "ignored": "3"})
     shown = node_table([hostile], 0.0)
     assert "<script>" not in shown and "<b>x" not in shown and "<i>" not in shown
@@ -160,6 +161,8 @@ def test_a_request_is_answered_or_its_node_has_gone() -> None:
 
 
 def test_answers_are_told_in_the_units_of_people() -> None:
+    from machine_tool_calibration.workbench.live import answer_words
+
     assert answer_words("measuring 288 readings") == "measuring 288 readings"
     content = {"observations": 288, "rms_residual": 2.5e-7, "accepted": [], "reduced_chi_square": 1.04321, "missing": 0}
     assert answer_words(json.dumps(content)) == (
@@ -171,6 +174,8 @@ def test_answers_are_told_in_the_units_of_people() -> None:
 
 @pytest.mark.parametrize("most", [1, 4, 10])
 def test_however_many_readings_come_a_bounded_number_is_drawn_evenly(most: int) -> None:
+    from machine_tool_calibration.workbench.live import Thinned
+
     thinned, drawn, known = Thinned(most), list[int](), 0
     for total in (0, 1, 3, 4, 9, 10, 11, 60, 61, 1000):
         if thinned.grow(total):
@@ -184,6 +189,8 @@ def test_however_many_readings_come_a_bounded_number_is_drawn_evenly(most: int) 
 
 
 def test_of_a_procedure_that_repeats_itself_every_target_is_drawn() -> None:
+    from machine_tool_calibration.workbench.live import Thinned
+
     thinned = Thinned(2000)
     thinned.grow(32 * 2000)
     assert {number % 32 for number in thinned.of(0, 32 * 2000)} == set(range(32))

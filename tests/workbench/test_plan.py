@@ -13,12 +13,8 @@ from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.nodes.shared import procedure_file
 from machine_tool_calibration.procedure import parse_procedure
 from machine_tool_calibration.session.yaml_text import load_yaml
-from machine_tool_calibration.workbench import look
 from machine_tool_calibration.workbench.ahead import planned
-from machine_tool_calibration.workbench.export import ExportPage
 from machine_tool_calibration.workbench.handed_over import reported
-from machine_tool_calibration.workbench.procedure_form import ProcedureForm, changed_procedure
-from machine_tool_calibration.workbench.readings import Readings
 from machine_tool_calibration.workbench.state import Job, State
 
 
@@ -29,6 +25,8 @@ def content(name: str) -> dict[str, object]:
 
 
 def test_a_procedure_with_other_choices_is_one_that_can_be_run() -> None:
+    from machine_tool_calibration.workbench.procedure_form import changed_procedure
+
     given = content("tracking_2d")
     changed = changed_procedure(given, setups=["A", "C"], repeats=3, dwell=2.5, counts={"x": 4})
     made = parse_procedure(changed, "changed")
@@ -40,6 +38,9 @@ def test_a_procedure_with_other_choices_is_one_that_can_be_run() -> None:
 
 @pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")
 def test_the_form_says_what_a_procedure_is_and_why_one_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from machine_tool_calibration.workbench import look
+    from machine_tool_calibration.workbench.procedure_form import ProcedureForm
+
     monkeypatch.setattr(look, "_locked", lambda act: act())
     ready: list[bool] = []
     form = ProcedureForm(ready.append)
@@ -59,6 +60,8 @@ def test_the_form_says_what_a_procedure_is_and_why_one_is_none(tmp_path: Path, m
 
 
 def test_a_procedure_with_more_runs_is_forecast_to_tell_more(hidden: Path) -> None:
+    from machine_tool_calibration.workbench.procedure_form import changed_procedure
+
     state = State()
     state.opened(hidden)()
     wide = []
@@ -77,6 +80,10 @@ def test_a_procedure_with_more_runs_is_forecast_to_tell_more(hidden: Path) -> No
 def test_the_buttons_ask_for_the_report_in_their_format(
     hidden: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    from machine_tool_calibration.workbench import look
+    from machine_tool_calibration.workbench.export import ExportPage
+    from machine_tool_calibration.workbench.readings import Readings
+
     monkeypatch.setattr(look, "_locked", lambda act: act())
     state = State()
     state.opened(hidden)()

@@ -13,7 +13,6 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.interface.session import simulate
 from machine_tool_calibration.reports.history_file import history_path, read_history
 from machine_tool_calibration.session.folder import write_session
-from machine_tool_calibration.workbench.readings import Readings
 from machine_tool_calibration.workbench.state import State, measurements_in
 
 
@@ -97,6 +96,8 @@ def test_an_unknown_effect_changes_nothing(hidden: Path) -> None:
 
 
 def test_readings_set_aside_stay_in_the_source_and_come_back(hidden: Path) -> None:
+    from machine_tool_calibration.workbench.readings import Readings
+
     state = opened(hidden)
     readings = Readings(state)
     state.watch(readings.refresh)
@@ -113,6 +114,8 @@ def test_readings_set_aside_stay_in_the_source_and_come_back(hidden: Path) -> No
 
 
 def test_arrows_point_along_what_is_sensed(hidden: Path) -> None:
+    from machine_tool_calibration.workbench.readings import Readings
+
     state = opened(hidden)
     readings = Readings(state)
     readings.refresh()
@@ -162,6 +165,8 @@ def test_an_effect_of_the_users_own_comes_back_with_the_history(hidden: Path) ->
 
 
 def test_several_sessions_are_fitted_together(struck: Path, hidden: Path) -> None:
+    from machine_tool_calibration.workbench.readings import Readings
+
     state = opened(hidden, struck)
     pickle.dumps(state.model)  # it goes from process to process
     count = len(state.sessions[0].readings)

@@ -53,22 +53,20 @@ def command(
     mtcal compare measurements/cube --against temperature_x --against path -o pictures
     mtcal compare measurements/cube measurements/grid_plate
     """
-    from machine_tool_calibration.diagnosis.compare import compare, compare_sessions
+    from machine_tool_calibration.diagnosis.compare import compare_sessions
     from machine_tool_calibration.diagnosis.comparison import Comparison
     from machine_tool_calibration.reports import comparison as documents
     from machine_tool_calibration.reports.comparison_tables import show_comparison
 
     chosen = wanted.open(measurements)
-    model, effects, own = chosen.model, chosen.effects, chosen.own
-    comparison: Comparison | JointComparison
     with progress_bar() as progress:
         progress("comparing")
-        if chosen.labels is None:
-            comparison = compare(chosen.kept[0], model=model, effects=effects, own=own)
+        comparison = compare_sessions(
+            chosen.kept, chosen.labels, model=chosen.model, effects=chosen.effects, own=chosen.own
+        )
+        if isinstance(comparison, Comparison):
             for name in against:
                 comparison.covariate(name)
-        else:
-            comparison = compare_sessions(chosen.kept, chosen.labels, model=model, effects=effects, own=own)
     if output is not None or against:
         note_written(_write(comparison, output or Path(), against))
     if not as_json:

@@ -12,6 +12,7 @@ import numpy as np
 
 from machine_tool_calibration.cli.output import PictureFile, console, json_option, note, write_json
 from machine_tool_calibration.reports.quantities import plus_minus, quantity, rounded
+from machine_tool_calibration.reports.tables import TextTable, show_suspicions, show_table
 
 if TYPE_CHECKING:
     from machine_tool_calibration.methods.step_diagonal.compare import Comparison
@@ -52,7 +53,6 @@ def command(measurement: Path, plot: Path | None, as_json: bool) -> None:
     """
     from machine_tool_calibration.methods.step_diagonal.compare import compare_formulations
     from machine_tool_calibration.recording.open import open_measurement
-    from machine_tool_calibration.reports.tables import show_suspicions
     from machine_tool_calibration.session.checks.suspicion import suspicions
 
     session = open_measurement(measurement)
@@ -104,29 +104,25 @@ def _document(comparison: Comparison) -> Mapping[str, Any]:
 
 
 def _show(comparison: Comparison) -> None:
-    from rich.table import Table
-
     out = console()
     title = "Value ± expanded uncertainty (k = 2) from the readings alone"
-    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
-    table.add_column("figure", no_wrap=True)
-    for name in comparison.profiles:
-        table.add_column(_HEADS[name], justify="right")
+    rows: list[tuple[str, ...]] = []
+    heads = ("figure", *(_HEADS[name] for name in comparison.profiles))
     figures = {
         name: {(f.kind, f.name): f for f in profiles.figures()} for name, profiles in comparison.profiles.items()
     }
     before = ""
     for kind, name in next(iter(figures.values())):
         if before and kind != before:
-            table.add_row()
+            rows.append(("",) * len(heads))
         before = kind
         row = [figures[column][kind, name] for column in comparison.profiles]
-        table.add_row(_label(kind, name, next(iter(comparison.profiles.values()))), *(_cell(f) for f in row))
-    out.print(table)
-    out.print(
-        "Positioning: error at the last block position. Straightness: largest minus smallest deviation from the "
-        "least-squares line. Squareness: slope of one axis's line against the other's."
+        rows.append((_label(kind, name, next(iter(comparison.profiles.values()))), *(_cell(f) for f in row)))
+    note = (
+        "positioning: error at the last block position; straightness: largest minus smallest deviation from the "
+        "least-squares line; squareness: slope of one axis's line against the other's"
     )
+    show_table(out, TextTable(title, heads, tuple(rows), note))
     if "conventional" in comparison.profiles and "new" in comparison.profiles:
         off = [
             np.nanmax(np.abs(a - b))

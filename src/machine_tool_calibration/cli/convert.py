@@ -23,6 +23,7 @@ from machine_tool_calibration.cli.foreign_options import (
 from machine_tool_calibration.cli.info import topic_names, topic_option
 from machine_tool_calibration.cli.output import RosName, console, json_option, note, progress_bar, write_json
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.reports.tables import TextTable, show_table
 
 if TYPE_CHECKING:
     from machine_tool_calibration.importing import Imported
@@ -32,7 +33,6 @@ __all__ = ["command", "foreign_document", "show_preview"]
 
 
 _FIRST = 6
-_BESIDE = ("setup", "repeat", "target", "point")
 
 
 def foreign_document(imported: Imported) -> dict[str, Any]:
@@ -57,7 +57,6 @@ def show_preview(imported: Imported, *, whole: bool) -> None:
         whole: also the first readings and the text of session.yaml; otherwise remarks only.
     """
     from rich.markup import escape
-    from rich.table import Table
 
     from machine_tool_calibration.session.folder import readings_frame
     from machine_tool_calibration.session.parse import description_yaml
@@ -66,17 +65,11 @@ def show_preview(imported: Imported, *, whole: bool) -> None:
     if whole:
         out = console()
         out.print(f"[bold]{escape(session.source)}[/]: {imported.rows} rows, {len(session.readings)} readings")
-        table = Table("quantity", "column", "unit", box=None, pad_edge=False)
-        for role, (column, unit) in imported.columns.items():
-            table.add_row(role, escape(column), unit)
-        out.print(table)
+        read = tuple((role, *column_and_unit) for role, column_and_unit in imported.columns.items())
+        show_table(out, TextTable("", ("quantity", "column", "unit"), read))
         frame = readings_frame(session).head(_FIRST)
-        table = Table(title="first readings, in SI units (m, rad, s)", title_justify="left", box=None, pad_edge=False)
-        for name in frame:
-            table.add_column(str(name), justify="left" if name in _BESIDE else "right")
-        for row in frame.itertuples(index=False):
-            table.add_row(*(_shown(value) for value in row))
-        out.print(table)
+        rows = tuple(tuple(_shown(value) for value in row) for row in frame.itertuples(index=False))
+        show_table(out, TextTable("first readings, in SI units (m, rad, s)", tuple(map(str, frame)), rows))
         out.print("session.yaml:", style="bold")
         out.print(escape(description_yaml(session.description).rstrip()))
     for text in imported.notes:

@@ -11,7 +11,7 @@ import click
 
 from machine_tool_calibration.cli.diagnosing import effects_file_option, note_written, own_effects
 from machine_tool_calibration.cli.output import console, json_option, progress_bar, write_json
-from machine_tool_calibration.reports.tables import show_table
+from machine_tool_calibration.reports.tables import TextTable, show_table
 
 if TYPE_CHECKING:
     from machine_tool_calibration.effects.effect import Effect
@@ -71,7 +71,6 @@ def _list(effects: Sequence[Effect]) -> None:
 
 
 def _describe(effect: Effect) -> None:
-    from rich.table import Table
     from rich.text import Text
 
     from machine_tool_calibration.planning.injected import where_it_shows
@@ -91,9 +90,7 @@ def _describe(effect: Effect) -> None:
         "instruments": ", ".join(i.replace("_", " ") for i in effect.instruments) or "all",
         "source": effect.source,
     }
-    shown = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
-    for name, text in lines.items():
-        shown.add_row(Text(f"  {name}:"), Text(text))
-    screen.print(shown)
+    rows = tuple((f"  {name}:", text) for name, text in lines.items())
+    show_table(screen, TextTable("", ("", ""), rows))
     show_table(screen, shown_table(found))
     screen.print()

@@ -12,6 +12,7 @@ import click
 
 from machine_tool_calibration.cli.output import RosName, error_console
 from machine_tool_calibration.reports.identification import summary_rows
+from machine_tool_calibration.reports.tables import TextTable, show_table
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -95,24 +96,17 @@ def _lines(console: Console) -> Progress:
 
 def show_result(console: Console, measured: Measured) -> None:
     """The measurement's figures as a table."""
-    from rich.table import Table
-
-    table = Table(show_header=False, box=None, pad_edge=False)
-    table.add_row("measured", f"{len(measured.session.readings)} readings in {measured.seconds[1]:.1f} s")
-    for name, number in measured.counters.items():
-        if number and name in ("unstable", "recoveries", "restarts"):
-            table.add_row(name, str(number))
+    rows = [("measured", f"{len(measured.session.readings)} readings in {measured.seconds[1]:.1f} s")]
+    for name in ("unstable", "recoveries", "restarts"):
+        if number := measured.counters.get(name):
+            rows.append((name, str(number)))
     if measured.result is not None:
-        for name, text in summary_rows(measured.result):
-            table.add_row(name, text)
-    console.print(table)
+        rows += summary_rows(measured.result)
+    show_table(console, TextTable("", ("", ""), tuple(rows)))
 
 
 def show_files(console: Console, measured: Measured, more: list[tuple[str, Path]] | None = None) -> None:
     """Where everything is."""
-    from rich.table import Table
-
-    table = Table(show_header=False, box=None, pad_edge=False)
     rows: list[tuple[str, Path | None]] = [
         ("recording", measured.bag),
         ("session", measured.session_folder),
@@ -120,7 +114,5 @@ def show_files(console: Console, measured: Measured, more: list[tuple[str, Path]
         *(more or []),
         ("logs of the nodes", measured.output / "log"),
     ]
-    for name, path in rows:
-        if path is not None:
-            table.add_row(name, str(path))
-    console.print(table)
+    found = tuple((name, str(path)) for name, path in rows if path is not None)
+    show_table(console, TextTable("", ("", ""), found))

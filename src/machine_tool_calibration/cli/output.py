@@ -118,7 +118,7 @@ def _console(*, stderr: bool) -> Console:
     stream = sys.stderr if stderr else sys.stdout
     # Tables keep their width in a file or a pipe, where rich would assume 80 columns.
     width = None if stream.isatty() or "COLUMNS" in os.environ else 120
-    return Screen(file=stream, width=width, highlight=False)
+    return Screen(file=stream, width=width, highlight=False, emoji=False)
 
 
 class Report(Protocol):

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,7 @@ import click
 
 from machine_tool_calibration.cli.output import console, json_option, write_json
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.reports.tables import TextTable, show_table
 
 if TYPE_CHECKING:
     from machine_tool_calibration.session.description import WorkpiecePoint
@@ -127,8 +129,6 @@ def _write(points: tuple[WorkpiecePoint, ...], into: Path | None, output: Path) 
 
 
 def _show(points: tuple[WorkpiecePoint, ...]) -> None:
-    from rich.table import Table
-
     screen = console()
     low = [1e3 * min(p.position[j] for p in points) for j in range(2)]
     high = [1e3 * max(p.position[j] for p in points) for j in range(2)]
@@ -136,9 +136,5 @@ def _show(points: tuple[WorkpiecePoint, ...]) -> None:
         f"{len(points)} points, x {low[0]:.3f} to {high[0]:.3f} mm, y {low[1]:.3f} to {high[1]:.3f} mm "
         "(the axis of C is the origin)"
     )
-    table = Table(box=None, pad_edge=False)
-    for heading in ("feature", "points"):
-        table.add_column(heading, justify="left" if heading == "feature" else "right")
-    for name in dict.fromkeys(p.feature for p in points):
-        table.add_row(name, str(sum(p.feature == name for p in points)))
-    screen.print(table)
+    rows = tuple((name, str(count)) for name, count in Counter(p.feature for p in points).items())
+    show_table(screen, TextTable("", ("feature", "points"), rows))

@@ -35,7 +35,7 @@ from machine_tool_calibration.residuals.noise import FEWEST_REPEATS, Noise, nois
 from machine_tool_calibration.residuals.outliers import Outlier
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["Sums", "compare", "compare_joint", "compare_sessions", "residual_sums"]
+__all__ = ["Sums", "compare", "compare_result", "compare_sessions", "residual_sums"]
 
 
 # Sums of one pass: few enough for the memory of large sessions.
@@ -138,8 +138,10 @@ def compare(
 
 
 @single_blas()
-def compare_joint(result: JointResult) -> JointComparison:
-    """Hold the model by which several sessions were identified against the readings of each."""
+def compare_result(result: Result | JointResult) -> Comparison | JointComparison:
+    """Hold the model by which one session or several were identified against the readings of each."""
+    if isinstance(result, Result):
+        return compare(result)
     pairs = zip(result.fit.fits, result.model_names, strict=True)
     each = tuple(_Look(fit).comparison(result.effects, (), variant) for fit, variant in pairs)
     return JointComparison(result.fit, result.labels, each)
@@ -148,30 +150,32 @@ def compare_joint(result: JointResult) -> JointComparison:
 @single_blas()
 def compare_sessions(
     sessions: Sequence[Session],
-    labels: Sequence[str],
+    labels: Sequence[str] | None = None,
     *,
     model: str | None = None,
     effects: Sequence[str] = (),
     own: Sequence[Effect] = (),
-) -> JointComparison:
-    """Hold the model of several sessions of one machine against the readings of each.
+) -> Comparison | JointComparison:
+    """Hold the model of one session, or that of several sessions of one machine, against the readings of each.
 
     Args:
         sessions: the measurements.
-        labels: their names, all different.
-        model: variant of the methods that have it.
+        labels: names of several, all different; not needed for one.
+        model: variant of the methods that have it; for one session, its method must.
         effects: ids of effects in the model.
         own: the user's own effects, beside the catalogue.
 
     Raises:
         ModelError: the data does not allow the model.
     """
+    if len(sessions) == 1:
+        return compare(sessions[0], model=model, effects=effects, own=own)
     fitted = fit_sessions(sessions, labels, model=model, effects=effects, own=own)
     # Each by itself, as an identification of several does.
     apart = [_rows(gross_errors(session, sharing_variant(session, model))[0]) for session in sessions]
     triples = zip(fitted.joint.fits, apart, fitted.model_names, strict=True)
     each = tuple(_Look(fit).comparison(tuple(effects), rows, variant) for fit, rows, variant in triples)
-    return JointComparison(fitted.joint, tuple(labels), each)
+    return JointComparison(fitted.joint, tuple(labels or ()), each)
 
 
 def _rows(found: Sequence[Outlier]) -> tuple[int, ...]:

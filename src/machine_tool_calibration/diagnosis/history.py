@@ -294,17 +294,8 @@ class Chosen:
         Raises:
             ModelError: the data does not allow it.
         """
-        from machine_tool_calibration.methods.identify import identify, identify_sessions
+        from machine_tool_calibration.methods.identify import identify_sessions
 
-        if self.labels is None:
-            return identify(
-                self.kept[0],
-                model=self.model,
-                effects=self.effects,
-                own=self.own,
-                keep_all=self.keep_all,
-                sets=self.sets,
-            )
         return identify_sessions(
             self.kept,
             self.labels,

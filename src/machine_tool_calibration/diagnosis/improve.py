@@ -12,7 +12,7 @@ from machine_tool_calibration.diagnosis.consequence import effect_estimates, map
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.history import Alternative, Coefficient, Entry, Part
 from machine_tool_calibration.effects.effect import Effect
-from machine_tool_calibration.methods.identify import JointResult, identify, identify_sessions
+from machine_tool_calibration.methods.identify import JointResult, identify_sessions
 from machine_tool_calibration.model.result import EffectSet, Estimate, Result
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.provenance import Provenance
@@ -160,9 +160,7 @@ def improve(
     ) -> Result | JointResult:
         ids = [*effects, *added]
         whole = [EffectSet((*effects, *one.effects), one.probability) for one in sets]
-        if len(parts) == 1:
-            return identify(parts[0], model=model, effects=ids, own=own, keep_all=True, sets=whole)
-        return identify_sessions(parts, labels or (), model=model, effects=ids, own=own, keep_all=True, sets=whole)
+        return identify_sessions(parts, labels, model=model, effects=ids, own=own, keep_all=True, sets=whole)
 
     found = diagnose(
         sessions,

@@ -135,6 +135,11 @@ class Columns:
             raise SessionError(f"{self.table.where(int(bad[0]))}: setup is empty")
         return ids
 
+    def origin(self, axis: str) -> float:
+        """Where the table's zero of an axis is in the machine, m; 0 where that is not said."""
+        text = self.mapping.origin.get(axis)  # type: ignore[call-overload]
+        return 0.0 if text is None else quantity(text, "length", f"origin of {axis}")
+
     def _unit(self, role: str, rule: ColumnRule, wanted: str | None) -> str:
         units = self.mapping.units
         named = unit_in_name(rule.column)

@@ -5,12 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, best_motion
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.importing.columns import Columns, Rows
-from machine_tool_calibration.importing.units import quantity
 
-__all__ = ["best_motion", "check_deviations", "check_size", "has_angles", "point_rows", "station_points"]
+__all__ = ["check_deviations", "check_size", "has_angles", "point_rows", "station_points"]
 
 
 def has_angles(columns: Columns) -> bool:
@@ -46,23 +45,6 @@ _FACTORS = (
     (1 / 25.4, "are they in inches, not in mm"),
 )
 _POOR = 2e-3  # of the extent: no machine tool is that far off
-
-
-def best_motion(measured: Array, nominal: Array) -> tuple[Array, Array]:
-    """The rigid motion that brings measured points nearest to nominal ones (least squares).
-
-    Args:
-        measured: (n, 3) m, in any frame.
-        nominal: (n, 3) m.
-
-    Returns:
-        Rotation (3, 3) and shift (3,): rotation @ measured + shift.
-    """
-    first, second = measured.mean(axis=0), nominal.mean(axis=0)
-    left, _, right = np.linalg.svd((nominal - second).T @ (measured - first))
-    sense = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
-    rotation = np.asarray(left @ sense @ right)
-    return rotation, second - rotation @ first
 
 
 def check_size(measured: Array, nominal: Array, where: str, *, aligned: bool) -> None:
@@ -164,7 +146,7 @@ def point_rows(columns: Columns, name: str) -> Rows:
     deviation, how = _deviation(columns, nominal, setups)
     sensed = [j for j in range(3) if how[j]]
     n, k = len(table), len(sensed)
-    origin = np.array([_origin(columns, axis) for axis in _AXES])
+    origin = np.array([columns.origin(axis) for axis in _AXES])
     empty = np.flatnonzero(np.isnan(nominal[:, axes]).any(axis=1))
     if len(empty):
         raise SessionError(f"{table.where(int(empty[0]))}: the nominal coordinate is empty")
@@ -188,11 +170,6 @@ def point_rows(columns: Columns, name: str) -> Rows:
         {"method": "direct", "datum": "rigid", "setups": [{"id": entry} for entry in ids]},
         tuple(notes),
     )
-
-
-def _origin(columns: Columns, axis: str) -> float:
-    text = columns.mapping.origin.get(axis)  # type: ignore[call-overload]
-    return 0.0 if text is None else quantity(text, "length", f"origin of {axis}")
 
 
 def _nominal(columns: Columns) -> tuple[Array, list[int]]:

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray, groups
+from machine_tool_calibration.arrays import Array, IntArray, best_motion, groups
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.importing.columns import Columns, Rows
-from machine_tool_calibration.importing.points import best_motion, check_size, has_angles, station_points
+from machine_tool_calibration.importing.points import check_size, has_angles, station_points
 from machine_tool_calibration.importing.units import quantity
 
 __all__ = ["range_rows"]
@@ -44,7 +44,7 @@ def range_rows(columns: Columns) -> Rows:
         columns.need(_AXES[:2], "the commanded position")
     numbers: dict[str, Array] = {axis: columns.filled(axis, columns.number(axis)) for axis in moved}
     if not rotary:
-        numbers |= {axis: values + _origin(columns, axis) for axis, values in numbers.items()}
+        numbers |= {axis: values + columns.origin(axis) for axis, values in numbers.items()}
     labels: dict[str, np.ndarray] = {"setup": stations}
     if rotary:
         labels["target"] = columns.text("target")
@@ -79,11 +79,6 @@ def range_rows(columns: Columns) -> Rows:
     if mapping.align:
         raise SessionError(f"{table.source}: align is for points; distances need none")
     return Rows(numbers, labels, np.arange(len(table)), described, tuple(notes))
-
-
-def _origin(columns: Columns, axis: str) -> float:
-    text = columns.mapping.origin.get(axis)  # type: ignore[call-overload]
-    return 0.0 if text is None else quantity(text, "length", f"origin of {axis}")
 
 
 def _groups(*keys: np.ndarray) -> IntArray:

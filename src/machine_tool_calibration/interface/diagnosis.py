@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from machine_tool_calibration.diagnosis.compare import compare
+from machine_tool_calibration.diagnosis.compare import compare_result
 from machine_tool_calibration.diagnosis.comparison import Comparison as OneComparison
 from machine_tool_calibration.diagnosis.comparison import JointComparison
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis as Found
@@ -49,10 +49,7 @@ class Comparison(Shown):
     @classmethod
     def of(cls, result: Result | JointResult) -> Comparison:
         """That of a result with its own readings."""
-        if isinstance(result, Result):
-            return cls(compare(result))
-        each = tuple(compare(fit, effects=result.effects) for fit in result.fit.fits)
-        return cls(JointComparison(result.fit, result.labels, each))
+        return cls(compare_result(result))
 
     @cached_property
     def residuals(self) -> pd.DataFrame:

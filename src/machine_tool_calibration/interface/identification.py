@@ -14,12 +14,11 @@ import numpy.typing as npt
 import pandas as pd
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.diagnosis.history import Chosen
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.interface.session import Measurement, Source, load, one_below_the_other
 from machine_tool_calibration.interface.show import Shown, chosen, printed
-from machine_tool_calibration.methods.identify import JointResult, fitted_sessions
+from machine_tool_calibration.methods.identify import JointResult, fitted_sessions, identify_sessions
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.reports import result_tables as tables
 from machine_tool_calibration.reports.quantities import quantity, rounded
@@ -402,9 +401,9 @@ def _fitted(
     own: tuple[PhysicalEffect, ...],
     keep_all: bool,
 ) -> Fit:
-    sessions = measurement.sessions
-    labels = measurement.labels if len(sessions) > 1 else None
-    result = Chosen(sessions, sessions, labels, variant, tuple(effects), own, keep_all=keep_all).identify()
+    result = identify_sessions(
+        measurement.sessions, measurement.labels, model=variant, effects=effects, own=own, keep_all=keep_all
+    )
     return Fit(measurement, result, variant, own, keep_all)
 
 

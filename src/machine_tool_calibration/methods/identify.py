@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -21,22 +22,22 @@ from machine_tool_calibration.methods.fitted import FittedSessions, fit_sessions
 from machine_tool_calibration.methods.joint.agreement import Agreement, agreement
 from machine_tool_calibration.methods.joint.model import CommonModels, common_models
 from machine_tool_calibration.methods.joint.small_angles import StatedAngles, stated
-from machine_tool_calibration.model.fit import JointFit, fit_models
+from machine_tool_calibration.model.fit import Fit, JointFit, fit_models
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import (
     EffectSet,
     ErrorMap,
     Estimate,
+    Identified,
     Rejected,
     Result,
-    averaged_document,
+    correlated_with,
     plain,
-    spread_document,
 )
 from machine_tool_calibration.residuals.outliers import Outlier, set_aside
 from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.session.method import load
-from machine_tool_calibration.session.provenance import Provenance, provenance
+from machine_tool_calibration.session.provenance import Provenance
 from machine_tool_calibration.session.session import Session
 
 __all__ = [
@@ -84,8 +85,8 @@ def refuse_impossible(session: Session, error_map: ErrorMap) -> None:
         load(session.spec.implausible)(session, error_map, _IMPOSSIBLE, _KNOWN)
 
 
-@dataclass(frozen=True)
-class JointResult:
+@dataclass(frozen=True, kw_only=True)
+class JointResult(Identified):
     """Several sessions fitted together.
 
     Attributes:
@@ -94,43 +95,30 @@ class JointResult:
         angles: small angular errors that a step diagonal has as random functions, and all else with the mean over
             them; None where there are none.
         common: the models and what they share.
-        error_map: one map.
         agreement: whether the sessions agree.
-        effects: ids of the effects that were added.
         model_names: variant of each session's model.
         rejected: readings kept out, for each session.
         observations: readings recorded in each session.
-        alone: the map of these models alone, where `error_map` is the mean over several sets of effects.
-        averaged: sets of effects over which the map is the mean; empty where it is that of the models alone.
     """
 
     labels: tuple[str, ...]
     fit: JointFit
     angles: StatedAngles | None
     common: CommonModels
-    error_map: ErrorMap
     agreement: Agreement
-    effects: tuple[str, ...]
     model_names: tuple[str, ...]
     rejected: tuple[tuple[Rejected, ...], ...]
     observations: tuple[int, ...]
-    alone: ErrorMap
-    averaged: tuple[EffectSet, ...] = ()
 
-    @property
-    def joint(self) -> JointFit:
-        """The fit."""
-        return self.fit
+    @cached_property
+    def fits(self) -> tuple[Fit, ...]:
+        """The fit as each session sees it."""
+        return self.fit.fits
 
     @property
     def model_name(self) -> str:
         """Variants of the sessions' models, each once."""
         return ", ".join(dict.fromkeys(self.model_names))
-
-    @property
-    def rms_residual(self) -> float:
-        """Root mean square of measured minus predicted, m."""
-        return rms(np.concatenate([fit.residuals for fit in self.fit.fits]))
 
     @property
     def parameters(self) -> list[Estimate]:
@@ -157,12 +145,7 @@ class JointResult:
         names = [p.name for p in self.fit.assembly.parameters]
         solution = self.fit.solution
         for k in np.flatnonzero(~solution.is_determined()):
-            direction = solution.undetermined @ solution.undetermined[k]
-            others = [names[j] for j in np.argsort(-np.abs(direction)) if j != k and abs(direction[j]) > 1e-6]
-            why = "no reading depends on it"
-            if others:
-                why = f"fully correlated with {', '.join(others[:4])}"
-            out[names[k]] = why
+            out[names[k]] = correlated_with(solution.undetermined, names, int(k))
         if self.angles is not None:
             out |= {entry.name: entry.why for entry in self.angles.untold}
         out |= {entry.name: entry.why for entry in self.error_map.not_determined}
@@ -171,13 +154,10 @@ class JointResult:
     @property
     def provenance(self) -> Provenance:
         """What it was made from."""
-        sessions = [model.observations.session for model in self.common.models]
-        return provenance(sessions, self.labels, model=self.model_name, effects=self.effects)
+        return self._provenance(self.model_name)
 
     def document(self) -> dict[str, Any]:
         """The result as a JSON document: that of a single session, with the sessions and their agreement."""
-        solution = self.fit.solution
-        residuals = [fit.residuals for fit in self.fit.fits]
         return {
             "format": "mtcal-result/1",
             "method": "joint",
@@ -188,34 +168,25 @@ class JointResult:
                 for label, rejected in zip(self.labels, self.rejected, strict=True)
                 for r in rejected
             ],
-            "rms_residual": self.rms_residual,
-            "reduced_chi_square": self.fit.reduced_chi_square,
-            "degrees_of_freedom": solution.degrees_of_freedom,
-            "p_value": self.fit.p_value,
-            "effects": list(self.effects),
-            "averaged_over": averaged_document(self.averaged),
-            "spread": [spread_document(size) for size in self.fit.stated.sizes],
-            "scatter_factor": self.fit.stated.scatter,
             "sessions": [
                 {
                     "label": label,
-                    "method": model.observations.session.method,
+                    "method": fit.model.observations.session.method,
                     "model": name,
                     "observations": count,
-                    "used": len(model.observations),
-                    "rms_residual": rms(values),
+                    "used": len(fit.model.observations),
+                    "rms_residual": rms(fit.residuals),
                 }
-                for label, model, name, count, values in zip(
-                    self.labels, self.common.models, self.model_names, self.observations, residuals, strict=True
+                for label, fit, name, count in zip(
+                    self.labels, self.fits, self.model_names, self.observations, strict=True
                 )
             ],
             "agreement": plain(asdict(self.agreement)),
-            "parameters": [estimate.document() for estimate in self.parameters],
             "not_determined": self.not_determined,
             "datum": self.common.datum,
             "suspicious": suspicions([model.observations.session for model in self.common.models], self.labels),
             "provenance": self.provenance.document(),
-            "error_map": plain(self.error_map.content),
+            **self.fit_document(),
         }
 
 
@@ -228,28 +199,30 @@ def fitted_sessions(result: Result | JointResult) -> FittedSessions:
 
 def identify_sessions(
     sessions: Sequence[Session],
-    labels: Sequence[str],
+    labels: Sequence[str] | None = None,
     *,
     model: str | None = None,
     effects: Sequence[str] = (),
     own: Sequence[Effect] = (),
     keep_all: bool = False,
     sets: Sequence[EffectSet] = (),
-) -> JointResult:
-    """Identify one machine from several sessions, of the same or of different methods.
+) -> Result | JointResult:
+    """Identify one machine from one session, or from several of the same or of different methods.
 
     Args:
         sessions: the measurements.
-        labels: their names, all different.
-        model: variant of the methods that have it.
+        labels: names of several, all different; not needed for one.
+        model: variant of the methods that have it; for one session, its method must.
         effects: ids of physical effects to add, in every session in which they can act.
         own: the user's own effects, beside the catalogue.
         keep_all: use all readings; otherwise those that stand out of all others of their session are set aside.
         sets: of effects that the readings do not distinguish, over which the map is the mean.
 
     Raises:
-        ModelError: as for `joint_models`; a session that contradicts itself; or too few readings.
+        ModelError: as for `identify` and `joint_models`; a session that contradicts itself; or too few readings.
     """
+    if len(sessions) == 1:
+        return identify(sessions[0], model=model, effects=effects, own=own, keep_all=keep_all, sets=sets)
     rejected = [rejected_readings(session) for session in sessions]
     if not keep_all:
         # Each by itself: where an effect is missing, all its residuals are large, and none stands out.
@@ -257,10 +230,10 @@ def identify_sessions(
         sessions, rejected = [kept for kept, _ in pairs], [gone for _, gone in pairs]
     fitted = fit_sessions(sessions, labels, model=model, effects=effects, own=own)
     joint, common = fitted.joint, fitted.common
-    if common is None:
-        raise ModelError("several sessions are needed to fit them together")
+    names = joint.assembly.labels
+    assert common is not None and names is not None
     angles = stated(joint, common.angles)
-    agreed = agreement(joint, common, labels, _spread(common))
+    agreed = agreement(joint, common, names, _spread(common))
     if angles is not None:
         agreed = replace(agreed, statement=agreed.statement + angles.hidden)
     error_map, averaged = averaged_map(
@@ -270,7 +243,7 @@ def identify_sessions(
         lambda others: fit_sessions(sessions, labels, model=model, effects=others, own=own).error_map,
     )
     return JointResult(
-        labels=tuple(labels),
+        labels=names,
         fit=joint,
         angles=angles,
         common=common,

@@ -65,12 +65,8 @@ class JointFit:
         """The problem without what is expected of unknowns that are random functions."""
         if self.random is None:
             return self.assembly.problem
-        names = set(self.random.names)
-        models = [
-            replace(model, priors=tuple(prior for prior in model.priors if not names & set(prior.weights)))
-            for model in self.assembly.models
-        ]
-        return assemble(models, self.assembly.labels).problem
+        names = frozenset(self.random.names)
+        return assemble([model.without_priors(names) for model in self.assembly.models], self.assembly.labels).problem
 
     @cached_property
     def released(self) -> JointFit:

@@ -208,6 +208,10 @@ class MethodModel(ABC):
         """The same model with further terms."""
         return replace(self, terms=self.terms + tuple(terms))
 
+    def without_priors(self, names: Set[str]) -> Self:
+        """The same model without what is known of unknowns beside the readings."""
+        return replace(self, priors=tuple(prior for prior in self.priors if names.isdisjoint(prior.weights)))
+
     def without(self, names: Set[str]) -> Self:
         """The same model with unknowns of its terms at zero, and without what was known of them.
 
@@ -216,9 +220,8 @@ class MethodModel(ABC):
         """
         kept = [{name: w for name, w in c.weights.items() if name not in names} for c in self.constraints]
         return replace(
-            self,
+            self.without_priors(names),
             terms=tuple(term for term in self.terms if names.isdisjoint(p.name for p in term.parameters)),
-            priors=tuple(prior for prior in self.priors if names.isdisjoint(prior.weights)),
             constraints=tuple(replace(c, weights=w) for c, w in zip(self.constraints, kept, strict=True) if w),
         )
 

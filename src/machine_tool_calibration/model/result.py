@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,11 +13,10 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, rms
 from machine_tool_calibration.model.fit import Fit, JointFit
 from machine_tool_calibration.model.model import Kind, NotDetermined, Parameter
-from machine_tool_calibration.model.stated import FamilySize
 from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.session.provenance import Provenance, provenance
 
-__all__ = ["EffectSet", "ErrorMap", "Estimate", "Rejected", "Result", "averaged_document", "plain", "spread_document"]
+__all__ = ["EffectSet", "ErrorMap", "Estimate", "Identified", "Rejected", "Result", "correlated_with", "plain"]
 
 
 @dataclass(frozen=True)
@@ -111,39 +111,83 @@ class ErrorMap:
     in_datum: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class Result:
-    """A fitted model and what it says of the machine.
+@dataclass(frozen=True, kw_only=True)
+class Identified(ABC):
+    """What models of one session or of several together say of the machine.
 
     Attributes:
-        fit: the fit.
         error_map: the machine's errors.
         effects: ids of the effects that were added.
-        model_name: free or rigid_body, or the method's own variant.
-        rejected: readings that were kept out.
-        observations: number of readings recorded.
-        alone: the map of this model alone, where `error_map` is the mean over several.
-        averaged: sets of effects over which the map is the mean; empty where it is that of the model alone.
+        alone: the map of these models alone, where `error_map` is the mean over several sets of effects.
+        averaged: sets of effects over which the map is the mean; empty where it is that of the models alone.
     """
 
-    fit: Fit
     error_map: ErrorMap
     effects: tuple[str, ...]
-    model_name: str
-    rejected: tuple[Rejected, ...]
-    observations: int
     alone: ErrorMap
     averaged: tuple[EffectSet, ...] = ()
 
     @property
+    @abstractmethod
+    def fits(self) -> tuple[Fit, ...]:
+        """The fit as each session sees it."""
+
+    @property
+    @abstractmethod
+    def parameters(self) -> list[Estimate]:
+        """The unknowns that the data determines."""
+
+    @property
     def joint(self) -> JointFit:
-        """The fit, as one of several sessions is."""
-        return self.fit.joint
+        """The fit."""
+        return self.fits[0].joint
 
     @property
     def rms_residual(self) -> float:
         """Root mean square of measured minus predicted, m."""
-        return rms(self.fit.residuals)
+        return rms(np.concatenate([fit.residuals for fit in self.fits]))
+
+    def _provenance(self, model: str) -> Provenance:
+        sessions = [fit.model.observations.session for fit in self.fits]
+        return provenance(sessions, self.joint.assembly.labels, model=model, effects=self.effects)
+
+    def fit_document(self) -> dict[str, Any]:
+        """What is told of the fit and of the machine, as the contract's JSON document has it."""
+        stated = self.joint.stated
+        return {
+            "rms_residual": self.rms_residual,
+            "reduced_chi_square": self.joint.reduced_chi_square,
+            "degrees_of_freedom": self.joint.solution.degrees_of_freedom,
+            "p_value": self.joint.p_value,
+            "effects": list(self.effects),
+            "averaged_over": [{"effects": list(s.effects), "probability": s.probability} for s in self.averaged],
+            "spread": [size.document() for size in stated.sizes],
+            "scatter_factor": stated.scatter,
+            "parameters": [estimate.document() for estimate in self.parameters],
+            "error_map": plain(self.error_map.content),
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result(Identified):
+    """A fitted model and what it says of the machine.
+
+    Attributes:
+        fit: the fit.
+        model_name: free or rigid_body, or the method's own variant.
+        rejected: readings that were kept out.
+        observations: number of readings recorded.
+    """
+
+    fit: Fit
+    model_name: str
+    rejected: tuple[Rejected, ...]
+    observations: int
+
+    @property
+    def fits(self) -> tuple[Fit, ...]:
+        """The only session's."""
+        return (self.fit,)
 
     @property
     def parameters(self) -> list[Estimate]:
@@ -166,14 +210,7 @@ class Result:
         whole = _whole_terms(fit)
         out = list(fit.model.left_out) + list(self.error_map.not_determined)
         for k in np.flatnonzero(~fit.determined):
-            # The unknowns that may change together with this one without any reading changing.
-            direction = fit.undetermined @ fit.undetermined[k]
-            others = [names[j] for j in np.argsort(-np.abs(direction)) if j != k and abs(direction[j]) > 1e-6]
-            why = "no reading depends on it"
-            if others:
-                shown = ", ".join(others[:4]) + (" and others" if len(others) > 4 else "")
-                why = f"fully correlated with {shown}"
-            why = fit.model.why_not_determined(names[k]) or why
+            why = fit.model.why_not_determined(names[k]) or correlated_with(fit.undetermined, names, int(k))
             name = whole.get(names[k], names[k])
             if name == names[k] or all(entry.name != name for entry in out):
                 out.append(NotDetermined(name, why))
@@ -182,49 +219,39 @@ class Result:
     @property
     def provenance(self) -> Provenance:
         """What it was made from."""
-        session = self.fit.model.observations.session
-        return provenance([session], model=self.model_name, effects=self.effects)
+        return self._provenance(self.model_name)
 
     def document(self) -> dict[str, Any]:
         """The result as the contract's JSON document; what is not determined is null."""
-        joint = self.fit.joint
+        session = self.fit.model.observations.session
         return {
             "format": "mtcal-result/1",
-            "method": self.fit.model.observations.session.method,
+            "method": session.method,
             "model": self.model_name,
             "observations": self.observations,
             "used": len(self.fit.model.observations),
             "rejected": [r.document() for r in self.rejected],
-            "rms_residual": self.rms_residual,
-            "reduced_chi_square": joint.reduced_chi_square,
-            "degrees_of_freedom": joint.solution.degrees_of_freedom,
-            "p_value": joint.p_value,
-            "effects": list(self.effects),
-            "averaged_over": averaged_document(self.averaged),
-            "parameters": [estimate.document() for estimate in self.parameters],
             "not_determined": [{"name": n.name, "why": n.why} for n in self.not_determined],
-            "spread": [spread_document(size) for size in joint.stated.sizes],
-            "scatter_factor": joint.stated.scatter,
             "datum": self.fit.model.datum,
-            "suspicious": suspicions([self.fit.model.observations.session]),
+            "suspicious": suspicions([session]),
             "provenance": self.provenance.document(),
-            "error_map": plain(self.error_map.content),
+            **self.fit_document(),
         }
 
 
-def spread_document(size: FamilySize) -> dict[str, Any]:
-    """How much of a family of runs or mountings does not reproduce: RMS, with an interval of 95 %, m."""
-    return {
-        "family": size.name,
-        "size": size.size,
-        "interval": [size.low, size.high],
-        "probability": size.probability,
-    }
+def correlated_with(undetermined: Array, names: Sequence[str], k: int) -> str:
+    """Why nothing determines an unknown: which others may change together with it without any reading changing.
 
-
-def averaged_document(sets: Sequence[EffectSet]) -> list[dict[str, Any]]:
-    """The sets of effects over which a map is the mean."""
-    return [{"effects": list(one.effects), "probability": one.probability} for one in sets]
+    Args:
+        undetermined: (m, r) directions of the unknowns that nothing fixes.
+        names: of the unknowns.
+        k: which.
+    """
+    direction = undetermined @ undetermined[k]
+    others = [names[j] for j in np.argsort(-np.abs(direction)) if j != k and abs(direction[j]) > 1e-6]
+    if not others:
+        return "no reading depends on it"
+    return f"fully correlated with {', '.join(others[:4])}{' and others' if len(others) > 4 else ''}"
 
 
 def _whole_terms(fit: Fit) -> dict[str, str]:

@@ -11,13 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from scipy import special
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.estimation.normal import covariance_root, solve_normal
+from machine_tool_calibration.estimation.normal import covariance_root
 from machine_tool_calibration.estimation.problem import Part, Problem
 from machine_tool_calibration.estimation.reduction import gram, project, single_blas
 from machine_tool_calibration.estimation.solve import Solution, local_steps
@@ -98,6 +98,11 @@ class FamilySize:
     high: float
     probability: float
 
+    def document(self) -> dict[str, Any]:
+        """For JSON."""
+        interval = [self.low, self.high]
+        return {"family": self.name, "size": self.size, "interval": interval, "probability": self.probability}
+
 
 @dataclass(frozen=True)
 class Stated:
@@ -152,26 +157,62 @@ def state(joint: JointFit) -> Stated:
     # Rows of a plate that differ are the part's, as far as the map is concerned.
     families = [tuple(f for f in reproducibility(m.observations) if f.of_runs) for m in joint.assembly.models]
     parts, place, names = _widened(problem, families)
-    m, u = problem.size, len(place)
-    sizes = effect_sizes(joint.assembly.parameters, solution.is_determined())
-    if not u and joint.random is None:
-        scatter = _scatter(solution.chi_square, solution.degrees_of_freedom)
-        none = tuple(np.zeros((0, part.n_readings)) for part in parts)
-        if sizes:
-            value, known = with_sizes(solution.theta, scatter**2 * solution.covariance, sizes)
-            local = local_steps(problem, solution.theta, solution.local, value - solution.theta)
-            solution = replace(solution, theta=value, covariance=known / scatter**2, local=local)
-        return Stated(tuple(problem.parts), solution, scatter, (), None, none, joint.solution.chi_square, np.zeros(0))
+    u = len(place)
     wide = Problem(
         parts,
-        m + u,
+        problem.size + u,
         np.pad(problem.constraints, ((0, 0), (0, u))),
         problem.constraint_values,
         problem.priors and replace(problem.priors, columns=np.pad(problem.priors.columns, ((0, 0), (0, u)))),
     )
     theta = np.concatenate([solution.theta, np.zeros(u)])
-    total, squares = gram(wide, theta, solution.local)
-    projected = project(total, squares, _root(joint, total, squares), u).gram
+    if u or joint.random is not None:
+        found = _averaged(joint, problem, wide, place, names)
+    else:
+        scatter = _scatter(solution.chi_square, solution.degrees_of_freedom)
+        found = _Marginal(
+            np.zeros_like(theta), solution.covariance, scatter, (), None, solution.chi_square, np.zeros(0)
+        )
+    mean, covariance = found.mean, found.covariance
+    if sizes := effect_sizes(joint.assembly.parameters, solution.is_determined()):
+        value, known = with_sizes(theta + mean, found.scatter**2 * covariance, sizes)
+        mean, covariance = value - theta, known / found.scatter**2
+    stated = replace(
+        solution,
+        theta=theta + mean,
+        covariance=covariance,
+        undetermined=np.pad(solution.undetermined, ((0, u), (0, 0))),
+        determined=np.pad(solution.determined, (0, u), constant_values=True),
+        local=local_steps(wide, theta, solution.local, mean) if mean.any() else solution.local,
+    )
+    functions = tuple(
+        np.concatenate([np.zeros((0, part.n_readings)), *(f.columns() * model.sigma for f in own if f.name in names)])
+        for part, own, model in zip(parts, families, joint.assembly.models, strict=True)
+    )
+    return Stated(
+        tuple(parts), stated, found.scatter, found.sizes, found.random, functions, found.squares, found.ratios
+    )
+
+
+@dataclass(frozen=True)
+class _Marginal:
+    """What `Stated` has of the marginal model; `mean` counts from the fit, without what is known of effects' sizes."""
+
+    mean: Array
+    covariance: Array
+    scatter: float
+    sizes: tuple[FamilySize, ...]
+    random: RandomPosterior | None
+    squares: float
+    ratios: Array
+
+
+def _averaged(joint: JointFit, problem: Problem, wide: Problem, place: IntArray, names: tuple[str, ...]) -> _Marginal:
+    """The mean over the sizes of what does not reproduce."""
+    solution, m, u = joint.solution, problem.size, len(place)
+    total, squares = gram(wide, np.concatenate([solution.theta, np.zeros(u)]), solution.local)
+    root = _root(joint, total, squares)
+    projected = project(total, squares, root, u).gram
     projected[-1, -1] = solution.chi_square
     freedom = solution.degrees_of_freedom
     found = components(projected, place, freedom)
@@ -181,32 +222,19 @@ def state(joint: JointFit) -> Stated:
     weights = found.weights[chosen] / found.weights[chosen].sum()
     left = float(weights @ found.squares[chosen])
     scatter = _scatter(left, freedom)
-    tried = [_at(joint, problem, total, squares, place, found.ratios[k], scatter) for k in chosen]
-    mean = np.sum([w * t.step for w, t in zip(weights, tried, strict=True)], axis=0)
-    between = [np.outer(t.step - mean, t.step - mean) for t in tried]
-    covariance = np.sum([w * t.covariance for w, t in zip(weights, tried, strict=True)], axis=0)
-    covariance += np.tensordot(weights, between, axes=1) / scatter**2
-    if sizes:
-        value, known = with_sizes(theta + mean, scatter**2 * covariance, sizes)
-        mean, covariance = value - theta, known / scatter**2
-    stated = replace(
-        solution,
-        theta=theta + mean,
-        covariance=covariance,
-        undetermined=np.pad(solution.undetermined, ((0, u), (0, 0))),
-        determined=np.pad(solution.determined, (0, u), constant_values=True),
-        local=local_steps(wide, theta, solution.local, mean),
-    )
+    ratios = np.array([found.ratios[k] for k in chosen]).reshape(len(chosen), -1)
+    random = None
+    if joint.random is None:
+        mean, covariance = _marginal(total, projected, root, ratios[:, place], weights, scatter)
+    else:
+        tried = [_at(joint, joint.random, problem, total, squares, tau[place], scatter) for tau in ratios]
+        steps, covariances = np.array([t.step for t in tried]), np.array([t.covariance for t in tried])
+        mean, covariance = _mixture(steps, covariances, weights, scatter)
+        random = tried[int(np.argmax(weights))].random
     seen = np.diag(projected)[:-1] > _SEEN * squares[m:-1]
-    spread = _sizes(joint, found, np.where(seen, squares[m:-1], 0.0), place, names, scatter)
-    functions = tuple(
-        np.concatenate([np.zeros((0, part.n_readings)), *(f.columns() * model.sigma for f in own if f.name in names)])
-        for part, own, model in zip(parts, families, joint.assembly.models, strict=True)
-    )
-    squared = np.array([found.ratios[k] for k in chosen]).reshape(len(chosen), -1) ** 2
-    ratios = np.sqrt(weights @ squared)[place] if u else np.zeros(0)
-    random = tried[int(np.argmax(weights))].random
-    return Stated(tuple(parts), stated, scatter, spread, random, functions, left, ratios)
+    sizes = _sizes(joint, found, np.where(seen, squares[m:-1], 0.0), place, names, scatter)
+    size = np.sqrt(weights @ ratios**2)[place] if u else np.zeros(0)
+    return _Marginal(mean, covariance, scatter, sizes, random, left, size)
 
 
 def _root(joint: JointFit, total: Array, squares: Array) -> Array:
@@ -223,7 +251,7 @@ class _Tried:
 
     step: Array
     covariance: Array
-    random: RandomPosterior | None
+    random: RandomPosterior
 
 
 def _widened(problem: Problem, families: Sequence[tuple[Family, ...]]) -> tuple[list[Part], IntArray, tuple[str, ...]]:
@@ -240,18 +268,61 @@ def _widened(problem: Problem, families: Sequence[tuple[Family, ...]]) -> tuple[
     return parts, np.concatenate(place), names
 
 
+def _mixture(means: Array, covariances: Array, weights: Array, scatter: float) -> tuple[Array, Array]:
+    """Mean and covariance (over the square of `scatter`) where one of several sizes is the true one.
+
+    Args:
+        means: (s, n) of each size.
+        covariances: (s, n, n) over the square of `scatter`.
+        weights: (s,) of the sizes; their sum is 1.
+        scatter: standard uncertainties in units of those declared.
+    """
+    mean = weights @ means
+    away = (means - mean) * np.sqrt(weights)[:, None] / scatter
+    return mean, np.tensordot(weights, covariances, axes=1) + away.T @ away
+
+
+def _marginal(
+    total: Array, projected: Array, root: Array, sizes: Array, weights: Array, scatter: float
+) -> tuple[Array, Array]:
+    """Mean and covariance (over the square of `scatter`) of all unknowns with what does not reproduce.
+
+    Given its coefficients, the model's own unknowns are linear in them: only the coefficients need each size.
+
+    Args:
+        total: (m + u + 1, m + u + 1) Gram matrix of the model's columns, those of u random functions and the residual.
+        projected: (u + 1, u + 1) of the last ones, outside the model.
+        root: (m, r) of the covariance of the model's unknowns without random functions.
+        sizes: (s, u) standard deviations of the functions' coefficients that are tried.
+        weights: (s,) of these.
+        scatter: standard uncertainties in units of those declared.
+    """
+    m, u = len(root), sizes.shape[1]
+    means, covariances = np.zeros((len(sizes), u)), np.zeros((len(sizes), u, u))
+    for k, tau in enumerate(sizes):
+        used = np.flatnonzero(tau > 0)
+        inner = np.linalg.inv(projected[np.ix_(used, used)] + np.diag(tau[used] ** -2.0))
+        # At the solution the residual has nothing left along the model.
+        means[k, used] = inner @ total[m + used, -1]
+        covariances[k][np.ix_(used, used)] = inner
+    mean, covariance = _mixture(means, covariances, weights, scatter)
+    along = np.concatenate([-root @ (root.T @ total[:m, m:-1]), np.eye(u)])
+    whole = along @ covariance @ along.T
+    whole[:m, :m] += root @ root.T
+    return along @ mean, whole
+
+
 def _at(
     joint: JointFit,
+    random: RandomUnknowns,
     problem: Problem,
     total: Array,
     squares: Array,
-    family: IntArray,
-    ratio: tuple[float, ...],
+    tau: Array,
     scatter: float,
 ) -> _Tried:
     """Mean and covariance (over the square of `scatter`) if what does not reproduce has a given size."""
-    m, u = problem.size, len(family)
-    tau = np.array(ratio)[family] if ratio else np.zeros(u)
+    m, u = problem.size, len(tau)
     used = m + np.flatnonzero(tau > 0)
     inner = total[np.ix_(used, used)] + np.diag(tau[used - m] ** -2.0)
     cross = total[used, :m]
@@ -259,16 +330,7 @@ def _at(
     matrix = total[:m, :m] - cross.T @ carried[:, :m]
     # At the solution the residual has nothing left along the model.
     right = -cross.T @ carried[:, m]
-    theta = joint.solution.theta
-    random = None
-    if joint.random is None:
-        distance = problem.constraint_values - problem.constraints @ theta
-        normal = solve_normal(matrix, right, problem.constraints, distance, squares[:m])
-        step, covariance = normal.step, normal.covariance
-    else:
-        random, step, covariance = _with_random(
-            joint, joint.random, problem, total[:m, -1], matrix, right, squares, scatter
-        )
+    found, step, covariance = _with_random(joint, random, problem, total[:m, -1], matrix, right, squares, scatter)
     full, both = np.zeros(m + u), np.zeros((m + u, m + u))
     full[:m], both[:m, :m] = step, covariance
     response = carried[:, :m]
@@ -276,7 +338,7 @@ def _at(
     both[used, :m] = -response @ covariance
     both[:m, used] = both[used, :m].T
     both[np.ix_(used, used)] = carried[:, m + 1 :] + response @ covariance @ response.T
-    return _Tried(full, both, random)
+    return _Tried(full, both, found)
 
 
 def _with_random(

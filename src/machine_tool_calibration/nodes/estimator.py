@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.event_handler import QoSSubscriptionMatchedInfo, SubscriptionEventCallbacks
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -58,13 +59,17 @@ class Estimator(GuardedNode):
         self._declare()
         self._received = Received()
         self._resets = 0
+        # Publishers of readings: all so far, and those that there are.
+        self._sources = (0, 0)
+        self._heard, self._unheard = False, False
         self.background = Background(self)
         self._last, self._level = "no identification yet", Level.OK
         self._results = Publications(self)
         own = OwnPublisher(self, "estimator", "status", DiagnosticArray, LATCHED)
         self._status = StatusTopic(self, own, "estimator")
         self.create_subscription(String, "session", self._described, LATCHED)
-        self.create_subscription(JointState, "reading", self._read, READINGS)
+        matched = SubscriptionEventCallbacks(matched=self._matched)
+        self.create_subscription(JointState, "reading", self._read, READINGS, event_callbacks=matched)
         for name, doing, work, done in (
             ("identify", "identifying", identified, self._identified),
             ("compare", "comparing", compared, self._compared),
@@ -133,10 +138,19 @@ class Estimator(GuardedNode):
         forgotten = self._received.add(from_message(message.header.stamp), reading)
         if forgotten:
             self.get_logger().info(f"another session has begun; {forgotten} readings forgotten")
+        self._heard, self._unheard = True, False
+
+    def _matched(self, event: QoSSubscriptionMatchedInfo) -> None:
+        """Publishers of readings came or went; the middleware may tell several changes at once, and one twice."""
+        before, self._sources = self._sources, (event.total_count, event.current_count)
+        if self._sources != before and not event.current_count:
+            # Not when one comes: its first readings may have been heard before this is told.
+            self._heard, self._unheard = False, not self._heard
 
     def _reset(self, answer: Answer) -> None:
         answer.send(True, f"{len(self._received)} readings forgotten")
         self._received.forget()
+        self._unheard = False
         self._resets += 1
         self._show()
 
@@ -263,8 +277,10 @@ class Estimator(GuardedNode):
         if received.missing:
             first = "the first " if received.lacks_the_first else ""
             words += f"; {first}{received.missing} of {received.expected} readings are missing"
+        if self._unheard:
+            words += "; a publisher of readings came and went, and none of its readings was heard"
         level = Level.OK if background.busy else self._level
-        if received.missing:
+        if received.missing or self._unheard:
             level = max(level, Level.WARN)
         self._status.show(level, words, entries)
 

@@ -13,7 +13,7 @@ from machine_tool_calibration.instruments.tracking import pointing
 from machine_tool_calibration.methods.probing.geometry import touches
 from machine_tool_calibration.planning.options import Option
 from machine_tool_calibration.planning.sensing import Changed, appended, first_repetition
-from machine_tool_calibration.session.checks.nominal_geometry import on_table, places
+from machine_tool_calibration.session.checks.nominal_geometry import on_table
 from machine_tool_calibration.session.description import Probing, RotaryAxis, TrackingInterferometer
 from machine_tool_calibration.session.session import Session
 
@@ -67,8 +67,7 @@ def _points(session: Session, description: TrackingInterferometer | RotaryAxis, 
     readings = session.readings.select(rows)
     if isinstance(description, TrackingInterferometer):
         return readings.position()
-    target = places(readings.labels["target"], [entry.id for entry in description.targets])
-    return on_table(session, description, target, readings, 1.0)
+    return on_table(session, readings)
 
 
 def further_angles(session: Session, description: Probing) -> Iterator[Option]:

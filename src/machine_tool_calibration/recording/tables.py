@@ -7,6 +7,7 @@ import json
 import math
 from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
+from dataclasses import fields, is_dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -129,17 +130,20 @@ def _free(name: str, taken: Collection[str]) -> str:
 
 def _any(bag: BagReader, message: Message) -> list[dict[str, Any]]:
     row = _times(message)
-    fields: dict[str, Any] = {}
-    _fields(bag.decode(message), "", fields, 0)
-    if not row.keys().isdisjoint(fields):
-        fields = {_free(name, row): value for name, value in fields.items()}
-    return [{**row, **fields}]
+    content: dict[str, Any] = {}
+    _fields(bag.decode(message), "", content, 0)
+    if not row.keys().isdisjoint(content):
+        content = {_free(name, row): value for name, value in content.items()}
+    return [{**row, **content}]
 
 
 @lru_cache(maxsize=1024)
 def _field_names(kind: type) -> tuple[str, ...]:
     """The fields of a message's class; none of another value's."""
-    return tuple(name for name in getattr(kind, "__dataclass_fields__", ()) if not name.startswith("_"))
+    if not is_dataclass(kind):
+        return ()
+    # rosbags makes a message's constants fields, too, which it declares as class variables.
+    return tuple(f.name for f in fields(kind) if not (f.name.startswith("_") or str(f.type).startswith("ClassVar")))
 
 
 def _fields(value: Any, name: str, row: dict[str, Any], depth: int) -> None:
@@ -160,9 +164,9 @@ def _plain(value: Any, depth: int) -> Any:
         return [_plain(entry, depth + 1) for entry in value.tolist()]
     if isinstance(value, list | tuple):
         return [_plain(entry, depth + 1) for entry in value]
-    if hasattr(value, "__dataclass_fields__"):
-        fields = _field_names(value.__class__)
-        return {field: _plain(getattr(value, field), depth + 1) for field in fields} if depth < _DEPTH else None
+    if is_dataclass(value):
+        names = _field_names(value.__class__)
+        return {name: _plain(getattr(value, name), depth + 1) for name in names} if depth < _DEPTH else None
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value.hex() if isinstance(value, bytes | bytearray) else value

@@ -11,7 +11,7 @@ from typing import Any
 from machine_tool_calibration.budget.conformity import Conformity, conformity
 from machine_tool_calibration.budget.contributor import Contributor
 from machine_tool_calibration.budget.propagate import Budget, propagate
-from machine_tool_calibration.diagnosis.compare import compare, compare_sessions
+from machine_tool_calibration.diagnosis.compare import compare_result
 from machine_tool_calibration.diagnosis.comparison import Comparison
 from machine_tool_calibration.diagnosis.history import Chosen
 from machine_tool_calibration.diagnosis.improve import Improvement, improve
@@ -74,10 +74,7 @@ def evaluate(
     progress("identifying", 0.0)
     model, effects, own = chosen.model, chosen.effects, chosen.own
     result = chosen.identify()
-    if isinstance(result, Result):
-        comparisons: tuple[Comparison, ...] = (compare(result),)
-    else:
-        comparisons = compare_sessions(chosen.kept, result.labels, model=model, effects=effects, own=own).sessions
+    held = compare_result(result)
     improved = None
     if diagnosis:
         improved = improve(
@@ -92,4 +89,5 @@ def evaluate(
     if tolerances:
         progress("conformity", 0.0)
         verdicts = conformity(fitted, tolerances, budget=budget, seed=seed)
+    comparisons = (held,) if isinstance(held, Comparison) else held.sessions
     return Evaluation(chosen, result, comparisons, improved, budget, verdicts)

@@ -210,18 +210,8 @@ def _map(found: Evaluation, words: Words) -> Iterator[str | TextTable | Picture 
     for part in direct_tables(document["error_map"]):
         if isinstance(part, str):
             yield words.phrase(part)
-        elif isinstance(part, TextTable):
-            yield part
         else:
-            yield _from_rich(part)
-
-
-def _from_rich(table: Any) -> TextTable:
-    """A table made for the terminal."""
-    columns = [[str(cell) for cell in column.cells] for column in table.columns]
-    return TextTable(
-        str(table.title or ""), tuple(str(column.header) for column in table.columns), tuple(zip(*columns, strict=True))
-    )
+            yield part
 
 
 def _motions(found: Evaluation, words: Words) -> Iterator[str | TextTable | Picture]:

@@ -19,7 +19,7 @@ from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.findings import Finding
 from machine_tool_calibration.diagnosis.search.look import Structure
 from machine_tool_calibration.model.fit import JointFit
-from machine_tool_calibration.model.result import plain, spread_document
+from machine_tool_calibration.model.result import plain
 from machine_tool_calibration.planning.advice import Advice, Separation, Visibility, alias_groups_of
 from machine_tool_calibration.planning.what_to_measure import what_to_measure
 from machine_tool_calibration.residuals.pool import Pool
@@ -72,7 +72,7 @@ def diagnosis_document(
             "chi_square_p_value": noise.chi_square_p,
             "lack_of_fit_p_value": noise.lack_of_fit_p,
         },
-        "spread": [spread_document(size) for size in diagnosis.fits[-1].stated.sizes],
+        "spread": [size.document() for size in diagnosis.fits[-1].stated.sizes],
         "probabilities": {"nothing": look.nothing, "unknown_structure": look.unknown},
         "likely": list(diagnosis.likely),
         "refused": [{"effect": name, "why": why} for name, why in diagnosis.refused.items()],

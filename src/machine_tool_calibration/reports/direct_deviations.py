@@ -3,14 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 from machine_tool_calibration.reports.quantities import micrometres, probability, quantity, rounded
 from machine_tool_calibration.reports.tables import TextTable
-
-if TYPE_CHECKING:
-    from rich.table import Table
 
 __all__ = ["direct_tables", "scatter_words"]
 
@@ -51,7 +48,7 @@ def scatter_words(content: Mapping[str, Any], p_value: float) -> str | None:
     return f"The model fits the readings within their declared uncertainty ({both}): standard uncertainties use it."
 
 
-def direct_tables(content: Mapping[str, Any]) -> Iterator[Table | TextTable | str]:
+def direct_tables(content: Mapping[str, Any]) -> Iterator[TextTable | str]:
     """Tables and sentences, in the order in which they are read."""
     plate = content.get("plate")
     if plate:
@@ -61,14 +58,14 @@ def direct_tables(content: Mapping[str, Any]) -> Iterator[Table | TextTable | st
         yield _run_table(run)
 
 
-def _plate_table(plate: Mapping[str, Any]) -> Table:
-    table = _plate_heads(
+def _plate_table(plate: Mapping[str, Any]) -> TextTable:
+    title = (
         f"step by step, over {plate['places']} deviations: models simpler than that of the fit, whose values are "
-        "further below (sizes ± U, k = 2, from the scatter that is left)",
-        ("model", "unknowns", "RMS / µm", "scatter / µm", "p of the step", "sizes"),
+        "further below (sizes ± U, k = 2, from the scatter that is left)"
     )
-    for step in plate["steps"]:
-        table.add_row(
+    heads = ("model", "unknowns", "RMS / µm", "scatter / µm", "p of the step", "sizes")
+    rows = (
+        (
             step["model"],
             str(step["unknowns"]),
             micrometres(step["rms"]),
@@ -76,7 +73,9 @@ def _plate_table(plate: Mapping[str, Any]) -> Table:
             probability(step["p_value"]) if "p_value" in step else "",
             "\n".join(_size(p) for p in step["parameters"]),
         )
-    return table
+        for step in plate["steps"]
+    )
+    return TextTable(title, heads, tuple(rows))
 
 
 def _plate_words(plate: Mapping[str, Any]) -> Iterator[str]:
@@ -121,15 +120,6 @@ def _run_table(run: Mapping[str, Any]) -> TextTable:
             + ("repeatability and accuracy are not determined" if max(counts) < 2 else "repeatability is uncertain")
         )
     return TextTable(title, ("figure", "up", "down", "both", "U (k = 2)"), tuple(rows), "; ".join(notes))
-
-
-def _plate_heads(title: str, heads: Sequence[str]) -> Table:
-    from rich.table import Table
-
-    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
-    for k, head in enumerate(heads):
-        table.add_column(head, justify="left" if k == 0 or head == "sizes" else "right")
-    return table
 
 
 def _is(parameter: Mapping[str, Any]) -> bool:

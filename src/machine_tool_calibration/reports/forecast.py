@@ -13,6 +13,7 @@ from machine_tool_calibration.reports.diagnosis import dominant_words
 from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.reports.identification import group_by_reason
 from machine_tool_calibration.reports.quantities import duration, micrometres, quantity
+from machine_tool_calibration.reports.tables import TextTable, show_table
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -22,8 +23,6 @@ __all__ = ["show_forecast"]
 
 def show_forecast(screen: Console, found: Forecast) -> None:
     """Uncertainties to come first, then what will be missing, the smallest effects found, and what dominates."""
-    from rich.table import Table
-
     document = plain(found.document())
     sigma = found.result.fit.model.observations.session.sigma
     screen.print(
@@ -31,28 +30,19 @@ def show_forecast(screen: Console, found: Forecast) -> None:
         f"of u = {quantity(sigma, 'm')} (k = 1) in {duration(found.seconds)} of motion and waiting; setting up comes "
         "on top"
     )
-    table = Table(
-        title="uncertainty to come, U (k = 2), of each coordinate", title_justify="left", box=None, pad_edge=False
-    )
-    for heading in ("", "typical", "at most", "not determined"):
-        table.add_column(heading, justify="left" if not heading else "right")
-    for name, values in document["uncertainties"].items():
-        row = _row(name.removesuffix("_u"), values)  # each coordinate by itself
-        if row is not None:
-            table.add_row(*row)
-    screen.print(table)
+    # each coordinate by itself
+    rows = (_row(name.removesuffix("_u"), values) for name, values in document["uncertainties"].items())
+    title, heads = "Uncertainty to come, U (k = 2), of each coordinate", ("", "typical", "at most", "not determined")
+    show_table(screen, TextTable(title, heads, tuple(row for row in rows if row is not None)))
     for why, names in group_by_reason((entry["name"], entry["why"]) for entry in document["not_determined"]):
         screen.print(f"will not be determined: {names}: {why}")
-    screen.print("smallest detectable sizes of effects (power 80 %, significance level 5 %):")
-    effects = Table(box=None, pad_edge=False)
-    for heading in ("effect", "size", "largest change of a reading, µm"):
-        effects.add_column(heading, justify="left" if heading == "effect" else "right")
-    for entry in found.visible:
-        assert entry.size is not None
-        size = f"{entry.coefficient} = {quantity(entry.size, entry.unit)}"
-        effects.add_row(entry.effect, size, micrometres(entry.reading))
-    if found.visible:
-        screen.print(effects)
+    sizes = tuple(
+        (entry.effect, f"{entry.coefficient} = {quantity(entry.size or 0.0, entry.unit)}", micrometres(entry.reading))
+        for entry in found.visible
+    )
+    if sizes:
+        title = "Smallest detectable sizes of effects (power 80 %, significance level 5 %)"
+        show_table(screen, TextTable(title, ("effect", "size", "largest change of a reading, µm"), sizes))
     if found.absorbed:
         screen.print(f"would not be found, as the model has them already or takes them up: {', '.join(found.absorbed)}")
     if found.dominant is not None:

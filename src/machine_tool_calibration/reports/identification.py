@@ -149,8 +149,6 @@ def show_result(screen: Console, document: Mapping[str, Any], opened: Sequence[S
         opened: the sessions that were identified.
         fit: behind it.
     """
-    from rich.table import Table
-
     for session in opened:
         screen.print(session_headline(session))
     if document["effects"]:
@@ -163,10 +161,7 @@ def show_result(screen: Console, document: Mapping[str, Any], opened: Sequence[S
     show_suspicions(screen, document["suspicious"])
     for words in reproducibility_words(document["spread"]):
         screen.print(words)
-    table = Table(show_header=False, box=None, pad_edge=False)
-    for name, text in summary_rows({**document, "not_determined": []}):
-        table.add_row(name, text)
-    screen.print(table)
+    show_table(screen, TextTable("", ("", ""), tuple(summary_rows({**document, "not_determined": []}))))
     for shown_of_direct in direct_tables(document["error_map"]):
         if isinstance(shown_of_direct, TextTable):
             show_table(screen, shown_of_direct)
@@ -227,18 +222,11 @@ def _place(axis: str, value: float) -> str:
 
 def show_profiles(screen: Console, document: Mapping[str, Any]) -> None:
     """Profiles of the three axes by one of the formulations of a step diagonal."""
-    from rich.table import Table
-
     for axis in "xyz":
-        rows = document["error_map"][axis]
-        if not rows:
-            continue
-        table = Table(title=f"{axis.upper()}: errors by the formulation {document['formulation']}, µm", box=None)
-        for heading in ("block", "ex", "ey", "ez"):
-            table.add_column(heading, justify="right")
-        for k, row in enumerate(rows):
-            table.add_row(str(k), *(micrometres(v) for v in row))
-        screen.print(table)
+        rows = tuple((str(k), *map(micrometres, row)) for k, row in enumerate(document["error_map"][axis]))
+        title = f"{axis.upper()}: errors by the formulation {document['formulation']}, µm"
+        if rows:
+            show_table(screen, TextTable(title, ("block", "ex", "ey", "ez"), rows))
 
 
 def _variants(document: Mapping[str, Any]) -> str:

@@ -171,7 +171,7 @@ def parameters(result: Result | JointResult, document: Mapping[str, Any]) -> pd.
 
     unknowns = result.joint.assembly.unknowns
     words = named_in_words(result.joint, document["effects"])
-    rows = [
+    rows: list[dict[str, Any]] = [
         {
             "name": entry["name"],
             "value": entry["value"],

@@ -30,9 +30,9 @@ class TextTable:
     """A table of text.
 
     Attributes:
-        title: what it shows.
-        columns: heads.
-        rows: as many texts as there are heads.
+        title: what it shows; may be empty.
+        columns: heads; all may be empty.
+        rows: as many texts as there are heads; a text may have several lines.
         note: to be read below it.
     """
 
@@ -62,8 +62,9 @@ def show_table(screen: Console, table: TextTable) -> None:
     """
     from rich.text import Text
 
-    screen.print()
-    screen.print(Text(table.title, style="bold"))
+    if table.title:
+        screen.print()
+        screen.print(Text(table.title, style="bold"))
     for columns in _parts(table, screen.width):
         _show_part(screen, table, columns)
     if table.note:
@@ -85,10 +86,14 @@ def _parts(table: TextTable, width: int) -> list[list[int]]:
 
 def _least(table: TextTable, k: int) -> int:
     """How narrow a column can become: a short text on one line, a longer one at words of usual length."""
-    longest = max(len(row[k]) for row in table.rows)
+    longest = _longest(table, k)
     words = (word for row in table.rows for word in row[k].split())
     text = longest if longest <= _UNBROKEN else min(max(len(word) for word in words), _UNBROKEN)
     return max(text, *(len(line) for line in _folded(table.columns[k], 1).split("\n")), 1)
+
+
+def _longest(table: TextTable, k: int) -> int:
+    return max((len(line) for row in table.rows for line in row[k].split("\n")), default=0)
 
 
 def _folded(text: str, width: int) -> str:
@@ -99,8 +104,8 @@ def _show_part(screen: Console, table: TextTable, used: list[int]) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    shown = Table(box=None, header_style="bold", pad_edge=False)
-    longest = {k: max((len(row[k]) for row in table.rows), default=0) for k in used}
+    shown = Table(box=None, show_header=any(table.columns), header_style="bold", pad_edge=False)
+    longest = {k: _longest(table, k) for k in used}
     heads = {k: table.columns[k] for k in used}
 
     def missing() -> int:

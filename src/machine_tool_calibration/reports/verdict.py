@@ -11,7 +11,6 @@ from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.diagnosis.consequence import Consequence
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.look import Structure
-from machine_tool_calibration.model.result import spread_document
 from machine_tool_calibration.planning.advice import Advice, Separation
 from machine_tool_calibration.reports.quantities import (
     p_value,
@@ -51,7 +50,7 @@ def verdict_words(diagnosis: Diagnosis, changes: Mapping[str, Consequence], advi
     if diagnosis.outliers and diagnosis.verdict != "outliers":
         n = len(diagnosis.outliers)
         yield f"{'One reading was' if n == 1 else f'{n} readings were'} set aside before, as outliers: see below."
-    yield from reproducibility_words([spread_document(size) for size in diagnosis.fits[-1].stated.sizes])
+    yield from reproducibility_words([size.document() for size in diagnosis.fits[-1].stated.sizes])
     yield from _reversed(diagnosis)
     yield from _noise(diagnosis)
 

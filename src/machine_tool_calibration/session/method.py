@@ -16,15 +16,15 @@ from typing import TYPE_CHECKING, Any
 from machine_tool_calibration.arrays import BoolArray
 
 if TYPE_CHECKING:
-    from machine_tool_calibration.session.checks.mistakes import Comparison
+    from machine_tool_calibration.session.checks.mistakes import Judgement
     from machine_tool_calibration.session.description import Description, Place
-    from machine_tool_calibration.session.session import Readings, Session
+    from machine_tool_calibration.session.session import Session
 
 __all__ = ["MethodSpec", "load"]
 
 
-def _nothing(*_: object) -> Iterator[Comparison]:
-    """No comparison."""
+def _nothing(*_: object) -> Iterator[Judgement]:
+    """No judgement."""
     return iter(())
 
 
@@ -42,8 +42,8 @@ class MethodSpec:
         models: names of the model's variants, the default first; for each when it is the right one.
         magnitudes: of a session and the names for messages: raises a SessionError for values of the method's own keys
             and columns that can only be a wrong unit.
-        nominal: of a session, a sample of its readings and the names for messages: comparisons with the nominal
-            geometry by which common mistakes are found.
+        nominal: of a session and the names for messages: judgements by the nominal geometry, by which common mistakes
+            are found.
         any_axis: whether some column of an axis's position is needed, of whichever axis.
         instrument: what reads, unless the session says it.
         rotation_sign: sense in which C turns the workpiece, unless the session says it: +1 counter-clockwise from +Z.
@@ -92,7 +92,7 @@ class MethodSpec:
     model: str
     models: Mapping[str, str]
     magnitudes: Callable[[Session, Place], object] = _nothing
-    nominal: Callable[[Session, Readings, Place], Iterator[Comparison]] = _nothing
+    nominal: Callable[[Session, Place], Iterator[Judgement]] = _nothing
     any_axis: bool = False
     instrument: str | None = None
     rotation_sign: int = 1

@@ -15,7 +15,7 @@ from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
 from machine_tool_calibration.simulation.environment import Environment
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.motions import rotate
-from machine_tool_calibration.simulation.plan import Finite, Measurement, Plan, Positive, Vector3
+from machine_tool_calibration.simulation.plan import Finite, Measurement, Plan, Positive, Vector3, spanned
 from machine_tool_calibration.simulation.scene import Scene, blocks, last_direction, ordered_times
 
 __all__ = ["DirectPlan", "plan_direct"]
@@ -73,12 +73,7 @@ class DirectPlan(Plan):
 
     def travel(self) -> dict[str, tuple[float, float]]:
         """Ends of the axes that hold all points and zero, m."""
-        points = self.run().points
-        travel = {}
-        for index, axis in enumerate("XYZ"):
-            low, high = min(0.0, float(points[:, index].min())), max(0.0, float(points[:, index].max()))
-            travel[axis] = (low, high if high - low > 1e-9 else low + 0.05)
-        return travel
+        return spanned(self.run().points)
 
     def run(self) -> _Run:
         """Points and directions of one run."""

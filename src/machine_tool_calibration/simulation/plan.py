@@ -16,7 +16,7 @@ from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.random_machine import Amplitudes
 from machine_tool_calibration.simulation.scene import Scene
 
-__all__ = ["Finite", "Measurement", "Plan", "Positive", "Vector3", "since_first"]
+__all__ = ["Finite", "Measurement", "Plan", "Positive", "Vector3", "since_first", "spanned"]
 
 
 @dataclass(frozen=True)
@@ -89,3 +89,12 @@ class Plan(BaseModel):
     def errors(self) -> Amplitudes | None:
         """Sizes of random errors that suit the method; None for the usual ones."""
         return None
+
+
+def spanned(points: Array) -> dict[str, tuple[float, float]]:
+    """Ends of X, Y, Z that hold the points and zero; an axis that stands still gets 50 mm."""
+    travel = {}
+    for index, axis in enumerate("XYZ"):
+        low, high = min(0.0, float(points[:, index].min())), max(0.0, float(points[:, index].max()))
+        travel[axis] = (low, high if high - low > 1e-9 else low + 0.05)
+    return travel

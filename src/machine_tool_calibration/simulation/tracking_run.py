@@ -12,7 +12,7 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
 from machine_tool_calibration.simulation.environment import Environment
 from machine_tool_calibration.simulation.machine import VirtualMachine
-from machine_tool_calibration.simulation.plan import Finite, Measurement, Plan, Positive, Vector3
+from machine_tool_calibration.simulation.plan import Finite, Measurement, Plan, Positive, Vector3, spanned
 from machine_tool_calibration.simulation.scene import Scene, last_direction, ordered_times
 from machine_tool_calibration.simulation.sensors import Pointer, aim, distance, sensed_path
 
@@ -87,15 +87,6 @@ class TrackingPlan(Plan):
     def pointer(self) -> Pointer:
         """The pointer's true errors."""
         return Pointer(self.zero_offset, self.elevation_offset, self.radial, self.eccentricity)
-
-
-def spanned(points: Array) -> dict[str, tuple[float, float]]:
-    """Ends of X, Y, Z that hold the points and zero; an axis that stands still gets 50 mm."""
-    travel = {}
-    for index, axis in enumerate("XYZ"):
-        low, high = min(0.0, float(points[:, index].min())), max(0.0, float(points[:, index].max()))
-        travel[axis] = (low, high if high - low > 1e-9 else low + 0.05)
-    return travel
 
 
 def _name(index: int) -> str:

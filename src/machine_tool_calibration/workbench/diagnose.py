@@ -10,7 +10,6 @@ import panel as pn
 from bokeh.models import ColumnDataSource, FactorRange, Span
 
 from machine_tool_calibration.diagnosis.consequence import effect_estimates
-from machine_tool_calibration.model.result import spread_document
 from machine_tool_calibration.reports.diagnosis import diagnosis_report
 from machine_tool_calibration.reports.quantities import probability, quantity, reproducibility_words, sizes_in_words
 from machine_tool_calibration.workbench.look import (
@@ -124,7 +123,7 @@ class DiagnosePage:
             self._bars.data = {"effect": [], "probability": [], "color": [], "words": []}
             return
         found, then = state.diagnosis
-        sizes = [spread_document(size) for size in state.model.fit.result.joint.stated.sizes]
+        sizes = [size.document() for size in state.model.fit.result.joint.stated.sizes]
         report = diagnosis_report(found, then.advice, then.changes)
         self._words.object = paragraphs([*report.words[:1], *reproducibility_words(sizes)])
         self._more.object = paragraphs(report.words[1:]) + tables(report.tables)

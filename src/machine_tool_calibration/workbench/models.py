@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from machine_tool_calibration.arrays import IntArray
-from machine_tool_calibration.diagnosis.compare import compare, compare_joint
+from machine_tool_calibration.diagnosis.compare import compare_result
 from machine_tool_calibration.diagnosis.comparison import Comparison, JointComparison
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.history import Entry, History, Part
@@ -24,8 +24,8 @@ from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.interface.identification import Fit
 from machine_tool_calibration.interface.session import Measurement, load
 from machine_tool_calibration.methods.build import sharing_variant
-from machine_tool_calibration.methods.identify import JointResult, gross_errors, identify, identify_sessions
-from machine_tool_calibration.model.result import EffectSet, Result
+from machine_tool_calibration.methods.identify import JointResult, gross_errors, identify_sessions
+from machine_tool_calibration.model.result import EffectSet
 from machine_tool_calibration.planning.what_to_measure import SEARCH, Conclusions, conclude
 from machine_tool_calibration.reports.history_file import fingerprint, history_path, read_history
 
@@ -131,19 +131,18 @@ class Subject:
             ModelError: the data does not allow it.
         """
         measurement = self.without(aside, kept)
-        sessions, own = measurement.sessions, self.own
-        result: Result | JointResult
-        held: Comparison | JointComparison
-        if len(sessions) == 1:
-            result = identify(sessions[0], model=variant, effects=effects, own=own, keep_all=True, sets=over)
-            held = compare(result)
-        else:
-            result = identify_sessions(
-                sessions, measurement.labels, model=variant, effects=effects, own=own, keep_all=True, sets=over
-            )
-            held = compare_joint(result)
+        result = identify_sessions(
+            measurement.sessions,
+            measurement.labels,
+            model=variant,
+            effects=effects,
+            own=self.own,
+            keep_all=True,
+            sets=over,
+        )
         step = step_after(before.step if before else None, words, result, tuple(sorted(aside)))
-        return Model(Fit(measurement, result, variant, own, keep_all=True), step, held, aside, kept)
+        fit = Fit(measurement, result, variant, self.own, keep_all=True)
+        return Model(fit, step, compare_result(result), aside, kept)
 
     def on_the_way(self, entries: Sequence[Entry], prints: Sequence[str]) -> list[Model]:
         """Models of a history, each made from the one before.

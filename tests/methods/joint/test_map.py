@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.methods.identify import JointResult, identify, identify_sessions
+from machine_tool_calibration.methods.identify import JointResult, identify, identify_sessions, joint_models
 from machine_tool_calibration.model.rigid_body import map_field
 from machine_tool_calibration.simulation.simulate import Simulated, simulate
 from machine_tool_calibration.simulation.spec import SimulationSpec
@@ -79,13 +79,18 @@ def test_effect_of_one_session_only(several: SimpleNamespace) -> None:
     assert "backlash_x.b" in {p.name for p in result.parameters}
 
 
+def test_several_of_one_are_that_one(several: SimpleNamespace) -> None:
+    session = several.measured("run", 0).session
+    alone = identify_sessions([session], ["a"])
+    np.testing.assert_array_equal(alone.error_map.error, identify(session).error_map.error)
+
 @pytest.mark.parametrize(
     ("labels", "message"), [(["a"], "several sessions"), (["a", "a"], "label of its own"), (["a", "b", "c"], "label")]
 )
 def test_bad_requests(several: SimpleNamespace, labels: list[str], message: str) -> None:
     session = several.measured("run", 0).session
     with pytest.raises(ModelError, match=message):
-        identify_sessions([session] * min(len(labels), 2), labels)
+        joint_models([session] * min(len(labels), 2), labels)
 
 
 def test_another_machine(several: SimpleNamespace) -> None:

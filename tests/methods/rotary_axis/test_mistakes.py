@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.methods.rotary_axis.checks import suspicions
+from machine_tool_calibration.methods.rotary_axis.checks import suppositions
 from machine_tool_calibration.methods.rotary_axis.model import build
 from machine_tool_calibration.session.session import Session
 
@@ -61,7 +61,7 @@ def test_wrong_units_and_signs(rotary: SimpleNamespace, change: Callable[[Sessio
 )
 def test_what_is_suspected_undoes_the_mistake(rotary: SimpleNamespace, factor: float, message: str) -> None:
     session = rotary.measured(1, angles=FEW).session
-    undone = {one.what: one.session for one in suspicions(_scaled(factor)(session))}
+    undone = {one.what: one.session for one in suppositions(_scaled(factor)(session))}
     (what,) = (what for what in undone if what.startswith(message))
     np.testing.assert_allclose(undone[what].readings.displacement, session.readings.displacement, rtol=1e-15)
 

@@ -201,6 +201,15 @@ def test_not_a_drawing(read, tmp_path):
         read("- {kind: file, path: part.dxf, material: inside, spacing: 1}\n")
 
 
+def test_a_layer_without_any_line(read, drawing):
+    document, space, path = drawing()
+    space.add_circle((0, 0), radius=5)
+    space.add_text("a note")
+    document.saveas(path)
+    with pytest.raises(SessionError, match=r"part\.dxf: no line, arc, .* or spline on the layer 'CUT'"):
+        read("- {kind: file, path: part.dxf, layer: CUT, material: inside, spacing: 1}\n")
+
+
 def test_hole_smaller_than_the_stylus(read):
     head = HEAD.replace("unit: mm\n", "unit: mm\nstylus_diameter: 6\n")
     with pytest.raises(SessionError, match="does not fit into a hole"):

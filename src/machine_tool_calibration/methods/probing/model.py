@@ -14,7 +14,7 @@ EXC, EYC, ECC: displacement and turn of the table at this index. ECC as in Eq. (
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,10 +45,11 @@ from machine_tool_calibration.model.model import (
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.model.rigid_body import MachineTable
+from machine_tool_calibration.session.checks.mistakes import UNITS, Judgement, explanation, scaled
 from machine_tool_calibration.session.description import Probing
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["ProbingModel", "build", "refuse_mistakes"]
+__all__ = ["ProbingModel", "build"]
 
 
 # Displacement beyond which a touch is looked at, m: no ground surface is off by so much, a casting may be.
@@ -57,26 +58,23 @@ _LARGE = 2e-4
 _ABSURD, _GOOD = 100.0, 30.0
 
 
-def refuse_mistakes(session: Session, build: Callable[[Session], MethodModel]) -> None:
+def _refuse_mistakes(session: Session) -> None:
     """Refuse displacements that are a thousand or a million times too large.
 
     Raises:
         ModelError: the mistake.
     """
-    readings = session.readings
-    read = readings.displacement[np.isfinite(readings.displacement)]
-    if not len(read) or np.median(np.abs(read)) < _LARGE or not _misfit(session, build) > _ABSURD:
+
+    def misfit(seen: Session) -> float:
+        return float(np.median(np.abs(fit_models([_build(seen)]).fits[0].residuals)) / session.sigma)
+
+    read = session.readings.displacement[np.isfinite(session.readings.displacement)]
+    if not len(read) or np.median(np.abs(read)) < _LARGE:
         return
-    for factor, unit in ((1e-3, "millimetres"), (1e-6, "micrometres")):
-        scaled = session.with_readings(replace(readings, displacement=factor * readings.displacement))
-        if _misfit(scaled, build) < _GOOD:
-            with suspected():
-                raise ModelError(f"{session.source}: displacement looks like {unit}; lengths are in metres")
-
-
-def _misfit(session: Session, build: Callable[[Session], MethodModel]) -> float:
-    """Median absolute residual over the declared uncertainty."""
-    return float(np.median(np.abs(fit_models([build(session)]).fits[0].residuals)) / session.sigma)
+    what = explanation(session, [Judgement(misfit, scaled(session, *UNITS), _ABSURD, _GOOD)])
+    if what is not None:
+        with suspected():
+            raise ModelError(f"{session.source}: {what}")
 
 
 @dataclass(frozen=True)
@@ -144,7 +142,7 @@ def build(session: Session, model: str = "rigid_body") -> ProbingModel:
         SessionError: a touched point is not in the workpiece's list.
     """
     if not session.description.trust_units:
-        refuse_mistakes(session, _build)
+        _refuse_mistakes(session)
     return _build(session)
 
 

@@ -9,10 +9,10 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.methods.rotary_axis.geometry import TableReadings
 
-__all__ = ["Start", "aligned", "find_start"]
+__all__ = ["Start", "find_start"]
 
 # Errors of a rotary axis are some micrometres; a nominal position may be wrong by centimetres. Both only shape the way
 # to the start: the fit that follows holds no such knowledge.
@@ -121,20 +121,6 @@ def _turned(stations: Array, axis: str, tilt: tuple[float, float]) -> Array:
 def _misfit(table: TableReadings, stations: Array, targets: Array) -> float:
     """Median absolute difference between readings and places as they are, m."""
     return float(np.median(np.abs(_off(table, stations, targets))))
-
-
-def aligned(points: Array, onto: Array, used: IntArray) -> Array:
-    """Points after the shift and turn that brings the used ones nearest to others (Kabsch).
-
-    Args:
-        points: (n, 3).
-        onto: (n, 3).
-        used: which of them count.
-    """
-    middle, goal = points[used].mean(axis=0), onto[used].mean(axis=0)
-    u, _, vt = np.linalg.svd((points[used] - middle).T @ (onto[used] - goal))
-    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-    return np.asarray((points - middle) @ u @ flip @ vt + goal)
 
 
 def _fitted(table: TableReadings, stations: Array, targets: Array, within: float = _NOMINAL) -> Start:

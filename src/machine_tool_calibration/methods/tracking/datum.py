@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, best_motion
 
 __all__ = ["MAP_DATUM", "NetworkMotion", "OwnSight", "carried_stations", "turned_back"]
 
@@ -123,7 +123,7 @@ class OwnSight:
 
 
 def turned_back(nominal: Array, actual: Array, others: Array) -> tuple[Array, Array]:
-    """Turn and shift places so that they have no common motion against the nominal ones (Kabsch 1976).
+    """Turn and shift places so that they have no common motion against the nominal ones.
 
     The turn is finite: with stations known to a millimetre the network may have turned by a milliradian, and the linear
     datum would leave its square, half a micrometre on a metre.
@@ -136,9 +136,5 @@ def turned_back(nominal: Array, actual: Array, others: Array) -> tuple[Array, Ar
     Returns:
         The actual and the other places after the motion.
     """
-    centre, middle = nominal.mean(axis=0), actual.mean(axis=0)
-    u, _, vt = np.linalg.svd((actual - middle).T @ (nominal - centre))
-    sign = np.ones(len(u))
-    sign[-1] = np.sign(np.linalg.det(u @ vt))
-    turn = (u * sign) @ vt
-    return (actual - middle) @ turn + centre, (others - middle) @ turn + centre
+    turn, shift = best_motion(actual, nominal)
+    return actual @ turn.T + shift, others @ turn.T + shift

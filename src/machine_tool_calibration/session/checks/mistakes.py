@@ -1,162 +1,180 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Readings against nominal geometry: whether a common mistake is the better explanation.
+"""Whether a common mistake explains a measurement: what may have been mistaken, and the one way to decide.
 
-The nominal geometry predicts every reading to about the uncertainty of the stations. Where it does not, and one
-mistake (another unit, the other sense of rotation, two setups exchanged) explains the readings far better, that
-mistake is named. Nothing is refused merely because it fits badly: that is for the model and its diagnosis.
+What is measured is judged by a misfit: against the nominal geometry when a session is read, against a model when it is
+fitted. Where it does not fit, the measurement is judged anew as it would be without each mistake in turn: in another
+unit, of the other sense of rotation, with two setups exchanged. The first that explains it far better is named. Nothing
+is refused merely because it fits badly: that is for the model and its diagnosis.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray, group_ranges
-from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.session.description import Place
-from machine_tool_calibration.session.session import Readings, Session
+from machine_tool_calibration.session.session import Session
 
 __all__ = [
-    "Comparison",
-    "Mistake",
+    "LENGTHS",
+    "SENSES",
+    "UNITS",
+    "Judgement",
+    "Supposition",
     "check_consistency",
+    "described",
     "exchanged",
     "exchanged_axes",
-    "extent",
-    "per_setup",
-    "same",
+    "explanation",
+    "in_degrees",
     "scaled",
-    "spread",
+    "turned_round",
+    "with_columns",
 ]
 
-
-_MOST_TRIED = 12
-_LIMIT = 0.1
-
-
-@dataclass(frozen=True)
-class Mistake:
-    """One mistake that may have been made.
-
-    Attributes:
-        what: the suspicion, for the message.
-        misfit: (setups,) what would remain if it was made, NaN for a setup without readings.
-        scale: size of what is predicted, in the misfit's unit.
-    """
-
-    what: str
-    misfit: Array
-    scale: float
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """Readings against nominal geometry, as they are and under each mistake (made on demand)."""
-
-    misfit: Array
-    scale: float
-    mistakes: Iterable[Mistake]
-
-
-_SCALES = (
-    (1e-3, "displacement looks like millimetres; lengths are in metres"),
-    (1e-6, "displacement looks like micrometres; lengths are in metres"),
+LENGTHS = "like millimetres; lengths are in metres"
+UNITS = (
+    (1e-3, f"displacement looks {LENGTHS}"),
+    (1e-6, f"displacement looks {LENGTHS.replace('milli', 'micro')}"),
+)
+SENSES = (
     (-1.0, "displacement has the opposite sign; it grows with the path from the instrument"),
     (0.5, "displacement looks like twice the change of path"),
 )
+# Exchanges are tried among so many setups, targets or points.
+_MOST = 8
 
 
-def scaled(measured: Array, predicted: Array, scale: float, judge: Callable[[Array], Array]) -> Iterator[Mistake]:
-    """Displacements in another unit, of the other sign, or of the path there and back."""
-    for factor, what in _SCALES:
-        yield Mistake(what, judge(measured * factor - predicted), scale)
+@dataclass(frozen=True)
+class Supposition:
+    """One mistake that may have been made.
 
-
-def exchanged(
-    kind: str, ids: Sequence[str], misfit: Array, scale: float, judge: Callable[[IntArray], Array]
-) -> Iterator[Mistake]:
-    """Two setups or targets exchanged, tried among those that do not fit.
-
-    Args:
-        kind: what they are, for the message.
-        ids: their ids.
-        misfit: how each fits as it is; one that fits is left alone.
-        scale: size of what is predicted.
-        judge: misfit when entry i is taken for entry `order[i]`.
+    Attributes:
+        what: the mistake in words.
+        session: the measurement as it would be without it.
     """
-    bad = [i for i in range(len(ids)) if misfit[i] > _LIMIT * scale][:_MOST_TRIED]
-    for position, first in enumerate(bad):
-        for second in bad[position + 1 :]:
-            order = same(len(ids))
-            order[[first, second]] = second, first
-            yield Mistake(f"the {kind}s {ids[first]!r} and {ids[second]!r} look exchanged", judge(order), scale)
+
+    what: str
+    session: Session
 
 
-def exchanged_axes(dimension: int) -> Iterator[tuple[str, tuple[int, int, int]]]:
-    """Two of the columns x, y and z exchanged: the suspicion, and which column stands for each axis."""
-    for a, b in ((0, 1), (0, 2), (1, 2)):
-        if b < dimension:
-            order = [0, 1, 2]
-            order[a], order[b] = b, a
-            yield f"the columns {'xyz'[a]} and {'xyz'[b]} look exchanged", (order[0], order[1], order[2])
+@dataclass(frozen=True)
+class Judgement:
+    """How a measurement is judged, and what may have gone wrong with it.
+
+    Attributes:
+        misfit: how badly a measurement fits.
+        suppositions: mistakes that may have been made, the likeliest first; made on demand.
+        absurd: misfit beyond which mistakes are looked for.
+        good: what the misfit must be below without the mistake.
+        better: the same as a share of the misfit as it is.
+    """
+
+    misfit: Callable[[Session], float]
+    suppositions: Iterable[Supposition]
+    absurd: float
+    good: float
+    better: float = 1.0
 
 
-def same(count: int) -> IntArray:
-    """(count,) every entry is itself."""
-    return np.arange(count, dtype=np.int64)
+def explanation(session: Session, judgements: Iterable[Judgement]) -> str | None:
+    """The first mistake without which a measurement fits that does not fit as it is; None if there is none.
 
-
-def per_setup(setup: IntArray, values: Array, count: int) -> Array:
-    """(count,) median of the absolute values of each setup, NaN where it has none."""
-    return group_ranges(np.abs(values), setup, count)[1]
-
-
-def spread(difference: Array, group: IntArray, setup: IntArray, count: int) -> Array:
-    """(count,) measured minus predicted by setup, after each group's own zero."""
-    zero = group_ranges(difference, group, int(group.max(initial=-1)) + 1)[1]
-    return per_setup(setup, difference - zero[group], count)
-
-
-def extent(predicted: Array, group: IntArray) -> float:
-    """Typical half range of the prediction within a group; NaN where nothing is predicted."""
-    low, _, high = group_ranges(predicted, group, int(group.max(initial=-1)) + 1)
-    known = np.isfinite(low)
-    return float(np.median((high - low)[known])) / 2 if known.any() else np.nan
+    A measurement that no model can be made of without the mistake is not explained by it.
+    """
+    for judgement in judgements:
+        now = judgement.misfit(session)
+        if not now > judgement.absurd:
+            continue
+        enough = min(judgement.good, judgement.better * now)
+        for supposition in judgement.suppositions:
+            try:
+                misfit = judgement.misfit(supposition.session)
+            except (ModelError, np.linalg.LinAlgError):
+                continue
+            if misfit < enough:
+                return supposition.what
+    return None
 
 
 _ROWS = 20_000  # enough to judge by
-_FITS = 0.1  # of the readings' extent
-_BETTER = 0.2  # of the misfit as it is
 
 
 def check_consistency(session: Session, place: Place) -> None:
-    """Refuse a session whose readings a common mistake explains and its geometry does not.
+    """Refuse a session whose readings a common mistake explains and its nominal geometry does not.
 
     Raises:
         SessionError: the mistake that is suspected.
     """
-    readings = _sample(session.readings)
-    if len(readings) < 4:
+    rows = np.flatnonzero(np.isfinite(session.readings.displacement))
+    sample = session.with_readings(session.readings.select(rows[:: max(1, -(-len(rows) // _ROWS))]))
+    if len(sample.readings) < 4:
         return
     with np.errstate(all="ignore"):
-        for comparison in session.spec.nominal(session, readings, place):
-            _decide(place.readings, comparison)
+        what = explanation(sample, session.spec.nominal(sample, place))
+    if what is not None:
+        raise SessionError(f"{place.readings}: {what}")
 
 
-def _decide(source: str, comparison: Comparison) -> None:
-    """Raise for the first mistake that fits where the data as they are do not."""
-    worst = float(np.nanmax(comparison.misfit, initial=0.0))
-    if not worst > _FITS * comparison.scale:
-        return
-    for mistake in comparison.mistakes:
-        misfit = float(np.nanmax(mistake.misfit, initial=0.0))
-        if misfit < _FITS * mistake.scale and misfit * comparison.scale < _BETTER * worst * mistake.scale:
-            raise SessionError(f"{source}: {mistake.what}")
+def scaled(session: Session, *factors: tuple[float, str]) -> Iterator[Supposition]:
+    """Displacements multiplied by a factor: in another unit (`UNITS`), or of another sense (`SENSES`)."""
+    for factor, what in factors:
+        readings = replace(session.readings, displacement=factor * session.readings.displacement)
+        yield Supposition(what, session.with_readings(readings))
 
 
-def _sample(readings: Readings) -> Readings:
-    rows = np.flatnonzero(np.isfinite(readings.displacement))
-    step = max(1, -(-len(rows) // _ROWS))
-    return readings.select(rows[::step])
+def with_columns(session: Session, what: str, **columns: Array) -> Supposition:
+    """Other values, each (n,), in columns."""
+    readings = replace(session.readings, columns={**session.readings.columns, **columns})
+    return Supposition(what, session.with_readings(readings))
+
+
+def in_degrees(session: Session, what: str, *names: str) -> Supposition:
+    """Angles in degrees, in those of the columns that there are."""
+    known = {name: np.radians(session.readings.columns[name]) for name in names if name in session.readings.columns}
+    return with_columns(session, f"{what} like degrees; angles are in radians", **known)
+
+
+def exchanged_axes(session: Session, dimension: int) -> Iterator[Supposition]:
+    """Two of the columns x, y and z exchanged."""
+    position = session.readings.position()
+    for a, b in itertools.combinations(range(dimension), 2):
+        one, other = "xyz"[a], "xyz"[b]
+        what = f"the columns {one} and {other} look exchanged"
+        yield with_columns(session, what, **{one: position[:, b], other: position[:, a]})
+
+
+def exchanged(session: Session, kind: str, among: Sequence[str]) -> Iterator[Supposition]:
+    """Two setups exchanged, or two names in a column of labels.
+
+    Args:
+        session: the measurement.
+        kind: `setup`, or the column.
+        among: names that may be exchanged; so many of them are tried.
+    """
+    readings = session.readings
+    labels = readings.setup if kind == "setup" else readings.labels[kind]
+    for pair in itertools.combinations(among[:_MOST], 2):
+        one, other = map(session.setup_ids.index, pair) if kind == "setup" else pair
+        new = np.where(labels == one, other, np.where(labels == other, one, labels))
+        changed: dict[str, Any] = {"setup": new} if kind == "setup" else {"labels": {**readings.labels, kind: new}}
+        what = f"the {kind}s {pair[0]!r} and {pair[1]!r} look exchanged"
+        yield Supposition(what, session.with_readings(replace(readings, **changed)))
+
+
+def described(session: Session, what: str, **update: object) -> Supposition:
+    """Other keys in the description."""
+    return Supposition(what, replace(session, description=session.description.model_copy(update=update)))
+
+
+def turned_round(session: Session, what: str) -> Supposition:
+    """A rotary axis that turns the other way."""
+    sign = {"rotation_sign": -session.rotation_sign}
+    own = sign if hasattr(session.description, "rotation_sign") else {}
+    return described(session, what, machine=session.description.machine.model_copy(update=sign), **own)

@@ -1,27 +1,37 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Readings against the nominal geometry of their method, only as good as needed to see a mistake."""
+"""Readings against the nominal geometry of their method, only as good as needed to see a mistake.
+
+The nominal geometry predicts every reading to about the uncertainty of the stations. How far a reading is off is told
+in shares of what is predicted, so that it does not depend on the unit.
+"""
 
 from __future__ import annotations
 
+import itertools
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray, groups
+from machine_tool_calibration.arrays import Array, IntArray, group_ranges, groups
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.checks.mistakes import (
-    Comparison,
-    Mistake,
+    LENGTHS,
+    SENSES,
+    UNITS,
+    Judgement,
+    Supposition,
+    described,
     exchanged,
     exchanged_axes,
-    extent,
-    per_setup,
-    same,
+    explanation,
+    in_degrees,
     scaled,
-    spread,
+    turned_round,
+    with_columns,
 )
 from machine_tool_calibration.session.description import (
+    Description,
     Place,
     Probing,
     RotaryAxis,
@@ -32,23 +42,12 @@ from machine_tool_calibration.session.description import (
 from machine_tool_calibration.session.session import Readings, Session
 
 __all__ = [
-    "check_index_angles",
-    "compare_beam",
-    "compare_diagonal",
-    "compare_order",
-    "compare_points",
-    "compare_probing",
-    "compare_rotary",
-    "compare_tracking",
-    "direction",
     "nominal_diagonal",
     "nominal_probing",
     "nominal_rotary",
     "nominal_tracking",
     "on_table",
-    "places",
-    "turned",
-    "wrapped",
+    "turning_mistakes",
 ]
 
 
@@ -71,21 +70,21 @@ def turned(points: Array, angle: Array) -> Array:
     return np.column_stack([cos * points[:, 0] - sin * points[:, 1], sin * points[:, 0] + cos * points[:, 1]])
 
 
-def on_table(session: Session, description: RotaryAxis, target: IntArray, readings: Readings, unit: float) -> Array:
+def on_table(session: Session, readings: Readings) -> Array:
     """(n, 3) nominal position of each reading's target in the machine frame, m.
 
     Args:
-        session: gives the sense of rotation.
-        description: gives the targets and the axis under test.
-        target: (n,) place of the target in the description.
-        readings: give the commanded angle.
-        unit: what the angle is multiplied with to be in rad.
+        session: gives the sense of rotation, the targets and the axis under test.
+        readings: give the target and the commanded angle.
     """
+    description = session.description
+    assert isinstance(description, RotaryAxis)
     column = rotary_column(description)
+    target = places(readings.labels["target"], [entry.id for entry in description.targets])
     points = np.array([entry.position for entry in description.targets])[target]
     # the two coordinates that turn, in the order that makes a positive turn counter-clockwise seen from the axis's end
     first, second = {"a": (1, 2), "b": (2, 0), "c": (0, 1)}[column]
-    angle = unit * session.rotation_sign * readings.columns[column]
+    angle = session.rotation_sign * readings.columns[column]
     points[:, [first, second]] = turned(points[:, [first, second]], angle)
     return points
 
@@ -96,169 +95,147 @@ def wrapped(angle: Array) -> Array:
 
 
 _ORDER = re.compile(r"[_.-]([xyz]{3})$", re.IGNORECASE)
+_FITS = 0.1  # of what is predicted
+_BETTER = 0.2  # of the misfit as it is
+
+Off = Callable[[Session], Array]
+"""Of a session, (n,) how far each reading is off, in shares of what is predicted."""
 
 
-def compare_beam(description: TrackingInterferometer, readings: Readings) -> Comparison:
-    """Commanded beam against the direction from the station to the target; misfits are angles, rad."""
-    ids = [setup.id for setup in description.setups]
-    stations = np.array([setup.position for setup in description.setups])
-    upright = 0.0 if description.dimension == 2 else 1.0
-    azimuth = readings.columns["azimuth"]
-    elevation = upright * readings.columns.get("elevation", np.zeros(len(readings)))
+def _judgement(off: Off, suppositions: Iterable[Supposition], by: str = "setup") -> Judgement:
+    """By the setup or point whose readings are the furthest off."""
 
-    def judge(
-        order: IntArray,
-        unit: float = 1.0,
-        sense: float = 1.0,
-        about: tuple[float, float] = (1.0, 0.0),
-        axes: tuple[int, int, int] = (0, 1, 2),
-    ) -> Array:
-        line = (readings.position()[:, axes] - stations[order][readings.setup]) * (1.0, 1.0, upright)
-        beam = direction(about[0] * azimuth * unit + about[1], elevation * unit)
-        cosine = np.sum(beam * line, axis=1) / np.linalg.norm(line, axis=1)
-        return per_setup(readings.setup, np.arccos(np.clip(sense * cosine, -1, 1)), len(ids))
+    def misfit(session: Session) -> float:
+        return float(np.nanmax(_by(session, off, by)[1], initial=0.0))
 
-    itself = same(len(ids))
-    now = judge(itself)
-
-    def mistakes() -> Iterator[Mistake]:
-        yield Mistake("azimuth and elevation look like degrees; angles are in radians", judge(itself, np.pi / 180), 1.0)
-        yield Mistake("azimuth and elevation point from the target to the station", judge(itself, 1.0, -1.0), 1.0)
-        what = "azimuth looks as if it was counted clockwise; it is counter-clockwise from +X, seen from +Z"
-        yield Mistake(what, judge(itself, about=(-1.0, 0.0)), 1.0)
-        yield Mistake("azimuth looks as if it was off by half a turn", judge(itself, about=(1.0, np.pi)), 1.0)
-        for what, axes in exchanged_axes(description.dimension):
-            yield Mistake(what, judge(itself, axes=axes), 1.0)
-        yield from exchanged("setup", ids, now, 1.0, judge)
-
-    return Comparison(now, 1.0, mistakes())
+    return Judgement(misfit, suppositions, absurd=_FITS, good=_FITS, better=_BETTER)
 
 
-def compare_tracking(description: TrackingInterferometer, readings: Readings) -> Comparison:
-    """Displacements against the change of distance between station and target, m."""
-    ids = [setup.id for setup in description.setups]
-    stations = np.array([setup.position for setup in description.setups])[:, : description.dimension]
-    points = readings.position()[:, : description.dimension]
-    measured, setup = readings.displacement, readings.setup
-
-    def judge(difference: Array) -> Array:
-        return spread(difference, setup, setup, len(ids))
-
-    def path(
-        order: IntArray,
-        station_unit: float = 1.0,
-        point_unit: float = 1.0,
-        axes: tuple[int, int, int] = (0, 1, 2),
-    ) -> Array:
-        line = point_unit * points[:, axes[: description.dimension]] - station_unit * stations[order][setup]
-        return np.asarray(np.linalg.norm(line, axis=1))
-
-    itself = same(len(ids))
-    predicted = path(itself)
-    now, scale = judge(measured - predicted), extent(predicted, setup)
-
-    def mistakes() -> Iterator[Mistake]:
-        yield from scaled(measured, predicted, scale, judge)
-        for what, units in (("the stations' positions look", (1e-3, 1.0)), ("x, y and z look", (1.0, 1e-3))):
-            other = path(itself, *units)
-            message = f"{what} like millimetres; lengths are in metres"
-            yield Mistake(message, judge(measured - other), extent(other, setup))
-        for what, axes in exchanged_axes(description.dimension):
-            yield Mistake(what, judge(measured - path(itself, axes=axes)), scale)
-        yield from exchanged("setup", ids, now, scale, lambda order: judge(measured - path(order)))
-
-    return Comparison(now, scale, mistakes())
+def _exchanged(session: Session, off: Off, kind: str) -> Iterator[Supposition]:
+    """Exchanges of two setups, targets or points that do not fit as they are."""
+    ids, misfit = _by(session, off, kind)
+    yield from exchanged(session, kind, [name for name, one in zip(ids, misfit, strict=True) if one > _FITS])
 
 
-def compare_diagonal(description: StepDiagonal, readings: Readings) -> Comparison:
-    """Displacements and positions against the runs' nominal lines, m."""
-    ids = [setup.id for setup in description.setups]
-    start = np.array([setup.start for setup in description.setups])
-    direction = np.array([setup.direction for setup in description.setups])
-    motion = direction * np.asarray(description.step) * description.blocks
-    beam = motion / np.linalg.norm(motion, axis=1)[:, None]
-    points, setup, measured = readings.position(), readings.setup, readings.displacement
-    group = groups(setup, readings.repeat)
-
-    def judge(difference: Array, order: IntArray, points: Array = points) -> Array:
-        low = np.minimum(start, start + motion)[order][setup]
-        high = np.maximum(start, start + motion)[order][setup]
-        outside = np.linalg.norm(np.clip(low - points, 0, None) + np.clip(points - high, 0, None), axis=1)
-        return spread(difference, group, setup, len(ids)) + per_setup(setup, outside, len(ids))
-
-    def path(order: IntArray, points: Array = points) -> Array:
-        which = order[setup]
-        return np.asarray(np.sum(beam[which] * (points - start[which]), axis=1))
-
-    itself = same(len(ids))
-    predicted = path(itself)
-    now, scale = judge(measured - predicted, itself), extent(predicted, group)
-
-    def mistakes() -> Iterator[Mistake]:
-        yield from scaled(measured, predicted, scale, lambda difference: judge(difference, itself))
-        for what, axes in exchanged_axes(3):
-            other = points[:, axes]
-            yield Mistake(what, judge(measured - path(itself, other), itself, other), scale)
-        yield from exchanged("setup", ids, now, scale, lambda order: judge(measured - path(order), order))
-
-    return Comparison(now, scale, mistakes())
+def _by(session: Session, off: Off, kind: str) -> tuple[list[str], Array]:
+    """Ids of the setups, targets or points, and for each how far its readings are off in the middle; NaN for none."""
+    readings, key = session.readings, {"target": "targets", "point": "workpiece"}.get(kind, "setups")
+    ids = [entry.id for entry in getattr(session.description, key)]
+    which = readings.setup if kind == "setup" else places(readings.labels[kind], ids)
+    return ids, group_ranges(off(session), which, len(ids))[1]
 
 
-def compare_order(description: StepDiagonal, readings: Readings) -> Comparison:
-    """Positions against those at which a diagonal halts if its moves are in the order that its id states, m."""
-    ids = [setup.id for setup in description.setups]
-    points, setup = readings.position(), readings.setup
-    halts = [_halts(description, index) for index in range(len(ids))]
+def _relative(session: Session, predicted: Array, group: IntArray) -> Array:
+    """(n,) how far displacements are off a prediction (n,), m, each group having a zero of its own.
 
-    def judge(order: IntArray) -> Array:
-        off = np.zeros(len(points))
-        for index, other in enumerate(order):
-            mine = setup == index
-            if halts[other] is not None and mine.any():
-                off[mine] = np.linalg.norm(points[mine][:, None] - halts[other], axis=2).min(axis=1)
-        # The two thirds of the halts at which one order differs from another decide, not the middle one.
-        return np.array([off[setup == k].mean() if np.any(setup == k) else np.nan for k in range(len(ids))])
-
-    itself = same(len(ids))
-    now, scale = judge(itself), min(description.step)
-    return Comparison(now, scale, exchanged("setup", ids, now, scale, judge))
+    As a share of half the prediction's range in a group.
+    """
+    difference = session.readings.displacement - predicted
+    zero = group_ranges(difference, group, int(group.max(initial=-1)) + 1)[1]
+    return np.asarray(np.abs(difference - zero[group]) / _extent(predicted, group))
 
 
-def nominal_tracking(session: Session, readings: Readings, place: Place) -> Iterator[Comparison]:
-    """Comparisons of a tracking interferometer."""
+def _extent(predicted: Array, group: IntArray) -> float:
+    low, _, high = group_ranges(predicted, group, int(group.max(initial=-1)) + 1)
+    known = np.isfinite(low)
+    return float(np.median((high - low)[known])) / 2 if known.any() else np.nan
+
+
+def nominal_tracking(session: Session, place: Place) -> Iterator[Judgement]:
+    """Judgements of a tracking interferometer."""
     description = session.description
     assert isinstance(description, TrackingInterferometer)
     if description.pointing == "open_loop":
-        yield compare_beam(description, readings)
-    yield compare_tracking(description, readings)
+        yield _judgement(_off_beam, _beam_mistakes(session, description.dimension))
+    yield _judgement(_off_path, _path_mistakes(session, description))
 
 
-def nominal_diagonal(session: Session, readings: Readings, place: Place) -> Iterator[Comparison]:
-    """Comparisons of a step diagonal."""
+def _off_beam(session: Session) -> Array:
+    """Commanded beam against the direction from the station to the target, rad."""
+    description, readings = session.description, session.readings
+    assert isinstance(description, TrackingInterferometer)
+    upright = 0.0 if description.dimension == 2 else 1.0
+    elevation = upright * readings.columns.get("elevation", np.zeros(len(readings)))
+    beam = direction(readings.columns["azimuth"], elevation)
+    line = _lines(session, readings.position()) * (1.0, 1.0, upright)
+    cosine = np.sum(beam * line, axis=1) / np.linalg.norm(line, axis=1)
+    return np.asarray(np.arccos(np.clip(cosine, -1, 1)))
+
+
+def _beam_mistakes(session: Session, dimension: int) -> Iterator[Supposition]:
+    azimuth = session.readings.columns["azimuth"]
+    elevation = session.readings.columns.get("elevation", np.zeros(len(azimuth)))
+    yield in_degrees(session, "azimuth and elevation look", "azimuth", "elevation")
+    what = "azimuth and elevation point from the target to the station"
+    yield with_columns(session, what, azimuth=azimuth + np.pi, elevation=-elevation)
+    what = "azimuth looks as if it was counted clockwise; it is counter-clockwise from +X, seen from +Z"
+    yield with_columns(session, what, azimuth=-azimuth)
+    yield with_columns(session, "azimuth looks as if it was off by half a turn", azimuth=azimuth + np.pi)
+    yield from exchanged_axes(session, dimension)
+    yield from _exchanged(session, _off_beam, "setup")
+
+
+def _off_path(session: Session) -> Array:
+    """Displacements against the change of distance between station and target."""
+    assert isinstance(session.description, TrackingInterferometer)
+    line = _lines(session, session.readings.position())[:, : session.description.dimension]
+    return _relative(session, np.linalg.norm(line, axis=1), session.readings.setup)
+
+
+def _path_mistakes(session: Session, description: TrackingInterferometer) -> Iterator[Supposition]:
+    yield from scaled(session, *UNITS, *SENSES)
+    setups = [
+        setup.model_copy(update={"position": tuple(1e-3 * v for v in setup.position)}) for setup in description.setups
+    ]
+    yield described(session, f"the stations' positions look {LENGTHS}", setups=tuple(setups))
+    metres = dict(zip("xyz", 1e-3 * session.readings.position().T, strict=True))
+    yield with_columns(session, f"x, y and z look {LENGTHS}", **metres)
+    yield from exchanged_axes(session, description.dimension)
+    yield from _exchanged(session, _off_path, "setup")
+
+
+def _lines(session: Session, points: Array) -> Array:
+    """(n, 3) from each reading's station to its point (n, 3), m."""
     description = session.description
+    assert isinstance(description, TrackingInterferometer | RotaryAxis)
+    return np.asarray(points - np.array([setup.position for setup in description.setups])[session.readings.setup])
+
+
+def nominal_diagonal(session: Session, place: Place) -> Iterator[Judgement]:
+    """Judgements of a step diagonal."""
+    mistakes = itertools.chain(scaled(session, *UNITS, *SENSES), exchanged_axes(session, 3))
+    yield _judgement(_off_diagonal, itertools.chain(mistakes, _exchanged(session, _off_diagonal, "setup")))
+    yield _judgement(_off_halts, _exchanged(session, _off_halts, "setup"))
+
+
+def _off_diagonal(session: Session) -> Array:
+    """Displacements and positions against the runs' nominal lines."""
+    description, readings = session.description, session.readings
     assert isinstance(description, StepDiagonal)
-    yield compare_diagonal(description, readings)
-    yield compare_order(description, readings)
+    start = np.array([setup.start for setup in description.setups])
+    motion = np.array([setup.direction for setup in description.setups]) * description.step * description.blocks
+    beam = motion / np.linalg.norm(motion, axis=1)[:, None]
+    setup, points, group = readings.setup, readings.position(), groups(readings.setup, readings.repeat)
+    path = np.sum(beam[setup] * (points - start[setup]), axis=1)
+    low, high = np.minimum(start, start + motion)[setup], np.maximum(start, start + motion)[setup]
+    outside = np.linalg.norm(np.clip(low - points, 0, None) + np.clip(points - high, 0, None), axis=1)
+    return np.asarray(_relative(session, path, group) + outside / _extent(path, group))
 
 
-def nominal_rotary(session: Session, readings: Readings, place: Place) -> Iterator[Comparison]:
-    """Comparisons of a rotary axis."""
-    description = session.description
-    assert isinstance(description, RotaryAxis)
-    yield compare_rotary(session, description, readings)
+def _off_halts(session: Session) -> Array:
+    """Positions against those at which a diagonal halts if its moves are in the order that its id states.
 
-
-def nominal_probing(session: Session, readings: Readings, place: Place) -> Iterator[Comparison]:
-    """Comparisons of a probing.
-
-    Raises:
-        SessionError: the column c and the setups' c are different angles.
+    In shares of the step; each reading has the mean of its setup: the two thirds of the halts at which one order
+    differs from another decide, not the middle one.
     """
-    description = session.description
-    assert isinstance(description, Probing)
-    check_index_angles(description, readings, place)
-    yield compare_probing(session, description, readings)
-    yield compare_points(session, description, readings)
+    description, readings = session.description, session.readings
+    assert isinstance(description, StepDiagonal)
+    off, points = np.zeros(len(readings)), readings.position()
+    for index in np.unique(readings.setup):
+        halts, mine = _halts(description, index), readings.setup == index
+        if halts is not None:
+            off[mine] = np.linalg.norm(points[mine][:, None] - halts, axis=2).min(axis=1).mean()
+    return off / min(description.step)
 
 
 def _halts(description: StepDiagonal, index: int) -> Array | None:
@@ -274,118 +251,88 @@ def _halts(description: StepDiagonal, index: int) -> Array | None:
     return np.asarray(np.asarray(run.start) + np.cumsum(moves, axis=0))
 
 
+def nominal_rotary(session: Session, place: Place) -> Iterator[Judgement]:
+    """Judgements of a rotary axis."""
+    exchanges = (_exchanged(session, _off_table, kind) for kind in ("setup", "target"))
+    yield _judgement(_off_table, itertools.chain(turning_mistakes(session), *exchanges))
+
+
+def turning_mistakes(session: Session) -> Iterator[Supposition]:
+    """Angles, senses and units of a rotary axis's session."""
+    assert isinstance(session.description, RotaryAxis)
+    column = rotary_column(session.description)
+    yield in_degrees(session, f"the column {column} looks", column)
+    yield turned_round(session, "the axis looks as if it turned the other way: check rotation_sign")
+    yield from scaled(session, *UNITS, *SENSES)
+
+
+def _off_table(session: Session) -> Array:
+    """Displacements against the change of distance between station and turning target."""
+    readings = session.readings
+    path = np.linalg.norm(_lines(session, on_table(session, readings)), axis=1)
+    return _relative(session, path, groups(readings.setup, readings.repeat, readings.labels["target"]))
+
+
 _SAME_ANGLE = 0.01  # rad
 
 
-def compare_rotary(session: Session, description: RotaryAxis, readings: Readings) -> Comparison:
-    """Displacements against the change of distance between station and turning target, m."""
-    ids, setup, measured = session.setup_ids, readings.setup, readings.displacement
-    names = [entry.id for entry in description.targets]
-    stations = np.array([entry.position for entry in description.setups])
-    target = places(readings.labels["target"], names)
-    group = groups(setup, readings.repeat, target)
+def nominal_probing(session: Session, place: Place) -> Iterator[Judgement]:
+    """Judgements of a probing.
 
-    def judge(predicted: Array) -> Array:
-        return spread(measured - predicted, group, setup, len(ids))
-
-    def path(order: IntArray, unit: float = 1.0, which: IntArray = target) -> Array:
-        points = on_table(session, description, which, readings, unit)
-        return np.asarray(np.linalg.norm(points - stations[order][setup], axis=1))
-
-    itself = same(len(ids))
-    predicted = path(itself)
-    now, scale = judge(predicted), extent(predicted, group)
-
-    def mistakes() -> Iterator[Mistake]:
-        for what, unit in (
-            ("the rotary axis's angles look like degrees; angles are in radians", np.pi / 180),
-            ("the axis looks as if it turned the other way: check rotation_sign", -1.0),
-        ):
-            other = path(itself, unit)
-            yield Mistake(what, judge(other), extent(other, group))
-        yield from scaled(measured, predicted, scale, lambda difference: spread(difference, group, setup, len(ids)))
-        yield from exchanged("setup", ids, now, scale, lambda order: judge(path(order)))
-        by_target = spread(measured - predicted, group, target, len(names))
-        yield from exchanged("target", names, by_target, scale, lambda order: judge(path(itself, which=order[target])))
-
-    return Comparison(now, scale, mistakes())
+    Raises:
+        SessionError: the column c and the setups' c are different angles.
+    """
+    _check_index_angles(session, place)
+    other_way = turned_round(session, "the workpiece looks as if it turned the other way: check machine.rotation_sign")
+    exchanges = itertools.chain(exchanged_axes(session, 2), _exchanged(session, _off_workpiece, "setup"))
+    yield _judgement(_off_workpiece, itertools.chain([other_way], exchanges))
+    yield _judgement(_off_workpiece, _exchanged(session, _off_workpiece, "point"), by="point")
 
 
-def check_index_angles(description: Probing, readings: Readings, place: Place) -> None:
+def _off_workpiece(session: Session) -> Array:
+    """Commanded positions against the nominal points of the workpiece, turned as the setups say; in its radii."""
+    description, readings = session.description, session.readings
+    assert isinstance(description, Probing)
+    points = np.array([point.position for point in description.workpiece])
+    index = places(readings.labels["point"], [point.id for point in description.workpiece])
+    angle = session.rotation_sign * _declared(description)[readings.setup]
+    off = np.linalg.norm(readings.position()[:, :2] - turned(points[index], angle), axis=1)
+    return np.asarray(off / np.max(np.linalg.norm(points, axis=1), initial=0.0))
+
+
+def _declared(description: Description) -> Array:
+    """(setups,) angles of C, rad."""
+    assert isinstance(description, Probing)
+    return np.array([setup.c for setup in description.setups])
+
+
+def _check_index_angles(session: Session, place: Place) -> None:
     """The column c and the setup's c must be the same angle.
 
     Raises:
         SessionError: the first row where they are not, with the suspicion.
     """
-    setups = description.setups
-    declared = np.array([setup.c for setup in setups])
-    c, expected = readings.columns["c"], declared[readings.setup]
-    bad = np.flatnonzero(np.abs(wrapped(c - expected)) > _SAME_ANGLE)
+
+    def off(session: Session) -> Array:
+        expected = _declared(session.description)[session.readings.setup]
+        return np.abs(wrapped(session.readings.columns["c"] - expected))
+
+    readings, setups, declared = session.readings, session.description.setups, _declared(session.description)
+    bad = np.flatnonzero(off(session) > _SAME_ANGLE)
     if not len(bad):
         return
-    first = int(bad[0])
-    name = setups[readings.setup[first]].id
-    raise SessionError(
-        f"{place.row(readings.row[first])}: c is {c[first]:g} rad and setup {name!r} stands at {expected[first]:g} rad"
-        + _angle_suspicion(c, expected, declared, first, [setup.id for setup in setups])
+    row, setup, c = readings.row[bad[0]], readings.setup[bad[0]], readings.columns["c"][bad[0]]
+    radians = tuple(one.model_copy(update={"c": np.radians(c)}) for one, c in zip(setups, declared, strict=True))
+    suppositions = (
+        in_degrees(session, "the column c looks", "c"),
+        described(session, "the setups' c look like degrees; angles are in radians", setups=radians),
+        with_columns(session, "the sign is opposite: check rotation_sign", c=-readings.columns["c"]),
     )
-
-
-def _angle_suspicion(c: Array, expected: Array, declared: Array, first: int, ids: list[str]) -> str:
-    def agree(one: Array, other: Array) -> bool:
-        return bool(np.all(np.abs(wrapped(one - other)) < _SAME_ANGLE))
-
-    if agree(np.radians(c), expected):
-        return "; the column c looks like degrees; angles are in radians"
-    if agree(c, np.radians(expected)):
-        return "; the setups' c look like degrees; angles are in radians"
-    if agree(-c, expected):
-        return "; the sign is opposite: check rotation_sign"
-    off = np.abs(wrapped(c[first] - declared))
-    if off.min() < _SAME_ANGLE:
-        return f"; this is the angle of setup {ids[int(np.argmin(off))]!r}: are setups exchanged?"
-    return ""
-
-
-def compare_probing(session: Session, description: Probing, readings: Readings) -> Comparison:
-    """Commanded positions against the nominal points of the turned workpiece, m."""
-    index = places(readings.labels["point"], [point.id for point in description.workpiece])
-    points = np.array([point.position for point in description.workpiece])
-    commanded = readings.position()[:, :2]
-    scale = float(np.max(np.linalg.norm(points, axis=1), initial=0.0))
-
-    def judge(turn: Array, sense: float = 1.0, commanded: Array = commanded) -> Array:
-        expected = turned(points[index], sense * session.rotation_sign * turn)
-        off = np.linalg.norm(commanded - expected, axis=1)
-        return per_setup(readings.setup, np.asarray(off), len(session.setup_ids))
-
-    c = readings.columns["c"]
-    now = judge(c)
-    declared = np.array([setup.c for setup in description.setups])
-
-    def mistakes() -> Iterator[Mistake]:
-        what = "the workpiece looks as if it turned the other way: check machine.rotation_sign"
-        yield Mistake(what, judge(c, -1.0), scale)
-        for exchange, axes in exchanged_axes(2):
-            yield Mistake(exchange, judge(c, commanded=commanded[:, axes[:2]]), scale)
-        yield from exchanged(
-            "setup", session.setup_ids, now, scale, lambda order: judge(declared[order][readings.setup])
-        )
-
-    return Comparison(now, scale, mistakes())
-
-
-def compare_points(session: Session, description: Probing, readings: Readings) -> Comparison:
-    """Commanded positions against the nominal ones, point by point, m."""
-    ids = [point.id for point in description.workpiece]
-    index = places(readings.labels["point"], ids)
-    points = np.array([point.position for point in description.workpiece])
-    back = turned(readings.position()[:, :2], -session.rotation_sign * readings.columns["c"])
-    scale = float(np.max(np.linalg.norm(points, axis=1), initial=0.0))
-
-    def judge(order: IntArray) -> Array:
-        off = np.linalg.norm(back - points[order][index], axis=1)
-        return per_setup(index, np.asarray(off), len(ids))
-
-    now = judge(same(len(ids)))
-    return Comparison(now, scale, exchanged("point", ids, now, scale, judge))
+    what = explanation(session, [Judgement(lambda s: float(off(s).max()), suppositions, _SAME_ANGLE, _SAME_ANGLE)])
+    near = np.abs(wrapped(c - declared))
+    if what is None and near.min() < _SAME_ANGLE:
+        what = f"this is the angle of setup {setups[int(near.argmin())].id!r}: are setups exchanged?"
+    raise SessionError(
+        f"{place.row(row)}: c is {c:g} rad and setup {setups[setup].id!r} stands at {declared[setup]:g} rad"
+        + (f"; {what}" if what else "")
+    )

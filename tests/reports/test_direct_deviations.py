@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is said of deviations that were read directly: the steps of a plate, and the figures of ISO 230-2."""
+
+from typing import Any
+
+from machine_tool_calibration.reports.direct_deviations import direct_tables
+from machine_tool_calibration.reports.tables import TextTable
+
+RUN: dict[str, Any] = {
+    "axis": "X", "setup": "x", "position": [0.0, 0.1, 0.2], "count_up": [2, 2, 2], "count_down": [2, 1, 2],
+    "B": 2.0e-6, "B_U": 0.5e-6, "M": 3.0e-6, "E_up": 4.0e-6,
+}  # fmt: skip
+
+
+def size(of: str, value: float | None, p_value: float | None) -> dict[str, Any]:
+    return {"of": of, "value": value, "unit": "m/m", "standard_uncertainty": 1e-6, "p_value": p_value}
+
+
+def step(model: str, scatter: float, p_value: float | None, *sizes: dict[str, Any]) -> dict[str, Any]:
+    known = {} if p_value is None else {"p_value": p_value}
+    return {"model": model, "unknowns": 3, "rms": scatter, "scatter": scatter, "parameters": list(sizes), **known}
+
+
+def plate(*, curves: float, aside: list[int]) -> dict[str, Any]:
+    scale = step("scale", 4e-6, 1e-9, size("scale", 3e-5, 1e-9))
+    two = step("scales", 3e-6, 0.2, size("scale of X", 2e-5, 0.2), size("squareness", None, None))
+    steps = [step("rigid", 9e-6, None), scale, two, step("curves", 2e-6, curves)]
+    return {"places": 100, "steps": steps, "set_aside": aside}
+
+
+def words(content: dict[str, Any]) -> list[str]:
+    return [entry for entry in direct_tables(content) if isinstance(entry, str)]
+
+
+def test_the_steps_of_a_plate_say_what_is_significant() -> None:
+    (said,) = words({"plate": plate(curves=1e-4, aside=[])})
+    assert said == (
+        "Significant (p < 0.01): scale. Not significant: scale of X. Curves beyond that are significant "
+        "(they take 1.00 µm)."
+    )
+    table, *_ = direct_tables({"plate": plate(curves=1e-4, aside=[])})
+    assert not isinstance(table, TextTable | str) and table.row_count == 4
+    (*_, sizes) = table.columns
+    _, one, two, _ = sizes.cells
+    assert "(not significant)" not in str(one)
+    assert "(not significant)" in str(two) and str(two).endswith("squareness not determined")
+
+
+def test_rows_that_were_left_out_of_the_steps_are_named_but_not_all_of_many() -> None:
+    first, one = words({"plate": plate(curves=0.5, aside=[7])})
+    assert "Curves beyond that are not significant" in first
+    assert one.startswith("Left out of these steps, but not of the fit: row 7 (the first row is 0)")
+    _, many = words({"plate": plate(curves=0.5, aside=list(range(20)))})
+    assert "rows 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11 … (the" in many
+
+
+def test_figures_of_a_run_stand_where_they_belong_and_few_runs_are_said() -> None:
+    (table,) = direct_tables({"iso230_2": [RUN]})
+    assert isinstance(table, TextTable)
+    assert "2 up, 1 down" in table.title and "3 positions" in table.title
+    rows = {row[0]: row[1:] for row in table.rows}
+    assert set(rows) == {"reversal error B", "systematic deviation E", "mean deviation, range M"}
+    assert rows["reversal error B"][:2] == ("", "") and rows["reversal error B"][3]
+    assert rows["systematic deviation E"][0] and not rows["systematic deviation E"][1].strip("–")
+    assert table.note == (
+        "ISO 230-2 asks for 5 runs in each direction; with fewer the figures are for information, and repeatability is "
+        "uncertain"
+    )
+    (table,) = direct_tables({"iso230_2": [{**RUN, "count_up": [1], "count_down": [], "note": "One run only."}]})
+    assert isinstance(table, TextTable)
+    assert table.note.startswith("One run only; ") and "repeatability and accuracy are not determined" in table.note
