@@ -72,6 +72,7 @@ def test_the_loop_live_gives_the_documents_of_the_command_line_to_the_last_bit(b
     operator = bench.operator(bench.graph(("estimator",), simulated_time=False))
     feed(operator, open_measurement(folder))
     names = {"diagnosis": DiagnosticArray, "diagnosis__result": String, "comparison__result": String}
+    names["estimator__status"] = DiagnosticArray
 
     compared = json.loads(operator.call("estimator/compare", PATIENCE))
     assert compared["reduced_chi_square"] > 2.0 and compared["summary"].startswith("the readings scatter")
@@ -98,6 +99,7 @@ def test_the_loop_live_gives_the_documents_of_the_command_line_to_the_last_bit(b
 
     improved = json.loads(operator.call("estimator/improve", PATIENCE))
     assert improved["effects"] == ["backlash_y"] and improved["rms_after"] < 0.5 * improved["rms_before"]
+    assert operator.wait(lambda: "µm RMS residual" in heard["estimator__status"].status[0].message, PATIENCE)
     assert operator.wait(lambda: bool(operator.document), PATIENCE)
     way = json.loads(Heard(operator, improvement__result=String)["improvement__result"].data)
     assert way == printed("improve", folder, "--no-history", "-o", bench.folder / "improve")

@@ -9,6 +9,7 @@ import pytest
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.plots import direct, rotary_axis
 from machine_tool_calibration.plots.pictures import draw
+from machine_tool_calibration.report.words import words
 from machine_tool_calibration.simulation.simulate import simulate
 from machine_tool_calibration.simulation.spec import SimulationSpec
 
@@ -55,3 +56,11 @@ def test_figures_of_the_standard_are_written_on_the_picture() -> None:
         assert f"{name} {1e6 * run[name]:.2f}" in title
     single = {**run, "R": None, "A": None, "s_up": [None] * 11, "s_down": [None] * 11}
     assert "R " not in direct.draw_positioning(single).get_suptitle().replace("R↑", "").replace("R↓", "")
+
+
+def test_a_title_stays_within_its_picture_in_every_language() -> None:
+    table = {"nodes": [0.0, 0.1], "value": [0.0, 1e-6], "value_u": [0.0, 1e-7]}
+    figure = direct.draw_tables({"EXX": table})
+    figure.suptitle(words("de").phrase(figure.get_suptitle()))
+    figure.draw_without_rendering()
+    assert figure._suptitle.get_window_extent().width < figure.bbox.width

@@ -144,6 +144,10 @@ def test_from_opening_to_the_report(
     kept = read_history(history_path(hidden))
     assert kept.in_use is not None and kept.in_use.effects == ("backlash_y",)
     assert kept.in_use.rms_residual < 0.3 * kept.models[0].rms_residual
+    page.set_viewport_size({"width": 700, "height": 900})
+    plots = [one.bounding_box() for one in page.locator(".bk-Figure >> visible=true").all()]
+    assert len(plots) == 5 and all(plot is not None and plot["width"] > 300 for plot in plots), "none is squeezed"
+    page.set_viewport_size({"width": 1400, "height": 900})
     unreachable += page.evaluate(UNREACHABLE)
 
     # Plan: what the next measurement would tell, and its plan in a folder.

@@ -124,8 +124,10 @@ def test_arrows_point_along_what_is_sensed(hidden: Path) -> None:
     drawn = np.column_stack([np.array(data[end]) - np.array(data[axis]) for end, axis in ends.items()])
     sensed = state.model.each[0].fit.model.observations.direction[:, :2]
     residual = np.array(data["residual"])
-    scale = 0.12 * 400.0 / (1e6 * readings.scale)
-    np.testing.assert_allclose(drawn, scale * residual[:, None] * sensed, atol=1e-9)
+    np.testing.assert_allclose(drawn, 1e-3 * readings.magnification * residual[:, None] * sensed, atol=1e-9)
+    bulk = 1e-3 * readings.magnification * np.quantile(np.abs(residual), 0.98)
+    assert 0.4 * 0.12 * 400.0 < bulk <= 0.12 * 400.0, "mm: they are seen, and hide nothing"
+    assert readings.magnification in {m * 10.0**k for m in (1, 2, 5) for k in range(8)}, "it can be told"
     assert set(np.array(data["arrow"])[residual > 0]) == {0xD55E00FF}
 
 

@@ -220,7 +220,7 @@ class Estimator(GuardedNode):
             "rms_residual": result.rms_residual,
             "reduced_chi_square": result.fit.joint.reduced_chi_square,
         }
-        residual = f"{micrometres(result.rms_residual)} um RMS residual"
+        residual = f"{micrometres(result.rms_residual)} µm RMS residual"
         return f"identified from {result.observations} readings: {residual}", content
 
     def _compared(self, outcome: tuple[Mapping[str, Any], str]) -> tuple[str, Mapping[str, Any]]:
@@ -248,7 +248,7 @@ class Estimator(GuardedNode):
         self.set_parameters([Parameter("effects", Parameter.Type.STRING_ARRAY, effects or [""])])
         added = list(outcome.diagnosed.content["accepted"])
         before, after = first.result.rms_residual, last.result.rms_residual
-        residual = f"{micrometres(before)} -> {micrometres(after)} um RMS residual"
+        residual = f"{micrometres(before)} -> {micrometres(after)} µm RMS residual"
         words = f"improved by {', '.join(added) or 'nothing'}: {residual}"
         return words, {
             "verdict": outcome.diagnosed.content["verdict"],

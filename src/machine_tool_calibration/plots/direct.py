@@ -75,7 +75,8 @@ def draw_tables(tables: Mapping[str, Any]) -> Figure:
     curves = {name: table for name, table in tables.items() if "nodes" in table}
     columns = min(3, len(curves))
     rows = -(-len(curves) // columns)
-    figure = Figure(figsize=(4 * columns + 1, 2.8 * rows + 1), layout="constrained")
+    # Wide enough for the title in every language.
+    figure = Figure(figsize=(max(4 * columns + 1, 7), 2.8 * rows + 1), layout="constrained")
     panels = np.atleast_1d(np.array(figure.subplots(rows, columns, squeeze=False))).ravel()
     for panel, (name, table) in zip(panels, curves.items(), strict=False):
         _curve(panel, name, table)

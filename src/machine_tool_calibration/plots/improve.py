@@ -29,6 +29,8 @@ __all__ = ["draw_improvement", "draw_steps", "residual_table", "save_improvement
 
 _LENGTH = 0.12
 _LISTED = 8
+# Of the names beside each other in a legend.
+_LETTERS = 56
 
 
 def draw_improvement(improvement: Improvement) -> Figure:
@@ -102,10 +104,13 @@ def _arrows(panel: Axes, step: Step, size: float) -> None:
         *place.T, *(scale * arrow.T), color=colors, angles="xy", scale_units="xy", scale=1.0, width=0.003, alpha=0.8
     )
     panel.quiverkey(quiver, 0.9, 0.95, scale * size, quantity(size, "m"), labelpos="W", color="0.2")
-    for k in np.unique(pool.setup):
-        panel.plot([], [], "-", color=color(int(k)), label=pool.setup_names[int(k)])
-    if len(np.unique(pool.setup)) <= _LISTED:
-        panel.legend(fontsize=7, ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.2), frameon=False)
+    names = [pool.setup_names[int(k)] for k in np.unique(pool.setup)]
+    for k, name in zip(np.unique(pool.setup), names, strict=True):
+        panel.plot([], [], "-", color=color(int(k)), label=name)
+    if len(names) <= _LISTED:
+        # As wide as the panel: a wider legend would take its place.
+        columns = int(np.clip(_LETTERS // max(map(len, names)), 1, 4))
+        panel.legend(fontsize=7, ncols=columns, loc="upper center", bbox_to_anchor=(0.5, -0.2), frameon=False)
     # Room for the arrows, which do not count as data.
     corners = np.array([place.min(axis=0), place.max(axis=0)]) + 1.6 * _LENGTH * extent * np.array([[-1.0], [1.0]])
     panel.plot(*corners.T, ls="")

@@ -92,6 +92,7 @@ def html(found: Evaluation, content: Sequence[Section], words: Words, *, for_pap
         words=words,
         sections=content,
         origin=origin,
+        footer="  ·  ".join(map(words.phrase, origin.footer.split("  ·  "))),
         machine=", ".join(dict.fromkeys(name for name in machines if name)),
         measured=", ".join(dict.fromkeys(one.measured for one in origin.sessions if one.measured)),
         for_paper=for_paper,

@@ -241,7 +241,7 @@ def _motions(found: Evaluation, words: Words) -> Iterator[str | TextTable | Pict
 def _reproducibility(found: Evaluation, words: Words) -> Iterator[str | TextTable]:
     rows = [
         (
-            words.phrase(one["family"]),
+            words.texts.get(f"spread_{one['family']}") or words.phrase(one["family"]),
             quantity(one["size"], "m"),
             f"{quantity(one['interval'][0], 'm')} … {quantity(one['interval'][1], 'm')}",
             probability(one["probability"]),

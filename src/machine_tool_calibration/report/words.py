@@ -49,16 +49,25 @@ class Words:
         return self.texts[key].format(**values) if values else self.texts[key]
 
     def phrase(self, text: str) -> str:
-        """An English phrase of another room in this language; as it stands where the catalogue does not have it."""
+        """An English phrase of another room in this language; as it stands where the catalogue does not have it.
+
+        Of several, with semicolons between them, each by itself where all of them are known.
+        """
         if text in self.phrases:
             return self.phrases[text]
         if not self.phrases or not _LETTERS.search(text):
             return text
         if "\n" in text:
             return "\n".join(map(self.phrase, text.split("\n")))
-        for pattern, own in self._patterns:
+        parts = text.split("; ")
+        if len(parts) > 1:
+            # What is said of one of several must not reach into the next.
+            own = [self.phrase(part) for part in parts]
+            if not any(part == said and _LETTERS.search(part) for part, said in zip(parts, own, strict=True)):
+                return "; ".join(own)
+        for pattern, own_text in self._patterns:
             if found := pattern.fullmatch(text):
-                return own.format(**{name: self.phrase(value) for name, value in found.groupdict().items()})
+                return own_text.format(**{name: self.phrase(value) for name, value in found.groupdict().items()})
         return text
 
 

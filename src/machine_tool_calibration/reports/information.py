@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +19,14 @@ if TYPE_CHECKING:
     from machine_tool_calibration.session.session import Session
     from machine_tool_calibration.session.summary import ColumnSummary, SessionSummary
 
-__all__ = ["measurement_document", "setup_place", "show_recording", "show_session"]
+__all__ = [
+    "counts_in_words",
+    "measurement_document",
+    "session_tables",
+    "setup_place",
+    "show_recording",
+    "show_session",
+]
 
 # Displacements that are all smaller, m, are deviations: shown in micrometres.
 _SMALL = 1e-3
@@ -92,13 +99,27 @@ def show_recording(out: Console, bag: BagReader, absent: str) -> None:
 
 def show_session(out: Console, session: Session, summary: SessionSummary) -> None:
     """Setups and columns of a session."""
-    lasted = "" if summary.duration is None else f" in {duration(summary.duration)}"
     method = summary.method.replace("_", " ")
     out.print(f"[bold]{session.source}[/]: {method}, machine {session.description.machine.chain}")
-    out.print(
+    out.print(counts_in_words(summary))
+    for table in session_tables(session, summary):
+        show_table(out, table)
+    show_suspicions(out, summary.suspicious)
+    if summary.labels:
+        out.print(f"Text columns: {', '.join(summary.labels)}")
+
+
+def counts_in_words(summary: SessionSummary) -> str:
+    """How many readings there are, in what time, and their declared uncertainty."""
+    lasted = "" if summary.duration is None else f" in {duration(summary.duration)}"
+    return (
         f"{summary.readings} readings{lasted}, {summary.missing} missing, {summary.targets} targets; "
         f"declared standard uncertainty {quantity(summary.standard_uncertainty, 'm')}"
     )
+
+
+def session_tables(session: Session, summary: SessionSummary) -> Iterator[TextTable]:
+    """Setups and columns of a session, and the models that its method has, where there are several."""
     rows = tuple(
         (
             setup.id,
@@ -112,16 +133,12 @@ def show_session(out: Console, session: Session, summary: SessionSummary) -> Non
         for setup, entry in zip(summary.setups, session.description.setups, strict=True)
     )
     heads = ("setup", "where", "readings", "missing", "repeats", "from / min", "to / min")
-    show_table(out, TextTable("Setups", heads, rows))
+    yield TextTable("Setups", heads, rows)
     columns = tuple(_column(column) for column in summary.columns)
     note = "as recorded, shown in the units that people use; an empty field counts as missing"
-    show_table(out, TextTable("Columns", ("column", "from", "to", "unit", "missing"), columns, note))
+    yield TextTable("Columns", ("column", "from", "to", "unit", "missing"), columns, note)
     if len(session.spec.models) > 1:
-        models = tuple(session.spec.models.items())
-        show_table(out, TextTable("Models (--model)", ("name", "when"), models))
-    show_suspicions(out, summary.suspicious)
-    if summary.labels:
-        out.print(f"Text columns: {', '.join(summary.labels)}")
+        yield TextTable("Models (--model)", ("name", "when"), tuple(session.spec.models.items()))
 
 
 def setup_place(setup: Any) -> str:

@@ -13,11 +13,13 @@ import panel as pn
 from bokeh.models import FactorRange, Span
 
 from machine_tool_calibration.diagnosis.comparison import Comparison
+from machine_tool_calibration.plots.style import spaced
 from machine_tool_calibration.reports.comparison import in_words, joint_in_words
 from machine_tool_calibration.reports.comparison_tables import comparison_tables, joint_tables
 from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.workbench.look import (
     bar_button,
+    beside,
     controls,
     new_figure,
     paragraphs,
@@ -55,7 +57,7 @@ class ComparePage:
         )  # fmt: skip
         self._words, self._setups, self._more = text(), text(), text()
         self._count = text("", min_width=150)
-        self._against = [pn.widgets.Select(name=f"Plot {k}: residuals against", width=250) for k in (1, 2)]
+        self._against = [pn.widgets.Select(name=f"Plot {k}: residuals against", width=330) for k in (1, 2)]
         self._plane = pn.widgets.Select(name="Map in the plane", width=120)
         self._plots = [new_figure("Residuals", "", "residual, µm", hover=_HOVER) for _ in (1, 2)]
         for k, plot in enumerate(self._plots):
@@ -88,10 +90,9 @@ class ComparePage:
                 *self._against, self._plane, self._aside, self._back, self._look, self._cleared, self._suggest,
                 self._count,
             ),
-            pn.Row(self._plots[0], self._plots[1], sizing_mode="stretch_width"),
-            pn.Row(self._map, self._strip, sizing_mode="stretch_width"),
-            pn.Row(self._setups, pn.Column(self._left, self._table, sizing_mode="stretch_width"),
-                   sizing_mode="stretch_width"),
+            beside(*self._plots),
+            beside(self._map, self._strip),
+            beside(self._setups, pn.Column(self._left, self._table, sizing_mode="stretch_width"), least=560),
             pn.Card(self._more, title="By repeat, region, direction of approach and covariate", collapsed=True,
                     sizing_mode="stretch_width"),
             sizing_mode="stretch_width",
@@ -142,10 +143,7 @@ class ComparePage:
             return
         self._readings.draw(across=plane[0], up=plane[1], u=f"{plane}:u", v=f"{plane}:v")
         self._map.xaxis.axis_label, self._map.yaxis.axis_label = (f"{axis}, mm" for axis in plane)
-        long = f"{1e6 * self._readings.scale:.2g} µm"
-        self._map.title.text = (
-            f"Residuals as arrows along the sensed direction, longest {long}; orange: +"
-        )
+        self._map.title.text = f"Residuals, {spaced(self._readings.magnification)} times magnified; orange: +"
 
     def _say_selected(self) -> None:
         chosen, model = self._readings.selected, self._state.model

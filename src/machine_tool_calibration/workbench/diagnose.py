@@ -14,6 +14,7 @@ from machine_tool_calibration.reports.diagnosis import diagnosis_report
 from machine_tool_calibration.reports.quantities import probability, quantity, reproducibility_words, sizes_in_words
 from machine_tool_calibration.workbench.look import (
     bar_button,
+    beside,
     controls,
     legend_above,
     new_figure,
@@ -53,7 +54,7 @@ class DiagnosePage:
         self._words, self._more, self._said = text(), text(), text()
         self._bars = ColumnDataSource({"effect": [], "probability": [], "color": [], "words": []})
         self._ranking = new_figure(
-            "Probability that it is missing (click: its pattern)", "", "", height=330, y_range=FactorRange(),
+            "Probability that it is missing", "", "", height=330, y_range=FactorRange(),
             x_range=(0, 1.15),
         )  # fmt: skip
         self._ranking.hbar("effect", 0.7, "probability", source=self._bars, color="color", nonselection_alpha=0.5)
@@ -81,7 +82,7 @@ class DiagnosePage:
         legend_above(self._over)
         for plot in (self._over, self._added):
             plot.add_layout(Span(location=0.0, dimension="width", line_color="#999999", line_width=1))
-        self._against = pn.widgets.Select(name="Residuals against", width=230)
+        self._against = pn.widgets.Select(name="Residuals against", width=330)
         when_changed(self._against, lambda _: self._draw_against())
         self._effect = pn.widgets.Select(name="Effect", width=230, options=[""])
         when_changed(self._effect, self._look_at)
@@ -98,7 +99,7 @@ class DiagnosePage:
             ),
             self._words,
             self._said,
-            pn.Row(self._ranking, self._over, self._added, sizing_mode="stretch_width"),
+            beside(self._ranking, self._over, self._added, least=400),
             self._own.view,
             self._more,
             sizing_mode="stretch_width",
@@ -112,6 +113,7 @@ class DiagnosePage:
             self._against.param.update(options=options, value=self._readings.ranked[0])
         self._draw_against()
         self._forget()
+        self._ranking.visible = state.diagnosis is not None
         self._effect.param.update(options=["", *addable(state)], value="")
         self._all.disabled = state.diagnosis is None or not state.diagnosis[0].accepted + state.diagnosis[0].outliers
         if state.diagnosis is None:
@@ -156,6 +158,7 @@ class DiagnosePage:
 
     def _forget(self) -> None:
         self._trial, self._add.disabled, self._said.object = None, True, ""
+        self._added.visible = False
         self._readings.show_pattern(None)
         self._line.data = {"x": [], "y": []}
 
@@ -163,6 +166,7 @@ class DiagnosePage:
         """Show what an effect would take out of the residuals."""
         now, then = self._state.model.fit, trial.fit
         self._trial, self._add.disabled = trial, False
+        self._added.visible = True
         pattern = self._readings.show_pattern(trial)
         ends = [float(np.nanmin(pattern)), float(np.nanmax(pattern))]
         self._line.data = {"x": ends, "y": ends}

@@ -35,6 +35,8 @@ _CONTROLLERS = {
     "csv": "tables as CSV",
     "json": "tables as JSON",
 }
+
+
 class ExportPage:
     """Report, tables and controller files of the model in use."""
 

@@ -16,9 +16,9 @@ from machine_tool_calibration.planning.what_to_measure import Conclusions
 from machine_tool_calibration.plots.style import spaced
 from machine_tool_calibration.reports.history_tables import compared_models, tried_models
 from machine_tool_calibration.reports.quantities import quantity
-from machine_tool_calibration.residuals.noise import noise_of
 from machine_tool_calibration.workbench.look import (
     bar_button,
+    beside,
     controls,
     legend_above,
     new_figure,
@@ -61,7 +61,7 @@ class ImprovePage:
         when_changed(self._before, lambda _: self._draw())
         when_changed(self._plane, lambda _: self._draw())
         self._steps = ColumnDataSource({name: [] for name in ("step", "residual", "tool")})
-        self._fall = new_figure("The error falls", "", "µm", x_range=FactorRange(), height=320)
+        self._fall = new_figure("", "", "µm", x_range=FactorRange(), height=320)
         for name, color, marker, label in (
             ("residual", _BEFORE, "circle", "residual, RMS"),
             ("tool", _AFTER, "square", "residual volumetric error (k = 2), RMS"),
@@ -95,12 +95,8 @@ class ImprovePage:
         self.view = pn.Column(
             controls(self._all, self._undo, self._add, self._take, self._go, self._before, self._plane),
             self._note,
-            pn.Row(self._fall, pn.Column(self._table, sizing_mode="stretch_width"), sizing_mode="stretch_width"),
-            pn.Row(
-                *self._residuals.values(),
-                *maps.values(),
-                sizing_mode="stretch_width",
-            ),
+            beside(self._fall, self._table),
+            beside(*self._residuals.values(), *maps.values(), least=300),
             self._scale,
             self._history,
             sizing_mode="stretch_width",
@@ -116,16 +112,21 @@ class ImprovePage:
             value=0,
         )
         self._undo.disabled = len(state.models) < 2
-        names = {f"{k}: {one.step.label}": k for k, one in enumerate(state.models)}
-        self._plane.param.update(options=self._readings.planes, value=self._plane.value or self._readings.planes[0])
+        names = {name: k for k, name in enumerate(self._names())}
+        there = self._readings.planes
+        self._plane.param.update(options=there, value=self._plane.value if self._plane.value in there else there[0])
         self._before.param.update(options=names, value=max(len(state.models) - 2, 0))
         self._history.object = tables([tried_models(state.history)]) if state.history.models else ""
         self._draw_fall()
         self._draw()
 
+    def _names(self) -> list[str]:
+        """Of the models on the way, each with its number in the history, or that it would have there."""
+        return [f"{one.number or k}: {one.step.label}" for k, one in enumerate(self._state.models, 1)]
+
     def _draw_fall(self) -> None:
         steps = [model.step for model in self._state.models]
-        labels = [f"{k}: {step.label}" for k, step in enumerate(steps)]
+        labels = self._names()
         left = [residual_volumetric_error(step, steps[-1]) for step in steps]
         self._fall.x_range.factors = labels
         self._steps.data = {
@@ -133,10 +134,10 @@ class ImprovePage:
             "residual": [1e6 * step.result.rms_residual for step in steps],
             "tool": [np.nan if value is None else 1e6 * value for value in left],
         }
-        declared = noise_of(self._state.models[0].each[0].fit).declared
+        declared = self._state.models[0].each[0].overall.noise.declared
         self._declared.location = 1e6 * declared
         self._fall.title.text = (
-            f"The error falls (dotted: declared uncertainty of a reading, {quantity(declared, 'm')})"
+            f"The error from model to model (dotted: declared, {quantity(declared, 'm')})"
         )
 
     def _draw(self) -> None:
@@ -147,12 +148,12 @@ class ImprovePage:
         pair = {"before": state.models[k], "after": state.model}
         every = state.entries()
         self._table.object = tables([compared_models(every[k], every[-1])])
-        scale = self._readings.show_side_by_side(*pair.values())
+        larger = self._readings.show_side_by_side(*pair.values())
         maps = {name: model.fit.result.error_map for name, model in pair.items()}
         factor = magnification(list(maps.values()))
         self._scale.object = escape(
-            f"Above the plots: RMS. Longest arrows of the residuals: {quantity(scale, 'm')}, in the colour of their "
-            f"setup. Errors of the map: {spaced(factor)} times magnified; ellipses: U (k = 2)."
+            f"Above the plots: RMS. Residuals: {spaced(larger)} times magnified, in the colour of their setup. "
+            f"Errors of the map: {spaced(factor)} times magnified; ellipses: U (k = 2)."
         )
         a, b = plane
         self._readings.draw(place_a=a, place_b=b)

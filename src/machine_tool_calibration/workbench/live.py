@@ -23,7 +23,7 @@ from machine_tool_calibration.plots.residuals import planes
 from machine_tool_calibration.plots.style import spaced
 from machine_tool_calibration.reports.quantities import quantity, rounded
 from machine_tool_calibration.workbench.live_feed import Feed
-from machine_tool_calibration.workbench.look import bar_button, new_figure, setup_color, text, when_changed
+from machine_tool_calibration.workbench.look import bar_button, beside, new_figure, setup_color, text, when_changed
 from machine_tool_calibration.workbench.map_plot import MapPlot, magnification
 from machine_tool_calibration.workbench.models import Opened
 from machine_tool_calibration.workbench.state import State
@@ -127,18 +127,16 @@ class LivePage:
         self.view = pn.Column(
             self._where,
             pn.Row(self._take, self._bar, self._count, sizing_mode="stretch_width"),
-            pn.Row(
-                pn.Column(self._nodes, sizing_mode="stretch_width"),
+            beside(
+                self._nodes,
                 pn.Column(
                     self._services, self._refusing, self._confirm, self._answers, sizing_mode="stretch_width",
                 ),
-                sizing_mode="stretch_width",
             ),
-            pn.Row(self._readings, self._residuals, sizing_mode="stretch_width"),
-            pn.Row(
+            beside(self._readings, self._residuals),
+            beside(
                 self._map.plot,
                 pn.Column(self._plane, self._map_words, self._setups, sizing_mode="stretch_width"),
-                sizing_mode="stretch_width",
             ),
             sizing_mode="stretch_width",
         )  # fmt: skip

@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from html import escape
 from typing import Any
 
 import panel as pn
+from bokeh.document.callbacks import invoke_with_curdoc
 from bokeh.models import HoverTool
 from bokeh.plotting import figure
 
@@ -19,6 +21,7 @@ from machine_tool_calibration.reports.tables import TextTable
 __all__ = [
     "CSS",
     "bar_button",
+    "beside",
     "controls",
     "in_order",
     "legend_above",
@@ -38,7 +41,7 @@ body { font-family: Helvetica, Arial, sans-serif; font-size: 13px; margin: 0; ba
 
 # A pane's HTML lives in a shadow root of its own, which the page's style does not reach.
 _STYLE = """
-:host { font-family: Helvetica, Arial, sans-serif; font-size: 13px; line-height: 1.35; color: #111; }
+:host { font-family: Helvetica, Arial, sans-serif; font-size: 13px; line-height: 1.35; color: #111; overflow-x: auto; }
 p { margin: 0 0 6px 0; } h3 { font-size: 13px; margin: 10px 0 3px 0; }
 table { border-collapse: collapse; font-size: 12px; margin-bottom: 4px; }
 th { text-align: left; border-bottom: 1px solid #888; padding: 1px 10px 1px 0; vertical-align: bottom; }
@@ -154,6 +157,13 @@ def controls(*items: Any) -> Any:
     return pn.FlexBox(*items, align_items="end", sizing_mode="stretch_width")
 
 
+def beside(*items: Any, least: int = 420) -> Any:
+    """Plots and tables beside each other, on further lines where the window leaves them less than so many pixels."""
+    styles = {"display": "grid", "grid-template-columns": f"repeat(auto-fit, minmax(min({least}px, 100%), 1fr))"}
+    # In a column, which can be hidden: the style of the row would show it all the same.
+    return pn.Column(pn.Row(*items, sizing_mode="stretch_width", styles=styles), sizing_mode="stretch_width")
+
+
 def legend_above(plot: Any) -> None:
     """Put the legend where it hides nothing."""
     legend = plot.legend[0]
@@ -173,13 +183,50 @@ def _locked(act: Callable[[], object]) -> None:
 
 
 def in_order(document: Any, act: Callable[[], object]) -> None:
-    """Do something, and tell the browser of all that it changed when it is done, in the order in which it was changed.
+    """Do something, and tell the browser in one message of all that it changed, in the order in which it was changed.
 
     Panel sends what changes in its own models by another way than Bokeh, which may be faster: of a plot that is new the
-    browser would hear what changes in it before it hears of it.
+    browser would hear what changes in it before it hears of it. And Bokeh sends a message for each change, upon each of
+    which the browser goes through all models of the page.
     """
     document.hold("combine")
+    callbacks, events = document.callbacks, []
     try:
         act()
+        while callbacks._held_events:
+            held, callbacks._held_events = callbacks._held_events, []
+            events += held
+            for event in held:
+                # Who waits for a change may change more.
+                waiting, event.callback_invoker = event.callback_invoker, None
+                if waiting is not None:
+                    invoke_with_curdoc(document, waiting)
     finally:
-        document.unhold()
+        with _one_message(document):
+            callbacks._held_events = [*events, *callbacks._held_events]
+            document.unhold()
+
+
+@contextmanager
+def _one_message(document: Any) -> Iterator[None]:
+    """Have each browser that shows a document be told in one message of the changes that are sent meanwhile."""
+    session = getattr(document.session_context, "session", None)
+    changes: dict[Any, list[Any]] = {each: [] for each in (session._subscribed_connections if session else ())}
+
+    async def send(connection: Any, first: bool) -> None:
+        if first:
+            await connection._socket.send_message(messages[connection])
+
+    def keep(connection: Any, event: Any) -> Any:
+        changes[connection].append(event)
+        return send(connection, len(changes[connection]) == 1)
+
+    for connection in changes:
+        connection.send_patch_document = partial(keep, connection)
+    try:
+        yield
+    finally:
+        for connection in changes:
+            del connection.send_patch_document
+        # Bokeh waits for what was to be sent when it lets go of the document.
+        messages = {each: each.protocol.create("PATCH-DOC", every) for each, every in changes.items() if every}

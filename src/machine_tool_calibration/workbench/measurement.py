@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from html import escape
 from itertools import product
 
@@ -11,8 +12,17 @@ import panel as pn
 from bokeh.models import ColumnDataSource
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.reports.information import counts_in_words, session_tables
 from machine_tool_calibration.session.summary import summarize
-from machine_tool_calibration.workbench.look import new_figure, setup_color, text, typed_out, when_changed
+from machine_tool_calibration.workbench.look import (
+    beside,
+    new_figure,
+    paragraphs,
+    setup_color,
+    tables,
+    text,
+    when_changed,
+)
 from machine_tool_calibration.workbench.readings import VIEWS, Readings
 from machine_tool_calibration.workbench.state import State
 from machine_tool_calibration.workbench.work import Work
@@ -41,11 +51,11 @@ class MeasurementPage:
     """What is there."""
 
     title = "Measurement"
-    blocks = 3
+    blocks = 4
 
     def __init__(self, state: State, readings: Readings, work: Work) -> None:
         self._state, self._readings = state, readings
-        self._words, self._report = text(), text()
+        self._words, self._setups, self._more = text(), text(), text()
         self._stations = ColumnDataSource({name: [] for name in ("id", "x", "y", "z", "u", "v", "color")})
         self._edges = ColumnDataSource({"u": [], "v": []})
         self._turn = pn.widgets.IntSlider(name="Turn the view, °", start=-180, end=180, step=5, value=-30, width=220)
@@ -53,7 +63,7 @@ class MeasurementPage:
         for slider in (self._turn, self._tilt):
             when_changed(slider, lambda _: self._look())
         space = new_figure(
-            "Places of the readings and stations (parallel projection)",
+            "Places of readings and stations",
             "",
             "",
             height=420,
@@ -79,31 +89,34 @@ class MeasurementPage:
             )
         self.view = pn.Column(
             self._words,
-            pn.Row(
-                pn.Column(pn.Row(self._turn, self._tilt), space, sizing_mode="stretch_width"),
-                pn.Column(self._report, sizing_mode="stretch_width"),
-                sizing_mode="stretch_width",
+            beside(
+                pn.Column(pn.Row(self._turn, self._tilt), space, sizing_mode="stretch_width"), self._setups, least=480
             ),
-            pn.Row(*(self._plots[view] for view in VIEWS), sizing_mode="stretch_width"),
+            beside(*(self._plots[view] for view in VIEWS), least=320),
+            self._more,
             sizing_mode="stretch_width",
         )
 
     def refresh(self) -> None:
         """Show the measurement."""
         state, measurement = self._state, self._state.subject.measurement
-        suspicious = []
+        suspicious, placed, more = [], "", ""
         for label, session in zip(measurement.labels, measurement.sessions, strict=True):
             summary = summarize(session)
             named = f"{label}: " if len(measurement.sessions) > 1 else ""
             problems = [summary.problem] if summary.problem else []
             suspicious += [named + words for words in (*summary.suspicious, *problems)]
+            placed += paragraphs([f"{named}machine {session.description.machine.chain}, {counts_in_words(summary)}"])
+            first, *rest = (replace(one, title=named + one.title) for one in session_tables(session, summary))
+            placed += tables([first])
+            more += tables(rest)
         if state.found:
             rows = ", ".join(state.subject.name(number) for number in sorted(state.found)[:12])
-            more = " …" if len(state.found) > 12 else ""
-            suspicious.append(f"{len(state.found)} readings do not belong to the rest (rows {rows}{more}): see Compare")
+            rows += " …" if len(state.found) > 12 else ""
+            suspicious.append(f"{len(state.found)} readings do not belong to the rest (rows {rows}): see Compare")
         said = "".join(f'<p class="error">Suspicious: {escape(words)}</p>' for words in suspicious)
         self._words.object = f"<p>{escape(measurement.headline)}</p>{said or '<p>Nothing is suspicious.</p>'}"
-        self._report.object = typed_out(measurement.report())
+        self._setups.object, self._more.object = placed, more
         setups = [setup for session in measurement.sessions for setup in session.description.setups]
         at = [(s.id, s.position, setup_color(k)) for k, s in enumerate(setups) if hasattr(s, "position")]
         place = 1e3 * np.array([position for _, position, _ in at]).reshape(-1, 3)

@@ -106,6 +106,7 @@ class _Window:
         feed: Feed,
         live: bool,
     ) -> None:
+        self._document = pn.state.curdoc
         self._state, self._work = State(own, variant), Work()
         self._readings = Readings(self._state)
         self._state.watch(self._changed)
@@ -172,8 +173,10 @@ class _Window:
                 self._stale.discard(title)
                 self._pages[title].refresh()
         if new:
-            for place, block in zip(self._places[title], self._pages[title].view, strict=True):
-                place.append(block)
+            # At once: for each block by itself Bokeh would go through all models of the window.
+            with self._document.models.freeze():
+                for place, block in zip(self._places[title], self._pages[title].view, strict=True):
+                    place.append(block)
         for name, page in self._pages.items():
             for block in page.view:
                 block.visible = name == title

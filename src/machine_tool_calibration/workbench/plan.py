@@ -23,6 +23,7 @@ from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.workbench.ahead import looked_ahead, planned
 from machine_tool_calibration.workbench.look import (
     bar_button,
+    beside,
     controls,
     legend_above,
     new_figure,
@@ -59,7 +60,7 @@ class PlanPage:
         # The text of a procedure's file, where an outlook is that of a procedure.
         self._procedures: dict[int, str] = {}
         self._words, self._table, self._sizes, self._plan = text(), text(), text(), text()
-        self._choice = pn.widgets.Select(name="Measurement that is shown", options={"": 0}, width=420)
+        self._choice = pn.widgets.Select(name="Measurement that is shown", options={"": 0}, width=560)
         self._plane = pn.widgets.Select(name="Drawn in the plane", width=120)
         self._saved = Saved("Save its plan into the folder")
         self._save = bar_button("Save the plan", self._write, disabled=True)
@@ -94,9 +95,10 @@ class PlanPage:
         for name, color, label in (("now", _NOW, "U now"), ("then", _THEN, "U with it")):
             source = ColumnDataSource({column: [] for column in ("x", "y", "z", "wx", "wy", "wz", "ux", "uy", "uz")})
             glyph = self._map.ellipse(
-                "x", "y", "wx", "wy", source=source, fill_color=None, line_color=color, line_width=1.5,
-                legend_label=label,
-            )  # fmt: skip
+                "x", "y", "wx", "wy", source=source, fill_color=None, line_color=color, line_width=1.5
+            )
+            # The legend would show the first ellipse, which may be a point.
+            self._map.line([np.nan], [np.nan], line_color=color, line_width=1.5, legend_label=label)
             self._maps[name] = (source, glyph)
         for plot in (self._where, self._map):
             legend_above(plot)
@@ -115,7 +117,7 @@ class PlanPage:
                 sizing_mode="stretch_width",
             ),
             self._table,
-            pn.Row(self._where, self._map, sizing_mode="stretch_width"),
+            beside(self._where, self._map),
             self._sizes,
             sizing_mode="stretch_width",
         )  # fmt: skip

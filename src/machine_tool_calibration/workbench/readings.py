@@ -13,6 +13,7 @@ from bokeh.models import ColumnDataSource
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.comparison import Comparison
 from machine_tool_calibration.plots.residuals import axis_label, planes
+from machine_tool_calibration.plots.style import round_down
 from machine_tool_calibration.workbench.look import packed, setup_color
 from machine_tool_calibration.workbench.models import Model
 from machine_tool_calibration.workbench.state import State
@@ -21,7 +22,7 @@ __all__ = ["VIEWS", "Readings"]
 
 VIEWS = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 """Planes in which places are drawn."""
-# Share of the largest extent that an arrow of the bulk's largest residual takes.
+# Share of the largest extent that an arrow of the bulk's largest residual takes at most.
 _LENGTH = 0.12
 _MORE, _LESS = packed("#d55e00"), packed("#0072b2")
 
@@ -45,14 +46,15 @@ class Readings:
         data: the columns.
         labels: of each covariate by its column.
         ranked: the columns of covariates, those first that the first model's residuals follow.
-        scale: residual that an arrow as long as `_LENGTH` of the extent stands for, m.
+        magnification: of the residuals that are drawn as arrows.
+        planes: in which the readings extend, or are sensed.
     """
 
     def __init__(self, state: State) -> None:
         self.data: dict[str, Any] = {}
         self.labels: dict[str, str] = {}
         self.ranked: list[str] = []
-        self.scale = 0.0
+        self.magnification = 0.0
         self._state = state
         self._measurement: object = None
         self._number = np.zeros(0, dtype=np.int64)
@@ -182,7 +184,7 @@ class Readings:
     def _changing(self) -> dict[str, object]:
         model = self._state.model
         residual = self._of(model, "residual")
-        self.scale = _bulk(residual)
+        self.magnification = self._magnification(residual)
         return {
             "aside": self._before(residual),
             "predicted": 1e6 * self._of(model, "predicted"),
@@ -190,20 +192,20 @@ class Readings:
             "studentized": self._of(model, "studentized"),
             "pattern": np.full(len(self._number), np.nan),
             "arrow": np.where(residual > 0, _MORE, _LESS).astype(np.uint32),
-            **self._arrows(residual, self.scale),
+            **self._arrows(residual, self.magnification),
         }
 
     def show_side_by_side(self, before: Model, after: Model) -> float:
         """Arrows of the residuals of two models to one scale, in columns `before:xy:u`, `after:xy:u` and so on.
 
         Returns:
-            What the longest arrows stand for, m.
+            The magnification.
         """
         both = {"before": self._of(before, "residual"), "after": self._of(after, "residual")}
-        scale = max(_bulk(residual) for residual in both.values())
+        factor = self._magnification(*both.values())
         for name, residual in both.items():
-            self.show({f"{name}:{end}": at for end, at in self._arrows(residual, scale).items()})
-        return scale
+            self.show({f"{name}:{end}": at for end, at in self._arrows(residual, factor).items()})
+        return factor
 
     @contextmanager
     def at_once(self) -> Iterator[None]:
@@ -228,11 +230,17 @@ class Readings:
         if changed:
             source.data.update(changed)
 
-    def _arrows(self, residual: Array, scale: float) -> dict[str, Array]:
-        """Ends of the arrows of residuals (m) in every plane, mm."""
-        extent = float(np.nanmax(np.ptp(self._place, axis=0))) if len(self._place) else 1.0
-        factor = 1e3 * _LENGTH * extent / max(scale, 1e-12)
-        tip = 1e3 * self._place + factor * residual[:, None] * self._direction
+    def _magnification(self, *residuals: Array) -> float:
+        """A round one in which the residuals (m) of one or several models can be seen, a few outliers aside."""
+        size = [np.abs(residual[np.isfinite(residual)]) for residual in residuals]
+        bulk = max((float(np.quantile(one, 0.98)) for one in size if len(one)), default=0.0)
+        known = self._place[np.isfinite(self._place).all(axis=1)]
+        extent = float(np.ptp(known, axis=0).max()) if len(known) else 0.0
+        return round_down(_LENGTH * extent / bulk) if bulk > 0 and extent > 0 else 0.0
+
+    def _arrows(self, residual: Array, factor: float) -> dict[str, Array]:
+        """Ends of the magnified arrows of residuals (m) in every plane, mm."""
+        tip = 1e3 * (self._place + factor * residual[:, None] * self._direction)
         return {
             f"{view}:{end}": tip[:, k] for view in self.planes for end, k in zip("uv", VIEWS[view], strict=True)
         }
@@ -272,9 +280,3 @@ def _same(one: Any, other: Any) -> bool:
         return True
     a, b = np.asarray(one), np.asarray(other)
     return a.shape == b.shape and np.array_equal(a, b, equal_nan=a.dtype.kind == b.dtype.kind == "f")
-
-
-def _bulk(residual: Array) -> float:
-    """Size of the largest residuals but for a few, m."""
-    size = np.abs(residual[np.isfinite(residual)])
-    return float(np.quantile(size, 0.98)) if len(size) else 0.0

@@ -58,7 +58,7 @@ class Saved:
     """
 
     def __init__(self, name: str) -> None:
-        self.folder = pn.widgets.TextInput(name=name, width=300)
+        self.folder = pn.widgets.TextInput(name=name, width=480)
         self.list = text()
         self.written: tuple[Path, ...] = ()
 

@@ -51,6 +51,13 @@ class Guest:
         """Handle what comes next, or nothing within the timeout, s."""
         self.executor.spin_once(timeout_sec=timeout)
 
+    def hear_all(self) -> None:
+        """Handle all that has come until now."""
+        # What has come before it is handled before it.
+        last = self.executor.create_task(lambda: None)
+        while not last.done() and self.context.ok():
+            self.hear(0.1)
+
     def close(self) -> None:
         """Leave the graph."""
         self.executor.shutdown()

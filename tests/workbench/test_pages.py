@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pages without a browser: what they show of the models, and how a browser is told of it."""
+
+import asyncio
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from bokeh.document import Document
+from bokeh.models import ColumnDataSource, Div
+from bokeh.protocol import Protocol
+from bokeh.server.session import ServerSession
+from panel.io.state import set_curdoc
+
+from machine_tool_calibration.interface.session import simulate
+from machine_tool_calibration.reports.history_file import history_path, read_history
+from machine_tool_calibration.workbench.improve import ImprovePage
+from machine_tool_calibration.workbench.live_feed import Feed
+from machine_tool_calibration.workbench.look import in_order
+from machine_tool_calibration.workbench.measurement import MeasurementPage
+from machine_tool_calibration.workbench.page import _Window
+from machine_tool_calibration.workbench.readings import Readings
+from machine_tool_calibration.workbench.state import State
+from machine_tool_calibration.workbench.work import Work
+
+pytestmark = pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")
+
+
+@pytest.fixture
+def state(hidden: Path) -> State:
+    made = State()
+    made.opened(hidden)()
+    return made
+
+
+@pytest.fixture
+def document() -> Iterator[Document]:
+    made = Document()
+    with set_curdoc(made):
+        yield made
+
+
+def shown(kind: Any, state: State) -> Any:
+    readings = Readings(state)
+    page = kind(state, readings, Work())
+    readings.refresh()
+    readings.look_at(page.title)
+    page.refresh()
+    return page
+
+
+def test_models_have_the_numbers_of_the_history(state: State, hidden: Path, document: Document) -> None:
+    page = shown(ImprovePage, state)
+    assert list(page._before.options) == ["1: first model"]
+    for name in ("warmup_y", "backlash_y"):
+        state.changed(add=[name])()
+        state.undo()
+    state.changed(add=["dead_path"])()
+    page.refresh()
+    numbers = [entry.number for entry in read_history(history_path(hidden)).models]
+    assert numbers == [1, 2, 3, 4]
+    assert list(page._before.options) == ["1: first model", "4: + dead_path"] == page._fall.x_range.factors
+    assert "model 1" in page._table.object and "model 4" in page._table.object
+
+
+def test_another_measurement_may_lie_in_another_plane(
+    state: State, tmp_path: Path, document: Document
+) -> None:
+    page = shown(ImprovePage, state)
+    assert page._plane.value == "xy"
+    simulate("step_diagonal", seed=3).save(tmp_path / "diagonals")
+    state.opened(tmp_path / "diagonals")()
+    page._readings.refresh()
+    page._readings.planes.remove("xy")
+    page.refresh()
+    assert page._plane.value == "xz" == page._plane.options[0]
+
+
+def test_the_tables_of_a_measurement_are_tables(state: State, document: Document) -> None:
+    page = shown(MeasurementPage, state)
+    assert "<pre" not in page._setups.object + page._more.object, "no lines that break in the middle"
+    assert "<td" in page._setups.object and "(-350.0, 50.0, 0.0) mm" in page._setups.object
+    assert "Models" in page._more.object
+
+
+def test_a_page_is_put_in_its_place_at_once(
+    hidden: Path, document: Document, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    window = _Window([hidden], (), None, Feed(), False)
+    for root in window.roots:
+        document.add_root(root.get_root(document))
+    through: list[None] = []
+    recompute = document.models.recompute
+    monkeypatch.setattr(document.models, "recompute", lambda: through.append(recompute()))
+    window._show("Export")
+    assert len(through) == 1, "Bokeh goes through all models of the window"
+
+
+class Connection:
+    """A browser's end of the line."""
+
+    def __init__(self) -> None:
+        self.protocol, self._socket, self.sent = Protocol(), self, []
+
+    async def send_message(self, message: Any) -> None:
+        self.sent.append([(event["attr"], event["new"]) for event in message.content["events"]])
+
+    def send_patch_document(self, event: Any) -> Any:
+        return self.send_message(self.protocol.create("PATCH-DOC", [event]))
+
+
+def test_a_browser_is_told_of_all_changes_in_one_message(document: Document) -> None:
+    words, more, source = Div(text=""), Div(text=""), ColumnDataSource({"x": [1.0, 2.0]})
+    for root in (words, more):
+        document.add_root(root)
+    source.selected.on_change("indices", lambda attr, old, new: more.update(text=f"{len(new)} selected"))
+    more.tags = [source]
+    session = ServerSession("a window", document)
+    context = SimpleNamespace(session=session)
+    document._session_context = lambda: context
+    browsers = Connection(), Connection()
+    for browser in browsers:
+        session.subscribe(browser)
+
+    def act() -> None:
+        words.text = "fitting"
+        source.selected.indices = [1]
+        words.text = "fitted"
+
+    asyncio.run(session.with_document_locked(in_order, document, act))
+    told = [("text", "fitted"), ("indices", [1]), ("text", "1 selected")]
+    assert [browser.sent for browser in browsers] == [[told], [told]]
+    asyncio.run(session.with_document_locked(words.update, text="later"))
+    assert browsers[0].sent[1:] == [[("text", "later")]], "what changes otherwise is sent as ever"
+    in_order(Document(), lambda: None)
+
+
+def test_what_was_changed_before_a_fault_is_told_all_the_same(document: Document) -> None:
+    words = Div(text="")
+    document.add_root(words)
+    heard: list[str] = []
+    document.on_change(lambda event: heard.append(event.new))
+
+    def act() -> None:
+        words.text = "half"
+        raise ValueError("the other half")
+
+    with pytest.raises(ValueError, match="the other half"):
+        in_order(document, act)
+    assert heard == ["half"] and document.callbacks.hold_value is None
