@@ -16,6 +16,7 @@ from panel.io.state import set_curdoc
 
 from machine_tool_calibration.interface.session import simulate
 from machine_tool_calibration.reports.history_file import history_path, read_history
+from machine_tool_calibration.workbench.compare import ComparePage
 from machine_tool_calibration.workbench.improve import ImprovePage
 from machine_tool_calibration.workbench.live_feed import Feed
 from machine_tool_calibration.workbench.look import in_order
@@ -65,9 +66,7 @@ def test_models_have_the_numbers_of_the_history(state: State, hidden: Path, docu
     assert "model 1" in page._table.object and "model 4" in page._table.object
 
 
-def test_another_measurement_may_lie_in_another_plane(
-    state: State, tmp_path: Path, document: Document
-) -> None:
+def test_another_measurement_may_lie_in_another_plane(state: State, tmp_path: Path, document: Document) -> None:
     page = shown(ImprovePage, state)
     assert page._plane.value == "xy"
     simulate("step_diagonal", seed=3).save(tmp_path / "diagonals")
@@ -78,6 +77,19 @@ def test_another_measurement_may_lie_in_another_plane(
     assert page._plane.value == "xz" == page._plane.options[0]
 
 
+def test_at_one_place_nothing_is_magnified(state: State, tmp_path: Path, document: Document) -> None:
+    (tmp_path / "session.yaml").write_text(
+        "{format: mtcal-session/1, method: direct, machine: {chain: w-X-Y-Z-b-t}, setups: [{id: top}], "
+        "standard_uncertainty: {displacement: 5.0e-6}, repeats: 1}"
+    )
+    rows = [f"{60 * k},top,0,0,0,0,1,{1e-6 * k * k}" for k in range(12)]
+    (tmp_path / "observations.csv").write_text("\n".join(["time,setup,repeat,z,gx,gy,gz,displacement", *rows, ""]))
+    state.opened(tmp_path)()
+    assert shown(ComparePage, state)._map.title.text == "Places"
+    state.changed(add=["warmup_z"])()
+    assert shown(ImprovePage, state)._scale.object == "Above the plots: RMS."
+
+
 def test_the_tables_of_a_measurement_are_tables(state: State, document: Document) -> None:
     page = shown(MeasurementPage, state)
     assert "<pre" not in page._setups.object + page._more.object, "no lines that break in the middle"
@@ -85,9 +97,7 @@ def test_the_tables_of_a_measurement_are_tables(state: State, document: Document
     assert "Models" in page._more.object
 
 
-def test_a_page_is_put_in_its_place_at_once(
-    hidden: Path, document: Document, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_page_is_put_in_its_place_at_once(hidden: Path, document: Document, monkeypatch: pytest.MonkeyPatch) -> None:
     window = _Window([hidden], (), None, Feed(), False)
     for root in window.roots:
         document.add_root(root.get_root(document))

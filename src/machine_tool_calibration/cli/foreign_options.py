@@ -111,7 +111,7 @@ _OPTIONS: Sequence[Callable[[Any], Any]] = (
     _option(
         "--senses", type=click.Choice(["x", "y", "z"]), help="iso230-2: the direction read, if not along the axis."
     ),
-    _option("--long", is_flag=True, help="iso230-2: a row for each reading, as wherever a column of directions is named."),
+    _option("--long", is_flag=True, help="iso230-2: a row for each reading, as with a column of directions."),
     _option("--transposed", is_flag=True, help="iso230-2: a row for each run, the positions in the header."),
     _option(
         "--up",

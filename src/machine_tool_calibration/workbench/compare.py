@@ -143,7 +143,8 @@ class ComparePage:
             return
         self._readings.draw(across=plane[0], up=plane[1], u=f"{plane}:u", v=f"{plane}:v")
         self._map.xaxis.axis_label, self._map.yaxis.axis_label = (f"{axis}, mm" for axis in plane)
-        self._map.title.text = f"Residuals, {spaced(self._readings.magnification)} times magnified; orange: +"
+        larger = self._readings.magnification
+        self._map.title.text = f"Residuals, {spaced(larger)} times magnified; orange: +" if larger else "Places"
 
     def _say_selected(self) -> None:
         chosen, model = self._readings.selected, self._state.model

@@ -151,10 +151,12 @@ class ImprovePage:
         larger = self._readings.show_side_by_side(*pair.values())
         maps = {name: model.fit.result.error_map for name, model in pair.items()}
         factor = magnification(list(maps.values()))
-        self._scale.object = escape(
-            f"Above the plots: RMS. Residuals: {spaced(larger)} times magnified, in the colour of their setup. "
-            f"Errors of the map: {spaced(factor)} times magnified; ellipses: U (k = 2)."
-        )
+        words = ["Above the plots: RMS."]
+        if larger:
+            words.append(f"Residuals: {spaced(larger)} times magnified, in the colour of their setup.")
+        if factor:
+            words.append(f"Errors of the map: {spaced(factor)} times magnified; ellipses: U (k = 2).")
+        self._scale.object = escape(" ".join(words))
         a, b = plane
         self._readings.draw(place_a=a, place_b=b)
         for name, model in pair.items():

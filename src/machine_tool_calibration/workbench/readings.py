@@ -46,7 +46,7 @@ class Readings:
         data: the columns.
         labels: of each covariate by its column.
         ranked: the columns of covariates, those first that the first model's residuals follow.
-        magnification: of the residuals that are drawn as arrows.
+        magnification: of the residuals that are drawn as arrows; 0 where they cannot be, as at a single place.
         planes: in which the readings extend, or are sensed.
     """
 
@@ -231,7 +231,7 @@ class Readings:
             source.data.update(changed)
 
     def _magnification(self, *residuals: Array) -> float:
-        """A round one in which the residuals (m) of one or several models can be seen, a few outliers aside."""
+        """A round one in which the residuals (m) of one or several models can be seen, a few outliers aside; or 0."""
         size = [np.abs(residual[np.isfinite(residual)]) for residual in residuals]
         bulk = max((float(np.quantile(one, 0.98)) for one in size if len(one)), default=0.0)
         known = self._place[np.isfinite(self._place).all(axis=1)]
