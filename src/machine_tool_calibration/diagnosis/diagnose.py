@@ -6,7 +6,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 import threadpoolctl
@@ -292,19 +292,27 @@ def _search(
     progress(f"{len(candidates)} effects, alone and together", 0.2)
     side_by_side = all(session.spec.reads_machine for session in sessions)
     structures = structure_candidates(pool)
-    look = look_at(first.joint, candidates, structures, np.random.default_rng(seed), sets, side_by_side=side_by_side)
-    fine = _resolved(pool, candidates, look, lambda added: fit_of(parts, added).joint)
+    effects = {effect.id: effect for effect in known}
+
+    @cache
+    def fit_with(ids: tuple[str, ...]) -> FittedSessions:
+        return fit_of(parts, [effects[name] for name in ids])
+
+    def look_for(tried: Sequence[Candidate]) -> Look:
+        return look_at(first.joint, tried, structures, np.random.default_rng(seed), sets, side_by_side=side_by_side)
+
+    look = look_for(candidates)
+    fine = _resolved(pool, candidates, look, lambda ids: fit_with(ids).joint)
     if fine is not None:
-        look = look_at(first.joint, fine, structures, np.random.default_rng(seed), sets, side_by_side=side_by_side)
+        look = look_for(fine)
     if averaged is not None:
         told = averaged[1]
         noise = replace(look.noise[0], from_repeats=told.from_repeats, repeats=told.repeats)
         look = replace(look, noise=(noise,))
     progress("readings that are left out", 0.7)
     predicted = predictions(parts, look, lambda left: fit_of(left, ()).joint)
-    fitted, accepted, refused = [first], list[Effect](), dict[str, str]()
+    fitted, accepted, refused = [first], list[str](), dict[str, str]()
     for name in look.accepted:
-        effect = next(e for e in known if e.id == name)
         if not look.of(name).plausible:
             what = "such a size" if look.of(name).possible else "it with this sign"
             refused[name] = f"no machine or instrument has {what}"
@@ -314,7 +322,7 @@ def _search(
             refused[name] = f"it does not predict {against[0].what} that are left out"
             continue
         try:
-            wider = fit_of(parts, [*accepted, effect])
+            wider = fit_with((*accepted, name))
             _settled(wider.joint)
             if not side_by_side:
                 _hold(fitted[-1].error_map, wider.error_map)
@@ -322,9 +330,9 @@ def _search(
             refused[name] = str(error)
             continue
         fitted.append(wider)
-        accepted.append(effect)
+        accepted.append(name)
     verdict = _verdict(look, [f.joint for f in fitted], bool(accepted))
-    names = tuple(effect.id for effect in accepted) if verdict == "missing_effect" else ()
+    names = tuple(accepted) if verdict == "missing_effect" else ()
     return Diagnosis(
         sessions=sessions,
         labels=None if labels is None else tuple(labels),
@@ -341,17 +349,18 @@ def _search(
 
 
 def _resolved(
-    pool: Pool, candidates: Sequence[Candidate], look: Look, fit_with: Callable[[Sequence[Effect]], JointFit]
+    pool: Pool, candidates: Sequence[Candidate], look: Look, fit_with: Callable[[tuple[str, ...]], JointFit]
 ) -> list[Candidate] | None:
     """The candidates with finer nonlinear coefficients of the accepted effects; None where the grid does."""
-    named = [c for c in candidates if c.name in look.accepted and c.effect is not None]
     used = {
-        c.name: look.of(c.name).shape for c in named if c.nonlinear and not any(shape.discrete for shape in c.nonlinear)
+        c.name: look.of(c.name).shape
+        for c in candidates
+        if c.name in look.accepted and c.nonlinear and not any(shape.discrete for shape in c.nonlinear)
     }
     if not used:
         return None
     try:
-        fit = fit_with([candidate.effect for candidate in named if candidate.effect is not None])
+        fit = fit_with(look.accepted)
     except ModelError:
         return None
     return between_the_grid(pool, candidates, used, fit)

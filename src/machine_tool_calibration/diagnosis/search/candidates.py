@@ -103,7 +103,7 @@ def between_the_grid(
     Args:
         pool: the readings.
         candidates: with the values of the grid.
-        used: of the grid's values those that explain the readings best, of the effects that are in the fit; none of
+        used: of the grid's values those that explain the readings best, for effects in the fit that have such, none of
             them discrete.
         fit: with these effects.
 
@@ -114,9 +114,9 @@ def between_the_grid(
     scatter = max(fit.reduced_chi_square, 1.0)
     out, finer = [], False
     for candidate in candidates:
-        at = [place.get(f"{candidate.name}.{shape.name}", -1) for shape in candidate.nonlinear if not shape.discrete]
         # A coefficient that the readings do not bound is none of the fit's unknowns.
-        if candidate.effect is not None and candidate.name in used and at and min(at) >= 0:
+        at = [place.get(f"{candidate.name}.{shape.name}", -1) for shape in candidate.nonlinear]
+        if candidate.effect is not None and candidate.name in used and min(at) >= 0:
             reference = np.array([fit.assembly.parameters[k].reference for k in at])
             found = reference + fit.solution.theta[at]
             apart = np.abs(found - used[candidate.name])
