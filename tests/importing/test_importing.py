@@ -389,6 +389,9 @@ def test_other_encodings(tmp_path: Path) -> None:
         import_table(file, parse_mapping(content, "m"))
     with pytest.raises(SessionError, match="unknown encoding 'klingon'"):
         import_table(file, parse_mapping({**content, "file": {"encoding": "klingon"}}, "m"))
+    file.write_bytes(b"PK\x03\x04\xbf" + bytes(20))
+    with pytest.raises(SessionError, match="a spreadsheet's workbook; save its sheet as CSV"):
+        import_table(file, parse_mapping(content, "m"))
 
 
 def test_without_a_header(tmp_path: Path) -> None:
@@ -450,6 +453,13 @@ def test_a_setup_is_in_one_file(tmp_path: Path) -> None:
     mapping = parse_mapping({"table": "points", "columns": columns, "units": {"length": "mm"}, "session": SESSION}, "m")
     with pytest.raises(SessionError, match=r"two\.csv: setup 'a' is in .*one\.csv too; a setup is in one file"):
         import_table([tmp_path / "one.csv", tmp_path / "two.csv"], mapping)
+
+
+def test_repeats_that_are_counted_from_one(tmp_path: Path) -> None:
+    columns = {"x": "X", "actual_x": "M", "repeat": "Run"}
+    session = points(tmp_path, "X,M,Run\n0,0.001,1\n100,100.002,1\n0,0.001,2\n100,100.001,2\n", columns=columns).session
+    assert session.readings.repeat.tolist() == [0, 0, 1, 1]
+    assert session.description.repeats == 2
 
 
 def test_directions_in_words(tmp_path: Path) -> None:
