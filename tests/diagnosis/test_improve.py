@@ -12,6 +12,7 @@ import pytest
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.consequence import consequences
 from machine_tool_calibration.diagnosis.improve import Improvement, entries, improve
+from machine_tool_calibration.methods.fitted import Chosen
 from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, simulate
 
 
@@ -108,7 +109,7 @@ def test_outliers_are_set_aside_first() -> None:
 def test_effects_that_are_there_already_stay() -> None:
     effects = (FlawSpec(id="backlash_y", size=1.5e-6), FlawSpec(id="backlash_x", size=1.2e-6))
     session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=31, effects=effects)).session
-    done = improve(session, effects=["backlash_y"], sets=19)
+    done = improve(Chosen((session,), effects=("backlash_y",)), sets=19)
     assert [s.result.effects for s in done.steps] == [("backlash_y",), ("backlash_y", "backlash_x")]
     assert {p.name for p in done.steps[-1].parameters} == {"backlash_y.b", "backlash_x.b"}
 

@@ -125,21 +125,12 @@ def command(
     from machine_tool_calibration.reports.history_file import history_path, read_history
     from machine_tool_calibration.reports.improvement import improvement_document, show_improvement
 
-    chosen, kept = wanted.open(measurements), history_path(*measurements)
+    chosen, kept = wanted.open(measurements).chosen, history_path(*measurements)
     if history:
         # A damaged history is reported before a long calculation, not after it.
         read_history(kept)
     with progress_bar() as progress:
-        done = improve(
-            chosen.sessions,
-            chosen.labels,
-            model=chosen.model,
-            effects=chosen.effects,
-            own=chosen.own,
-            seed=seed,
-            sets=sets,
-            progress=progress,
-        )
+        done = improve(chosen, seed=seed, sets=sets, progress=progress)
     # What is to be kept is written before anything is printed: the reader of the output may go away.
     update = keep_models(done, chosen.sessions, kept, chosen.own) if history else HistoryUpdate()
     if output is None:

@@ -13,7 +13,7 @@ from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.findings import Finding
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.reduction import single_blas
-from machine_tool_calibration.methods.fitted import FittedSessions
+from machine_tool_calibration.methods.fitted import FittedSessions, fit_sessions
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.model.result import ErrorMap, Estimate
@@ -91,7 +91,7 @@ def _added(diagnosis: Diagnosis, found: Finding) -> FittedSessions | None:
     if found.candidate.effect is None:
         return None
     try:
-        return diagnosis.fit_with([found.candidate.effect])
+        return fit_sessions(diagnosis.searched.adding([found.name]))
     except ModelError:
         return None
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from machine_tool_calibration.arrays import IntArray
-from machine_tool_calibration.diagnosis.compare import compare_result
+from machine_tool_calibration.diagnosis.compare import compare
 from machine_tool_calibration.diagnosis.comparison import Comparison, JointComparison
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.history import Entry, History, Part
@@ -23,8 +23,8 @@ from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.interface.identification import Fit
 from machine_tool_calibration.interface.session import Measurement, load
-from machine_tool_calibration.methods.build import sharing_variant
-from machine_tool_calibration.methods.identify import JointResult, gross_errors, identify_sessions
+from machine_tool_calibration.methods.fitted import Chosen, gross_errors
+from machine_tool_calibration.methods.identify import JointResult, identify_sessions
 from machine_tool_calibration.model.result import EffectSet
 from machine_tool_calibration.planning.what_to_measure import SEARCH, Conclusions, conclude
 from machine_tool_calibration.reports.history_file import fingerprint, history_path, read_history
@@ -63,7 +63,7 @@ class Model:
     @property
     def labels(self) -> tuple[str, ...] | None:
         """Names of several sessions; None of a single one."""
-        return self.fit.measurement.labels if len(self.fit.measurement.sessions) > 1 else None
+        return self.fit.chosen.labels
 
 
 @dataclass(frozen=True)
@@ -106,6 +106,10 @@ class Subject:
             sessions.append(sound.without(gone) if gone.any() else sound)
         return replace(self.measurement, sessions=tuple(sessions))
 
+    def chosen(self, model: Model) -> Chosen:
+        """The readings and the model, with the effects of the user's own that are known by now."""
+        return replace(model.fit.chosen, own=self.own)
+
     def tried(
         self,
         before: Model | None,
@@ -131,18 +135,11 @@ class Subject:
             ModelError: the data does not allow it.
         """
         measurement = self.without(aside, kept)
-        result = identify_sessions(
-            measurement.sessions,
-            measurement.labels,
-            model=variant,
-            effects=effects,
-            own=self.own,
-            keep_all=True,
-            sets=over,
-        )
+        chosen = measurement.chosen(variant, tuple(effects), self.own, keep_all=True)
+        result = identify_sessions(replace(chosen, sets=tuple(over)))
         step = step_after(before.step if before else None, words, result, tuple(sorted(aside)))
         fit = Fit(measurement, result, variant, self.own, keep_all=True)
-        return Model(fit, step, compare_result(result), aside, kept)
+        return Model(fit, step, compare(result), aside, kept)
 
     def on_the_way(self, entries: Sequence[Entry], prints: Sequence[str]) -> list[Model]:
         """Models of a history, each made from the one before.
@@ -262,9 +259,8 @@ def opened(paths: Sequence[Path], variant: str | None, own: Sequence[Effect], pr
         remark = f"the readings have changed since model {entry.number} was made of them"
     progress("readings that do not belong to the rest", 0.2)
     found = {}
-    for k, session in enumerate(sessions):
-        asked = variant if len(sessions) == 1 else sharing_variant(session, variant)
-        for outlier in gross_errors(session, asked, (), own)[0]:
+    for k, (outliers, _) in enumerate(gross_errors(measurement.chosen(variant, (), tuple(own)))):
+        for outlier in outliers:
             found[int(subject.numbers(k, np.array(outlier.row)))] = outlier.deviation
     progress("fitting", 0.5)
     models: list[Model] = []
@@ -299,16 +295,8 @@ def diagnosed(subject: Subject, model: Model, progress: Progress) -> tuple[Diagn
         model: the model.
         progress: told what is being done.
     """
-    fit = model.fit
-    found = diagnose(
-        fit.measurement.sessions,
-        model.labels,
-        model=fit.variant,
-        effects=fit.effects,
-        own=subject.own,
-        progress=lambda what, share: progress(what, SEARCH * share),
-    )
-    return found, conclude(found, model=fit.variant, own=subject.own, progress=progress)
+    found = diagnose(subject.chosen(model), progress=lambda what, share: progress(what, SEARCH * share))
+    return found, conclude(found, progress=progress)
 
 
 def improved(subject: Subject, model: Model, found: Diagnosis, progress: Progress) -> list[Model]:
@@ -324,9 +312,7 @@ def improved(subject: Subject, model: Model, found: Diagnosis, progress: Progres
         The models, each made from the one before.
     """
     made, start, variant = [model], model.fit.effects, model.fit.variant
-    more = {
-        int(subject.numbers(k, np.array(outlier.row))) for k, own in enumerate(found.set_aside) for outlier in own
-    }
+    more = {int(subject.numbers(k, np.array(outlier.row))) for k, own in enumerate(found.set_aside) for outlier in own}
     aside = model.aside | more
     if more:
         words = f"{len(more)} reading{'s' if len(more) > 1 else ''} set aside"

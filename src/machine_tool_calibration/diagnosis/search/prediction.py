@@ -79,7 +79,7 @@ class Prediction:
 def predictions(
     sessions: Sequence[Session],
     look: Look,
-    fit_of: Callable[[Sequence[Session]], JointFit],
+    fit_of: Callable[[tuple[Session, ...]], JointFit],
 ) -> dict[str, tuple[Prediction, ...]]:
     """Every accepted effect on setups, blocks of places and cycles that were left out.
 
@@ -98,7 +98,7 @@ def predictions(
     for what, parts in _divisions(sessions):
         gains, readings = [], 0
         for k in range(1 + max(int(part.max(initial=-1)) for part in parts)):
-            left = [s.with_readings(s.readings.select(part != k)) for s, part in zip(sessions, parts, strict=True)]
+            left = tuple(s.with_readings(s.readings.select(part != k)) for s, part in zip(sessions, parts, strict=True))
             try:
                 gains.append(whole - _log_factors(fit_of(left), effects, look))
             except (CalibrationError, np.linalg.LinAlgError):
