@@ -13,9 +13,8 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, unit_vectors
 from machine_tool_calibration.estimation.problem import FunctionPart, Part, group_points, group_rows
-from machine_tool_calibration.instruments.tracking import beam_direction
 from machine_tool_calibration.methods.tracking.datum import MAP_DATUM, NetworkMotion, OwnSight, carried_stations
 from machine_tool_calibration.methods.tracking.map import free_map, table_map
 from machine_tool_calibration.methods.tracking.multilateration import MultilaterationPart
@@ -209,7 +208,7 @@ def build(session: Session, model: str = "free") -> TrackingModel:
     direction = line / length[:, None]
     if description.pointing == "open_loop":
         elevation = readings.columns.get("elevation", np.zeros(len(readings))) if d == 3 else np.zeros(len(readings))
-        direction = beam_direction(readings.column("azimuth"), elevation)
+        direction = unit_vectors(readings.column("azimuth"), elevation)
     path = np.zeros(len(stations))
     for s in range(len(stations)):
         mine = np.flatnonzero(readings.setup == s)
