@@ -69,28 +69,26 @@ def residual_sums(fit: Fit, weights: Array) -> Sums:
         weights: (k, n).
     """
     variance = fit.model.sigma**2
-    value, own, raw, slope = (np.empty(len(weights)) for _ in range(4))
+    # Columns V w, so that their product with the weighted residuals is w.r.
+    value, own, raw = _screened(fit, weights, variance)
+    seen = own > _LEFT * np.maximum(raw, np.finfo(float).tiny)
+    value, own = np.where(seen, value, np.nan), np.where(seen, own, np.nan)
+    # w as a column of the model: the sum with weights V^-1 w over that sum's variance; the same w only where V is even.
+    if float(np.ptp(variance)) <= 1e-9 * float(variance.max()):
+        return Sums(value, np.sqrt(own), value / own * variance[0], variance[0] / np.sqrt(own))
+    product, inner, _ = _screened(fit, weights, np.ones(1))
+    inner = np.where(seen, inner, np.nan)
+    return Sums(value, np.sqrt(own), product / inner, 1.0 / np.sqrt(inner))
+
+
+def _screened(fit: Fit, weights: Array, scale: Array) -> tuple[Array, Array, Array]:
+    """Of each column: its product with the residuals, its square outside the model, and its square."""
+    out = np.empty((3, len(weights)))
     for first in range(0, len(weights), _BATCH):
         pick = slice(first, first + _BATCH)
-        # Columns V w, so that their product with the weighted residuals is w.r.
-        sums = screen(fit, weights[pick] * variance)
-        value[pick], own[pick], raw[pick] = sums.gram[:-1, -1], np.diag(sums.gram)[:-1], sums.squares[:-1]
-    seen = own > _LEFT * np.maximum(raw, np.finfo(float).tiny)
-    value = np.where(seen, value, np.nan)
-    own = np.where(seen, own, np.nan)
-    # w as a column of the model: the sum with weights V^-1 w over that sum's variance; the same w only where V is even.
-    even = float(np.ptp(variance)) <= 1e-9 * float(variance.max())
-    if even:
-        slope = value / own * variance[0]
-        slope_u = variance[0] / np.sqrt(own)
-    else:
-        slope, slope_u = np.empty(len(weights)), np.empty(len(weights))
-        for first in range(0, len(weights), _BATCH):
-            pick = slice(first, first + _BATCH)
-            sums = screen(fit, weights[pick])
-            inner = np.where(seen[pick], np.diag(sums.gram)[:-1], np.nan)
-            slope[pick], slope_u[pick] = sums.gram[:-1, -1] / inner, 1.0 / np.sqrt(inner)
-    return Sums(value, np.sqrt(own), slope, slope_u)
+        sums = screen(fit, weights[pick] * scale)
+        out[:, pick] = sums.gram[:-1, -1], np.diag(sums.gram)[:-1], sums.squares[:-1]
+    return out[0], out[1], out[2]
 
 
 # A reading with less than this share of itself in its residual cannot be judged.
@@ -159,17 +157,16 @@ class _Look:
         shares = self._shares([*setups.items(), *runs.items(), *(part for _, part in regions)], sums=True)
         first, last = len(setups), len(setups) + len(runs)
         order = np.argsort(-np.nan_to_num(np.abs(self.studentized)), kind="stable")
-        overall = self._overall() if self.alone else self._share_of_all()
         return Comparison(
             fit=fit,
             effects=effects,
             variant=variant,
-            overall=overall,
+            overall=self._overall() if self.alone else self._share_of_all(),
             setups=_worst_first(shares[:first]),
             runs=_worst_first(shares[first:last]),
             labels={name: self._labels(values) for name, values in readings.labels.items()},
             regions=tuple(
-                Region(axis, *_ends(self.covariates[axis][mask]), share)
+                Region(axis, float(self.covariates[axis][mask].min()), float(self.covariates[axis][mask].max()), share)
                 for (axis, (_, mask)), share in zip(regions, shares[last:], strict=True)
             ),
             approaches=self._approaches(),
@@ -313,10 +310,6 @@ def _slope_weights(values: Array, mask: BoolArray) -> Array:
     if squares > 0:
         out[mask] = centred / squares
     return out
-
-
-def _ends(values: Array) -> tuple[float, float]:
-    return float(values.min()), float(values.max())
 
 
 def _worst_first(shares: Sequence[Share]) -> tuple[Share, ...]:
