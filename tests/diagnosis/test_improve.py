@@ -128,7 +128,7 @@ def test_direct_readings_see_the_tool_point_itself() -> None:
 
 def test_steps_become_entries_of_a_history() -> None:
     done, _ = improved(77, 2e-6)
-    first, last = entries(done, "sha256-1", ["sha256-1"], "2026-01-01T00:00:00+00:00", "improve")
+    first, last = entries(done, "sha256-1", ["sha256-1"], "2026-01-01T00:00:00+00:00")
     assert (first.effects, last.effects) == ((), ("backlash_y",))
     assert last.rms_residual == done.steps[1].result.rms_residual
     assert [p.name for p in last.parameters] == ["backlash_y.b"]
@@ -137,7 +137,7 @@ def test_steps_become_entries_of_a_history() -> None:
     bare = replace(done.steps[1], map_rms=None, map_uncertainty=None, map_change=None)
     assert bare.residual_volumetric_error is None
     assert done.residual_volumetric_error(bare) is None
-    assert entries(replace(done, steps=(bare,)), "sha256-1", ["sha256-1"], "2026", "improve")[0].map_rms is None
+    assert entries(replace(done, steps=(bare,)), "sha256-1", ["sha256-1"], "2026")[0].map_rms is None
 
 
 def test_progress_rises_to_one() -> None:

@@ -181,9 +181,7 @@ def step_after(before: Step | None, change: str, result: Result | JointResult, a
     )
 
 
-def entries(
-    improvement: Improvement, data: str, each: Sequence[str], made: str, by: str, own: Sequence[Effect] = ()
-) -> list[Entry]:
+def entries(improvement: Improvement, data: str, each: Sequence[str], made: str) -> list[Entry]:
     """The steps as entries of a history.
 
     Args:
@@ -191,11 +189,10 @@ def entries(
         data: fingerprint of all readings.
         each: fingerprints of the readings of each session.
         made: date and time, ISO 8601.
-        by: the command.
-        own: the user's own effects.
     """
+    own = improvement.diagnosis.chosen.own
     return [
-        entry_of(step, data, made, by, parts=_parts(improvement, step, each), number=k, own=own)
+        entry_of(step, data, made, "improve", parts=_parts(improvement, step, each), number=k, own=own)
         for k, step in enumerate(improvement.steps, start=1)
     ]
 
@@ -223,12 +220,12 @@ def entry_of(
     """
     joint = step.result.joint
     used = {*step.result.effects, *(name for one in step.result.averaged for name in one.effects)}
-    p_value = joint.p_value
+    p_value, single = joint.p_value, step.result if isinstance(step.result, Result) else None
     return Entry(
         number=number,
         made=made,
         by=by,
-        model=step.result.model_name if isinstance(step.result, Result) else "joint",
+        model=single.model_name if single else "joint",
         sessions=parts,
         effects=step.result.effects,
         own=tuple(dict(e.definition) for e in own if e.id in used and e.definition is not None),
@@ -238,8 +235,8 @@ def entry_of(
         ),
         data=data,
         used=joint.assembly.problem.n_readings,
-        set_aside=step.set_aside if isinstance(step.result, Result) else (),
-        kept=_kept(step.result.fit.model.observations.session) if isinstance(step.result, Result) else (),
+        set_aside=step.set_aside if single else (),
+        kept=_kept(single.fit.model.observations.session) if single else (),
         rms_residual=step.result.rms_residual,
         reduced_chi_square=step.reduced_chi_square,
         degrees_of_freedom=joint.solution.degrees_of_freedom,
