@@ -169,7 +169,7 @@ def machine_terms(
                 )
             )
             continue
-        # The straight part of a straightness is not its own: it is the squareness. Nor is a node's that is but rounding.
+        # The straight part of a straightness is not its own: it is the squareness. What is but rounding is nothing.
         read = read_nodes(columns)
         free = _free_part(table, read) @ np.where(read[:, None], columns, 0.0)
         unit = free / np.maximum(np.linalg.norm(free, axis=1), 1e-12)[:, None]

@@ -267,8 +267,8 @@ def _with_datum(models: Sequence[MethodModel], labels: Sequence[str], tables: Se
         shared = {p.name for p in model.parameters if p.shared}
         own.append([c for c in model.constraints if not shared & set(c.weights)])
         sensed = {table.name for table in tables_of(model)}
-        mine = [table for table in tables if table.name in sensed]
-        datum = table_datum(mine, [read[table.name] for table in mine])
+        acting = [table for table in tables if table.name in sensed]
+        datum = table_datum(acting, [read[table.name] for table in acting])
         candidates += [_Condition(index, c) for c in datum]
         candidates += [_Condition(index, c) for c in model.constraints if shared & set(c.weights)]
     motions = {label: table for table in tables for label in table.labels}

@@ -154,9 +154,9 @@ def _offsets(session: Session, readings: Readings) -> tuple[Parameter, ...]:
 
 
 def _datum(model: StepDiagonalModel) -> tuple[Constraint, ...]:
-    """The tables' datum, of those values that the readings determine: a lost last reading of a diagonal leaves some open.
+    """The tables' datum, of those values that the readings determine.
 
-    A straightness of which nothing else is open has its line through the others.
+    A lost last reading of a diagonal leaves some open; the line of a straightness is then that of the others.
     """
     assembly = assemble([model])
     loose = solve(assembly.problem).undetermined[assembly.places[0]]

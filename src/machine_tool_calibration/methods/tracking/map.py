@@ -112,18 +112,21 @@ def table_map(model: TrackingModel, fit: Fit, tables: tuple[MachineTable, ...]) 
     common = model.motion.at(model.targets[:, :d].T).transpose(2, 0, 1)
     loose = fit.solution.loose_directions()[fit.places][place]
 
-    def without_common(targets: BoolArray) -> tuple[Array, Array, BoolArray]:
-        """The common motion of some targets, all without it, and whether each is determined then."""
+    def told(field: Array) -> BoolArray:
+        """(n,) the targets of which every coordinate is determined."""
+        return np.asarray((np.linalg.norm(field.T @ loose, axis=1).reshape(n, d) < 1e-9).all(axis=1))
+
+    def without_common(targets: BoolArray) -> tuple[Array, Array]:
+        """The common motion of some targets, and the field of all without it."""
         rows = np.repeat(targets, d)
         fitted = np.linalg.lstsq(common[targets].reshape(-1, common.shape[2]), raw[:, rows].T, rcond=None)[0]
-        flat = raw - (common.reshape(n * d, -1) @ fitted).T
-        return fitted, flat, (np.linalg.norm(flat.T @ loose, axis=1).reshape(n, d) < 1e-9).all(axis=1)
+        return np.asarray(fitted), raw - (common.reshape(n * d, -1) @ fitted).T
 
-    fitted, flat, good = without_common(np.ones(n, dtype=bool))
-    # What is not determined at some targets must not shift and turn all others.
-    sure = (np.linalg.norm(raw.T @ loose, axis=1).reshape(n, d) < 1e-9).all(axis=1)
-    if sure.sum() > good.sum():
-        fitted, flat, good = without_common(sure)
+    fitted, flat = without_common(np.ones(n, dtype=bool))
+    if (sure := told(raw)).sum() > told(flat).sum():
+        # What is not determined at some targets must not shift and turn all others.
+        fitted, flat = without_common(sure)
+    good = told(flat)
     blocks = flat.reshape(len(field), n, d)
     covariance = np.einsum("knd,kl,lne->nde", blocks, fit.covariance[place, place], blocks, optimize=True)
     # The stations move with the common motion that is taken out of the targets.
