@@ -85,6 +85,7 @@ def test_several_of_one_are_that_one(several: SimpleNamespace) -> None:
     alone = identify_sessions(Chosen((session,), ("a",)))
     np.testing.assert_array_equal(alone.error_map.error, identify(session).error_map.error)
 
+
 @pytest.mark.parametrize(
     ("labels", "message"), [(["a", "a"], "label of its own"), (["a", "b", "c"], "label")]
 )

@@ -28,6 +28,7 @@ from machine_tool_calibration.model.rigid_body import (
     axis_nodes,
     linear_axis_errors,
     machine_terms,
+    read_nodes,
     table_datum,
 )
 from machine_tool_calibration.session.description import TrackingInterferometer
@@ -237,8 +238,9 @@ def build(session: Session, model: str = "free") -> TrackingModel:
     chain = description.machine.kinematics
     nodes = {axis: axis_nodes(targets[:, j]) for j, axis in enumerate("XYZ"[:d])}
     tables, terms, left_out = machine_terms(free.observations, linear_axis_errors(chain, nodes))
+    constraints = table_datum(tables, [read_nodes(term.columns) for term in terms])
     datum = f"{RIGID_BODY_DATUM}; map: {MAP_DATUM}"
-    return replace(free, terms=terms, constraints=table_datum(tables), left_out=left_out, datum=datum, tables=tables)
+    return replace(free, terms=terms, constraints=constraints, left_out=left_out, datum=datum, tables=tables)
 
 
 def _station_datum(model: TrackingModel) -> tuple[Constraint, ...]:
