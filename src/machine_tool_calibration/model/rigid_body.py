@@ -201,7 +201,7 @@ def _datum_rows(table: MachineTable) -> Array:
         return np.zeros((0, 1))
     zero = np.zeros(len(table.nodes))
     zero[int(np.argmin(np.abs(table.nodes)))] = 1.0
-    if not table.is_straightness:
+    if not table.is_straightness or len(zero) == 1:  # a single node has no slope
         return zero[None]
     centred = table.nodes - table.nodes.mean()
     return np.array([zero, centred / np.abs(centred).max()])
