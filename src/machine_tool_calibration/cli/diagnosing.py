@@ -99,7 +99,7 @@ class Wanted:
             sessions,
             tuple(kept),
             names,
-            entry.model,
+            entry.variant(said, sessions),
             entry.effects,
             tuple(entry.own_effects(own)),
             tuple(entry.sets()),

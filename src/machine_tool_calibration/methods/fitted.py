@@ -10,7 +10,7 @@ from functools import cached_property
 from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.effects.effect_terms import add_effects
-from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.methods.build import build_model, sharing_variant
 from machine_tool_calibration.methods.joint.effects import with_effects
 from machine_tool_calibration.methods.joint.map import joint_map
@@ -105,12 +105,17 @@ def joint_models(
         effects: added to every session in which they can act.
 
     Raises:
-        ModelError: fewer than two sessions, labels that repeat, different machines, or an effect that acts in none.
+        ModelError: fewer than two sessions, labels that repeat, a model that no session has, different machines, or an
+            effect that acts in none.
     """
     if len(sessions) < 2:
         raise ModelError("several sessions are needed to fit them together")
     if len(labels) != len(sessions) or len(set(labels)) < len(labels):
         raise ModelError("each session needs a label of its own")
+    known = list(dict.fromkeys(name for session in sessions for name in session.spec.models))
+    if model is not None and model not in known:
+        hint = did_you_mean(model, known)
+        raise ModelError(f"none of the sessions has a model {model!r}{hint}; known are {', '.join(known)}")
     pairs = [build_model(session, sharing_variant(session, model)) for session in sessions]
     built, names = [base for base, _ in pairs], [name for _, name in pairs]
     common = common_models(built, labels)

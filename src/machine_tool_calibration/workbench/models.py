@@ -164,7 +164,8 @@ class Subject:
                 for what in ("set_aside", "kept")
             )
             before = models[-1] if models else None
-            made = self.tried(before, entry.change, entry.model, entry.effects, aside, kept, entry.sets())
+            variant = entry.variant(said, self.measurement.sessions)
+            made = self.tried(before, entry.change, variant, entry.effects, aside, kept, entry.sets())
             models.append(replace(made, number=entry.number))
         return models
 

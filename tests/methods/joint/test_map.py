@@ -84,6 +84,7 @@ def test_several_of_one_are_that_one(several: SimpleNamespace) -> None:
     alone = identify_sessions([session], ["a"])
     np.testing.assert_array_equal(alone.error_map.error, identify(session).error_map.error)
 
+
 @pytest.mark.parametrize(
     ("labels", "message"), [(["a"], "several sessions"), (["a", "a"], "label of its own"), (["a", "b", "c"], "label")]
 )
@@ -91,6 +92,12 @@ def test_bad_requests(several: SimpleNamespace, labels: list[str], message: str)
     session = several.measured("run", 0).session
     with pytest.raises(ModelError, match=message):
         joint_models([session] * min(len(labels), 2), labels)
+
+
+def test_a_model_that_no_session_has(several: SimpleNamespace) -> None:
+    sessions = [several.measured(name, 0).session for name in ("tracker", "run")]
+    with pytest.raises(ModelError, match=r"none of the sessions has a model 'fre' \(did you mean 'free'\?\)"):
+        joint_models(sessions, ["a", "b"], model="fre")
 
 
 def test_another_machine(several: SimpleNamespace) -> None:
