@@ -66,9 +66,11 @@ class Wanted:
         """
         from machine_tool_calibration.diagnosis.history import Chosen
         from machine_tool_calibration.recording.open import open_measurement
+        from machine_tool_calibration.session.session import refuse_repeated
 
         own, labels = own_effects(self.files), session_labels(paths)
         sessions = tuple(keeping([open_measurement(path, topics) for path in paths], labels, self.keep))
+        refuse_repeated(sessions, labels)
         names = tuple(labels) if len(paths) > 1 else None
         if not self.from_history:
             return Chosen(sessions, sessions, names, self.model, self.effects, tuple(own))
