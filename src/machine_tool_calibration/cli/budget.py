@@ -121,15 +121,16 @@ def command(
 
 def fitted(wanted: Wanted, paths: Sequence[Path], progress: Report) -> tuple[Sequence[Session], FittedSessions]:
     """The sessions as they were read, and the fit of them as `mtcal identify` makes it; a better model is named."""
-    from machine_tool_calibration.methods.identify import fitted_sessions
+    from machine_tool_calibration.methods.identify import fitted_sessions, identify_sessions
 
-    chosen = wanted.open(paths)
+    measured = wanted.open(paths)
     progress("identifying")
-    result = chosen.identify()
-    better = None if wanted.from_history else unused_model(chosen.sessions, paths, chosen.effects, result.joint)
+    result = identify_sessions(measured.chosen)
+    effects = measured.chosen.effects
+    better = None if wanted.from_history else unused_model(measured.recorded, paths, effects, result.joint)
     if better:
         note(better)
-    return chosen.sessions, fitted_sessions(result)
+    return measured.recorded, fitted_sessions(result)
 
 
 def contributors_of(files: Sequence[Path], sessions: Sequence[Session]) -> tuple[Contributor, ...]:

@@ -131,9 +131,10 @@ def draw_map(content: Mapping[str, Any]) -> Figure:
         arrows = panel.quiver(
             *start.T, *arrow.T, angles="xy", scale_units="xy", scale=1.0, color="tab:blue", width=0.003
         )
-        key = round_down(largest)
-        long = float(1e3 * _LENGTH * width / largest * key)
-        panel.quiverkey(arrows, 0.9, 0.96, long, f"{1e6 * key:g} µm", labelpos="W", color="0.2")
+        known = round_down(largest)
+        panel.quiverkey(
+            arrows, 0.9, 0.96, 1e3 * _LENGTH * width / largest * known, quantity(known, "m"), labelpos="W", color="0.2"
+        )
         panel.update_datalim(start + arrow)  # matplotlib counts only where arrows begin
         panel.autoscale_view()
     panel.set_aspect("equal", adjustable="datalim")
