@@ -11,7 +11,7 @@ import pytest
 
 from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.diagnosis.history import Entry, History, Part
-from machine_tool_calibration.methods.fitted import joint_models
+from machine_tool_calibration.methods.fitted import Chosen, joint_models
 from machine_tool_calibration.recording.open import open_measurement
 from machine_tool_calibration.reports.history_file import fingerprint, history_path, update_history
 from machine_tool_calibration.session.folder import write_session
@@ -138,7 +138,7 @@ def test_every_session_keeps_the_variant_of_the_history(several_methods: list[st
         )  # fmt: skip
         for step in (1, -1):
             said_of = entry.of_sessions(prints[::step], [path.name for path in paths][::step])
-            _, models = joint_models(opened[::step], ["a", "b"], model=entry.variant(said_of, opened[::step]))
+            _, models = joint_models(Chosen(tuple(opened[::step]), ("a", "b"), entry.variant(said_of, opened[::step])))
             assert models[::step] == names
 
 
