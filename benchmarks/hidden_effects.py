@@ -27,7 +27,8 @@ from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.search.candidates import effect_candidates
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.methods.identify import build_model, identify
+from machine_tool_calibration.methods.build import build_model
+from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.fit import fit_models, screen
 from machine_tool_calibration.model.result import EffectSet
 from machine_tool_calibration.residuals.pool import Pool

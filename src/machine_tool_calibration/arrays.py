@@ -20,6 +20,7 @@ __all__ = [
     "in_order_of_appearance",
     "rms",
     "standard_draws",
+    "unit_vectors",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -125,3 +126,9 @@ def best_motion(points: Array, onto: Array) -> tuple[Array, Array]:
 def rms(values: Array) -> float:
     """Root mean square; 0 of nothing."""
     return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
+
+
+def unit_vectors(azimuth: Array, elevation: Array) -> Array:
+    """(n, 3) unit vectors, such as those of a beam, from the azimuth about +Z and the elevation from XY, rad."""
+    flat = np.cos(elevation)
+    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=-1)

@@ -56,7 +56,7 @@ def runs() -> Callable[..., Session]:
 @pytest.fixture(scope="session")
 def fitted() -> FittedSessions:
     """Four runs without any deviation, fitted."""
-    return fit_sessions([_runs()])
+    return fit_sessions(_runs())
 
 
 @pytest.fixture(scope="session")

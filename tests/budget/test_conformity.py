@@ -37,7 +37,7 @@ def of_exx(fitted: FittedSessions, tolerance: float, **said: Any) -> Verdict:
 
 def test_range_of_independent_values(reproducible: None, runs: Callable[..., Session]) -> None:
     """Two ends 10 µm apart and what is between them out of the way: their difference is normal with 0.5 sqrt(2) µm."""
-    fitted = fit_sessions([runs(np.tile([0.0, 5e-6, 5e-6, 5e-6, 10e-6], 4))])
+    fitted = fit_sessions(runs(np.tile([0.0, 5e-6, 5e-6, 5e-6, 10e-6], 4)))
     for tolerance in (9.5e-6, 10e-6, 10.5e-6, 11.5e-6):
         found = of_exx(fitted, tolerance)
         expected = stats.norm.cdf((tolerance - 10e-6) / (U * np.sqrt(2.0)))
@@ -49,7 +49,7 @@ def test_range_of_independent_values(reproducible: None, runs: Callable[..., Ses
 
 def test_range_of_equal_values_is_not_normal(reproducible: None, runs: Callable[..., Session]) -> None:
     """Five equal values: the true range is as likely within 2.326 u, the mean range of five, as that of chance is."""
-    fitted = fit_sessions([runs()])
+    fitted = fit_sessions(runs())
     found = of_exx(fitted, 2.326 * U)
     drawn = np.ptp(np.random.default_rng(3).normal(size=(20_000, 5)), axis=1)
     assert found.value == pytest.approx(0.0, abs=1e-12)
@@ -59,7 +59,7 @@ def test_range_of_equal_values_is_not_normal(reproducible: None, runs: Callable[
 
 def test_squareness_by_the_normal_distribution() -> None:
     """On either side of zero."""
-    fitted = fit_sessions([simulate(SimulationSpec(plan=DiagonalPlan(blocks=3), seed=1)).session])
+    fitted = fit_sessions(simulate(SimulationSpec(plan=DiagonalPlan(blocks=3), seed=1)).session)
     content = fitted.error_map.content["squareness"]
     value, u = content["C0Y"], content["C0Y_u"]
     for tolerance in (abs(value), abs(value) + u, abs(value) + 3 * u):
@@ -80,14 +80,14 @@ def test_straightness_is_about_its_line(reproducible: None, runs: Callable[..., 
     across = type(readings)(
         readings.setup, readings.repeat, readings.displacement, columns, readings.labels, readings.row
     )
-    found = one(conformity(fit_sessions([session.with_readings(across)]), {"EYX": 10e-6}))
+    found = one(conformity(fit_sessions(session.with_readings(across)), {"EYX": 10e-6}))
     assert found.value == pytest.approx(6e-6)
     assert found.decision == "pass"
 
 
 def test_volumetric_error(reproducible: None) -> None:
     """The largest of many lengths, drawn with their joint uncertainty: above the measured one rather than below."""
-    fitted = fit_sessions([simulate(SimulationSpec(plan=TrackingPlan(dimension=2), seed=3)).session])
+    fitted = fit_sessions(simulate(SimulationSpec(plan=TrackingPlan(dimension=2), seed=3)).session)
     length = np.linalg.norm(fitted.error_map.error[:, :2], axis=1)
     found = one(conformity(fitted, {"volumetric": float(length.max())}))
     assert found.value == pytest.approx(length.max())
@@ -100,7 +100,7 @@ def test_budget_takes_the_place_of_the_identification(
     runs: Callable[..., Session], contributor: Callable[..., Contributor]
 ) -> None:
     """A length error of 2 µm/m makes a range over 0.4 m uncertain by 0.8 µm and nothing else."""
-    fitted = fit_sessions([runs(np.tile(20e-6 * np.array([0.0, 0.1, 0.2, 0.3, 0.4]), 4))])
+    fitted = fit_sessions(runs(np.tile(20e-6 * np.array([0.0, 0.1, 0.2, 0.3, 0.4]), 4)))
     budget = propagate(fitted, [contributor("length", "never")])
     found = conformity(fitted, {"EXX": 8.8e-6}, budget=budget)
     assert found.uncertainty == "budget"
@@ -110,7 +110,7 @@ def test_budget_takes_the_place_of_the_identification(
 
 def test_few_degrees_of_freedom(runs: Callable[..., Session], contributor: Callable[..., Contributor]) -> None:
     """Student's t in place of the normal distribution, for what is drawn as well."""
-    fitted = fit_sessions([runs(np.tile(20e-6 * np.array([0.0, 0.1, 0.2, 0.3, 0.4]), 4))])
+    fitted = fit_sessions(runs(np.tile(20e-6 * np.array([0.0, 0.1, 0.2, 0.3, 0.4]), 4)))
     budget = propagate(fitted, [contributor("length", "never", degrees_of_freedom=2.0)])
     found = conformity(fitted, {"EXX": 9.6e-6, "A_X": 1e-6}, budget=budget)
     assert found.verdicts[0].probability == pytest.approx(stats.t.cdf(2.0, 2.0), abs=0.02)
@@ -130,7 +130,7 @@ def test_a_lost_target_leaves_the_volumetric_error_open() -> None:
     readings = session.readings
     first = (readings.columns["x"] == readings.columns["x"][0]) & (readings.columns["y"] == readings.columns["y"][0])
     lost = session.with_readings(readings.select(~first | (readings.setup == 0)))
-    found = one(conformity(fit_sessions([lost]), {"volumetric": 1.0}))
+    found = one(conformity(fit_sessions(lost), {"volumetric": 1.0}))
     assert found.decision == "not determined"
     assert "target" in found.why
 
@@ -143,7 +143,7 @@ def test_figures_of_iso_230_2(runs: Callable[..., Session]) -> None:
     columns = {**readings.columns, "x": np.tile(np.concatenate([there, there[::-1]]), 2), "dir_x": sense}
     deviation = 20e-6 * columns["x"] + 1e-7 * np.random.default_rng(1).standard_normal(20)
     moved = type(readings)(readings.setup, readings.repeat // 2, deviation, columns, readings.labels, readings.row)
-    fitted = fit_sessions([session.with_readings(moved)])
+    fitted = fit_sessions(session.with_readings(moved))
     run = fitted.error_map.content["iso230_2"][0]
     m, u = run["M"], run["M_U"] / 2.0
     found = conformity(fitted, {"M": m + u, "M_X": m - u, "B_mean_X": 1e-6, "A_Y": 1e-6})

@@ -13,7 +13,7 @@ from machine_tool_calibration.budget import propagate as module
 from machine_tool_calibration.budget.contributor import Contributor, default_budget, instruments
 from machine_tool_calibration.budget.propagate import KNOWN, REPEATABILITY, Budget, propagate
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.methods.fitted import FittedSessions, fit_sessions
+from machine_tool_calibration.methods.fitted import Chosen, FittedSessions, fit_sessions
 from machine_tool_calibration.model.restated import changed, declared
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import DiagonalPlan, RotaryPlan, SimulationSpec, TrackingPlan, simulate
@@ -127,7 +127,7 @@ def test_declared_uncertainty_gives_what_is_published(
 ) -> None:
     """Readings as uncertain as declared, each by itself: the published uncertainty of every number."""
     session = simulate(SimulationSpec(plan=TrackingPlan(dimension=2), seed=3)).session
-    own = fit_sessions([session])
+    own = fit_sessions(session)
     budget = propagate(own, [contributor("reading", "reading", session.sigma)])
     known = np.isfinite(budget.u) & (budget.numbers.u > 1e-12)
     assert own.joint.stated.scatter == 1.0
@@ -139,7 +139,7 @@ def test_repeats_in_closed_form_are_as_one_by_one(
     monkeypatch: pytest.MonkeyPatch, contributor: Callable[..., Contributor]
 ) -> None:
     session = simulate(SimulationSpec(plan=TrackingPlan(dimension=2), seed=3)).session
-    own = fit_sessions([session])
+    own = fit_sessions(session)
     line = contributor("along", "angle")
     closed = propagate(own, [line])
     monkeypatch.setattr(module, "_MOST_GROUPS", 1000)
@@ -153,7 +153,7 @@ def test_repeats_in_closed_form_are_as_one_by_one(
 def test_draws_and_bounds(monkeypatch: pytest.MonkeyPatch, contributor: Callable[..., Contributor]) -> None:
     """Where places are too many to go through, draws are near the exact sum, and a bound is above it."""
     session = simulate(SimulationSpec(plan=TrackingPlan(dimension=2), seed=3)).session
-    own = fit_sessions([session])
+    own = fit_sessions(session)
     line = contributor("length", "place")
     exact = propagate(own, [line])
     monkeypatch.setattr(module, "_MOST_GROUPS", 10)
@@ -170,7 +170,7 @@ def test_draws_and_bounds(monkeypatch: pytest.MonkeyPatch, contributor: Callable
 def test_what_is_known_besides_the_readings() -> None:
     """Readings and what is expected of angular errors together make the declared uncertainty, each by itself found by
     shifting it."""
-    own = fit_sessions([simulate(SimulationSpec(plan=DiagonalPlan(blocks=3), seed=1)).session])
+    own = fit_sessions(simulate(SimulationSpec(plan=DiagonalPlan(blocks=3), seed=1)).session)
     priors = own.joint.assembly.problem.priors
     assert priors is not None
     budget = propagate(
@@ -202,7 +202,7 @@ def test_figures_of_iso_230_2(runs: Callable[..., Session], contributor: Callabl
     columns = {**readings.columns, "x": np.tile(there, 2), "dir_x": sense}
     deviation = 20e-6 * columns["x"] + 1e-6 * sense + 1e-7 * rng.standard_normal(n)
     readings = type(readings)(readings.setup, readings.repeat // 2, deviation, columns, readings.labels, readings.row)
-    own = fit_sessions([session.with_readings(readings)])
+    own = fit_sessions(session.with_readings(readings))
     budget = propagate(own, [contributor("length", "never"), contributor("reading", "setup")])
     length, offset, repeatability = budget.lines
     assert repeatability.name == REPEATABILITY
@@ -222,7 +222,7 @@ def test_budgets_to_begin_with_name_their_sources(instrument: str) -> None:
 
 def test_radial_error_motion_dominates_the_open_loop_interferometer() -> None:
     """As Ibaraki et al. 2014 conclude from Table 4: the directions of the beam contribute next to nothing."""
-    own = fit_sessions([simulate(SimulationSpec(plan=TrackingPlan(dimension=2), seed=3)).session])
+    own = fit_sessions(simulate(SimulationSpec(plan=TrackingPlan(dimension=2), seed=3)).session)
     budget = propagate(own, default_budget(["tracking_interferometer"]))
     found = budget.largest("position_error")
     assert found is not None
@@ -251,7 +251,7 @@ def test_of_two_sessions_one_instrument(
     """EXX is the mean weighted by the declared uncertainties, 1 µm and 2 µm: four fifths of it are the first one's."""
     first = runs(instrument="laser_interferometer")
     second = runs(instrument="cmm", standard_uncertainty={"displacement": 2e-6})
-    own = fit_sessions([first, second], ["a", "b"])
+    own = fit_sessions(Chosen((first, second), ("a", "b")))
     lines = [
         contributor("reading", "reading", instrument="laser_interferometer"),
         contributor("reading", "setup", instrument="cmm"),
@@ -267,7 +267,7 @@ def test_of_two_sessions_one_instrument(
 
 def test_the_axis_average_line_knows_how_sure_the_stations_are() -> None:
     """Where the stations are stated to be is a line of the budget, once, and in the draws as well."""
-    own = fit_sessions([simulate(SimulationSpec(plan=RotaryPlan(), seed=1)).session])
+    own = fit_sessions(simulate(SimulationSpec(plan=RotaryPlan(), seed=1)).session)
     line = Contributor(name="r", type="B", standard_uncertainty=1e-7, enters="reading", varies="reading")
     budget = propagate(own, [line], draws=100)
     assert budget.drawn is not None
@@ -287,7 +287,7 @@ def test_sessions_with_other_numbers_of_repeats(
     contributor: Callable[..., Contributor],
 ) -> None:
     """A value for each place of a session: as many readings share it as the session has repeats."""
-    own = fit_sessions([runs(runs=2), runs(runs=8)], ["a", "b"])
+    own = fit_sessions(Chosen((runs(runs=2), runs(runs=8)), ("a", "b")))
     line = contributor("along", "place")
     steps = propagate(own, [line])
     monkeypatch.setattr(module, "_MOST_GROUPS", 0)

@@ -19,7 +19,7 @@ def test_two_effects_found_are_told_with_both_in_the_model() -> None:
     changes = consequences(found, most=2)
     assert list(changes)[:2] == list(found.accepted)
     assert len(changes) == 4
-    both = {p.name: p.value for p in identify(found.session, effects=found.accepted).parameters}
+    both = {p.name: p.value for p in identify(found.sessions[0], effects=found.accepted).parameters}
     for name in found.accepted:
         (size,) = changes[name].parameters
         assert size.value == pytest.approx(both[size.name], rel=1e-6)

@@ -10,7 +10,9 @@ import pytest
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.improve import improve
 from machine_tool_calibration.effects.catalogue import catalogue
-from machine_tool_calibration.methods.identify import build_model, identify
+from machine_tool_calibration.methods.build import build_model
+from machine_tool_calibration.methods.fitted import Chosen
+from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.fit import fit_models, screen
 from machine_tool_calibration.residuals.leverage import leverage
 from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, Spread, simulate
@@ -112,7 +114,7 @@ def test_an_effect_in_the_model_is_not_looked_for_again() -> None:
     session = simulate(
         SimulationSpec(plan=PRESETS["tracking_2d"], seed=77, effects=(FlawSpec(id="backlash_y", amplitude=1.5e-6),))
     ).session
-    found = diagnose(session, effects=["backlash_y"], seed=1, sets=SETS)
+    found = diagnose(Chosen((session,), effects=("backlash_y",)), seed=1, sets=SETS)
     assert found.verdict == "adequate"
     assert "backlash_y" not in {r.candidate.name for r in found.ranked}
 

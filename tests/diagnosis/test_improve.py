@@ -12,6 +12,7 @@ import pytest
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.consequence import consequences
 from machine_tool_calibration.diagnosis.improve import Improvement, entries, improve
+from machine_tool_calibration.methods.fitted import Chosen
 from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, simulate
 
 
@@ -108,7 +109,7 @@ def test_outliers_are_set_aside_first() -> None:
 def test_effects_that_are_there_already_stay() -> None:
     effects = (FlawSpec(id="backlash_y", size=1.5e-6), FlawSpec(id="backlash_x", size=1.2e-6))
     session = simulate(SimulationSpec(plan=PRESETS["tracking_2d"], seed=31, effects=effects)).session
-    done = improve(session, effects=["backlash_y"], sets=19)
+    done = improve(Chosen((session,), effects=("backlash_y",)), sets=19)
     assert [s.result.effects for s in done.steps] == [("backlash_y",), ("backlash_y", "backlash_x")]
     assert {p.name for p in done.steps[-1].parameters} == {"backlash_y.b", "backlash_x.b"}
 
@@ -127,7 +128,7 @@ def test_direct_readings_see_the_tool_point_itself() -> None:
 
 def test_steps_become_entries_of_a_history() -> None:
     done, _ = improved(77, 2e-6)
-    first, last = entries(done, "sha256-1", ["sha256-1"], "2026-01-01T00:00:00+00:00", "improve")
+    first, last = entries(done, "sha256-1", ["sha256-1"], "2026-01-01T00:00:00+00:00")
     assert (first.effects, last.effects) == ((), ("backlash_y",))
     assert last.rms_residual == done.steps[1].result.rms_residual
     assert [p.name for p in last.parameters] == ["backlash_y.b"]
@@ -136,7 +137,7 @@ def test_steps_become_entries_of_a_history() -> None:
     bare = replace(done.steps[1], map_rms=None, map_uncertainty=None, map_change=None)
     assert bare.residual_volumetric_error is None
     assert done.residual_volumetric_error(bare) is None
-    assert entries(replace(done, steps=(bare,)), "sha256-1", ["sha256-1"], "2026", "improve")[0].map_rms is None
+    assert entries(replace(done, steps=(bare,)), "sha256-1", ["sha256-1"], "2026")[0].map_rms is None
 
 
 def test_progress_rises_to_one() -> None:

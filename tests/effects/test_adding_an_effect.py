@@ -18,7 +18,7 @@ from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.effects import catalogue as registry
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.effects.formula import read_effects
-from machine_tool_calibration.methods.identify import build_model
+from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.recording.open import open_measurement
 
 PAGE = Path(__file__).parents[2] / "docs" / "adding_an_effect.md"

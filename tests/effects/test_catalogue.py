@@ -18,7 +18,8 @@ from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.effects.effect_terms import effect_term
 from machine_tool_calibration.effects.reversal import REVERSALS
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.methods.identify import build_model, identify
+from machine_tool_calibration.methods.build import build_model
+from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.fit import Fit, fit_models, screen
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.session.session import Session

@@ -10,7 +10,8 @@ import pytest
 
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.errors import ModelError, SessionError
-from machine_tool_calibration.methods.identify import build_model, identify
+from machine_tool_calibration.methods.build import build_model
+from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.session.description import Instrument
 from machine_tool_calibration.session.parse import describe
 from machine_tool_calibration.session.session import Session

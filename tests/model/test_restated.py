@@ -17,10 +17,10 @@ from machine_tool_calibration.simulation import RotaryPlan, SimulationSpec, Trac
 def test_other_readings_give_the_fit_of_them(reproducible: None, plan: TrackingPlan | RotaryPlan) -> None:
     """One step and a new solution are what a fit of the changed session gives, to second order of what was added."""
     session = simulate(SimulationSpec(plan=plan, seed=1)).session
-    fitted = fit_sessions([session])
+    fitted = fit_sessions(session)
     shift = 1e-7 * np.random.default_rng(0).standard_normal(len(session.readings))
     moved = replace(session.readings, displacement=session.readings.displacement + shift)
-    again = fit_sessions([session.with_readings(moved)]).error_map
+    again = fit_sessions(session.with_readings(moved)).error_map
     size = np.nanmax(np.abs(again.error - fitted.error_map.error))
     assert size > 1e-8
     for joint in (changed(fitted.joint, [shift]), changed(fitted.joint, [shift], again=True)):
@@ -32,7 +32,7 @@ def test_other_readings_give_the_fit_of_them(reproducible: None, plan: TrackingP
 def test_draws_have_the_published_uncertainty() -> None:
     """Of points, with what does not reproduce in it: over all of them, and the correlation between neighbours."""
     session = simulate(SimulationSpec(plan=TrackingPlan(dimension=2), seed=2)).session
-    fitted = fit_sessions([session])
+    fitted = fit_sessions(session)
     rng = np.random.default_rng(1)
     off = np.array([fitted.map_of(one).error for one in drawn(fitted.joint, rng, 100)]) - fitted.error_map.error
     ratio = np.sqrt(np.mean(off**2, axis=0)) / fitted.error_map.uncertainty
@@ -48,7 +48,7 @@ def test_draws_have_the_published_uncertainty() -> None:
 
 def test_declared_is_less_than_published_where_readings_scatter_more() -> None:
     session = simulate(SimulationSpec(plan=TrackingPlan(dimension=2), seed=2, noise_factor=3.0)).session
-    fitted = fit_sessions([session])
+    fitted = fit_sessions(session)
     known = np.isfinite(fitted.error_map.uncertainty)
     ratio = fitted.error_map.uncertainty[known] / fitted.map_of(declared(fitted.joint)).uncertainty[known]
     assert np.all(ratio > 2.0)

@@ -13,7 +13,7 @@ from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.estimation import variance_components
 from machine_tool_calibration.estimation.problem import LinearPart, Part, group_rows
 from machine_tool_calibration.estimation.variance_components import DECLARED_WORTH, log_prior
-from machine_tool_calibration.methods.identify import build_model
+from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.model.fit import Fit, JointFit, fit_models
 from machine_tool_calibration.model.model import MethodModel, Parameter, Term
 from machine_tool_calibration.model.observations import Observations

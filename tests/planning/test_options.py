@@ -4,7 +4,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from machine_tool_calibration.methods.identify import build_model
+from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.planning.options import Option, further_options
 from machine_tool_calibration.planning.sensing import approached, first_repetition, pace

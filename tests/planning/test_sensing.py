@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.effects.catalogue import catalogue
-from machine_tool_calibration.methods.identify import build_model
+from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.model.fit import fit_models, screen
 from machine_tool_calibration.planning.sensing import Assumed, sense
 from machine_tool_calibration.session.session import Session

@@ -12,6 +12,7 @@ import pytest
 from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.methods.build import build_model
+from machine_tool_calibration.methods.fitted import Chosen
 from machine_tool_calibration.planning.options import further_options
 from machine_tool_calibration.planning.sensing import Assumed, sense
 from machine_tool_calibration.planning.what_to_measure import visibilities, what_to_measure
@@ -30,7 +31,7 @@ def days() -> list[Session]:
 
 
 def test_the_retroreflector_is_to_be_turned_in_one_of_them(days: list[Session]) -> None:
-    advice = what_to_measure(diagnose(days, LABELS, sets=19))
+    advice = what_to_measure(diagnose(Chosen(days, LABELS), sets=19))
     separation = next(s for s in advice.separations if "retroreflector_form" in s.effects)
     assert "pointer_radial_error" in separation.effects
     assert separation.kind == "turned"
@@ -42,8 +43,8 @@ def test_an_effect_of_the_machine_is_sensed_by_both_and_one_of_a_setup_by_its_ow
     effects = catalogue()
     backlash = Assumed(effects["backlash_y"], (), {"b": 1e-6})
     drift = Assumed(effects["station_drift"], (), {})
-    alone = [sense(day, [backlash, drift], model="rigid_body") for day in days]
-    both = sense(days, [backlash, drift], labels=LABELS)
+    alone = [sense(Chosen((day,), model="rigid_body"), [backlash, drift]) for day in days]
+    both = sense(Chosen(days, labels=LABELS), [backlash, drift])
     size = {name: s.stop - s.start for name, s in both.place.items()}
     assert size["backlash_y"] == 1
     assert size["station_drift"] == sum(
@@ -55,7 +56,7 @@ def test_an_effect_of_the_machine_is_sensed_by_both_and_one_of_a_setup_by_its_ow
 
 def test_an_effect_that_each_session_has_for_itself_is_planned_for_where_it_shows_best(days: list[Session]) -> None:
     index = Assumed(catalogue()["refractive_index"], (), {})
-    now = sense(days, [index], labels=LABELS)
+    now = sense(Chosen(days, labels=LABELS), [index])
     assert len(now.information("refractive_index")) == 2, "one column a session, of one coefficient"
     scale = np.array([10.0, 100.0])
     then = replace(now, gram=now.gram * np.outer(scale, scale), squares=now.squares * scale**2)

@@ -7,6 +7,7 @@ from functools import cache
 import pytest
 
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
+from machine_tool_calibration.methods.fitted import Chosen
 from machine_tool_calibration.planning.advice import Advice, Separation, alias_groups_of
 from machine_tool_calibration.planning.what_to_measure import what_to_measure
 from machine_tool_calibration.session.session import Session
@@ -101,8 +102,8 @@ def test_effects_that_are_in_the_model_keep_their_shape(simulated: Simulated) ->
     warm = FlawSpec(id="warmup_y", size=3e-5, parameters={"tau": 900.0})
     flaws = (warm, FlawSpec(id="pointer_radial_error", amplitude=4e-6))
     session = simulated("tracking_2d", 5, *flaws)
-    found = diagnose(session, effects=["warmup_y", "pointer_radial_error", "backlash_x"], sets=19)
-    present = {p.effect.id: p for p in present_effects(found, ())}
+    found = diagnose(Chosen((session,), effects=("warmup_y", "pointer_radial_error", "backlash_x")), sets=19)
+    present = {p.effect.id: p for p in present_effects(found)}
     assert set(present) == {"warmup_y", "pointer_radial_error", "backlash_x"}
     assert present["warmup_y"].shape[0] > 0
     assert present["pointer_radial_error"].shape[0] in (3.0, 5.0, 8.0)

@@ -18,8 +18,9 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from machine_tool_calibration.budget.contributor import default_budget
-from machine_tool_calibration.diagnosis.history import Chosen
+from machine_tool_calibration.diagnosis.history import Measured
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.methods.fitted import Chosen
 from machine_tool_calibration.recording.session_bag import session_from_bag, session_to_bag
 from machine_tool_calibration.report import figures
 from machine_tool_calibration.report.evaluation import Evaluation, evaluate
@@ -80,7 +81,7 @@ def evaluated(name: str) -> Evaluation:
         session = replace(session, description=described, readings=replace(session.readings, displacement=values))
     whole = name in WHOLE
     return evaluate(
-        Chosen((session,), (session,), None),
+        Measured((session,), Chosen((session,))),
         diagnosis=whole,
         contributors=default_budget([session.instrument]) if whole else (),
         tolerances={"EXX": 10e-6} if name == "iso230_2" else None,
@@ -242,7 +243,7 @@ def test_phrases_are_found_by_what_stays_the_same():
 
 def test_a_folder_and_a_recording_make_the_same_report(tmp_path):
     found = evaluated("tracking_2d")
-    session_to_bag(found.chosen.sessions[0], tmp_path / "bag")
+    session_to_bag(found.measured.recorded[0], tmp_path / "bag")
     assert data_hash(session_from_bag(tmp_path / "bag")) == found.result.provenance.sha256
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
+from machine_tool_calibration.methods.fitted import Chosen
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
 from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, simulate
@@ -144,8 +145,8 @@ def test_the_effect_that_was_hidden_stands_first_with_its_size() -> None:
 def test_parameters_and_map_change_are_those_of_an_identification() -> None:
     diagnosis, document = found("missing_effect")
     first = document["candidates"][0]
-    without = identify(diagnosis.session)
-    with_it = identify(diagnosis.session, effects=["backlash_y"])
+    without = identify(diagnosis.sessions[0])
+    with_it = identify(diagnosis.sessions[0], effects=["backlash_y"])
     expected = {p.name: p for p in with_it.parameters}
     for parameter in first["parameters"]:
         assert parameter["value"] == pytest.approx(expected[parameter["name"]].value, rel=1e-6)
@@ -210,7 +211,7 @@ def test_smallest_detectable_sizes_are_sizes_that_occur_or_null() -> None:
 
 def test_what_is_in_the_model_already_is_no_candidate() -> None:
     session = simulate(VERDICTS["missing_effect"]).session
-    document = diagnosis_document(diagnose(session, effects=["backlash_y"], sets=19))
+    document = diagnosis_document(diagnose(Chosen((session,), effects=("backlash_y",)), sets=19))
     assert document["fit"]["before"]["effects"] == ["backlash_y"]
     assert "backlash_y" not in {c["effect"] for c in document["candidates"]}
     assert document["fit"]["before"]["rms_residual"] < 4e-7

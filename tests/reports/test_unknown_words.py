@@ -6,7 +6,7 @@ from __future__ import annotations
 import pytest
 
 from machine_tool_calibration.effects.catalogue import catalogue
-from machine_tool_calibration.methods.identify import build_model
+from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.model.model import POINTS, Kind, Parameter, dead_path_of, motion_value, place_of
 from machine_tool_calibration.reports.unknowns import unknown_in_words, unknowns_in_words
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from machine_tool_calibration.methods.identify import build_model
+from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.residuals.combinations import wrong_together
 from machine_tool_calibration.residuals.outliers import find_outliers
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate

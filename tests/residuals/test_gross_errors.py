@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.errors import ModelError, SessionError
-from machine_tool_calibration.methods.identify import build_model, identify
+from machine_tool_calibration.methods.build import build_model
+from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.residuals.leverage import leverage
 from machine_tool_calibration.residuals.outliers import find_outliers, set_aside

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from machine_tool_calibration.methods.identify import build_model
+from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.model.fit import Fit, fit_models
 from machine_tool_calibration.residuals.noise import noise_of, same_place
 from machine_tool_calibration.simulation import PRESETS, SimulationSpec, simulate

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.methods.identify import build_model, identify
+from machine_tool_calibration.methods.build import build_model
+from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import FLAWS, PRESETS, FlawSpec, SimulationSpec, simulate

@@ -73,5 +73,5 @@ def test_a_description_that_nothing_fits(session: str, path: tuple[str | int, ..
 def test_a_direction_of_approach_that_is_unknown_for_a_reading(sound: Session) -> None:
     columns = dict(sound.readings.columns)
     columns["dir_x"] = np.where(np.arange(len(sound.readings)) == 5, np.nan, columns["dir_x"])
-    found = diagnose([sound.with_readings(replace(sound.readings, columns=columns))])
+    found = diagnose(sound.with_readings(replace(sound.readings, columns=columns)))
     assert found.excluded["backlash_x"] == "the column dir_x has missing values"

@@ -64,7 +64,7 @@ def test_in_words_and_in_json(
 
 
 def test_a_diagnosis_says_it(sound: Session) -> None:
-    document = diagnosis_document(diagnose([moved(sound)]))
+    document = diagnosis_document(diagnose(moved(sound)))
     assert len(document["suspicious"]) == 1 and "off the travel" in document["suspicious"][0]
 
 

@@ -409,23 +409,6 @@ def test_backlash_of_any_rotary_axis(axis):
     check(session, signal, np.einsum("ni,ni->n", seen, moved))
 
 
-def test_table_thermal_growth():
-    session, signal, _ = put_in("rotary", "table_thermal_growth", 1.2e-5, axial=2.0)
-    target = {t.id: t.position for t in session.description.targets}
-    p = np.array([target[i] for i in session.readings.labels["target"]])
-    place = np.column_stack([turned(session, p[:, :2]), 2.0 * p[:, 2]])
-    warm = session.readings.columns["temperature_table"] - 20
-    check(session, signal, 1.2e-5 * warm * np.einsum("ni,ni->n", station_distance(session)[1], place))
-
-
-def test_backlash_of_the_rotary_axis():
-    session, signal, _ = put_in("rotary", "backlash_c", 1.3e-5)
-    target = {t.id: t.position for t in session.description.targets}
-    p = turned(session, np.array([target[i][:2] for i in session.readings.labels["target"]]))
-    moved = -1.3e-5 * session.readings.columns["dir_c"][:, None] * np.column_stack([-p[:, 1], p[:, 0]])
-    check(session, signal, np.einsum("ni,ni->n", station_distance(session)[1][:, :2], moved))
-
-
 def test_workpiece_thermal_on_the_machine():
     session, signal, _ = put_in("probing", "workpiece_thermal", 1.2e-5)
     warm = session.readings.columns["temperature_work"] - 20

@@ -112,11 +112,11 @@ def command(
 
 def fitted(wanted: Wanted, paths: Sequence[Path], progress: Report) -> tuple[Sequence[Session], FittedSessions]:
     """The sessions as they were read, and the fit of them as `mtcal identify` makes it."""
-    from machine_tool_calibration.methods.identify import fitted_sessions
+    from machine_tool_calibration.methods.identify import fitted_sessions, identify_sessions
 
-    chosen = wanted.open(paths)
+    measured = wanted.open(paths)
     progress("identifying")
-    return chosen.sessions, fitted_sessions(chosen.identify())
+    return measured.recorded, fitted_sessions(identify_sessions(measured.chosen))
 
 
 def contributors_of(files: Sequence[Path], sessions: Sequence[Session]) -> tuple[Contributor, ...]:

@@ -53,17 +53,15 @@ def command(
     mtcal compare measurements/cube --against temperature_x --against path -o pictures
     mtcal compare measurements/cube measurements/grid_plate
     """
-    from machine_tool_calibration.diagnosis.compare import compare_sessions
+    from machine_tool_calibration.diagnosis.compare import compare
     from machine_tool_calibration.diagnosis.comparison import Comparison
     from machine_tool_calibration.reports import comparison as documents
     from machine_tool_calibration.reports.comparison_tables import show_comparison
 
-    chosen = wanted.open(measurements)
+    chosen = wanted.open(measurements).chosen
     with progress_bar() as progress:
         progress("comparing")
-        comparison = compare_sessions(
-            chosen.kept, chosen.labels, model=chosen.model, effects=chosen.effects, own=chosen.own
-        )
+        comparison = compare(chosen)
         if isinstance(comparison, Comparison):
             for name in against:
                 comparison.covariate(name)

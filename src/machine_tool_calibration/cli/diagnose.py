@@ -60,19 +60,10 @@ def command(
     from machine_tool_calibration.reports.diagnosis import show_diagnosis
     from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
 
-    chosen = wanted.open(measurements)
+    chosen = wanted.open(measurements).chosen
     with progress_bar() as progress:
-        found = diagnose(
-            chosen.kept,
-            chosen.labels,
-            model=chosen.model,
-            effects=chosen.effects,
-            own=chosen.own,
-            seed=seed,
-            sets=sets,
-            progress=lambda what, share: progress(what, SEARCH * share),
-        )
-        then = conclude(found, model=chosen.model, own=chosen.own, progress=progress)
+        found = diagnose(chosen, seed=seed, sets=sets, progress=lambda what, share: progress(what, SEARCH * share))
+        then = conclude(found, progress=progress)
     if output is not None:
         from machine_tool_calibration.plots.diagnosis import save_diagnosis
 

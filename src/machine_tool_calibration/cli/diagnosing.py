@@ -15,7 +15,7 @@ from machine_tool_calibration.cli.output import MOST_DRAWS, note, session_labels
 from machine_tool_calibration.errors import CalibrationError, SessionError
 
 if TYPE_CHECKING:
-    from machine_tool_calibration.diagnosis.history import Chosen
+    from machine_tool_calibration.diagnosis.history import Measured
     from machine_tool_calibration.effects.effect import Effect
     from machine_tool_calibration.model.fit import JointFit
     from machine_tool_calibration.session.session import Session
@@ -53,7 +53,7 @@ class Wanted:
     keep: tuple[str, ...]
     from_history: bool = False
 
-    def open(self, paths: Sequence[Path], topics: dict[str, str] | None = None) -> Chosen:
+    def open(self, paths: Sequence[Path], topics: dict[str, str] | None = None) -> Measured:
         """Read measurements, and choose the model to fit to them.
 
         Args:
@@ -64,16 +64,16 @@ class Wanted:
             UsageError: effects or a model were asked for beside those of the history.
             CalibrationError: a measurement cannot be read, `--keep` names no reading of it, or no model was tried yet.
         """
-        from machine_tool_calibration.diagnosis.history import Chosen
+        from machine_tool_calibration.diagnosis.history import Measured
+        from machine_tool_calibration.methods.fitted import Chosen
         from machine_tool_calibration.recording.open import open_measurement
         from machine_tool_calibration.session.session import refuse_repeated
 
         own, labels = own_effects(self.files), session_labels(paths)
         sessions = tuple(keeping([open_measurement(path, topics) for path in paths], labels, self.keep))
         refuse_repeated(sessions, labels)
-        names = tuple(labels) if len(paths) > 1 else None
         if not self.from_history:
-            return Chosen(sessions, sessions, names, self.model, self.effects, tuple(own))
+            return Measured(sessions, Chosen(sessions, tuple(labels), self.model, self.effects, tuple(own)))
         if self.effects or self.model:
             raise click.UsageError("--from-history is without --effect and --model.")
         import numpy as np
@@ -97,17 +97,16 @@ class Wanted:
             session = session.keeping(set(model.kept).intersection(rows))
             aside = np.isin(rows, [row for row in model.set_aside if row not in session.sound])
             kept.append(session.without(aside) if aside.any() else session)
-        return Chosen(
-            sessions,
+        chosen = Chosen(
             tuple(kept),
-            names,
+            tuple(labels),
             entry.variant(said, sessions),
             entry.effects,
             tuple(entry.own_effects(own)),
-            tuple(entry.sets()),
             keep_all=True,
-            history=history.way_to(entry.number),
+            sets=tuple(entry.sets()),
         )
+        return Measured(sessions, chosen, history.way_to(entry.number))
 
 
 def unused_model(

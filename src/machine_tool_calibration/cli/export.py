@@ -156,32 +156,34 @@ class _Found:
 
 def _identified(paths: tuple[Path, ...], wanted: Wanted, topics: dict[str, str]) -> _Found:
     from machine_tool_calibration.export.compensation import compensation
+    from machine_tool_calibration.methods.identify import identify_sessions
     from machine_tool_calibration.model.result import Result
     from machine_tool_calibration.session.checks.suspicion import suspicions
 
     # beside the history's a model can be named, since not every one has tables
-    chosen = replace(wanted, model=None if wanted.from_history else wanted.model).open(paths, topics)
-    source = " + ".join(session.source for session in chosen.sessions)
+    measured = replace(wanted, model=None if wanted.from_history else wanted.model).open(paths, topics)
+    chosen, recorded = measured.chosen, measured.recorded
+    source = " + ".join(session.source for session in recorded)
     if chosen.labels is None:
         if wanted.from_history:
-            number = chosen.history[-1].number
+            number = measured.history[-1].number
             note(f"with {', '.join(chosen.effects) or 'no effects'}, as in model {number} of the history")
         model = wanted.model or (None if chosen.model == "free" else chosen.model)
         chosen = replace(chosen, model=model or chosen.sessions[0].spec.with_tables, sets=())
-    result = chosen.identify()
+    result = identify_sessions(chosen)
     said = [bad_fit(result.joint, result.error_map.content)]
     if isinstance(result, Result):
         models: tuple[str, ...] = (result.model_name,)
         if not wanted.from_history:
-            said.append(unused_model(chosen.sessions, paths, chosen.effects, result.joint))
+            said.append(unused_model(recorded, paths, chosen.effects, result.joint))
     else:
         models = result.model_names
         note(result.agreement.statement)
-        for opened, path in zip(chosen.sessions, paths, strict=True):
+        for opened, path in zip(recorded, paths, strict=True):
             said.append(unused_model([opened], [path], chosen.effects, None, effects_only=True))
     warnings = tuple(text for text in said if text)
     made = compensation(result, source, chosen.own)
-    return _Found(made, models, result.joint, warnings, suspicions(chosen.kept, chosen.labels))
+    return _Found(made, models, result.joint, warnings, suspicions(chosen.sessions, chosen.labels))
 
 
 def _save(folder: Path, files: dict[str, str], pictures: Sequence[str]) -> None:

@@ -118,6 +118,7 @@ def command(
     mtcal features measurements/block --features walls.yaml --angle left,top
     """
     from machine_tool_calibration.cli.export import bad_fit
+    from machine_tool_calibration.methods.identify import identify_sessions
     from machine_tool_calibration.methods.probing.features import features
     from machine_tool_calibration.methods.probing.propagation import monte_carlo
     from machine_tool_calibration.model.result import Result
@@ -125,12 +126,12 @@ def command(
     from machine_tool_calibration.session.feature_points import read_feature_points
 
     named = None if listed is None else read_feature_points(listed)
-    chosen = wanted.open([session])
-    result = chosen.identify()
+    measured = wanted.open([session])
+    result = identify_sessions(measured.chosen)
     assert isinstance(result, Result)  # of a single session
     unused = None
     if not wanted.from_history:
-        unused = unused_model(chosen.sessions, [session], chosen.effects, result.joint)
+        unused = unused_model(measured.recorded, [session], measured.chosen.effects, result.joint)
     fit = result.fit
     found = features(fit, named=named, centres=through, frame=frame, distances=distances, angles=angles)
     drawn = monte_carlo(fit, found.rows, draws, distribution, seed) if draws else None  # type: ignore[arg-type]

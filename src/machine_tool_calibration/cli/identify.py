@@ -17,7 +17,7 @@ from machine_tool_calibration.reports.documents import plain, to_json
 from machine_tool_calibration.reports.identification import show_profiles, show_result
 
 if TYPE_CHECKING:
-    from machine_tool_calibration.diagnosis.history import Chosen
+    from machine_tool_calibration.methods.fitted import Chosen
     from machine_tool_calibration.methods.identify import JointResult
     from machine_tool_calibration.model.result import Result
     from machine_tool_calibration.session.session import Session
@@ -64,21 +64,24 @@ def command(
     mtcal identify session --from-history
     mtcal identify tracking grid_plate --json
     """
+    from machine_tool_calibration.methods.identify import identify_sessions
+
     if formulation and (wanted.from_history or table):
         raise click.UsageError("--formulation is without --from-history and --csv.")
     folder, written = output or (Path() if plot else None), []
     result: Result | JointResult | None = None
     with progress_bar() as progress:
-        chosen = wanted.open(sessions)
+        measured = wanted.open(sessions)
+        chosen, recorded = measured.chosen, measured.recorded
         progress("identifying")
         if formulation is not None:
             document = plain(_by_formulation(chosen, formulation))
         else:
-            result = replace(chosen, keep_all=keep_all or chosen.keep_all).identify()
-            document = chosen.document(result)
+            result = identify_sessions(replace(chosen, keep_all=keep_all or chosen.keep_all))
+            document = measured.document(result)
         if folder:
             progress("drawing")
-            written = _write(document, result, chosen.sessions, folder, result_file=output is not None)
+            written = _write(document, result, recorded, folder, result_file=output is not None)
         if table and result is not None:
             from machine_tool_calibration.reports.documents import write_table
             from machine_tool_calibration.reports.result_tables import tidy
@@ -89,13 +92,13 @@ def command(
                 raise CalibrationError(f"{table}: cannot be written: {error.strerror}") from None
     better = None
     if result is not None and not wanted.from_history:
-        better = unused_model(chosen.sessions, sessions, chosen.effects, result.joint)
+        better = unused_model(recorded, sessions, chosen.effects, result.joint)
     if as_json:
         write_json(document)
     elif result is None:
         show_profiles(console(), document)
     else:
-        show_result(console(), document, chosen.sessions, result.joint)
+        show_result(console(), document, recorded, result.joint)
     for path in () if as_json else written:
         console().print(f"written: {path}")
     if better:

@@ -18,7 +18,6 @@ from machine_tool_calibration.errors import CalibrationError, SessionError
 if TYPE_CHECKING:
     from machine_tool_calibration.diagnosis.history import History
     from machine_tool_calibration.diagnosis.improve import Improvement
-    from machine_tool_calibration.effects.effect import Effect
     from machine_tool_calibration.session.session import Session
 
 __all__ = ["HistoryUpdate", "command", "draw", "keep_models"]
@@ -39,21 +38,20 @@ class HistoryUpdate:
     failure: str = ""
 
 
-def keep_models(done: Improvement, sessions: Sequence[Session], path: Path, own: Sequence[Effect]) -> HistoryUpdate:
+def keep_models(done: Improvement, sessions: Sequence[Session], path: Path) -> HistoryUpdate:
     """Put the models into the history; a failure is returned, and loses nothing else.
 
     Args:
         done: what was done.
         sessions: of which readings.
         path: the history's file.
-        own: the user's own effects.
     """
     from machine_tool_calibration.diagnosis.improve import entries
     from machine_tool_calibration.reports.history_file import fingerprint, update_history
 
     prints = [fingerprint(session) for session in sessions]
     now = datetime.now(UTC).isoformat(timespec="seconds")
-    made = entries(done, fingerprint(*sessions), prints, now, "improve", own)
+    made = entries(done, fingerprint(*sessions), prints, now)
     before: list[History] = []
 
     def grown(old: History) -> History:
@@ -125,23 +123,14 @@ def command(
     from machine_tool_calibration.reports.history_file import history_path, read_history
     from machine_tool_calibration.reports.improvement import improvement_document, show_improvement
 
-    chosen, kept = wanted.open(measurements), history_path(*measurements)
+    chosen, kept = wanted.open(measurements).chosen, history_path(*measurements)
     if history:
         # A damaged history is reported before a long calculation, not after it.
         read_history(kept)
     with progress_bar() as progress:
-        done = improve(
-            chosen.sessions,
-            chosen.labels,
-            model=chosen.model,
-            effects=chosen.effects,
-            own=chosen.own,
-            seed=seed,
-            sets=sets,
-            progress=progress,
-        )
+        done = improve(chosen, seed=seed, sets=sets, progress=progress)
     # What is to be kept is written before anything is printed: the reader of the output may go away.
-    update = keep_models(done, chosen.sessions, kept, chosen.own) if history else HistoryUpdate()
+    update = keep_models(done, chosen.sessions, kept) if history else HistoryUpdate()
     if output is None:
         names = "+".join(path.absolute().name for path in measurements)
         output = Path("mtcal_output") / f"improve_{names}"

@@ -22,20 +22,17 @@ from machine_tool_calibration.diagnosis.comparison import (
     Share,
     Trend,
 )
-from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.estimation.reduction import single_blas
-from machine_tool_calibration.methods.build import sharing_variant
-from machine_tool_calibration.methods.fitted import fit_sessions
-from machine_tool_calibration.methods.identify import JointResult, gross_errors
+from machine_tool_calibration.methods.fitted import Chosen, fit_sessions, gross_errors
+from machine_tool_calibration.methods.identify import JointResult, fitted_sessions
 from machine_tool_calibration.model.fit import Fit, screen
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.residuals.covariates import bins, covariates, rank_covariates, sensed
 from machine_tool_calibration.residuals.leverage import leverage
 from machine_tool_calibration.residuals.noise import FEWEST_REPEATS, Noise, noise_of, same_place
-from machine_tool_calibration.residuals.outliers import Outlier
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["Sums", "compare", "compare_result", "compare_sessions", "residual_sums"]
+__all__ = ["Sums", "compare", "residual_sums"]
 
 
 # Sums of one pass: few enough for the memory of large sessions.
@@ -72,28 +69,26 @@ def residual_sums(fit: Fit, weights: Array) -> Sums:
         weights: (k, n).
     """
     variance = fit.model.sigma**2
-    value, own, raw, slope = (np.empty(len(weights)) for _ in range(4))
+    # Columns V w, so that their product with the weighted residuals is w.r.
+    value, own, raw = _screened(fit, weights, variance)
+    seen = own > _LEFT * np.maximum(raw, np.finfo(float).tiny)
+    value, own = np.where(seen, value, np.nan), np.where(seen, own, np.nan)
+    # w as a column of the model: the sum with weights V^-1 w over that sum's variance; the same w only where V is even.
+    if float(np.ptp(variance)) <= 1e-9 * float(variance.max()):
+        return Sums(value, np.sqrt(own), value / own * variance[0], variance[0] / np.sqrt(own))
+    product, inner, _ = _screened(fit, weights, np.ones(1))
+    inner = np.where(seen, inner, np.nan)
+    return Sums(value, np.sqrt(own), product / inner, 1.0 / np.sqrt(inner))
+
+
+def _screened(fit: Fit, weights: Array, scale: Array) -> tuple[Array, Array, Array]:
+    """Of each column: its product with the residuals, its square outside the model, and its square."""
+    out = np.empty((3, len(weights)))
     for first in range(0, len(weights), _BATCH):
         pick = slice(first, first + _BATCH)
-        # Columns V w, so that their product with the weighted residuals is w.r.
-        sums = screen(fit, weights[pick] * variance)
-        value[pick], own[pick], raw[pick] = sums.gram[:-1, -1], np.diag(sums.gram)[:-1], sums.squares[:-1]
-    seen = own > _LEFT * np.maximum(raw, np.finfo(float).tiny)
-    value = np.where(seen, value, np.nan)
-    own = np.where(seen, own, np.nan)
-    # w as a column of the model: the sum with weights V^-1 w over that sum's variance; the same w only where V is even.
-    even = float(np.ptp(variance)) <= 1e-9 * float(variance.max())
-    if even:
-        slope = value / own * variance[0]
-        slope_u = variance[0] / np.sqrt(own)
-    else:
-        slope, slope_u = np.empty(len(weights)), np.empty(len(weights))
-        for first in range(0, len(weights), _BATCH):
-            pick = slice(first, first + _BATCH)
-            sums = screen(fit, weights[pick])
-            inner = np.where(seen[pick], np.diag(sums.gram)[:-1], np.nan)
-            slope[pick], slope_u[pick] = sums.gram[:-1, -1] / inner, 1.0 / np.sqrt(inner)
-    return Sums(value, np.sqrt(own), slope, slope_u)
+        sums = screen(fit, weights[pick] * scale)
+        out[:, pick] = sums.gram[:-1, -1], np.diag(sums.gram)[:-1], sums.squares[:-1]
+    return out[0], out[1], out[2]
 
 
 # A reading with less than this share of itself in its residual cannot be judged.
@@ -105,81 +100,29 @@ _WORST = 10
 
 
 @single_blas()
-def compare(
-    subject: Session | Fit | Result,
-    *,
-    model: str | None = None,
-    effects: Sequence[str] = (),
-    own: Sequence[Effect] = (),
-) -> Comparison:
-    """Hold a model against its readings.
+def compare(subject: Session | Chosen | Fit | Result | JointResult) -> Comparison | JointComparison:
+    """Hold a model against its readings; that of several sessions of one machine against the readings of each.
 
     Args:
-        subject: a session, of which the model is fitted; or a fit or result: one session's share in a fit of several
+        subject: measurements, to which the model is fitted; or a fit or result: one session's share in a fit of several
             is held against that session's readings.
-        model: for a session, the method's model; its default if absent.
-        effects: for a session, ids of effects in the model.
-        own: for a session, the user's own effects, beside the catalogue.
 
     Raises:
         ModelError: the data does not allow the model.
     """
-    outliers: tuple[int, ...] = ()
-    variant = ""
-    if isinstance(subject, Session):
-        fitted = fit_sessions([subject], model=model, effects=effects, own=own)
-        fit, variant = fitted.joint.fits[0], fitted.model_names[0]
-        outliers = _rows(gross_errors(subject, model, effects, own)[0])
-    elif isinstance(subject, Result):
-        fit, effects, variant = subject.fit, subject.effects, subject.model_name
+    if isinstance(subject, Fit):
+        return _Look(subject).comparison((), (), "")
+    if isinstance(subject, Session | Chosen):
+        chosen = Chosen.of(subject)
+        fitted = fit_sessions(chosen)
+        apart = [tuple(sorted(outlier.row for outlier in found)) for found, _ in gross_errors(chosen)]
     else:
-        fit = subject
-    return _Look(fit).comparison(tuple(effects), outliers, variant)
-
-
-@single_blas()
-def compare_result(result: Result | JointResult) -> Comparison | JointComparison:
-    """Hold the model by which one session or several were identified against the readings of each."""
-    if isinstance(result, Result):
-        return compare(result)
-    pairs = zip(result.fit.fits, result.model_names, strict=True)
-    each = tuple(_Look(fit).comparison(result.effects, (), variant) for fit, variant in pairs)
-    return JointComparison(result.fit, result.labels, each)
-
-
-@single_blas()
-def compare_sessions(
-    sessions: Sequence[Session],
-    labels: Sequence[str] | None = None,
-    *,
-    model: str | None = None,
-    effects: Sequence[str] = (),
-    own: Sequence[Effect] = (),
-) -> Comparison | JointComparison:
-    """Hold the model of one session, or that of several sessions of one machine, against the readings of each.
-
-    Args:
-        sessions: the measurements.
-        labels: names of several, all different; not needed for one.
-        model: variant of the methods that have it; for one session, its method must.
-        effects: ids of effects in the model.
-        own: the user's own effects, beside the catalogue.
-
-    Raises:
-        ModelError: the data does not allow the model.
-    """
-    if len(sessions) == 1:
-        return compare(sessions[0], model=model, effects=effects, own=own)
-    fitted = fit_sessions(sessions, labels, model=model, effects=effects, own=own)
-    # Each by itself, as an identification of several does.
-    apart = [_rows(gross_errors(session, sharing_variant(session, model))[0]) for session in sessions]
+        fitted = fitted_sessions(subject)
+        apart = [() for _ in fitted.model_names]
     triples = zip(fitted.joint.fits, apart, fitted.model_names, strict=True)
-    each = tuple(_Look(fit).comparison(tuple(effects), rows, variant) for fit, rows, variant in triples)
-    return JointComparison(fitted.joint, tuple(labels or ()), each)
-
-
-def _rows(found: Sequence[Outlier]) -> tuple[int, ...]:
-    return tuple(sorted(outlier.row for outlier in found))
+    each = tuple(_Look(fit).comparison(fitted.effects, rows, variant) for fit, rows, variant in triples)
+    labels = fitted.joint.assembly.labels
+    return each[0] if labels is None else JointComparison(fitted.joint, labels, each)
 
 
 class _Look:
@@ -214,17 +157,16 @@ class _Look:
         shares = self._shares([*setups.items(), *runs.items(), *(part for _, part in regions)], sums=True)
         first, last = len(setups), len(setups) + len(runs)
         order = np.argsort(-np.nan_to_num(np.abs(self.studentized)), kind="stable")
-        overall = self._overall() if self.alone else self._share_of_all()
         return Comparison(
             fit=fit,
             effects=effects,
             variant=variant,
-            overall=overall,
+            overall=self._overall() if self.alone else self._share_of_all(),
             setups=_worst_first(shares[:first]),
             runs=_worst_first(shares[first:last]),
             labels={name: self._labels(values) for name, values in readings.labels.items()},
             regions=tuple(
-                Region(axis, *_ends(self.covariates[axis][mask]), share)
+                Region(axis, float(self.covariates[axis][mask].min()), float(self.covariates[axis][mask].max()), share)
                 for (axis, (_, mask)), share in zip(regions, shares[last:], strict=True)
             ),
             approaches=self._approaches(),
@@ -368,10 +310,6 @@ def _slope_weights(values: Array, mask: BoolArray) -> Array:
     if squares > 0:
         out[mask] = centred / squares
     return out
-
-
-def _ends(values: Array) -> tuple[float, float]:
-    return float(values.min()), float(values.max())
 
 
 def _worst_first(shares: Sequence[Share]) -> tuple[Share, ...]:

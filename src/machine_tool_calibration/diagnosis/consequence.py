@@ -13,7 +13,7 @@ from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.findings import Finding
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.reduction import single_blas
-from machine_tool_calibration.methods.fitted import FittedSessions
+from machine_tool_calibration.methods.fitted import FittedSessions, fit_sessions
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.model.result import ErrorMap, Estimate
@@ -68,15 +68,15 @@ def consequences(diagnosis: Diagnosis, most: int = _MOST) -> dict[str, Consequen
         By id; without a candidate that cannot be fitted.
     """
     out = {}
-    accepted, fits = diagnosis.accepted, diagnosis.fits
-    maps = [fitted.error_map for fitted in diagnosis.fitted]
-    for k, name in enumerate(accepted):
-        out[name] = _consequence(name, fits[k], fits[k + 1], fits[-1], maps[k], maps[k + 1])
-    others = [f for f in diagnosis.ranked if f.rank and f.name not in accepted][:most]
-    for f in others:
-        fit = _added(diagnosis, f)
-        if fit is not None:
-            out[f.name] = _consequence(f.name, fits[0], fit.joint, fit.joint, maps[0], fit.error_map)
+    accepted, fitted = diagnosis.accepted, diagnosis.fitted
+    for name, before, after in zip(accepted, fitted[:-1], fitted[1:], strict=True):
+        out[name] = _consequence(name, before, after, fitted[-1].joint)
+    for name in [f.name for f in diagnosis.ranked if f.rank and f.name not in accepted][:most]:
+        try:
+            alone = fit_sessions(diagnosis.searched.adding([name]))
+        except ModelError:
+            continue
+        out[name] = _consequence(name, fitted[0], alone, alone.joint)
     return out
 
 
@@ -87,20 +87,9 @@ def before_and_after(diagnosis: Diagnosis, found: Finding, changes: Mapping[str,
     return rms(Pool(diagnosis.fits[0]).residuals), found.rms_after
 
 
-def _added(diagnosis: Diagnosis, found: Finding) -> FittedSessions | None:
-    if found.candidate.effect is None:
-        return None
-    try:
-        return diagnosis.fit_with([found.candidate.effect])
-    except ModelError:
-        return None
-
-
-def _consequence(
-    name: str, before: JointFit, after: JointFit, final: JointFit, map_before: ErrorMap, map_after: ErrorMap
-) -> Consequence:
+def _consequence(name: str, before: FittedSessions, after: FittedSessions, final: JointFit) -> Consequence:
     signal, uncertainty = _signal(final, name)
-    old, new = Pool(before).residuals, Pool(after).residuals
+    old, new = Pool(before.joint).residuals, Pool(after.joint).residuals
     told = rms(uncertainty) < _TOLD * rms(signal)
     return Consequence(
         effect=name,
@@ -109,7 +98,7 @@ def _consequence(
         signal_largest=float(np.abs(signal).max(initial=0.0)) if told else None,
         rms_before=rms(old),
         rms_after=rms(new),
-        map_change_rms=map_change(map_before, map_after),
+        map_change_rms=map_change(before.error_map, after.error_map),
         explained=old - new,
     )
 

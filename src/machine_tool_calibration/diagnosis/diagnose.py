@@ -6,7 +6,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache
 
 import numpy as np
 import threadpoolctl
@@ -17,12 +17,9 @@ from machine_tool_calibration.diagnosis.search.look import Look, look_at
 from machine_tool_calibration.diagnosis.search.prediction import Prediction, predictions
 from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, CONTRADICTED, GROSS, LIKELY, SURE
 from machine_tool_calibration.diagnosis.search.structure import structure_candidates
-from machine_tool_calibration.effects.catalogue import catalogue, find_effects
-from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.effects.effect_terms import add_effects
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.methods.build import build_model, sharing_variant
-from machine_tool_calibration.methods.fitted import FittedSessions, fit_sessions
+from machine_tool_calibration.methods.fitted import Chosen, FittedSessions, fit_sessions
 from machine_tool_calibration.model.fit import Fit, JointFit
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import EffectSet, ErrorMap
@@ -98,8 +95,8 @@ class Diagnosis:
     """What is missing, what cannot be distinguished and what could not have been seen.
 
     Attributes:
-        sessions: the measurements, without outliers.
-        labels: their names; None for a single one.
+        chosen: the measurements, without outliers, and the first model.
+        searched: the same as they were searched: places that were measured repeatedly may have their means.
         verdict: adequate, missing_effect, unexplained or outliers.
         accepted: effects found, the surest first.
         look: at the model without them.
@@ -108,11 +105,10 @@ class Diagnosis:
         refused: effects that are probable and yet not added, with the reason.
         excluded: effects that could not be looked for, with the reason.
         set_aside: readings of each session that were set aside.
-        fit_with: fits the readings that were searched with further effects in the model.
     """
 
-    sessions: tuple[Session, ...]
-    labels: tuple[str, ...] | None
+    chosen: Chosen
+    searched: Chosen
     verdict: str
     accepted: tuple[str, ...]
     look: Look
@@ -121,12 +117,16 @@ class Diagnosis:
     refused: dict[str, str]
     excluded: dict[str, str]
     set_aside: tuple[tuple[Outlier, ...], ...]
-    fit_with: Callable[[Sequence[Effect]], FittedSessions]
 
     @property
-    def session(self) -> Session:
-        """The first of the measurements."""
-        return self.sessions[0]
+    def sessions(self) -> tuple[Session, ...]:
+        """The measurements, without outliers."""
+        return self.chosen.sessions
+
+    @property
+    def labels(self) -> tuple[str, ...] | None:
+        """Their names; None for a single one."""
+        return self.chosen.labels
 
     @property
     def provenance(self) -> Provenance:
@@ -181,16 +181,9 @@ class Diagnosis:
         return _contradicted(self.look, self.fits)
 
 
-FitOf = Callable[[Sequence[Session], Sequence[Effect]], FittedSessions]
-
-
 def diagnose(
-    subject: Session | Sequence[Session],
-    labels: Sequence[str] | None = None,
+    subject: Session | Chosen,
     *,
-    model: str | None = None,
-    effects: Sequence[str] = (),
-    own: Sequence[Effect] = (),
     seed: int = 1,
     sets: int = 199,
     progress: Callable[[str, float], None] = lambda what, share: None,
@@ -198,11 +191,7 @@ def diagnose(
     """Look for missing effects in one session, or in several of one machine together.
 
     Args:
-        subject: the measurement or measurements.
-        labels: names of several, all different.
-        model: the method's model; its default if absent.
-        effects: ids of effects that are in the model already.
-        own: the user's own effects, looked for beside the catalogue.
+        subject: the measurement or measurements; the user's own effects are looked for beside the catalogue.
         seed: of the simulated data sets.
         sets: simulated data sets in which nothing is missing.
         progress: called with what is being done and the share that is finished.
@@ -210,78 +199,47 @@ def diagnose(
     Raises:
         ModelError: the data does not allow the model.
     """
-    sessions = (subject,) if isinstance(subject, Session) else tuple(subject)
-    present = find_effects(effects, own)
-    known = [effect for effect in catalogue(own).values() if effect.id not in effects]
-
-    fit_of = partial(_fitted_with, labels=labels, model=model, effects=tuple(effects), own=tuple(own))
-
-    def outliers_beside(added: Sequence[Effect]) -> tuple[tuple[tuple[Outlier, ...], ...], tuple[Session, ...]]:
-        """Outliers of each session, judged by itself, and the sessions without them."""
-        found, kept = [], []
-        for session in sessions:
-            variant = model if len(sessions) == 1 else sharing_variant(session, model)
-            build = partial(_alone, variant=variant, effects=[*present, *added], several=len(sessions) > 1)
-            outliers, without = find_outliers(session, build)
-            found.append(tuple(outliers))
-            kept.append(without)
-        return tuple(found), tuple(kept)
-
+    chosen = Chosen.of(subject)
     # Many small products: more than one thread for each only costs.
     with threadpoolctl.threadpool_limits(1, user_api="blas"):
         progress("looking for outliers", 0.0)
-        aside, kept = outliers_beside(())
-        found = _search(kept, labels, known, fit_of, seed, sets, progress)
+        aside, kept = _outliers_beside(chosen, ())
+        found = _search(kept, seed, sets, progress)
         probable = found.accepted or found.look.accepted
         if probable:
             # With the effects in the model some of them belong to the rest again, and others stand out that were lost
             # in what the effects left: then the search begins anew.
-            again, kept = outliers_beside([effect for effect in known if effect.id in probable])
+            again, kept = _outliers_beside(chosen, probable)
             if [{o.row for o in one} for one in again] != [{o.row for o in one} for one in aside]:
-                found = _search(kept, labels, known, fit_of, seed, sets, progress)
+                found = _search(kept, seed, sets, progress)
             aside = again
         progress("done", 1.0)
-    verdict = found.verdict
-    if verdict == "adequate" and any(aside):
-        verdict = "outliers"
-    return replace(found, sessions=kept, verdict=verdict, set_aside=aside)
+    verdict = "outliers" if found.verdict == "adequate" and any(aside) else found.verdict
+    return replace(found, chosen=kept, verdict=verdict, set_aside=aside)
 
 
-def _fitted_with(
-    parts: Sequence[Session],
-    added: Sequence[Effect],
-    *,
-    labels: Sequence[str] | None,
-    model: str | None,
-    effects: Sequence[str],
-    own: Sequence[Effect],
-) -> FittedSessions:
-    """The model with further effects; a function of its own, so that a diagnosis goes from process to process."""
-    ids = [*effects, *(effect.id for effect in added)]
-    return fit_sessions(parts, labels, model=model, effects=ids, own=own)
+def _outliers_beside(chosen: Chosen, added: Sequence[str]) -> tuple[tuple[tuple[Outlier, ...], ...], Chosen]:
+    """Outliers of each session, judged by itself beside further effects, and the sessions without them."""
+    several = len(chosen.sessions) > 1
+    present = [*chosen.present, *(effect for effect in chosen.absent if effect.id in added)]
+
+    def build(session: Session) -> MethodModel:
+        base = chosen.base(session)[0]
+        # One of several has those effects that can act in it.
+        return add_effects(base, [e for e in present if not several or e.why_not(base.observations) is None])
+
+    found = [find_outliers(session, build) for session in chosen.sessions]
+    without = replace(chosen, sessions=tuple(kept for _, kept in found))
+    return tuple(tuple(outliers) for outliers, _ in found), without
 
 
-def _alone(session: Session, variant: str | None, effects: Sequence[Effect], several: bool) -> MethodModel:
-    """The model of one session, with those effects that can act in it where it is one of several."""
-    base = build_model(session, variant)[0]
-    acting = [effect for effect in effects if not several or effect.why_not(base.observations) is None]
-    return add_effects(base, acting)
-
-
-def _search(
-    sessions: tuple[Session, ...],
-    labels: Sequence[str] | None,
-    known: Sequence[Effect],
-    fit_of: FitOf,
-    seed: int,
-    sets: int,
-    progress: Callable[[str, float], None],
-) -> Diagnosis:
-    first = fit_of(sessions, ())
-    averaged = mean_places(first.joint.fits[0]) if len(sessions) == 1 else None
-    parts = sessions if averaged is None else (averaged[0],)
+def _search(chosen: Chosen, seed: int, sets: int, progress: Callable[[str, float], None]) -> Diagnosis:
+    searched, known = chosen, chosen.absent
+    first = fit_sessions(searched)
+    averaged = mean_places(first.joint.fits[0]) if len(chosen.sessions) == 1 else None
     if averaged is not None:
-        first = fit_of(parts, ())
+        searched = replace(chosen, sessions=(averaged[0],))
+        first = fit_sessions(searched)
     # Error motions that the model holds as random functions, under names of their own.
     held = {
         term.name.rsplit(".", 1)[1] for model in first.joint.assembly.models for term in model.terms if "." in term.name
@@ -290,13 +248,12 @@ def _search(
     candidates, excluded = effect_candidates(pool, [e for e in known if e.id not in held])
     excluded |= {e.id: "the model has it already, as a random function" for e in known if e.id in held}
     progress(f"{len(candidates)} effects, alone and together", 0.2)
-    side_by_side = all(session.spec.reads_machine for session in sessions)
+    side_by_side = all(session.spec.reads_machine for session in chosen.sessions)
     structures = structure_candidates(pool)
-    effects = {effect.id: effect for effect in known}
 
     @cache
     def fit_with(ids: tuple[str, ...]) -> FittedSessions:
-        return fit_of(parts, [effects[name] for name in ids])
+        return fit_sessions(searched.adding(ids))
 
     def look_for(tried: Sequence[Candidate]) -> Look:
         return look_at(first.joint, tried, structures, np.random.default_rng(seed), sets, side_by_side=side_by_side)
@@ -310,7 +267,7 @@ def _search(
         noise = replace(look.noise[0], from_repeats=told.from_repeats, repeats=told.repeats)
         look = replace(look, noise=(noise,))
     progress("readings that are left out", 0.7)
-    predicted = predictions(parts, look, lambda left: fit_of(left, ()).joint)
+    predicted = predictions(searched.sessions, look, lambda left: fit_sessions(replace(searched, sessions=left)).joint)
     fitted, accepted, refused = [first], list[str](), dict[str, str]()
     for name in look.accepted:
         if not look.of(name).plausible:
@@ -334,8 +291,8 @@ def _search(
     verdict = _verdict(look, [f.joint for f in fitted], bool(accepted))
     names = tuple(accepted) if verdict == "missing_effect" else ()
     return Diagnosis(
-        sessions=sessions,
-        labels=None if labels is None else tuple(labels),
+        chosen=chosen,
+        searched=searched,
         verdict=verdict,
         accepted=names,
         look=look,
@@ -343,8 +300,7 @@ def _search(
         predicted=predicted,
         refused=refused,
         excluded=excluded,
-        set_aside=tuple(() for _ in sessions),
-        fit_with=partial(fit_of, parts),
+        set_aside=tuple(() for _ in chosen.sessions),
     )
 
 

@@ -14,11 +14,12 @@ from machine_tool_calibration.errors import ModelError
 
 if TYPE_CHECKING:
     from machine_tool_calibration.effects.effect import Effect
+    from machine_tool_calibration.methods.fitted import Chosen
     from machine_tool_calibration.methods.identify import JointResult
     from machine_tool_calibration.model.result import EffectSet, Estimate, Result
     from machine_tool_calibration.session.session import Session
 
-__all__ = ["Alternative", "Chosen", "Coefficient", "Entry", "History", "Part"]
+__all__ = ["Alternative", "Coefficient", "Entry", "History", "Measured", "Part"]
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 
@@ -278,54 +279,25 @@ class History(_Record):
 
 
 @dataclass(frozen=True)
-class Chosen:
-    """Measurements and the model to fit to them: one that was asked for, or one of the history.
+class Measured:
+    """Measurements as they were recorded, and what is to be fitted to them.
 
     Attributes:
-        sessions: the measurements, with all readings that were recorded.
-        kept: those to fit; without what the history's model sets aside.
-        labels: names of several; None for a single one.
-        model: variant of the method's model; the default if None.
-        effects: ids of the effects in the model.
-        own: effects of the user's own.
-        sets: sets of effects over which the map is the mean.
-        keep_all: whether nothing more is set aside.
+        recorded: the measurements, with all their readings.
+        chosen: those to fit, without what the history's model sets aside, and the model: one that was asked for, or
+            one of the history.
         history: the models from the first to the one in use, where it is the history's.
     """
 
-    sessions: tuple[Session, ...]
-    kept: tuple[Session, ...]
-    labels: tuple[str, ...] | None
-    model: str | None = None
-    effects: tuple[str, ...] = ()
-    own: tuple[Effect, ...] = ()
-    sets: tuple[EffectSet, ...] = ()
-    keep_all: bool = False
+    recorded: tuple[Session, ...]
+    chosen: Chosen
     history: tuple[Entry, ...] = ()
-
-    def identify(self) -> Result | JointResult:
-        """The machine's errors by this model.
-
-        Raises:
-            ModelError: the data does not allow it.
-        """
-        from machine_tool_calibration.methods.identify import identify_sessions
-
-        return identify_sessions(
-            self.kept,
-            self.labels,
-            model=self.model,
-            effects=self.effects,
-            own=self.own,
-            keep_all=self.keep_all,
-            sets=self.sets,
-        )
 
     def document(self, result: Result | JointResult) -> dict[str, Any]:
         """The result as a JSON document, with the readings that the history's model set aside among the rejected."""
         document = result.document()
         last = f"model {self.history[-1].number} of the history" if self.history else "the history"
-        for label, session, kept in zip(self.labels or ("",), self.sessions, self.kept, strict=True):
+        for label, session, kept in zip(self.chosen.labels or ("",), self.recorded, self.chosen.sessions, strict=True):
             gone = sorted(set(session.readings.row.tolist()) - set(kept.readings.row.tolist()))
             named = {"session": label} if label else {}
             document["rejected"] += [{**named, "row": row, "reason": f"set aside by {last}"} for row in gone]

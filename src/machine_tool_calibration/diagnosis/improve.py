@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,8 +12,9 @@ from machine_tool_calibration.diagnosis.consequence import effect_estimates, map
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.history import Alternative, Coefficient, Entry, Part
 from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.methods.fitted import Chosen
 from machine_tool_calibration.methods.identify import JointResult, identify_sessions
-from machine_tool_calibration.model.result import EffectSet, Estimate, Result
+from machine_tool_calibration.model.result import Estimate, Result
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.provenance import Provenance
 from machine_tool_calibration.session.session import Session
@@ -126,12 +127,8 @@ def residual_volumetric_error(step: Step, last: Step) -> float | None:
 
 
 def improve(
-    subject: Session | Sequence[Session],
-    labels: Sequence[str] | None = None,
+    subject: Session | Chosen,
     *,
-    model: str | None = None,
-    effects: Sequence[str] = (),
-    own: Sequence[Effect] = (),
     seed: int = 1,
     sets: int = 199,
     progress: Callable[[str, float], None] = lambda what, share: None,
@@ -141,11 +138,7 @@ def improve(
     Nothing is added unless the diagnosis names it as the cause; readings that it sets aside are left out first.
 
     Args:
-        subject: the measurement, or several of one machine.
-        labels: names of several, all different.
-        model: the method's model; its default if absent.
-        effects: ids of effects that are in the first model already.
-        own: the user's own effects.
+        subject: the measurement, or several of one machine, and the first model.
         seed: of the simulated data sets.
         sets: simulated data sets in which nothing is missing.
         progress: called with what is being done and the share that is finished.
@@ -153,34 +146,18 @@ def improve(
     Raises:
         ModelError: the data does not allow the model.
     """
-    sessions = (subject,) if isinstance(subject, Session) else tuple(subject)
-
-    def identified(
-        parts: Sequence[Session], added: Sequence[str], sets: Sequence[EffectSet] = ()
-    ) -> Result | JointResult:
-        ids = [*effects, *added]
-        whole = [EffectSet((*effects, *one.effects), one.probability) for one in sets]
-        return identify_sessions(parts, labels, model=model, effects=ids, own=own, keep_all=True, sets=whole)
-
-    found = diagnose(
-        sessions,
-        labels,
-        model=model,
-        effects=effects,
-        own=own,
-        seed=seed,
-        sets=sets,
-        progress=lambda what, share: progress(what, 0.9 * share),
-    )
+    chosen = replace(Chosen.of(subject), keep_all=True, sets=())
+    found = diagnose(chosen, seed=seed, sets=sets, progress=lambda what, share: progress(what, 0.9 * share))
     aside = tuple(outlier.row for one in found.set_aside for outlier in sorted(one, key=lambda o: o.row))
-    steps = [step_after(None, "", identified(sessions, ()), ())]
+    steps = [step_after(None, "", identify_sessions(chosen), ())]
     if aside:
         words = f"{len(aside)} reading{'' if len(aside) == 1 else 's'} set aside"
-        steps.append(step_after(steps[-1], words, identified(found.sessions, ()), aside))
+        steps.append(step_after(steps[-1], words, identify_sessions(found.chosen), aside))
     for k, name in enumerate(found.accepted):
         progress(f"adding {name}", 0.9 + 0.1 * k / len(found.accepted))
         over = found.sets if k + 1 == len(found.accepted) else ()
-        steps.append(step_after(steps[-1], name, identified(found.sessions, found.accepted[: k + 1], over), aside))
+        result = identify_sessions(found.chosen.adding(found.accepted[: k + 1], over))
+        steps.append(step_after(steps[-1], name, result, aside))
     progress("done", 1.0)
     return Improvement(found, tuple(steps))
 
@@ -204,9 +181,7 @@ def step_after(before: Step | None, change: str, result: Result | JointResult, a
     )
 
 
-def entries(
-    improvement: Improvement, data: str, each: Sequence[str], made: str, by: str, own: Sequence[Effect] = ()
-) -> list[Entry]:
+def entries(improvement: Improvement, data: str, each: Sequence[str], made: str) -> list[Entry]:
     """The steps as entries of a history.
 
     Args:
@@ -214,11 +189,10 @@ def entries(
         data: fingerprint of all readings.
         each: fingerprints of the readings of each session.
         made: date and time, ISO 8601.
-        by: the command.
-        own: the user's own effects.
     """
+    own = improvement.diagnosis.chosen.own
     return [
-        entry_of(step, data, made, by, parts=_parts(improvement, step, each), number=k, own=own)
+        entry_of(step, data, made, "improve", parts=_parts(improvement, step, each), number=k, own=own)
         for k, step in enumerate(improvement.steps, start=1)
     ]
 
@@ -246,12 +220,12 @@ def entry_of(
     """
     joint = step.result.joint
     used = {*step.result.effects, *(name for one in step.result.averaged for name in one.effects)}
-    p_value = joint.p_value
+    p_value, single = joint.p_value, step.result if isinstance(step.result, Result) else None
     return Entry(
         number=number,
         made=made,
         by=by,
-        model=step.result.model_name if isinstance(step.result, Result) else "joint",
+        model=single.model_name if single else "joint",
         sessions=parts,
         effects=step.result.effects,
         own=tuple(dict(e.definition) for e in own if e.id in used and e.definition is not None),
@@ -261,8 +235,8 @@ def entry_of(
         ),
         data=data,
         used=joint.assembly.problem.n_readings,
-        set_aside=step.set_aside if isinstance(step.result, Result) else (),
-        kept=_kept(step.result.fit.model.observations.session) if isinstance(step.result, Result) else (),
+        set_aside=step.set_aside if single else (),
+        kept=_kept(single.fit.model.observations.session) if single else (),
         rms_residual=step.result.rms_residual,
         reduced_chi_square=step.reduced_chi_square,
         degrees_of_freedom=joint.solution.degrees_of_freedom,
@@ -282,9 +256,7 @@ def _parts(improvement: Improvement, step: Step, each: Sequence[str]) -> tuple[P
     if isinstance(step.result, Result):
         return ()
     aside = improvement.diagnosis.set_aside if step.set_aside else tuple(() for _ in each)
-    found = zip(
-        step.result.labels, step.result.model_names, each, aside, improvement.diagnosis.sessions, strict=True
-    )
+    found = zip(step.result.labels, step.result.model_names, each, aside, improvement.diagnosis.sessions, strict=True)
     return tuple(
         Part(label=label, model=model, data=data, set_aside=tuple(sorted(o.row for o in own)), kept=_kept(session))
         for label, model, data, own, session in found

@@ -7,7 +7,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 
-__all__ = ["beam_direction", "distance", "pointing", "projection"]
+__all__ = ["distance", "pointing", "projection"]
 
 
 def pointing(target: Array, station: Array) -> tuple[Array, Array]:
@@ -24,12 +24,6 @@ def pointing(target: Array, station: Array) -> tuple[Array, Array]:
     """
     line = target - station
     return np.arctan2(line[..., 1], line[..., 0]), np.arctan2(line[..., 2], np.hypot(line[..., 0], line[..., 1]))
-
-
-def beam_direction(azimuth: Array, elevation: Array) -> Array:
-    """(n, 3) unit vectors of a beam from its azimuth and elevation, rad."""
-    flat = np.cos(elevation)
-    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=-1)
 
 
 def projection(point: Array, station: Array, beam: Array) -> Array:

@@ -11,18 +11,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from machine_tool_calibration.diagnosis.compare import compare_result
+from machine_tool_calibration.diagnosis.compare import compare
 from machine_tool_calibration.diagnosis.comparison import Comparison as OneComparison
 from machine_tool_calibration.diagnosis.comparison import JointComparison
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis as Found
-from machine_tool_calibration.diagnosis.diagnose import diagnose
-from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.interface.show import Shown, chosen, notebook, printed
 from machine_tool_calibration.methods.identify import JointResult
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.planning.what_to_measure import Conclusions, conclude
 from machine_tool_calibration.reports.quantities import probability
-from machine_tool_calibration.session.session import Session
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -49,7 +46,7 @@ class Comparison(Shown):
     @classmethod
     def of(cls, result: Result | JointResult) -> Comparison:
         """That of a result with its own readings."""
-        return cls(compare_result(result))
+        return cls(compare(result))
 
     @cached_property
     def residuals(self) -> pd.DataFrame:
@@ -183,29 +180,9 @@ class Diagnosis(Shown):
 
     Attributes:
         found: all that was calculated, as the package itself uses it.
-        variant: of the method's model that was asked for; None for the default.
-        own: the user's own effects, looked for beside the catalogue.
     """
 
     found: Found
-    variant: str | None = None
-    own: tuple[PhysicalEffect, ...] = ()
-
-    @classmethod
-    def of(
-        cls,
-        sessions: Sequence[Session],
-        labels: Sequence[str] | None,
-        variant: str | None,
-        effects: Sequence[str],
-        own: tuple[PhysicalEffect, ...],
-        *,
-        seed: int,
-        sets: int,
-    ) -> Diagnosis:
-        """That of one session, or of several with their labels."""
-        found = diagnose(sessions, labels, model=variant, effects=effects, own=own, seed=seed, sets=sets)
-        return cls(found, variant, own)
 
     @property
     def verdict(self) -> str:
@@ -263,7 +240,7 @@ class Diagnosis(Shown):
     @cached_property
     def conclusions(self) -> Conclusions:
         """What each candidate would change, and what to measure next; worked out when it is first asked for."""
-        return conclude(self.found, model=self.variant, own=self.own, progress=lambda what, share: None)
+        return conclude(self.found, progress=lambda what, share: None)
 
     @property
     def headline(self) -> str:

@@ -18,6 +18,7 @@ from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.interface.session import Measurement, Source, load, one_below_the_other
 from machine_tool_calibration.interface.show import Shown, chosen, printed
+from machine_tool_calibration.methods.fitted import Chosen
 from machine_tool_calibration.methods.identify import JointResult, fitted_sessions, identify_sessions
 from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.reports import result_tables as tables
@@ -53,6 +54,11 @@ class Fit(Shown):
     variant: str | None = None
     own: tuple[PhysicalEffect, ...] = ()
     keep_all: bool = False
+
+    @property
+    def chosen(self) -> Chosen:
+        """The readings and the model, as the package itself uses them."""
+        return self.measurement.chosen(self.variant, self.effects, self.own, self.keep_all)
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -284,12 +290,10 @@ class Fit(Shown):
         Raises:
             ModelError: the data does not allow the model.
         """
+        from machine_tool_calibration.diagnosis.diagnose import diagnose
         from machine_tool_calibration.interface.diagnosis import Diagnosis
 
-        several = self.measurement.labels if len(self.measurement.sessions) > 1 else None
-        return Diagnosis.of(
-            self.measurement.sessions, several, self.variant, self.effects, self.own, seed=seed, sets=sets
-        )
+        return Diagnosis(diagnose(self.chosen, seed=seed, sets=sets))
 
     def add(self, effects: str | PhysicalEffect | Sequence[str | PhysicalEffect]) -> Fit:
         """The same measurement with further effects in the model.
@@ -397,13 +401,11 @@ def identify(
 def _fitted(
     measurement: Measurement,
     variant: str | None,
-    effects: Sequence[str],
+    effects: tuple[str, ...],
     own: tuple[PhysicalEffect, ...],
     keep_all: bool,
 ) -> Fit:
-    result = identify_sessions(
-        measurement.sessions, measurement.labels, model=variant, effects=effects, own=own, keep_all=keep_all
-    )
+    result = identify_sessions(measurement.chosen(variant, effects, own, keep_all))
     return Fit(measurement, result, variant, own, keep_all)
 
 

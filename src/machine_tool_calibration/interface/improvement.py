@@ -35,26 +35,23 @@ class Improvement(Shown):
     Attributes:
         measurement: the readings.
         done: all that was calculated, as the package itself uses it.
-        variant: of the method's model that was asked for; None for the default.
-        own: the user's own effects, looked for beside the catalogue.
     """
 
     measurement: Measurement
     done: Done
-    variant: str | None = None
-    own: tuple[PhysicalEffect, ...] = ()
 
     @property
     def diagnosis(self) -> Diagnosis:
         """Of the first model."""
-        return Diagnosis(self.done.diagnosis, self.variant, self.own)
+        return Diagnosis(self.done.diagnosis)
 
     @cached_property
     def fits(self) -> tuple[Fit, ...]:
         """Every model, the first one, the one without readings that do not belong to the rest, one for each effect."""
-        kept = replace(self.measurement, sessions=self.done.diagnosis.sessions)
+        chosen = self.done.diagnosis.chosen
+        kept = replace(self.measurement, sessions=chosen.sessions)
         return tuple(
-            Fit(kept if step.set_aside else self.measurement, step.result, self.variant, self.own, keep_all=True)
+            Fit(kept if step.set_aside else self.measurement, step.result, chosen.model, chosen.own, keep_all=True)
             for step in self.done.steps
         )
 
@@ -143,10 +140,8 @@ def improve(
     """
     measurement = load(session)
     ids, known = split_effects(effects, own)
-    sessions, several = measurement.sessions, len(measurement.sessions) > 1
-    labels = measurement.labels if several else None
-    done = improve_models(sessions, labels, model=model, effects=ids, own=known, seed=seed, sets=sets)
-    return Improvement(measurement, done, model, known)
+    done = improve_models(measurement.chosen(model, ids, known), seed=seed, sets=sets)
+    return Improvement(measurement, done)
 
 
 def plot_improvement(fits: Sequence[Fit]) -> Figure:

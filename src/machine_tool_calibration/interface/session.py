@@ -8,13 +8,17 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.interface.show import Shown, printed
 from machine_tool_calibration.session.session import Session, distinct_labels, refuse_repeated
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.effects.effect import Effect
+    from machine_tool_calibration.methods.fitted import Chosen
 
 __all__ = ["Measurement", "Source", "load", "one_below_the_other", "simulate"]
 
@@ -32,6 +36,14 @@ class Measurement(Shown):
     sessions: tuple[Session, ...]
     labels: tuple[str, ...]
     truth: Mapping[str, Any] | None = None
+
+    def chosen(
+        self, model: str | None, effects: tuple[str, ...], own: tuple[Effect, ...], keep_all: bool = False
+    ) -> Chosen:
+        """The sessions with a model, as the package itself uses them."""
+        from machine_tool_calibration.methods.fitted import Chosen
+
+        return Chosen(self.sessions, self.labels, model, effects, own, keep_all)
 
     @property
     def method(self) -> str:

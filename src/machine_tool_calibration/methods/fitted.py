@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from machine_tool_calibration.effects.catalogue import find_effects
+from machine_tool_calibration.effects.catalogue import catalogue, find_effects
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.effects.effect_terms import add_effects
 from machine_tool_calibration.errors import ModelError, did_you_mean
@@ -18,11 +18,73 @@ from machine_tool_calibration.methods.joint.model import CommonModels, common_mo
 from machine_tool_calibration.methods.joint.small_angles import random_of, settled, stated
 from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.model.model import MethodModel
-from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.model.result import EffectSet, ErrorMap
+from machine_tool_calibration.residuals.outliers import Outlier, set_aside
 from machine_tool_calibration.session.provenance import Provenance, provenance
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["FittedSessions", "fit_sessions", "joint_models"]
+__all__ = ["Chosen", "FittedSessions", "fit_sessions", "gross_errors", "joint_models"]
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """One session, or several of one machine, and the model to fit to them.
+
+    Attributes:
+        sessions: the measurements.
+        labels: names of several, all different; None for a single one, whose name is dropped.
+        model: variant of the methods that have it, which for one session its method must; the default if None.
+        effects: ids of physical effects in the model, in every session in which they can act.
+        own: the user's own effects, beside the catalogue.
+        keep_all: use all readings; otherwise those that stand out of all others of their session are set aside.
+        sets: of effects that the readings do not distinguish, over which the map is the mean; `effects` is one of them.
+    """
+
+    sessions: tuple[Session, ...]
+    labels: tuple[str, ...] | None = None
+    model: str | None = None
+    effects: tuple[str, ...] = ()
+    own: tuple[Effect, ...] = ()
+    keep_all: bool = False
+    sets: tuple[EffectSet, ...] = ()
+
+    def __post_init__(self) -> None:
+        several = self.labels is not None and len(self.sessions) > 1
+        object.__setattr__(self, "labels", tuple(self.labels or ()) if several else None)
+        for name in ("sessions", "effects", "own", "sets"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+
+    @classmethod
+    def of(cls, subject: Session | Chosen) -> Chosen:
+        """A session with its method's default model, or what was chosen already."""
+        return cls((subject,)) if isinstance(subject, Session) else subject
+
+    def adding(self, effects: Sequence[str], sets: Sequence[EffectSet] = ()) -> Chosen:
+        """With further effects in the model, and with sets of such as are to be added to its own."""
+        whole = tuple(EffectSet((*self.effects, *one.effects), one.probability) for one in sets)
+        return replace(self, effects=(*self.effects, *effects), sets=whole)
+
+    def instead(self, at: int, session: Session) -> Chosen:
+        """With another session in the place of one."""
+        return replace(self, sessions=(*self.sessions[:at], session, *self.sessions[at + 1 :]))
+
+    @property
+    def present(self) -> list[Effect]:
+        """The effects in the model.
+
+        Raises:
+            ModelError: one of them is unknown.
+        """
+        return find_effects(self.effects, self.own)
+
+    @property
+    def absent(self) -> list[Effect]:
+        """All other effects that are known."""
+        return [effect for effect in catalogue(self.own).values() if effect.id not in self.effects]
+
+    def base(self, session: Session) -> tuple[MethodModel, str]:
+        """The model of one of the sessions, or of a part of it, without effects; and the name of its variant."""
+        return build_model(session, self.model if len(self.sessions) == 1 else sharing_variant(session, self.model))
 
 
 @dataclass(frozen=True)
@@ -61,62 +123,46 @@ class FittedSessions:
         return joint_map(joint, self.common, stated(joint, self.common.angles))
 
 
-def fit_sessions(
-    sessions: Sequence[Session],
-    labels: Sequence[str] | None = None,
-    *,
-    model: str | None = None,
-    effects: Sequence[str] = (),
-    own: Sequence[Effect] = (),
-    built: tuple[MethodModel, str] | None = None,
-) -> FittedSessions:
+def fit_sessions(subject: Session | Chosen, built: tuple[MethodModel, str] | None = None) -> FittedSessions:
     """Fit one session by itself, or several of one machine together.
 
     Args:
-        sessions: the measurements.
-        labels: names of several, all different; not needed for one.
-        model: variant of the methods that have it; for one session, its method must.
-        effects: ids of physical effects to add, in every session in which they can act.
-        own: the user's own effects, beside the catalogue.
+        subject: what, and by which model.
         built: the model of a single session with these effects in it, and its variant's name, where it was made before.
 
     Raises:
         ModelError: as for `joint_models`; an effect is unknown or cannot act; or there are too few readings.
     """
-    found = find_effects(effects, own)
-    if len(sessions) == 1:
+    chosen = Chosen.of(subject)
+    if len(chosen.sessions) == 1:
         if built is None:
-            base, name = build_model(sessions[0], model)
-            built = add_effects(base, found), name
-        return FittedSessions(fit_models([built[0]]), None, (built[1],), tuple(effects))
-    common, names = joint_models(sessions, labels or (), model=model, effects=found)
-    return FittedSessions(fit_models(common.models, labels, random_of(common.angles)), common, names, tuple(effects))
+            base, name = chosen.base(chosen.sessions[0])
+            built = add_effects(base, chosen.present), name
+        return FittedSessions(fit_models([built[0]]), None, (built[1],), chosen.effects)
+    common, names = joint_models(chosen)
+    return FittedSessions(
+        fit_models(common.models, chosen.labels, random_of(common.angles)), common, names, chosen.effects
+    )
 
 
-def joint_models(
-    sessions: Sequence[Session], labels: Sequence[str], *, model: str | None = None, effects: Sequence[Effect] = ()
-) -> tuple[CommonModels, tuple[str, ...]]:
+def joint_models(chosen: Chosen) -> tuple[CommonModels, tuple[str, ...]]:
     """The models of several sessions of one machine, with the same unknowns of the machine.
 
     Args:
-        sessions: the measurements.
-        labels: their names, all different.
-        model: variant of the methods that have it; otherwise the one with tables of the machine's errors.
-        effects: added to every session in which they can act.
+        chosen: several sessions; without a variant theirs are those with tables of the machine's errors.
 
     Raises:
-        ModelError: fewer than two sessions, labels that repeat, a model that no session has, different machines, or an
-            effect that acts in none.
+        ModelError: labels that are missing or repeat, a model that no session has, different machines, or an effect
+            that acts in none.
     """
-    if len(sessions) < 2:
-        raise ModelError("several sessions are needed to fit them together")
-    if len(labels) != len(sessions) or len(set(labels)) < len(labels):
+    effects, labels = chosen.present, chosen.labels or ()
+    if len(labels) != len(chosen.sessions) or len(set(labels)) < len(labels):
         raise ModelError("each session needs a label of its own")
-    known = list(dict.fromkeys(name for session in sessions for name in session.spec.models))
-    if model is not None and model not in known:
-        hint = did_you_mean(model, known)
-        raise ModelError(f"none of the sessions has a model {model!r}{hint}; known are {', '.join(known)}")
-    pairs = [build_model(session, sharing_variant(session, model)) for session in sessions]
+    known = list(dict.fromkeys(name for session in chosen.sessions for name in session.spec.models))
+    if chosen.model is not None and chosen.model not in known:
+        hint = did_you_mean(chosen.model, known)
+        raise ModelError(f"none of the sessions has a model {chosen.model!r}{hint}; known are {', '.join(known)}")
+    pairs = [chosen.base(session) for session in chosen.sessions]
     built, names = [base for base, _ in pairs], [name for _, name in pairs]
     common = common_models(built, labels)
     common = replace(common, models=settled(common.models, labels, common.angles))
@@ -124,3 +170,13 @@ def joint_models(
         return common, tuple(names)
     common = with_effects(common, labels, effects)
     return replace(common, models=settled(common.models, labels, common.angles)), tuple(names)
+
+
+def gross_errors(chosen: Chosen) -> list[tuple[list[Outlier], Session]]:
+    """The readings of each session that do not belong to the rest, the largest first, and it with these as lost ones.
+
+    Of several, each by itself and without effects: where one is missing, all its residuals are large, and none stands
+    out.
+    """
+    present = chosen.present if len(chosen.sessions) == 1 else []
+    return [set_aside(session, lambda part: add_effects(chosen.base(part)[0], present)) for session in chosen.sessions]

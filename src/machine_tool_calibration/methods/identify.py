@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -11,14 +11,13 @@ from typing import Any
 import numpy as np
 
 from machine_tool_calibration.arrays import rms
-from machine_tool_calibration.effects.catalogue import find_effects
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.effects.effect_terms import add_effects
 from machine_tool_calibration.errors import ModelError, suspected
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.averaging import averaged_map
-from machine_tool_calibration.methods.build import build_model, rejected_readings, sharing_variant
-from machine_tool_calibration.methods.fitted import FittedSessions, fit_sessions, joint_models
+from machine_tool_calibration.methods.build import rejected_readings
+from machine_tool_calibration.methods.fitted import Chosen, FittedSessions, fit_sessions, gross_errors
 from machine_tool_calibration.methods.joint.agreement import Agreement, agreement
 from machine_tool_calibration.methods.joint.model import CommonModels, common_models
 from machine_tool_calibration.methods.joint.small_angles import StatedAngles, stated
@@ -42,14 +41,10 @@ from machine_tool_calibration.session.session import Session
 
 __all__ = [
     "JointResult",
-    "build_model",
     "fitted_sessions",
     "identify",
     "identify_sessions",
-    "joint_models",
     "refuse_impossible",
-    "rejected_readings",
-    "sound",
 ]
 
 
@@ -197,38 +192,21 @@ def fitted_sessions(result: Result | JointResult) -> FittedSessions:
     return FittedSessions(result.joint, None, (result.model_name,), result.effects)
 
 
-def identify_sessions(
-    sessions: Sequence[Session],
-    labels: Sequence[str] | None = None,
-    *,
-    model: str | None = None,
-    effects: Sequence[str] = (),
-    own: Sequence[Effect] = (),
-    keep_all: bool = False,
-    sets: Sequence[EffectSet] = (),
-) -> Result | JointResult:
+def identify_sessions(chosen: Chosen) -> Result | JointResult:
     """Identify one machine from one session, or from several of the same or of different methods.
-
-    Args:
-        sessions: the measurements.
-        labels: names of several, all different; not needed for one.
-        model: variant of the methods that have it; for one session, its method must.
-        effects: ids of physical effects to add, in every session in which they can act.
-        own: the user's own effects, beside the catalogue.
-        keep_all: use all readings; otherwise those that stand out of all others of their session are set aside.
-        sets: of effects that the readings do not distinguish, over which the map is the mean.
 
     Raises:
         ModelError: as for `identify` and `joint_models`; a session that contradicts itself; or too few readings.
     """
-    if len(sessions) == 1:
-        return identify(sessions[0], model=model, effects=effects, own=own, keep_all=keep_all, sets=sets)
-    rejected = [rejected_readings(session) for session in sessions]
-    if not keep_all:
-        # Each by itself: where an effect is missing, all its residuals are large, and none stands out.
-        pairs = [sound(s, lambda part: build_model(part, sharing_variant(part, model))[0]) for s in sessions]
-        sessions, rejected = [kept for kept, _ in pairs], [gone for _, gone in pairs]
-    fitted = fit_sessions(sessions, labels, model=model, effects=effects, own=own)
+    if len(chosen.sessions) == 1:
+        return _identified(chosen)
+    observations = tuple(len(session.readings) for session in chosen.sessions)
+    rejected = tuple(map(rejected_readings, chosen.sessions))
+    if not chosen.keep_all:
+        found = gross_errors(chosen)
+        rejected = tuple(lost + _set_aside(own) for lost, (own, _) in zip(rejected, found, strict=True))
+        chosen = replace(chosen, sessions=tuple(kept for _, kept in found))
+    fitted = fit_sessions(chosen)
     joint, common = fitted.joint, fitted.common
     names = joint.assembly.labels
     assert common is not None and names is not None
@@ -236,12 +214,7 @@ def identify_sessions(
     agreed = agreement(joint, common, names, _spread(common))
     if angles is not None:
         agreed = replace(agreed, statement=agreed.statement + angles.hidden)
-    error_map, averaged = averaged_map(
-        fitted.error_map,
-        effects,
-        sets,
-        lambda others: fit_sessions(sessions, labels, model=model, effects=others, own=own).error_map,
-    )
+    error_map, averaged = _averaged(fitted, chosen)
     return JointResult(
         labels=names,
         fit=joint,
@@ -249,13 +222,26 @@ def identify_sessions(
         common=common,
         error_map=error_map,
         agreement=agreed,
-        effects=tuple(effects),
+        effects=chosen.effects,
         model_names=fitted.model_names,
-        rejected=tuple(rejected),
-        observations=tuple(len(session.readings) for session in sessions),
+        rejected=rejected,
+        observations=observations,
         alone=fitted.error_map,
         averaged=averaged,
     )
+
+
+def _averaged(fitted: FittedSessions, chosen: Chosen) -> tuple[ErrorMap, tuple[EffectSet, ...]]:
+    return averaged_map(
+        fitted.error_map,
+        chosen.effects,
+        chosen.sets,
+        lambda others: fit_sessions(replace(chosen, effects=tuple(others))).error_map,
+    )
+
+
+def _set_aside(found: Sequence[Outlier]) -> tuple[Rejected, ...]:
+    return tuple(Rejected(o.row, o.reason, o.deviation) for o in found)
 
 
 def _spread(common: CommonModels) -> float:
@@ -271,33 +257,6 @@ def _spread(common: CommonModels) -> float:
     return total / freedom if freedom else 1.0
 
 
-def gross_errors(
-    session: Session, model: str | None, effects: Sequence[str] = (), own: Sequence[Effect] = ()
-) -> tuple[list[Outlier], Session]:
-    """The readings that do not belong to the rest, the largest first, and the session with these as lost ones.
-
-    Args:
-        session: the measurement.
-        model: the method's variant.
-        effects: ids of effects in the model.
-        own: the user's own effects.
-    """
-    present = find_effects(effects, own)
-    return set_aside(session, lambda part: add_effects(build_model(part, model)[0], present))
-
-
-def sound(session: Session, build: Callable[[Session], MethodModel]) -> tuple[Session, tuple[Rejected, ...]]:
-    """The session with its gross errors as lost readings, and all readings that no fit uses.
-
-    Args:
-        session: the measurement.
-        build: makes the model of a session, with the effects that are in it.
-    """
-    found, kept = set_aside(session, build)
-    return kept, rejected_readings(session) + tuple(Rejected(o.row, o.reason, o.deviation) for o in found)
-
-
-@single_blas()
 def identify(
     session: Session,
     *,
@@ -315,38 +274,38 @@ def identify(
         effects: ids of physical effects to add to the model.
         own: the user's own effects, beside the catalogue.
         keep_all: use all readings; otherwise those that stand out of all others are set aside.
-        sets: of effects that the readings do not distinguish, over which the map is the mean; `effects` is one of them.
+        sets: see `Chosen`.
 
     Raises:
         ModelError: the data does not allow the model, an effect is unknown or needs what was not recorded, or what is
             identified cannot be.
     """
-    present = find_effects(effects, own)
+    return _identified(Chosen((session,), None, model, tuple(effects), tuple(own), keep_all, tuple(sets)))
+
+
+@single_blas()
+def _identified(chosen: Chosen) -> Result:
+    (session,), present = chosen.sessions, chosen.present
     made: list[tuple[Session, tuple[MethodModel, str]]] = []
 
     def build(part: Session) -> MethodModel:
-        base, name = build_model(part, model)
+        base, name = chosen.base(part)
         made.append((part, (add_effects(base, present), name)))
         return made[-1][1][0]
 
-    kept, rejected = (session, rejected_readings(session)) if keep_all else sound(session, build)
+    found, kept = ([], session) if chosen.keep_all else set_aside(session, build)
     # Where nothing was set aside the model is that in which it was looked for.
     built = next((built for part, built in made if part is kept), None)
-    fitted = fit_sessions([kept], model=model, effects=effects, own=own, built=built)
-    fit = fitted.joint.fits[0]
-    error_map, averaged = averaged_map(
-        fitted.error_map,
-        effects,
-        sets,
-        lambda others: fit_sessions([kept], model=model, effects=others, own=own).error_map,
-    )
+    chosen = replace(chosen, sessions=(kept,))
+    fitted = fit_sessions(chosen, built)
+    error_map, averaged = _averaged(fitted, chosen)
     refuse_impossible(session, error_map)
     return Result(
-        fit=fit,
+        fit=fitted.joint.fits[0],
         error_map=error_map,
-        effects=tuple(effects),
+        effects=chosen.effects,
         model_name=fitted.model_names[0],
-        rejected=rejected,
+        rejected=rejected_readings(session) + _set_aside(found),
         observations=len(session.readings),
         alone=fitted.error_map,
         averaged=averaged,

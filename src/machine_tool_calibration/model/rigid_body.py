@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, BoolArray
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.machine.error_motions import (
     SQUARENESS,
@@ -28,6 +28,7 @@ __all__ = [
     "axis_nodes",
     "linear_axis_errors",
     "machine_terms",
+    "read_nodes",
     "table_datum",
     "tables_content",
 ]
@@ -138,6 +139,8 @@ RIGID_BODY_DATUM = (
 )
 # Share of a column's norm that others leave below which it says nothing of its own.
 _OWN_SHARE = 1e-6
+# Share of the largest entry of a table's columns below which a node's is rounding.
+_READ = 1e-9
 
 
 def machine_terms(
@@ -166,8 +169,9 @@ def machine_terms(
                 )
             )
             continue
-        # The straight part of a straightness is not its own: it is the squareness.
-        free = _free_part(table) @ columns
+        # The straight part of a straightness is not its own: it is the squareness. What is but rounding is nothing.
+        read = read_nodes(columns)
+        free = _free_part(table, read) @ np.where(read[:, None], columns, 0.0)
         unit = free / np.maximum(np.linalg.norm(free, axis=1), 1e-12)[:, None]
         rest = unit - (unit @ basis.T) @ basis
         rest -= (rest @ basis.T) @ basis
@@ -186,30 +190,45 @@ def machine_terms(
     return tuple(kept), tuple(terms), tuple(left_out)
 
 
-def table_datum(tables: Sequence[MachineTable]) -> tuple[Constraint, ...]:
-    """Zero of each table at the node next to the axis's zero, and no slope of a straightness."""
+def read_nodes(columns: Array) -> BoolArray:
+    """(k,) whether any reading depends on the value at each node of a table, of its columns (k, n)."""
+    return np.asarray(np.abs(columns).max(axis=1, initial=0.0) > _READ * np.abs(columns).max(initial=0.0))
+
+
+def table_datum(tables: Sequence[MachineTable], placed: Sequence[BoolArray] | None = None) -> tuple[Constraint, ...]:
+    """Zero of each table at the node next to the axis's zero, and no slope of a straightness.
+
+    Args:
+        tables: the error motions.
+        placed: (k,) of each table, whether the readings determine the value at a node, up to this datum; all if absent.
+            A value that nothing determines has no say in where the others are.
+    """
+    known = [np.ones(len(table.labels), dtype=bool) for table in tables] if placed is None else placed
     return tuple(
         Constraint({label: float(w) for label, w in zip(table.labels, row, strict=True) if w})
-        for table in tables
-        for row in _datum_rows(table)
+        for table, there in zip(tables, known, strict=True)
+        for row in _datum_rows(table, there)
     )
 
 
-def _datum_rows(table: MachineTable) -> Array:
+def _datum_rows(table: MachineTable, placed: BoolArray) -> Array:
     """(c, k) datum of one table."""
     if table.is_squareness:
         return np.zeros((0, 1))
-    zero = np.zeros(len(table.nodes))
-    zero[int(np.argmin(np.abs(table.nodes)))] = 1.0
-    if not table.is_straightness or len(zero) == 1:  # a single node has no slope
-        return zero[None]
-    centred = table.nodes - table.nodes.mean()
-    return np.array([zero, centred / np.abs(centred).max()])
+    there = np.flatnonzero(placed) if placed.sum() > 1 else np.arange(len(placed))
+    nodes = table.nodes[there]
+    rows = np.zeros((2, len(placed)))
+    rows[0, there[int(np.argmin(np.abs(nodes)))]] = 1.0
+    if not table.is_straightness or len(there) == 1:  # a single node has no slope
+        return rows[:1]
+    centred = nodes - nodes.mean()
+    rows[1, there] = centred / np.abs(centred).max()
+    return rows
 
 
-def _free_part(table: MachineTable) -> Array:
+def _free_part(table: MachineTable, placed: BoolArray) -> Array:
     """(f, k) orthonormal combinations of the table's values that its datum leaves free."""
-    rows = _datum_rows(table)
+    rows = _datum_rows(table, placed)
     k = len(table.labels)
     return np.eye(k) if not len(rows) else np.asarray(np.linalg.svd(rows, full_matrices=True)[2][len(rows) :])
 

@@ -14,7 +14,8 @@ from machine_tool_calibration.diagnosis.consequence import Consequence
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.improve import Improvement, improve
 from machine_tool_calibration.effects.effect import Effect
-from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.methods.fitted import Chosen
+from machine_tool_calibration.methods.identify import identify_sessions
 from machine_tool_calibration.model.result import Result, plain
 from machine_tool_calibration.nodes.ros.services import Progress
 from machine_tool_calibration.planning.advice import Advice
@@ -23,7 +24,6 @@ from machine_tool_calibration.reports.comparison import comparison_document
 from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
 from machine_tool_calibration.reports.improvement import improvement_document
 from machine_tool_calibration.session.collect import Reading, live_session
-from machine_tool_calibration.session.session import Session
 
 __all__ = [
     "Diagnosed",
@@ -63,17 +63,15 @@ class Request:
     seed: int
     sets: int
 
-    def session(self) -> Session:
-        """The readings as a session.
+    def chosen(self) -> Chosen:
+        """The readings as a session, and the model.
 
         Raises:
             SessionError: they do not make one yet.
+            CalibrationError: as for `own_effects`.
         """
-        return live_session(self.text, self.readings)
-
-    def own(self) -> list[Effect]:
-        """The user's own effects: see `own_effects`."""
-        return own_effects(self.files)
+        session = live_session(self.text, self.readings)
+        return Chosen((session,), None, self.model, self.effects, tuple(own_effects(self.files)))
 
 
 def own_effects(files: Iterable[str]) -> list[Effect]:
@@ -129,7 +127,7 @@ def identified(request: Request, progress: Progress) -> Identified:
         CalibrationError: the readings do not allow it.
     """
     progress("fitting the model", 0.0)
-    return _identified(identify(request.session(), model=request.model, effects=request.effects, own=request.own()))
+    return _identified(identify_sessions(request.chosen()))
 
 
 def compared(request: Request, progress: Progress) -> tuple[Mapping[str, Any], str]:
@@ -139,8 +137,7 @@ def compared(request: Request, progress: Progress) -> tuple[Mapping[str, Any], s
         CalibrationError: the readings do not allow it.
     """
     progress("comparing", 0.0)
-    comparison = compare(request.session(), model=request.model, effects=request.effects, own=request.own())
-    content = comparison_document(comparison)
+    content = comparison_document(compare(request.chosen()))
     return content, _json(content)
 
 
@@ -150,8 +147,7 @@ def diagnosed(request: Request, progress: Progress) -> Diagnosed:
     Raises:
         CalibrationError: the readings do not allow it.
     """
-    own = request.own()
-    return _diagnosed(request, own, _searched(diagnose, request, own, progress), progress)
+    return _diagnosed(_searched(diagnose, request, progress), progress)
 
 
 def improved(request: Request, progress: Progress) -> Improved:
@@ -160,22 +156,18 @@ def improved(request: Request, progress: Progress) -> Improved:
     Raises:
         CalibrationError: the readings do not allow it.
     """
-    own = request.own()
-    steps = _searched(improve, request, own, progress)
+    steps = _searched(improve, request, progress)
     return Improved(
         steps=steps,
-        diagnosed=_diagnosed(request, own, steps.diagnosis, progress),
+        diagnosed=_diagnosed(steps.diagnosis, progress),
         identified=_identified(steps.steps[-1].result),
         document=_json(improvement_document(steps)),
     )
 
 
-def _searched(search: Callable[..., Found], request: Request, own: list[Effect], progress: Progress) -> Found:
+def _searched(search: Callable[..., Found], request: Request, progress: Progress) -> Found:
     return search(
-        request.session(),
-        model=request.model,
-        effects=request.effects,
-        own=own,
+        request.chosen(),
         seed=request.seed,
         sets=request.sets,
         progress=lambda step, share: progress(step, SEARCH * share),
@@ -186,8 +178,8 @@ def _identified(result: Result) -> Identified:
     return Identified(result, _json(result.document()))
 
 
-def _diagnosed(request: Request, own: list[Effect], found: Diagnosis, progress: Progress) -> Diagnosed:
-    then = conclude(found, model=request.model, own=own, progress=progress)
+def _diagnosed(found: Diagnosis, progress: Progress) -> Diagnosed:
+    then = conclude(found, progress=progress)
     content = diagnosis_document(found, then.advice, then.changes)
     return Diagnosed(found, then.changes, then.advice, content, _json(content))
 

@@ -23,7 +23,7 @@ import numpy as np
 from machine_tool_calibration.effects.drift import LinearDrift
 from machine_tool_calibration.effects.effect_terms import effect_term
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.methods.identify import build_model
+from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.step_diagonal.model import StepDiagonalModel
 from machine_tool_calibration.methods.step_diagonal.small_angles import angular_priors, mean_shape
 from machine_tool_calibration.model.fit import fit_models

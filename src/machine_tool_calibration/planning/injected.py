@@ -14,7 +14,7 @@ from machine_tool_calibration.diagnosis.comparison import Comparison
 from machine_tool_calibration.diagnosis.search.look import absorbed_by
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.methods.identify import build_model
+from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.model.fit import Fit, fit_models, screen
 from machine_tool_calibration.model.model import MethodModel, Parameter
 from machine_tool_calibration.session.session import Session
@@ -107,7 +107,9 @@ def inject(effect: Effect, plans: Sequence[str] = PLANS) -> Injected | None:
     if best is None:
         return None
     left, plan, _, fit, change = best
-    return Injected(effect, plan, compare(fit), change, left, effect.id in FLAWS)
+    comparison = compare(fit)
+    assert isinstance(comparison, Comparison)  # of a single session
+    return Injected(effect, plan, comparison, change, left, effect.id in FLAWS)
 
 
 def where_it_shows(effect: Effect, plans: Sequence[str] = PLANS) -> tuple[Shown, ...]:

@@ -3,18 +3,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.effects.catalogue import catalogue, find_effects
-from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.effects.effect_terms import add_effects
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.estimation.reduction import single_blas
-from machine_tool_calibration.methods.fitted import fit_sessions
+from machine_tool_calibration.methods.fitted import Chosen, fit_sessions
 from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.model.restated import declared
 from machine_tool_calibration.model.result import ErrorMap
@@ -83,53 +81,33 @@ def outlook_of(found: Forecast, words: str) -> Outlook:
 
 
 @single_blas()
-def current(
-    sessions: Sequence[Session],
-    labels: Sequence[str] | None = None,
-    *,
-    model: str | None = None,
-    effects: Sequence[str] = (),
-    own: Sequence[Effect] = (),
-) -> Outlook:
-    """What is known now; arguments as for `outlooks`."""
-    joint, error_map = _fitted(sessions, labels, model, effects, own)
+def current(chosen: Chosen) -> Outlook:
+    """What is known now."""
+    joint, error_map = _fitted(chosen)
     places = np.concatenate([fit.model.observations.position for fit in joint.fits])
-    shown = detectable(joint, _looked_for(effects, own))
-    return Outlook("", sessions[0], places, error_map.points, error_map.uncertainty, shown)
+    shown = detectable(joint, chosen.absent)
+    return Outlook("", chosen.sessions[0], places, error_map.points, error_map.uncertainty, shown)
 
 
 @single_blas()
-def outlooks(
-    sessions: Sequence[Session],
-    labels: Sequence[str] | None = None,
-    *,
-    model: str | None = None,
-    effects: Sequence[str] = (),
-    own: Sequence[Effect] = (),
-    progress: Callable[[str, float], object] = lambda what, share: None,
-) -> list[Outlook]:
+def outlooks(chosen: Chosen, progress: Callable[[str, float], object] = lambda what, share: None) -> list[Outlook]:
     """What is known now, and what would be after each further measurement that the sessions allow.
 
     Args:
-        sessions: what was measured.
-        labels: names of several sessions of one machine.
-        model: variant of the method's model.
-        effects: ids of the effects in the model.
-        own: the user's own effects.
+        chosen: what was measured, and the model.
         progress: told what is being done, and the share that is finished.
 
     Returns:
         That of now first; those that would make the map better best first.
     """
     progress("what is known now", 0.0)
-    now = current(sessions, labels, model=model, effects=effects, own=own)
-    options = [(k, option) for k, session in enumerate(sessions) for option in further_options(session)]
+    now, labels = current(chosen), chosen.labels
+    options = [(k, option) for k, session in enumerate(chosen.sessions) for option in further_options(session)]
     then = []
     for number, (k, option) in enumerate(options, 1):
         progress("what further measurements would tell", number / (len(options) + 1))
         try:
-            parts = [option.session if at == k else one for at, one in enumerate(sessions)]
-            joint, error_map = _fitted(parts, labels, model, effects, own)
+            joint, error_map = _fitted(chosen.instead(k, option.session))
         except (CalibrationError, np.linalg.LinAlgError):
             continue
         observations = joint.fits[k].model.observations
@@ -141,7 +119,7 @@ def outlooks(
                 observations.position[new],
                 error_map.points,
                 error_map.uncertainty,
-                detectable(joint, _looked_for(effects, own)),
+                detectable(joint, chosen.absent),
                 option.seconds,
                 option.aside,
             )
@@ -149,25 +127,15 @@ def outlooks(
     return [now, *sorted(then, key=lambda one: np.nan_to_num(one.typical, nan=np.inf))]
 
 
-def _looked_for(effects: Sequence[str], own: Sequence[Effect]) -> list[Effect]:
-    return [effect for effect in catalogue(own).values() if effect.id not in effects]
-
-
 def _to_be_read(session: Session, readings: Readings) -> Session:
     """A session with the places of readings, and without what was read there."""
     return session.with_readings(replace(readings, displacement=np.full(len(readings), np.nan)))
 
 
-def _fitted(
-    sessions: Sequence[Session],
-    labels: Sequence[str] | None,
-    model: str | None,
-    effects: Sequence[str],
-    own: Sequence[Effect],
-) -> tuple[JointFit, ErrorMap]:
+def _fitted(chosen: Chosen) -> tuple[JointFit, ErrorMap]:
     """The fit, and its map with the uncertainties that follow from the declared one alone."""
-    if len(sessions) > 1:
-        fitted = fit_sessions(sessions, labels, model=model, effects=effects, own=own)
+    if len(chosen.sessions) > 1:
+        fitted = fit_sessions(chosen)
         return fitted.joint, fitted.map_of(declared(fitted.joint))
-    joint = fit_models([add_effects(expected_model(sessions[0], model), find_effects(effects, own))])
+    joint = fit_models([add_effects(expected_model(chosen.sessions[0], chosen.model), chosen.present)])
     return joint, joint.assembly.models[0].error_map(declared(joint).fits[0])

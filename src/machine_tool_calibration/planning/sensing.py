@@ -13,9 +13,8 @@ from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.effects.effect_terms import effect_term
 from machine_tool_calibration.estimation.reduction import gram, project
 from machine_tool_calibration.estimation.solve import solve_normal
-from machine_tool_calibration.methods.build import build_model
-from machine_tool_calibration.methods.fitted import joint_models
-from machine_tool_calibration.model.model import Assembly, MethodModel, Parameter, Term, assemble
+from machine_tool_calibration.methods.fitted import Chosen, joint_models
+from machine_tool_calibration.model.model import Assembly, Parameter, Term, assemble
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.description import Description
 from machine_tool_calibration.session.session import Readings, Session
@@ -241,11 +240,9 @@ def _inverse(inner: Array, squares: Array) -> Array:
 
 
 def sense(
-    sessions: Session | Sequence[Session],
+    subject: Session | Chosen,
     effects: Sequence[Assumed],
     *,
-    labels: Sequence[str] | None = None,
-    model: str | None = None,
     present: Sequence[Assumed] = (),
     at: int = 0,
     first_row: int | None = None,
@@ -254,11 +251,9 @@ def sense(
     """What a session, or several of one machine, with readings that may not have been taken yet, sense of effects.
 
     Args:
-        sessions: the measurements; of the new readings' displacements only the rough size matters.
+        subject: the measurements; of the new readings' displacements only the rough size matters.
         effects: what is looked for; what cannot act in these readings is left out.
-        labels: names of several sessions.
-        model: the method's model.
-        present: effects that are in the model already.
+        present: effects that are in the model already; they take the place of those that are chosen by name.
         at: which of the sessions has the new readings.
         first_row: number of the first new reading.
         turned: angles about Z by which the part in which an effect sits is turned in the new readings, rad.
@@ -266,9 +261,9 @@ def sense(
     Raises:
         ModelError: the readings do not allow the model.
     """
-    if isinstance(sessions, Session):
-        sessions = [sessions]
-    built = _models(sessions, labels, model)
+    chosen = replace(Chosen.of(subject), effects=())
+    several = len(chosen.sessions) > 1
+    built = joint_models(chosen)[0].models if several else [chosen.base(chosen.sessions[0])[0]]
     extended, asked = [], []
     for k, base in enumerate(built):
         observations = base.observations
@@ -282,7 +277,7 @@ def sense(
                 given.append(term)
                 asked.append((k, assumed, term))
         extended.append(base.with_terms(given))
-    assembly = assemble(extended, None if len(built) == 1 else labels)
+    assembly = assemble(extended, chosen.labels)
     # Unknowns of each effect with the sizes that they are taken to have; those of the machine are the same in all.
     found: dict[str, dict[str, float]] = {}
     for k, assumed, term in asked:
@@ -293,12 +288,6 @@ def sense(
     ends = np.cumsum([0, *map(len, found.values())]).tolist()
     place = {effect: slice(first, end) for effect, first, end in zip(found, ends[:-1], ends[1:], strict=True)}
     return Sensed(inner, squares, place, {effect: np.array(list(own.values())) for effect, own in found.items()})
-
-
-def _models(sessions: Sequence[Session], labels: Sequence[str] | None, model: str | None) -> Sequence[MethodModel]:
-    if len(sessions) == 1:
-        return [build_model(sessions[0], model)[0]]
-    return joint_models(sessions, labels or (), model=model)[0].models
 
 
 def _acts(assumed: Assumed, observations: Observations) -> bool:

@@ -38,10 +38,10 @@ def assumed_effects(diagnosis: Diagnosis) -> dict[str, Assumed]:
     return out
 
 
-def present_effects(diagnosis: Diagnosis, own: Sequence[Effect]) -> list[Assumed]:
+def present_effects(diagnosis: Diagnosis) -> list[Assumed]:
     """Effects that were in the model from the start, as it holds them."""
     fit = diagnosis.fits[0].fits[0]
-    known = catalogue(own)
+    known = catalogue(diagnosis.chosen.own)
     values = {p.name: float(p.reference + v) for p, v in zip(fit.model.parameters, fit.theta, strict=True)}
     out = []
     for term in fit.model.terms:
@@ -132,13 +132,7 @@ _NOTHING = "none of the further measurements that were considered distinguishes 
 
 
 @single_blas()
-def what_to_measure(
-    diagnosis: Diagnosis,
-    *,
-    model: str | None = None,
-    own: Sequence[Effect] = (),
-    progress: Callable[[str, float], None] = lambda what, share: None,
-) -> Advice:
+def what_to_measure(diagnosis: Diagnosis, progress: Callable[[str, float], None] = lambda what, share: None) -> Advice:
     """Try further measurements that the user can make, on paper, and propose the best.
 
     Every proposal is added to the session as readings without values; what they sense of each effect outside the
@@ -146,24 +140,20 @@ def what_to_measure(
 
     Args:
         diagnosis: what looks alike, and how large.
-        model: the method's model that was diagnosed.
-        own: the user's own effects.
         progress: called with what is being done and the share that is finished.
     """
     groups = alias_groups_of(diagnosis)
     assumed = assumed_effects(diagnosis)
-    present = present_effects(diagnosis, own)
-    sessions, labels = diagnosis.sessions, diagnosis.labels
+    present = present_effects(diagnosis)
+    chosen, sessions, labels = diagnosis.chosen, diagnosis.sessions, diagnosis.labels
     single = len(sessions) == 1
-    limits = limits_of(sessions[0], model) if single else None
+    limits = limits_of(sessions[0], chosen.model) if single else None
 
     def tried(option: Option, at: int = 0) -> Sensed | None:
         try:
             return sense(
-                [option.session if k == at else other for k, other in enumerate(sessions)],
+                chosen.instead(at, option.session),
                 list(assumed.values()),
-                labels=labels,
-                model=model,
                 present=present,
                 at=at,
                 first_row=option.first_row,
@@ -173,7 +163,7 @@ def what_to_measure(
             return None
 
     try:
-        now = sense(sessions, list(assumed.values()), labels=labels, model=model, present=present)
+        now = sense(chosen, list(assumed.values()), present=present)
     except (CalibrationError, np.linalg.LinAlgError):
         return Advice(dominant=limits)
     options = [(k, option) for k, session in enumerate(sessions) for option in further_options(session)]
@@ -277,21 +267,15 @@ class Conclusions:
     advice: Advice
 
 
-def conclude(
-    found: Diagnosis, *, model: str | None, own: Sequence[Effect], progress: Callable[[str, float], None]
-) -> Conclusions:
+def conclude(found: Diagnosis, *, progress: Callable[[str, float], None]) -> Conclusions:
     """Draw the conclusions.
 
     Args:
         found: the diagnosis.
-        model: with which it was made.
-        own: the user's own effects.
         progress: called with what is being done and the share of the whole, which begins at `SEARCH`.
     """
     progress("what the candidates would change", SEARCH)
     changes = consequences(found)
     done = SEARCH + _CHANGES
-    advice = what_to_measure(
-        found, model=model, own=own, progress=lambda what, share: progress(what, done + (1.0 - done) * share)
-    )
+    advice = what_to_measure(found, progress=lambda what, share: progress(what, done + (1.0 - done) * share))
     return Conclusions(changes, advice)

@@ -11,11 +11,11 @@ from typing import Any
 from machine_tool_calibration.budget.conformity import Conformity, conformity
 from machine_tool_calibration.budget.contributor import Contributor
 from machine_tool_calibration.budget.propagate import Budget, propagate
-from machine_tool_calibration.diagnosis.compare import compare_result
+from machine_tool_calibration.diagnosis.compare import compare
 from machine_tool_calibration.diagnosis.comparison import Comparison
-from machine_tool_calibration.diagnosis.history import Chosen
+from machine_tool_calibration.diagnosis.history import Measured
 from machine_tool_calibration.diagnosis.improve import Improvement, improve
-from machine_tool_calibration.methods.identify import JointResult, fitted_sessions
+from machine_tool_calibration.methods.identify import JointResult, fitted_sessions, identify_sessions
 from machine_tool_calibration.model.result import Result
 
 __all__ = ["Evaluation", "evaluate"]
@@ -26,7 +26,7 @@ class Evaluation:
     """All that a report tells.
 
     Attributes:
-        chosen: what was evaluated.
+        measured: what was evaluated.
         result: the machine's errors.
         comparisons: the model against the readings of each session.
         improvement: the diagnosis of the model, and the models with what it finds; None if it was not asked for.
@@ -34,7 +34,7 @@ class Evaluation:
         conformity: with tolerances; None if there are none.
     """
 
-    chosen: Chosen
+    measured: Measured
     result: Result | JointResult
     comparisons: tuple[Comparison, ...]
     improvement: Improvement | None = None
@@ -44,11 +44,11 @@ class Evaluation:
     @cached_property
     def document(self) -> dict[str, Any]:
         """The result as `mtcal identify --json` writes it, with the readings that the history's model set aside."""
-        return self.chosen.document(self.result)
+        return self.measured.document(self.result)
 
 
 def evaluate(
-    chosen: Chosen,
+    measured: Measured,
     *,
     diagnosis: bool = True,
     seed: int = 1,
@@ -60,7 +60,7 @@ def evaluate(
     """Calculate all of it.
 
     Args:
-        chosen: what, and how.
+        measured: what, and how.
         diagnosis: whether to look for what the model lacks, which takes longest.
         seed: of the simulated data sets of the diagnosis, and of random draws.
         sets: simulated data sets in which nothing is missing.
@@ -72,14 +72,9 @@ def evaluate(
         ModelError: the data does not allow the model.
     """
     progress("identifying", 0.0)
-    model, effects, own = chosen.model, chosen.effects, chosen.own
-    result = chosen.identify()
-    held = compare_result(result)
-    improved = None
-    if diagnosis:
-        improved = improve(
-            chosen.kept, chosen.labels, model=model, effects=effects, own=own, seed=seed, sets=sets, progress=progress
-        )
+    result = identify_sessions(measured.chosen)
+    held = compare(result)
+    improved = improve(measured.chosen, seed=seed, sets=sets, progress=progress) if diagnosis else None
     fitted = fitted_sessions(result)
     budget = None
     if contributors:
@@ -90,4 +85,4 @@ def evaluate(
         progress("conformity", 0.0)
         verdicts = conformity(fitted, tolerances, budget=budget, seed=seed)
     comparisons = (held,) if isinstance(held, Comparison) else held.sessions
-    return Evaluation(chosen, result, comparisons, improved, budget, verdicts)
+    return Evaluation(measured, result, comparisons, improved, budget, verdicts)

@@ -121,7 +121,7 @@ def _wrap_titles(figure: Figure) -> None:
 
 def map_pictures(found: Evaluation, words: Words) -> Iterator[Picture]:
     """The map and what the method draws besides; runs by ISO 230-2."""
-    sessions = found.chosen.sessions
+    sessions = found.measured.recorded
     drawn = figures(sessions[0], found.document) if len(sessions) == 1 else common_figures(found.document)
     for name, figure in drawn.items():
         if name == "error_motions":  # one by one in motion_pictures
@@ -163,7 +163,7 @@ def _draw_motion(name: str, rows: pd.DataFrame, words: Words) -> Figure:
 
 def residual_pictures(found: Evaluation, words: Words) -> Iterator[Picture]:
     """Residuals by setup, as arrows, and over what they follow most."""
-    labels = found.chosen.labels or ("",)
+    labels = found.measured.chosen.labels or ("",)
     for label, comparison in zip(labels, found.comparisons, strict=True):
         begin = f"{label}: " if label else ""
         named = f"{label}_" if label else ""

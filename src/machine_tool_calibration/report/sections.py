@@ -132,8 +132,8 @@ def _summary(found: Evaluation, words: Words) -> Iterator[str | TextTable]:
 
 
 def _measurement(found: Evaluation, words: Words) -> Iterator[str | TextTable]:
-    chosen = found.chosen
-    for label, session in zip(chosen.labels or ("",), chosen.sessions, strict=True):
+    measured = found.measured
+    for label, session in zip(measured.chosen.labels or ("",), measured.recorded, strict=True):
         if label:
             yield words("session_named", label=label)
         about = tuple(
@@ -257,7 +257,7 @@ def _reproducibility(found: Evaluation, words: Words) -> Iterator[str | TextTabl
 
 
 def _residuals(found: Evaluation, words: Words) -> Iterator[str | TextTable | Picture]:
-    labels = found.chosen.labels or ("",)
+    labels = found.measured.chosen.labels or ("",)
     rows = [
         (label, one.name, str(one.readings), micrometres(one.rms),
          NOT_DETERMINED if one.reduced_chi_square is None else rounded(one.reduced_chi_square**0.5))
@@ -273,7 +273,7 @@ def _diagnosis(found: Evaluation, words: Words) -> Iterator[str | TextTable]:
     if found.improvement is None:
         return
     diagnosis = found.improvement.diagnosis
-    known = catalogue(found.chosen.own)
+    known = catalogue(found.measured.chosen.own)
 
     def title(name: str) -> str:
         return words.phrase(known[name].title) if name in known else name
@@ -304,11 +304,11 @@ def _size(one: Finding) -> str:
 
 def _improvement(found: Evaluation, words: Words) -> Iterator[str | TextTable | Picture]:
     heads = (words("step"), words("residual_um"), "χ²/ν", words("map_um"), words("map_u_um"))
-    if found.chosen.history:
+    if found.measured.history:
         rows = [
             (f"{entry.number}: {_change(entry.change, words)}", entry.rms_residual, entry.reduced_chi_square,
              entry.map_rms, entry.map_uncertainty_rms)
-            for entry in found.chosen.history
+            for entry in found.measured.history
         ]  # fmt: skip
         yield TextTable(words("steps_history"), heads, tuple(map(_step, rows)))
     done = found.improvement
@@ -365,7 +365,7 @@ def _undetermined(found: Evaluation, words: Words) -> Iterator[str | TextTable]:
 
 def _rejected(found: Evaluation, words: Words) -> Iterator[str | TextTable]:
     document = found.document
-    table = readings_set_aside(document, found.chosen.sessions)
+    table = readings_set_aside(document, found.measured.recorded)
     yield words("used_of", used=document["used"], count=document["observations"])
     if table.rows:
         yield TextTable(table.title, table.columns, table.rows)

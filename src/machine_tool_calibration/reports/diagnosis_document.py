@@ -58,7 +58,7 @@ def diagnosis_document(
     look, noise = diagnosis.look, diagnosis.noise
     document = {
         "format": "mtcal-diagnosis/1",
-        "method": diagnosis.session.method if len(diagnosis.sessions) == 1 else "joint",
+        "method": diagnosis.sessions[0].method if len(diagnosis.sessions) == 1 else "joint",
         "sessions": [] if diagnosis.labels is None else list(diagnosis.labels),
         "verdict": diagnosis.verdict,
         "suspicious": suspicions(diagnosis.sessions, diagnosis.labels),

@@ -90,7 +90,7 @@ def _verdict(diagnosis: Diagnosis) -> str:
         )
     if diagnosis.likely:
         return f"No effect is sure: the residual is {residual}. {_likeliest(diagnosis)}"
-    if diagnosis.session.spec.reads_machine and look.fit.p_value < _TOO_LARGE:
+    if diagnosis.sessions[0].spec.reads_machine and look.fit.p_value < _TOO_LARGE:
         return f"No effect and no pattern stands out from the scatter of the deviations: the residual is {residual}."
     return (
         f"Nothing is missing that this measurement could show (probability {probability(look.nothing)}): the residual "
@@ -178,8 +178,8 @@ def _covariate(structure: Structure) -> str:
 def _noise(diagnosis: Diagnosis) -> Iterator[str]:
     noise, joint = diagnosis.noise, diagnosis.fits[-1]
     ratio = float(np.sqrt(joint.reduced_chi_square))
-    again = mounted_more_than_once(diagnosis.session)
-    if diagnosis.session.spec.reads_machine:
+    again = mounted_more_than_once(diagnosis.sessions[0])
+    if diagnosis.sessions[0].spec.reads_machine:
         yield from _scatter(diagnosis)
         return
     if diagnosis.verdict in ("adequate", "outliers", "missing_effect") and joint.p_value < _TOO_LARGE:

@@ -196,7 +196,7 @@ def _cosine() -> tuple[Printed, ...]:
 def _counts(flat: FittedSessions) -> tuple[Printed, ...]:
     """Unknowns of a network: all readings less the degrees of freedom of the fit."""
     plan = PRESETS["tracking_3d"].model_copy(update={"repeats": 1})
-    space = fit_sessions([simulate(SimulationSpec(plan=plan)).session])
+    space = fit_sessions(simulate(SimulationSpec(plan=plan)).session)
     targets, stations = len(space.error_map.points), 4
     return (
         Printed(
@@ -360,7 +360,7 @@ def _tracked(plan: TrackingPlan) -> tuple[FittedSessions, VirtualMachine]:
     """The twin by the tracking interferometer, 2.5 um (k = 2) declared, and the machine behind it."""
     own = plan.model_copy(update={"repeats": 1, "noise": _DISPLACEMENT / _K, "radial": _RADIAL})
     simulated = simulate(SimulationSpec(plan=own, seed=_SEED, noise_factor=_SCATTER / own.noise))
-    return fit_sessions([simulated.session]), simulated.truth.machine
+    return fit_sessions(simulated.session), simulated.truth.machine
 
 
 def _on_grid(plan: TrackingPlan, machine: VirtualMachine, longer: float) -> FittedSessions:
@@ -380,7 +380,7 @@ def _on_grid(plan: TrackingPlan, machine: VirtualMachine, longer: float) -> Fitt
     readings = session.readings
     sense = np.column_stack([readings.column(name) for name in ("gx", "gy", "gz")])
     less = longer * np.einsum("nj,nj->n", readings.position(), sense)
-    return fit_sessions([session.with_readings(replace(readings, displacement=readings.displacement - less))])
+    return fit_sessions(session.with_readings(replace(readings, displacement=readings.displacement - less)))
 
 
 def _profile(motion: str, found: _Found, machine: VirtualMachine) -> Profile:
@@ -403,7 +403,7 @@ def _profile(motion: str, found: _Found, machine: VirtualMachine) -> Profile:
         repeats=3,
         noise=_SCATTER,
     )
-    measured = fit_sessions([simulate(SimulationSpec(plan=direct, seed=_SEED), machine=machine).session]).error_map
+    measured = fit_sessions(simulate(SimulationSpec(plan=direct, seed=_SEED), machine=machine).session).error_map
     values = measured.error[np.argsort(measured.points[:, axis], kind="stable"), axis]
     estimated = found.error[line, axis]
     return Profile(motion, at, estimated - estimated[0], found.expanded[line, axis], values - values[0])

@@ -15,15 +15,7 @@ __all__ = ["looked_ahead", "planned"]
 
 def looked_ahead(subject: Subject, model: Model, progress: Progress) -> list[Outlook]:
     """What is known with a model, and what would be after each further measurement."""
-    fit = model.fit
-    return outlooks(
-        fit.measurement.sessions,
-        model.labels,
-        model=fit.variant,
-        effects=fit.effects,
-        own=subject.own,
-        progress=progress,
-    )
+    return outlooks(subject.chosen(model), progress)
 
 
 def planned(
@@ -46,11 +38,7 @@ def planned(
         angular: errors of the machine that are assumed, rad.
         progress: told what is being done.
     """
-    own = subject.own
-    found = forecast(procedure, model=variant, own=own, warming=warming, angular=angular, progress=progress)
-    now = None
-    if model is not None:
-        fit = model.fit
-        now = current(fit.measurement.sessions, model.labels, model=fit.variant, effects=fit.effects, own=own)
+    found = forecast(procedure, model=variant, own=subject.own, warming=warming, angular=angular, progress=progress)
+    now = None if model is None else current(subject.chosen(model))
     words = f"procedure {procedure.name}, by itself"
     return now, outlook_of(found, words), printed(lambda screen: show_forecast(screen, found))

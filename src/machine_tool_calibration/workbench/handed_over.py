@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pandas as pd
 
 from machine_tool_calibration.diagnosis.comparison import Comparison
-from machine_tool_calibration.diagnosis.history import Chosen, Entry
+from machine_tool_calibration.diagnosis.history import Entry, Measured
 from machine_tool_calibration.export.compensation import Exported, compensation
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.plots.compensation import draw_compensation
@@ -54,19 +55,12 @@ def reported(
     Returns:
         The files.
     """
-    fit = model.fit
-    chosen = Chosen(
+    measured = Measured(
         subject.without((), model.kept).sessions,
-        fit.measurement.sessions,
-        model.labels,
-        fit.variant,
-        fit.effects,
-        subject.own,
-        tuple(fit.result.averaged),
-        keep_all=True,
-        history=tuple(history) if len(history) > 1 else (),
+        replace(subject.chosen(model), sets=tuple(model.fit.result.averaged)),
+        tuple(history) if len(history) > 1 else (),
     )
-    found = evaluate(chosen, diagnosis=diagnosis, progress=lambda what, share: progress(what, 0.9 * share))
+    found = evaluate(measured, diagnosis=diagnosis, progress=lambda what, share: progress(what, 0.9 * share))
     progress("drawing", 0.9)
     return write_report(found, words(language), files)
 

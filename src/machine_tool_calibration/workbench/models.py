@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from machine_tool_calibration.arrays import IntArray
-from machine_tool_calibration.diagnosis.compare import compare_result
+from machine_tool_calibration.diagnosis.compare import compare
 from machine_tool_calibration.diagnosis.comparison import Comparison, JointComparison
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.history import Entry, History, Part
@@ -23,13 +23,12 @@ from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.interface.identification import Fit
 from machine_tool_calibration.interface.session import Measurement, load
-from machine_tool_calibration.methods.build import sharing_variant
-from machine_tool_calibration.methods.identify import JointResult, gross_errors, identify_sessions
-from machine_tool_calibration.model.result import EffectSet
+from machine_tool_calibration.methods.fitted import Chosen, gross_errors
+from machine_tool_calibration.methods.identify import JointResult, identify_sessions
 from machine_tool_calibration.planning.what_to_measure import SEARCH, Conclusions, conclude
 from machine_tool_calibration.reports.history_file import fingerprint, history_path, read_history
 
-__all__ = ["Model", "Opened", "Progress", "Subject", "ancestors", "diagnosed", "improved", "opened"]
+__all__ = ["Model", "Opened", "Progress", "Subject", "diagnosed", "improved", "opened"]
 
 Progress = Callable[[str, float], None]
 """Told what is being done, and the share that is finished."""
@@ -63,7 +62,7 @@ class Model:
     @property
     def labels(self) -> tuple[str, ...] | None:
         """Names of several sessions; None of a single one."""
-        return self.fit.measurement.labels if len(self.fit.measurement.sessions) > 1 else None
+        return self.fit.chosen.labels
 
 
 @dataclass(frozen=True)
@@ -106,43 +105,35 @@ class Subject:
             sessions.append(sound.without(gone) if gone.any() else sound)
         return replace(self.measurement, sessions=tuple(sessions))
 
+    def chosen(self, model: Model) -> Chosen:
+        """The readings and the model, with the effects of the user's own that are known by now."""
+        return replace(model.fit.chosen, own=self.own)
+
     def tried(
         self,
         before: Model | None,
         words: str,
-        variant: str | None,
-        effects: Sequence[str],
+        chosen: Chosen,
         aside: frozenset[int],
         kept: frozenset[int],
-        over: Sequence[EffectSet] = (),
     ) -> Model:
         """A model, fitted.
 
         Args:
             before: what it is made from.
             words: what it has and that one has not.
-            variant: of the method's model; its default if None.
-            effects: ids.
+            chosen: it, whatever readings it was fitted to.
             aside: numbers of the readings that are left out.
             kept: numbers of those that are known to be sound.
-            over: sets of effects over which the map is averaged.
 
         Raises:
             ModelError: the data does not allow it.
         """
         measurement = self.without(aside, kept)
-        result = identify_sessions(
-            measurement.sessions,
-            measurement.labels,
-            model=variant,
-            effects=effects,
-            own=self.own,
-            keep_all=True,
-            sets=over,
-        )
+        result = identify_sessions(replace(chosen, sessions=measurement.sessions, own=self.own, keep_all=True))
         step = step_after(before.step if before else None, words, result, tuple(sorted(aside)))
-        fit = Fit(measurement, result, variant, self.own, keep_all=True)
-        return Model(fit, step, compare_result(result), aside, kept)
+        fit = Fit(measurement, result, chosen.model, self.own, keep_all=True)
+        return Model(fit, step, compare(result), aside, kept)
 
     def on_the_way(self, entries: Sequence[Entry], prints: Sequence[str]) -> list[Model]:
         """Models of a history, each made from the one before.
@@ -165,7 +156,8 @@ class Subject:
             )
             before = models[-1] if models else None
             variant = entry.variant(said, self.measurement.sessions)
-            made = self.tried(before, entry.change, variant, entry.effects, aside, kept, entry.sets())
+            chosen = replace(self.measurement.chosen(variant, entry.effects, self.own), sets=tuple(entry.sets()))
+            made = self.tried(before, entry.change, chosen, aside, kept)
             models.append(replace(made, number=entry.number))
         return models
 
@@ -263,33 +255,25 @@ def opened(paths: Sequence[Path], variant: str | None, own: Sequence[Effect], pr
         remark = f"the readings have changed since model {entry.number} was made of them"
     progress("readings that do not belong to the rest", 0.2)
     found = {}
-    for k, session in enumerate(sessions):
-        asked = variant if len(sessions) == 1 else sharing_variant(session, variant)
-        for outlier in gross_errors(session, asked, (), own)[0]:
+    first = measurement.chosen(variant, (), tuple(own))
+    for k, (outliers, _) in enumerate(gross_errors(first)):
+        for outlier in outliers:
             found[int(subject.numbers(k, np.array(outlier.row)))] = outlier.deviation
     progress("fitting", 0.5)
     models: list[Model] = []
     if entry is not None:
         try:
-            models = subject.on_the_way(ancestors(history, entry), prints)
+            models = subject.on_the_way(history.way_to(entry.number), prints)
         except CalibrationError as error:
             remark = f"the history's model {entry.number} cannot be fitted ({error}): the first one is in use"
     if not models:
-        models.append(subject.tried(None, "", variant, (), frozenset(), frozenset()))
+        models.append(subject.tried(None, "", first, frozenset(), frozenset()))
         if found:
             words = f"{len(found)} reading{'s' if len(found) > 1 else ''} set aside"
             aside = frozenset(found)
-            models.append(subject.tried(models[0], words, variant, (), aside, frozenset()))
+            models.append(subject.tried(models[0], words, first, aside, frozenset()))
             remark = remark or f"{words}, which do not belong to the rest: Compare shows them, and puts them back."
     return Opened(subject, prints, models, found, history, remark)
-
-
-def ancestors(history: History, entry: Entry) -> list[Entry]:
-    """A model of a history after all those that it was made from, the first one first."""
-    out = [entry]
-    while out[0].parent is not None:
-        out.insert(0, history.entry(out[0].parent))
-    return out
 
 
 def diagnosed(subject: Subject, model: Model, progress: Progress) -> tuple[Diagnosis, Conclusions]:
@@ -300,16 +284,8 @@ def diagnosed(subject: Subject, model: Model, progress: Progress) -> tuple[Diagn
         model: the model.
         progress: told what is being done.
     """
-    fit = model.fit
-    found = diagnose(
-        fit.measurement.sessions,
-        model.labels,
-        model=fit.variant,
-        effects=fit.effects,
-        own=subject.own,
-        progress=lambda what, share: progress(what, SEARCH * share),
-    )
-    return found, conclude(found, model=fit.variant, own=subject.own, progress=progress)
+    found = diagnose(subject.chosen(model), progress=lambda what, share: progress(what, SEARCH * share))
+    return found, conclude(found, progress=progress)
 
 
 def improved(subject: Subject, model: Model, found: Diagnosis, progress: Progress) -> list[Model]:
@@ -324,18 +300,14 @@ def improved(subject: Subject, model: Model, found: Diagnosis, progress: Progres
     Returns:
         The models, each made from the one before.
     """
-    made, start, variant = [model], model.fit.effects, model.fit.variant
-    more = {
-        int(subject.numbers(k, np.array(outlier.row))) for k, own in enumerate(found.set_aside) for outlier in own
-    }
+    made, start = [model], model.fit.chosen
+    more = {int(subject.numbers(k, np.array(outlier.row))) for k, own in enumerate(found.set_aside) for outlier in own}
     aside = model.aside | more
     if more:
         words = f"{len(more)} reading{'s' if len(more) > 1 else ''} set aside"
-        made.append(subject.tried(made[-1], words, variant, start, aside, model.kept))
+        made.append(subject.tried(made[-1], words, start, aside, model.kept))
     for k, name in enumerate(found.accepted):
         progress(f"adding {name}", k / len(found.accepted))
-        last = k + 1 == len(found.accepted)
-        over = [EffectSet((*start, *one.effects), one.probability) for one in found.sets] if last else []
-        effects = (*start, *found.accepted[: k + 1])
-        made.append(subject.tried(made[-1], name, variant, effects, aside, model.kept, over))
+        chosen = start.adding(found.accepted[: k + 1], found.sets if k + 1 == len(found.accepted) else ())
+        made.append(subject.tried(made[-1], name, chosen, aside, model.kept))
     return made[1:]

@@ -22,7 +22,6 @@ from machine_tool_calibration.workbench.models import (
     Opened,
     Progress,
     Subject,
-    ancestors,
     diagnosed,
     improved,
     opened,
@@ -154,7 +153,7 @@ class State:
         now = self.model
         rows = now.aside if aside is None else frozenset(aside)
         added, taken = list(add), set(take)
-        effects = [*(name for name in now.fit.effects if name not in taken), *added]
+        effects = (*(name for name in now.fit.effects if name not in taken), *added)
         back = now.aside - rows
         words = [*added, *(f"without {name}" for name in taken)]
         words += [
@@ -163,9 +162,8 @@ class State:
             if k
         ]
         kept = (now.kept | back.intersection(self.found)) - rows
-        return Job(
-            partial(_quiet, self.subject.tried, now, " + ".join(words), now.fit.variant, effects, rows, kept), self.use
-        )
+        asked = (" + ".join(words), replace(now.fit.chosen, effects=effects), rows, kept)
+        return Job(partial(_quiet, self.subject.tried, now, *asked), self.use)
 
     def diagnosed(self) -> Job:
         """Look for effects that the model in use lacks, and for what would tell them apart."""
@@ -181,8 +179,7 @@ class State:
     def tried(self, effect: str, show: Callable[[Model], None]) -> Job:
         """The model in use with one effect more, which is shown and not put into use."""
         now = self.model
-        effects = (*now.fit.effects, effect)
-        asked = (effect, now.fit.variant, effects, now.aside, now.kept)
+        asked = (effect, now.fit.chosen.adding([effect]), now.aside, now.kept)
         return Job(partial(_quiet, self.subject.tried, now, *asked), show)
 
     def used(self, number: int) -> Job:
@@ -193,7 +190,7 @@ class State:
             self._keep(lambda old: old.using(number))
             self._tell()
 
-        way = ancestors(self.history, self.history.entry(number))
+        way = self.history.way_to(number)
         return Job(partial(_quiet, self.subject.on_the_way, way, self._prints), use)
 
     def improved(self) -> Job:

@@ -14,7 +14,7 @@ from machine_tool_calibration.diagnosis.search.candidates import effect_candidat
 from machine_tool_calibration.diagnosis.search.look import Look, look_at
 from machine_tool_calibration.diagnosis.search.prediction import Prediction, predictions
 from machine_tool_calibration.effects.catalogue import catalogue
-from machine_tool_calibration.methods.identify import build_model
+from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.model.fit import JointFit, fit_models
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.session import Session

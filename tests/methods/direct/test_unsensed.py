@@ -17,7 +17,7 @@ from machine_tool_calibration.export.preview import preview
 from machine_tool_calibration.maps import error_map_from_points
 from machine_tool_calibration.methods.axis_tables import axis_tables
 from machine_tool_calibration.methods.direct.map import sensed_axes
-from machine_tool_calibration.methods.fitted import fit_sessions
+from machine_tool_calibration.methods.fitted import Chosen, fit_sessions
 from machine_tool_calibration.methods.identify import identify, identify_sessions
 from machine_tool_calibration.plots import direct as pictures
 from machine_tool_calibration.plots.error_map import draw_map
@@ -72,7 +72,7 @@ def test_an_axis_that_stands_still_has_no_error_motions(direct: SimpleNamespace,
     at[:, 0] = np.tile(NODES, 4)
     g = np.repeat(np.eye(3)[:2], 10, axis=0)
     reading = np.where(g[:, 0] > 0, 1e-5 * at[:, 0], 1e-6 * np.sin(20 * at[:, 0]))
-    fitted = fit_sessions([direct.written(at, g, reading, datum=datum, terms=["EXX", "EYX", "EXY", "EYY"])])
+    fitted = fit_sessions(direct.written(at, g, reading, datum=datum, terms=["EXX", "EYX", "EXY", "EYY"]))
     found = conformity(fitted, {"EXX": 1e-4, "EXY": 1e-4, "EYY": 1e-4})
     assert [verdict.decision for verdict in found.verdicts] == ["pass", "not determined", "not determined"]
     assert found.verdicts[1].why == "all readings are at one position of Y"
@@ -114,7 +114,7 @@ def test_a_beam_a_little_off_the_axis_senses_no_other() -> None:
 
 def test_several_sessions_share_what_any_of_them_senses(direct: SimpleNamespace) -> None:
     x, y = _run(direct, 0, ["EXX"]), _run(direct, 1, ["EYY"])
-    together = identify_sessions([x, y], ["x", "y"]).error_map
+    together = identify_sessions(Chosen((x, y), ("x", "y"))).error_map
     assert np.isfinite(together.error[:, :2]).all() and np.isnan(together.error[:, 2]).all()
     assert np.isnan(together.uncertainty[:, 2]).all()
 

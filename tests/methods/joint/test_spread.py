@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from machine_tool_calibration.methods.fitted import Chosen
 from machine_tool_calibration.methods.identify import JointResult, identify, identify_sessions
 from machine_tool_calibration.methods.joint.model import common_models
 from machine_tool_calibration.methods.joint.small_angles import random_of, settled, stated
@@ -68,7 +69,7 @@ def test_the_map_has_the_right_uncertainty(
     some = many.part(0.4)
     for seed in range(some.count):
         simulated = [several.measured(name, seed, _random(seed, angular)) for name in ("diagonals", other)]
-        result = identify_sessions([s.session for s in simulated], ["diagonals", other])
+        result = identify_sessions(Chosen(tuple(s.session for s in simulated), ("diagonals", other)))
         error, variance = _errors(result, simulated[0])
         known = variance > 1e-24
         normalised.append(np.mean(error[known] ** 2 / variance[known]))
@@ -102,7 +103,7 @@ def test_what_the_readings_hardly_tell_is_named(several: SimpleNamespace) -> Non
     found = {}
     for angular in (0.0, 1e-5):
         simulated = [several.measured(name, 4, _random(4, angular)) for name in ("diagonals", "grid")]
-        document = identify_sessions([s.session for s in simulated], ["diagonals", "grid"]).document()
+        document = identify_sessions(Chosen(tuple(s.session for s in simulated), ("diagonals", "grid"))).document()
         why = {entry["name"]: entry["why"] for entry in document["not_determined"]}
         found[angular] = document["error_map"]["angular_probability"], why
     assert found[0.0][0] < 0.3 < 0.95 < found[1e-5][0]
@@ -119,7 +120,7 @@ def _with_a_bow(several: SimpleNamespace, motion: str) -> JointResult:
         several.measured("diagonals", 2, machine).session,
         several.measured("grid", 2, {**machine, "motions": {motion: bow}}).session,
     ]
-    return identify_sessions(sessions, ["diagonals", "grid"])
+    return identify_sessions(Chosen(sessions, ("diagonals", "grid")))
 
 
 @pytest.mark.parametrize("motion", ["EXX", "EYY"])
@@ -135,7 +136,7 @@ def test_in_straightness_it_cannot_and_says_so(several: SimpleNamespace) -> None
     assert result.angles is not None and result.angles.size > 8e-6
     assert "may be taken for angular errors" in result.agreement.statement
     without = [several.measured(name, 2, _random(2, 0.0)).session for name in ("diagonals", "grid")]
-    assert "angular" not in identify_sessions(without, ["diagonals", "grid"]).agreement.statement
+    assert "angular" not in identify_sessions(Chosen(without, ("diagonals", "grid"))).agreement.statement
 
 
 def test_beyond_what_a_session_can_tell_there_is_no_value(several: SimpleNamespace) -> None:
@@ -143,7 +144,7 @@ def test_beyond_what_a_session_can_tell_there_is_no_value(several: SimpleNamespa
     content = {"seed": 3, "plan": {"method": "step_diagonal"}, "machine": _random(3, 2e-6)}
     short = simulate(SimulationSpec.model_validate(content)).session
     run = several.measured("run", 3, _random(3, 2e-6)).session
-    result = identify_sessions([short, run], ["short", "run"])
+    result = identify_sessions(Chosen((short, run), ("short", "run")))
     points, error = result.error_map.points, result.error_map.error
     away = points[:, 0] > 0.121
     assert away.any()

@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 
 from machine_tool_calibration.arrays import COVERAGE
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.methods.identify import fit_sessions
+from machine_tool_calibration.methods.fitted import fit_sessions
 from machine_tool_calibration.methods.probing.features import Features, features
 from machine_tool_calibration.methods.probing.map import Responses
 from machine_tool_calibration.methods.probing.propagation import monte_carlo
@@ -60,7 +60,7 @@ def part(make: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def fitted(session: Session) -> Fit:
-    return fit_sessions([session]).joint.fits[0]
+    return fit_sessions(session).joint.fits[0]
 
 
 def table(found: Features) -> dict[str, tuple[float, float]]:

@@ -140,6 +140,8 @@ def test_a_lost_last_reading_of_a_diagonal_leaves_a_gap_only_there(exact, truth)
     assert result.error_map.content["datum"].endswith("; here e_y(z) is zero at 110 mm")
     expected = eq17(profiles.blocks, truth(simulated, profiles.blocks), (-1, -1, -2))
     assert np.nanmax(np.abs(np.concatenate([e.ravel() for e in profiles.error]) - expected)) < 3e-9
+    names = {parameter.name for parameter in result.fit.model.parameters}
+    assert names & {entry.name for entry in result.not_determined} == {"EXZ(0.12)", "EYZ(0.12)"}
 
 
 def test_dead_path_shows_and_the_effect_mends_it(exact):

@@ -145,6 +145,21 @@ def test_targets_keep_the_order_of_the_recording_though_their_first_readings_are
     assert np.allclose(result.error_map.points, made.truth.expected["points"])
 
 
+@pytest.mark.parametrize("model", ["free", "rigid_body"])
+@pytest.mark.parametrize(("axis", "at"), [(0, 0.0), (1, 0.2), (2, 0.4)])
+def test_where_an_axis_was_not_read_at_all(axis, at, model, simulated, truth):
+    """The first, a middle or the last plane of targets: lost there, and right everywhere else."""
+    made = simulated(3, "tracking", seed=3)
+    position = made.session.readings.position()
+    result = identify(made.session.without(np.abs(position[:, axis] - at) < 1e-9, as_lost=True), model=model)
+    good = np.abs(result.error_map.points[:, axis] - at) > 1e-9
+    assert np.array_equal(determined(result), good)
+    assert 0.6 < normalised(result, truth(made, good), good) < 1.4
+    names = {entry.name for entry in result.not_determined}
+    assert model == "free" or {f"E{c}{'XYZ'[axis]}({at:g})" for c in "XYZ"} <= names
+    assert not names & {"A0Z", "B0Z", "C0Y"}
+
+
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_the_map_has_no_common_motion(dimension, simulated):
     content = identify(simulated(dimension, "tracking", seed=9).session).error_map.content

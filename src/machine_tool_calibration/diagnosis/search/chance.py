@@ -15,7 +15,7 @@ from scipy.linalg import lapack
 from scipy.special import logsumexp
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.diagnosis.search.evidence import Block, Gram, Metric, metric_at, table
+from machine_tool_calibration.diagnosis.search.evidence import Block, Gram, Metric, columns_of, metric_at, table
 from machine_tool_calibration.diagnosis.search.priors import ACCEPTED
 
 __all__ = ["Chance", "chance_of", "null_sets"]
@@ -123,8 +123,7 @@ def chance_of(
         sets: simulated data sets.
         rng: source of random numbers.
     """
-    places = [np.zeros(0, dtype=np.int64), *(np.arange(block.place.start, block.place.stop) for block in blocks)]
-    null = null_sets(gram, before, np.unique(np.concatenate(places)), tried[0], variance, sets, rng)
+    null = null_sets(gram, before, np.unique(columns_of(blocks)), tried[0], variance, sets, rng)
     folded = [replace(m, half_data=metric_at(null, m.ratio).half_data) for m in tried]
     factors = table(null, blocks, folded, len(log_odds)).log_factors
     weights = log_odds[:, None] + factors

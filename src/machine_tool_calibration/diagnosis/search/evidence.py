@@ -10,7 +10,7 @@ out, with what was declared as knowledge worth a number of readings.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -30,7 +30,7 @@ from machine_tool_calibration.estimation.variance_components import (
 )
 from machine_tool_calibration.model.effect_sizes import SCALE_STEP, SMALLEST_SIGNAL
 
-__all__ = ["Block", "Gram", "Metric", "Point", "Table", "metric_at", "metrics", "rounding", "table"]
+__all__ = ["Block", "Gram", "Metric", "Point", "Table", "columns_of", "metric_at", "metrics", "rounding", "table"]
 
 # Most scales of one effect; a probability below which its logarithm is calculated apart.
 _MOST_SCALES = 7
@@ -94,6 +94,12 @@ class Block:
 def rounding(squares: Array, unit: Array) -> float:
     """Squared norm, per unit, below which what a model leaves of columns of such squared norms is rounding."""
     return _ROUNDED * float((squares * unit**2).max())
+
+
+def columns_of(blocks: Iterable[Block]) -> IntArray:
+    """Indices of the columns of blocks, one block after the other."""
+    ranges = (np.arange(block.place.start, block.place.stop) for block in blocks)
+    return np.concatenate([np.zeros(0, dtype=np.int64), *ranges])
 
 
 @dataclass(frozen=True)
@@ -211,11 +217,10 @@ class Metric:
         core = inner[:, columns] * np.outer(scale, scale)
         lower = factor_of_sum(core)
         half = below(lower, scale[:, None] * np.column_stack([inner, data]))
-        log_prior_ = self.log_prior - float(np.log(np.diag(lower)).sum())
         k = inner.shape[1]
         return Metric(
             self.ratio,
-            log_prior_,
+            self.log_prior - float(np.log(np.diag(lower)).sum()),
             np.concatenate([self.half, half[:, :k]]),
             np.concatenate([self.half_data, half[:, k:]]),
         )
@@ -327,8 +332,8 @@ def _scales(gram: Gram, blocks: Sequence[Block]) -> list[Array]:
 
     None where nothing shows at all.
     """
-    columns = np.array([np.arange(block.place.start, block.place.stop) for block in blocks])
     unit = np.array([block.unit for block in blocks])
+    columns = columns_of(blocks).reshape(unit.shape)
     own = gram.inner[columns[:, :, None], columns[:, None, :]] * unit[:, :, None] * unit[:, None, :]
     signal = np.sqrt(np.maximum(np.linalg.eigvalsh(own)[:, -1], 0.0)) if unit.shape[1] else np.zeros(len(blocks))
     steps = np.floor(np.log(np.maximum(signal / SMALLEST_SIGNAL, 1.0)) / np.log(SCALE_STEP))
@@ -352,8 +357,8 @@ def _evidence(
     Returns:
         (blocks, scales, B), and (blocks, scales) of the first data set with signs and sizes that do not occur.
     """
-    columns = np.array([np.arange(block.place.start, block.place.stop) for block in blocks])
     unit = np.array([block.unit for block in blocks])
+    columns = columns_of(blocks).reshape(unit.shape)
     inner = np.array([_own(gram, metric, columns) for metric in tried]) * unit[:, :, None] * unit[:, None, :]
     values, vectors = np.linalg.eigh((inner + inner.swapaxes(2, 3)) / 2.0)
     values = np.maximum(values, 0.0)

@@ -9,13 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chndtrinc
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, rms
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped
+from machine_tool_calibration.diagnosis.search.chance import Chance
 from machine_tool_calibration.diagnosis.search.evidence import Gram, Metric
 from machine_tool_calibration.diagnosis.search.posterior import Posterior
 from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, ALIKE, LIKELY
 from machine_tool_calibration.effects.effect import Coefficient
 from machine_tool_calibration.model.effect_sizes import SCALE_STEP, SMALLEST_SIGNAL
+from machine_tool_calibration.residuals.pool import Pool
 
 __all__ = ["Finding", "Size", "alias_groups", "basis_of", "finding_of", "smallest_signal"]
 
@@ -111,37 +113,31 @@ def basis_of(inner: Array, place: slice) -> Array:
 
 
 def finding_of(
+    number: int,
     candidate: Candidate,
     shaped: Shaped,
     place: slice | None,
+    pool: Pool,
     gram: Gram,
-    metric: Metric,
     plain: Metric,
-    *,
-    probability: float,
-    p_value: float,
-    family_p_value: float,
-    log_odds: float,
-    readings: int,
-    sigma: float,
+    found: Posterior,
+    chance: Chance,
 ) -> Finding:
     """Fit a candidate to what the model leaves, in the metric of what does not reproduce.
 
     Args:
+        number: of the candidate in the posterior.
         candidate: what it is.
         shaped: at its best nonlinear coefficients.
         place: of its columns; None if the model absorbs it.
+        pool: the readings.
         gram: inner products.
-        metric: see there.
-        plain: that in which all runs and mountings reproduce.
-        probability: that it is missing.
-        p_value: see `Finding`.
-        family_p_value: see `Finding`.
-        log_odds: logarithm of its prior odds.
-        readings: how many.
-        sigma: declared standard uncertainty, m, for residuals.
+        plain: the metric in which all runs and mountings reproduce.
+        found: the posterior.
+        chance: what comes up where nothing is missing.
     """
-    k = len(shaped.columns)
+    k, readings, sigma = len(shaped.columns), len(pool), rms(pool.sigma)
+    metric, log_factor = found.metric, found.log_factor(number)
     squares = float(metric.squares(gram)[0])
     left = float(plain.squares(gram)[0])
     if place is None:
@@ -166,12 +162,12 @@ def finding_of(
         sizes=sizes,
         signal=signal,
         rank=basis.shape[1],
-        probability=probability,
-        p_value=p_value,
-        family_p_value=family_p_value,
+        probability=found.of(number),
+        p_value=chance.alone(number, log_factor),
+        family_p_value=chance.paid(number, log_factor),
         bic_gain=-readings * float(np.log(rest)) - unknowns * float(np.log(readings)),
         rms_after=float(np.sqrt(max(left - float(taken @ taken), 0.0) / readings)) * sigma,
-        detectable=_detectable(candidate, shaped, inner, variance, log_odds),
+        detectable=_detectable(candidate, shaped, inner, variance, float(chance.log_odds[number])),
         place=place,
     )
 
@@ -185,14 +181,11 @@ def _detectable(
     values = np.maximum(np.linalg.eigvalsh(strength), 0.0)
     needed = float(np.log(ACCEPTED / (1.0 - ACCEPTED))) - log_odds + float(np.log(candidate.count))
     norm = np.sqrt(np.maximum(np.diag(inner), 0.0))
-    out = {}
-    for coefficient, own in zip(shaped.coefficients, norm, strict=True):
-        if own > 0:
-            signal = smallest_signal(
-                values, (own * max(abs(coefficient.low), abs(coefficient.high)) / 2.0) ** 2, needed
-            )
-            out[coefficient.name] = float(signal * np.sqrt(variance) / own)
-    return out
+    return {
+        coefficient.name: float(smallest_signal(values, (own * limit) ** 2, needed) * np.sqrt(variance) / own)
+        for coefficient, own, limit in zip(shaped.coefficients, norm, limits, strict=True)
+        if own > 0
+    }
 
 
 def smallest_signal(values: Array, along: float, needed: float, power: float = _POWER) -> float:

@@ -50,6 +50,8 @@ def absorbed_by(fit: JointFit, projected: Projected, columns: slice) -> tuple[Pa
 _TOLD, _LACK = 0.02, 0.001
 # Reduced chi-square below which the residuals are rounding, whatever they look like.
 _ROUNDING = 1e-6
+# Share of the evidence from which a size of what does not reproduce counts in simulated data sets.
+_MATTERS = 0.01
 # Numbers of first coefficients of an effect that are tried alone.
 _LEADING = (1, 2, 4)
 # Share of its squared norm outside the model below which an effect is absorbed: 1 % of the norm.
@@ -184,7 +186,9 @@ def look_at(
         pairs_among=among,
         apart=_apart(columns.candidates),
     )
-    chance = _chance(columns, log_odds, found, rng, sets)
+    odds = np.where(columns.seen, log_odds, -np.inf)
+    tried = [metric for share, metric in sorted(found.weights, key=lambda entry: -entry[0]) if share > _MATTERS]
+    chance = chance_of(columns.gram, columns.before, columns.blocks, odds, tried, found.variance, sets, rng)
     findings = _findings(columns, found, chance)
     groups = alias_groups(findings, columns.gram, found, {c.name: k for k, c in enumerate(columns.candidates)})
     unknown = range(columns.effects, len(columns.candidates))
@@ -207,7 +211,7 @@ def look_at(
         false_alarms=chance.false_alarms,
         sets=_named_sets(columns, found),
         spread=dict(zip(columns.pool.spread[2], found.metric.ratio, strict=True)),
-        variance=_variance(columns, found),
+        variance=found.variance,
         without_cause=without_cause,
         expected=expected,
     )
@@ -308,13 +312,6 @@ def _without_repeated(columns: _Columns) -> _Columns:
     )
 
 
-def _chance(columns: _Columns, log_odds: Array, found: Posterior, rng: np.random.Generator, sets: int) -> Chance:
-    odds = np.where(columns.seen, log_odds, -np.inf)
-    tried = [metric for share, metric in sorted(found.weights, key=lambda entry: -entry[0]) if share > 0.01]
-    variance = _variance(columns, found)
-    return chance_of(columns.gram, columns.before, columns.blocks, odds, tried, variance, sets, rng)
-
-
 def _without_cause(columns: _Columns, found: Posterior) -> tuple[Array, Array]:
     """Columns of the structures in the most probable set, and what is expected of their coefficients."""
     stacked, expected = [np.zeros((0, len(columns.pool)))], [np.zeros(0)]
@@ -325,38 +322,18 @@ def _without_cause(columns: _Columns, found: Posterior) -> tuple[Array, Array]:
     return np.concatenate(stacked), np.concatenate(expected)
 
 
-def _variance(columns: _Columns, found: Posterior) -> float:
-    return found.left / max(columns.gram.freedom, 1)
-
-
 def _findings(columns: _Columns, found: Posterior, chance: Chance) -> tuple[Finding, ...]:
     out = []
     families = len(found.metric.ratio) - len(columns.gram.sizes)
     plain = metric_at(columns.gram, (0.0,) * families + found.metric.ratio[families:])
     for k, candidate in enumerate(columns.candidates[: columns.effects]):
         point = found.best[k].point if k in found.best else found.single.best[k]
-        at = None if point is None else columns.blocks[point.block]
-        shape = candidate.shapes[columns.shaped[point.block][1]] if point is not None else candidate.shapes[0]
-        if at is not None:
-            count = at.place.stop - at.place.start
+        place, shape = None, candidate.shapes[0]
+        if point is not None:
+            place, shape = columns.blocks[point.block].place, candidate.shapes[columns.shaped[point.block][1]]
+            count = place.stop - place.start
             shape = Shaped(shape.shape, shape.columns[:count], shape.coefficients[:count])
-        factor = found.log_factor(k)
-        out.append(
-            finding_of(
-                candidate,
-                shape,
-                None if at is None else at.place,
-                columns.gram,
-                found.metric,
-                plain,
-                probability=found.of(k),
-                p_value=chance.alone(k, factor) if at is not None else 1.0,
-                family_p_value=chance.paid(k, factor) if at is not None else 1.0,
-                log_odds=float(chance.log_odds[k]),
-                readings=len(columns.pool),
-                sigma=float(np.sqrt(np.mean(columns.pool.sigma**2))),
-            )
-        )
+        out.append(finding_of(k, candidate, shape, place, columns.pool, columns.gram, plain, found, chance))
     # Candidates with the same columns keep the catalogue's order, whatever the last bits say.
     return tuple(sorted(out, key=lambda f: (not f.rank, -round(f.probability, 9), f.p_value)))
 

@@ -16,7 +16,16 @@ import numpy as np
 from scipy.special import logsumexp
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.diagnosis.search.evidence import Block, Gram, Metric, Point, Table, metrics, table
+from machine_tool_calibration.diagnosis.search.evidence import (
+    Block,
+    Gram,
+    Metric,
+    Point,
+    Table,
+    columns_of,
+    metrics,
+    table,
+)
 from machine_tool_calibration.diagnosis.search.priors import LIKELY
 
 __all__ = ["Member", "Posterior", "search"]
@@ -54,7 +63,7 @@ class Posterior:
         single: every candidate by itself.
         metric: that of the size of what does not reproduce which is most probable beside the best set.
         weights: of the sizes of what does not reproduce beside the best set, and these metrics.
-        left: weighted sum of squares that is left beside the best set.
+        variance: of the noise beside the best set, over that declared.
         log_weights: logarithm of the evidence of each set times its prior odds.
         log_odds: (candidates,) logarithm of the prior odds.
     """
@@ -64,15 +73,14 @@ class Posterior:
     single: Table
     metric: Metric
     weights: tuple[tuple[float, Metric], ...]
-    left: float
+    variance: float
     log_weights: dict[frozenset[int], float]
     log_odds: Array
 
     def beside(self, accepted: Collection[int], gram: Gram, blocks: Sequence[Block]) -> tuple[Table, Array]:
         """Every candidate beside accepted members of the best set, and the share of the squares that each takes."""
         members = {k: self.best.get(k) or _member(self.single, k) for k in accepted}
-        columns, scale = _columns(blocks, members)
-        tried = [m.beside(gram, columns, scale) if len(columns) else m for _, m in self.weights]
+        tried = _beside(gram, blocks, [m for _, m in self.weights], members)
         found = table(gram, blocks, tried, len(self.log_odds)) if members else self.single
         metric = tried[int(np.argmax([w for w, _ in self.weights]))]
         data, squares = metric.data(gram)[:, 0], float(metric.squares(gram)[0])
@@ -137,19 +145,20 @@ class _Search:
         """Whether no member of a set is a special case of another."""
         return not any(pair <= set(members) for pair in self.apart)
 
-    def metrics_beside(self, members: dict[int, Member]) -> list[Metric]:
-        """The metrics with the members folded in at their points."""
-        if not members:
-            return self.tried
-        columns, scale = _columns(self.blocks, members)
-        return [metric.beside(self.gram, columns, scale) for metric in self.tried]
+    def prior(self, members: dict[int, Member]) -> float:
+        """Logarithm of the members' prior odds, with what their other points than these add."""
+        return sum(float(self.log_odds[k]) + m.log_rest for k, m in members.items())
+
+    def table_beside(self, members: dict[int, Member], only: int | None = None) -> Table:
+        """Every candidate, or only one, beside the members."""
+        tried = _beside(self.gram, self.blocks, self.tried, members)
+        return table(self.gram, self.blocks, tried, len(self.log_odds), only=only)
 
     def grow(self, members: dict[int, Member]) -> Table:
         """Every other candidate beside the members; each makes a set."""
         self.grown.add(_points(members))
-        beside = table(self.gram, self.blocks, self.metrics_beside(members), len(self.log_odds))
-        prior = sum(self.log_odds[k] + m.log_rest for k, m in members.items())
-        self.keep(members, prior + float(beside.log_null[0]))
+        beside = self.table_beside(members)
+        self.keep(members, self.prior(members) + float(beside.log_null[0]))
         for k in range(len(beside.best)):
             if k not in members:
                 self.keep_beside(members, k, beside)
@@ -159,17 +168,15 @@ class _Search:
         """The set of some members and another candidate, from the table beside these members."""
         point = beside.best[k]
         if point is not None and self.may_stand({*members, k}):
-            prior = sum(self.log_odds[j] + m.log_rest for j, m in members.items())
-            weight = prior + self.log_odds[k] + float(beside.log_evidence[k, 0])
+            weight = self.prior(members) + self.log_odds[k] + float(beside.log_evidence[k, 0])
             self.keep({**members, k: Member(point, float(beside.log_rest[k]))}, weight)
 
     def polish(self, members: dict[int, Member]) -> None:
         """Every member of a set at the point that is best beside the others."""
         for k in list(members):
             others = {j: m for j, m in members.items() if j != k}
-            beside = table(self.gram, self.blocks, self.metrics_beside(others), len(self.log_odds), only=k)
             # Of the set alone: what rules out signs of the others was judged beside this member.
-            self.keep_beside(others, k, beside)
+            self.keep_beside(others, k, self.table_beside(others, only=k))
             members = self.found[frozenset(members)][1]
 
 
@@ -238,8 +245,8 @@ def _worth(work: _Search, single: Table, nothing: Array) -> list[Metric]:
     for k in np.argsort(-(single.log_evidence[:, 0] + work.log_odds))[:_GROWN]:
         if single.best[k] is None:
             continue
-        columns, scale = _columns(work.blocks, {int(k): _member(single, int(k))})
-        values = np.array([m.beside(work.gram, columns, scale).log_null(work.gram)[0] for m in work.tried])
+        beside = _beside(work.gram, work.blocks, work.tried, {int(k): _member(single, int(k))})
+        values = np.array([metric.log_null(work.gram)[0] for metric in beside])
         keep |= values > logsumexp(values) + np.log(_COUNTS)
     return [metric for metric, good in zip(work.tried, keep, strict=True) if good]
 
@@ -288,20 +295,24 @@ def _best_pairs(work: _Search, single: Table, among: Sequence[int]) -> list[tupl
 
 def _columns(blocks: Sequence[Block], members: dict[int, Member]) -> tuple[IntArray, Array]:
     """Places of the members' columns, and the standard deviations of their coefficients."""
-    places, scales = [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
-    for member in members.values():
-        block = blocks[member.point.block]
-        places.append(np.arange(block.place.start, block.place.stop))
-        scales.append(block.unit * member.point.scale)
-    return np.concatenate(places), np.concatenate(scales)
+    points = [member.point for member in members.values()]
+    scales = [blocks[point.block].unit * point.scale for point in points]
+    return columns_of(blocks[point.block] for point in points), np.concatenate([np.zeros(0), *scales])
+
+
+def _beside(
+    gram: Gram, blocks: Sequence[Block], tried: Sequence[Metric], members: dict[int, Member]
+) -> Sequence[Metric]:
+    """The metrics with members folded in at their points."""
+    columns, scale = _columns(blocks, members)
+    return [metric.beside(gram, columns, scale) for metric in tried] if members else tried
 
 
 def _posterior(work: _Search, single: Table) -> Posterior:
     ranked = sorted(work.found.values(), key=lambda entry: -entry[0])
     logs = np.array([value for value, _ in ranked])
     probability = np.exp(logs - logsumexp(logs))
-    columns, scale = _columns(work.blocks, ranked[0][1])
-    beside = [m.beside(work.gram, columns, scale) if len(columns) else m for m in work.tried]
+    beside = _beside(work.gram, work.blocks, work.tried, ranked[0][1])
     values = np.array([m.log_null(work.gram)[0] for m in beside])
     share = np.exp(values - logsumexp(values))
     return Posterior(
@@ -310,7 +321,7 @@ def _posterior(work: _Search, single: Table) -> Posterior:
         single=single,
         metric=work.tried[int(np.argmax(values))],
         weights=tuple(zip(share.tolist(), work.tried, strict=True)),
-        left=float(share @ [m.squares(work.gram)[0] for m in beside]),
+        variance=float(share @ [m.squares(work.gram)[0] for m in beside]) / max(work.gram.freedom, 1),
         log_weights={key: value for key, (value, _) in work.found.items()},
         log_odds=work.log_odds,
     )

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from machine_tool_calibration.arrays import IntArray
-from machine_tool_calibration.diagnosis.search.candidates import Shaped, shaped_at
-from machine_tool_calibration.diagnosis.search.evidence import Block, Gram, metric_at, table
+from machine_tool_calibration.diagnosis.search.candidates import shaped_at
+from machine_tool_calibration.diagnosis.search.evidence import Block, Gram, columns_of, metric_at, table
 from machine_tool_calibration.diagnosis.search.look import Look
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import CalibrationError
@@ -79,7 +79,7 @@ class Prediction:
 def predictions(
     sessions: Sequence[Session],
     look: Look,
-    fit_of: Callable[[Sequence[Session]], JointFit],
+    fit_of: Callable[[tuple[Session, ...]], JointFit],
 ) -> dict[str, tuple[Prediction, ...]]:
     """Every accepted effect on setups, blocks of places and cycles that were left out.
 
@@ -98,7 +98,7 @@ def predictions(
     for what, parts in _divisions(sessions):
         gains, readings = [], 0
         for k in range(1 + max(int(part.max(initial=-1)) for part in parts)):
-            left = [s.with_readings(s.readings.select(part != k)) for s, part in zip(sessions, parts, strict=True)]
+            left = tuple(s.with_readings(s.readings.select(part != k)) for s, part in zip(sessions, parts, strict=True))
             try:
                 gains.append(whole - _log_factors(fit_of(left), effects, look))
             except (CalibrationError, np.linalg.LinAlgError):
@@ -131,19 +131,23 @@ def _log_factors(fit: JointFit, effects: Sequence[tuple[Effect, tuple[float, ...
     projected = pool.screen(np.concatenate([*(s.columns for s in shaped), further, spread])).gram
     gram = Gram.of(projected, family, fit.released.solution).with_noise(max(look.variance, _LEAST_NOISE))
     sizes = look.spread
-    blocks = _blocks(shaped)
+    ends = np.cumsum([0, *(len(s.columns) for s in shaped)]).tolist()
+    blocks = [
+        Block.of(0, slice(first, end), s.coefficients)
+        for s, first, end in zip(shaped, ends[:-1], ends[1:], strict=True)
+    ]
     # Where a part has one run in each mounting, they are one family.
     ratio = tuple(sizes.get(name, 0.0) for name in names)
     if "mounting" in sizes and "mounting" not in names and "run" in names:
         merged = float(np.hypot(sizes.get("run", 0.0), sizes["mounting"]))
         ratio = tuple(merged if name == "run" else size for name, size in zip(names, ratio, strict=True))
-    known = sum(len(s.columns) for s in shaped) + np.arange(len(further))
+    known = ends[-1] + np.arange(len(further))
     base, out = metric_at(gram, ratio).beside(gram, known, look.expected), np.zeros(len(blocks))
     for j, block in enumerate(blocks):
         others = [o for i, o in enumerate(blocks) if i != j]
-        place = np.concatenate([np.zeros(0, dtype=np.int64), *(np.arange(o.place.start, o.place.stop) for o in others)])
-        unit = np.concatenate([np.zeros(0), *(o.unit for o in others)])
-        beside = base.beside(gram, place, unit) if len(place) else base
+        beside = base
+        if others:
+            beside = base.beside(gram, columns_of(others), np.concatenate([o.unit for o in others]))
         factor = float(table(gram, [block], [beside], 1).log_factors[0, 0])
         # Readings on which the effect does not show say nothing of it.
         out[j] = factor if np.isfinite(factor) else 0.0
@@ -157,14 +161,6 @@ def _rows(part: Pool, whole: Pool) -> IntArray:
         order = np.argsort(every.readings.row)
         out.append(piece.start + order[np.searchsorted(every.readings.row, own.readings.row, sorter=order)])
     return np.concatenate(out)
-
-
-def _blocks(shaped: Sequence[Shaped]) -> list[Block]:
-    out, first = list[Block](), 0
-    for s in shaped:
-        out.append(Block.of(0, slice(first, first + len(s.columns)), s.coefficients))
-        first += len(s.columns)
-    return out
 
 
 def _divisions(sessions: Sequence[Session]) -> Iterator[tuple[str, list[IntArray]]]:

@@ -55,8 +55,7 @@ def _of_session(observations: Observations, residual: Array) -> list[Candidate]:
         if name in _SIGNS:
             functions = {"its sign": np.sign(values)[None]}
         else:
-            degree = min(_DEGREE, len(np.unique(np.round(scaled, 9))) - 1)
-            functions = {"smooth": np.polynomial.legendre.legvander(scaled, degree)[:, 1:].T}
+            functions = {"smooth": _smooth(scaled)}
             if name in _ANGLES or name == "normal":
                 functions["periodic"] = np.array([w(k * values) for k in _ORDERS for w in (np.sin, np.cos)])
         for shape, columns in functions.items():
@@ -73,19 +72,19 @@ def _of_session(observations: Observations, residual: Array) -> list[Candidate]:
     return out
 
 
+def _smooth(scaled: Array) -> Array:
+    """Polynomials of a covariate from -1 to 1, no more than it has values."""
+    degree = min(_DEGREE, len(np.unique(np.round(scaled, 9))) - 1)
+    return np.asarray(np.polynomial.legendre.legvander(scaled, degree)[:, 1:].T)
+
+
 def _products(observations: Observations) -> list[Candidate]:
     out = []
     for a, b in ((0, 1), (0, 2), (1, 2)):
         u, v = _scaled(observations.position[:, a]), _scaled(observations.position[:, b])
         if u is None or v is None:
             continue
-        columns = np.concatenate(
-            [
-                (u * v * observations.direction.T),
-                (u**2 * v * observations.direction.T),
-                (u * v**2 * observations.direction.T),
-            ]
-        )
+        columns = np.concatenate([w * observations.direction.T for w in (u * v, u**2 * v, u * v**2)])
         columns = columns[np.abs(columns).max(axis=1) > 1e-9]
         name = f"{'xyz'[a]} and {'xyz'[b]}: product, as a displacement"
         out.append(Candidate(name, (Shaped((), columns),)))
@@ -103,10 +102,8 @@ def _lost_motions(observations: Observations) -> list[Candidate]:
         for k, other in enumerate("xyz"):
             scaled = _scaled(observations.position[:, k])
             if scaled is not None:
-                degree = min(_DEGREE, len(np.unique(np.round(scaled, 9))) - 1)
-                shapes = np.polynomial.legendre.legvander(scaled, degree)[:, 1:].T
                 name = f"dir_{axis} and {other}: lost motion of {axis.upper()} that varies along {other}"
-                out.append(Candidate(name, (Shaped((), shapes * along),)))
+                out.append(Candidate(name, (Shaped((), _smooth(scaled) * along),)))
     return out
 
 

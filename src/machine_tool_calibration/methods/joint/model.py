@@ -27,7 +27,13 @@ from machine_tool_calibration.methods.joint.small_angles import angles_of, expec
 from machine_tool_calibration.methods.step_diagonal.small_angles import coarse_nodes
 from machine_tool_calibration.model.model import Constraint, MethodModel, Prior, Term, assemble
 from machine_tool_calibration.model.observations import Observations, together
-from machine_tool_calibration.model.rigid_body import MachineTable, linear_axis_errors, machine_terms, table_datum
+from machine_tool_calibration.model.rigid_body import (
+    MachineTable,
+    linear_axis_errors,
+    machine_terms,
+    read_nodes,
+    table_datum,
+)
 
 __all__ = ["CommonModels", "common_models", "machine_columns", "tables_of"]
 
@@ -252,11 +258,17 @@ def _with_datum(models: Sequence[MethodModel], labels: Sequence[str], tables: Se
     """The models with those conditions on the machine that all readings together need."""
     own: list[list[Constraint]] = []
     candidates: list[_Condition] = []
+    read = {table.name: np.zeros(len(table.labels), dtype=bool) for table in tables}
+    for model in models:
+        for term in model.terms:
+            if term.name in read:
+                read[term.name] |= read_nodes(term.columns)
     for index, model in enumerate(models):
         shared = {p.name for p in model.parameters if p.shared}
         own.append([c for c in model.constraints if not shared & set(c.weights)])
         sensed = {table.name for table in tables_of(model)}
-        datum = table_datum([table for table in tables if table.name in sensed])
+        acting = [table for table in tables if table.name in sensed]
+        datum = table_datum(acting, [read[table.name] for table in acting])
         candidates += [_Condition(index, c) for c in datum]
         candidates += [_Condition(index, c) for c in model.constraints if shared & set(c.weights)]
     motions = {label: table for table in tables for label in table.labels}

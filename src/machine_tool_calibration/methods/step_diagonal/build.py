@@ -8,9 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray, groups
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, groups
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.robust import robust_start
+from machine_tool_calibration.estimation.solve import solve
 from machine_tool_calibration.methods.step_diagonal.geometry import (
     Run,
     across,
@@ -22,12 +23,15 @@ from machine_tool_calibration.methods.step_diagonal.model import DATUM, Spread, 
 from machine_tool_calibration.methods.step_diagonal.orders import free_angles
 from machine_tool_calibration.methods.step_diagonal.small_angles import LARGEST, NONE, SMALLEST, coarse_nodes
 from machine_tool_calibration.methods.step_diagonal.terms import angle_term, sensed_tables, tilt_terms
-from machine_tool_calibration.model.model import Kind, NotDetermined, Parameter, Term, assemble
+from machine_tool_calibration.model.model import Constraint, Kind, NotDetermined, Parameter, Term, assemble
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.rigid_body import MachineTable, linear_axis_errors, map_field, table_datum
 from machine_tool_calibration.session.session import Readings, Session
 
 __all__ = ["build", "second_order"]
+
+# Share of the largest movement below which values that may move lie on a line.
+_SAME_LINE = 1e-6
 
 
 def second_order(
@@ -115,6 +119,7 @@ def build(session: Session, model: str = "small_angles") -> StepDiagonalModel:
         nominal=observations.path,
         offsets=_offsets(session, readings),
     )
+    base = replace(base, constraints=_datum(base))
     base = replace(base, nominal=base.nominal + _second_order(base, displacement))
     if model in ("translations", "aligned_mirror"):
         return replace(base, left_out=base.left_out + tuple(NotDetermined(t.name, _ZERO) for t in rotations))
@@ -146,6 +151,48 @@ def _offsets(session: Session, readings: Readings) -> tuple[Parameter, ...]:
         Parameter(f"{setup}.offset_{repeat}", "m", kind=Kind.RUN_OFFSET, owner=setup, at=repeat)
         for setup, repeat in named
     )
+
+
+def _datum(model: StepDiagonalModel) -> tuple[Constraint, ...]:
+    """The tables' datum, of those values that the readings determine.
+
+    A lost last reading of a diagonal leaves some open; the line of a straightness is then that of the others.
+    """
+    assembly = assemble([model])
+    loose = solve(assembly.problem).undetermined[assembly.places[0]]
+    if not loose.size:
+        return model.constraints
+    place = {parameter.name: k for k, parameter in enumerate(model.parameters)}
+    return table_datum(
+        model.tables,
+        [
+            _placed(table.nodes, loose[[place[label] for label in table.labels]])
+            if table.is_straightness
+            else np.ones(len(table.labels), dtype=bool)
+            for table in model.tables
+        ],
+    )
+
+
+def _placed(nodes: Array, loose: Array) -> BoolArray:
+    """(k,) the values of a table that may only move along one line, or all where no three do.
+
+    Args:
+        nodes: (k,) their places, m.
+        loose: (k, r) how they may move without any reading changing.
+    """
+    design = np.column_stack([np.ones(len(nodes)), nodes])
+    most = float(np.abs(loose).max())
+
+    def off_line(there: IntArray) -> float:
+        return float(np.abs(loose[there] - design[there] @ np.linalg.pinv(design[there]) @ loose[there]).max())
+
+    there = np.arange(len(nodes))
+    while off_line(there) > _SAME_LINE * most:
+        if len(there) <= 3:
+            return np.ones(len(nodes), dtype=bool)
+        there = there[np.arange(len(there)) != np.argmin([off_line(np.delete(there, k)) for k in range(len(there))])]
+    return np.isin(np.arange(len(nodes)), there)
 
 
 def _second_order(model: StepDiagonalModel, displacement: Array) -> Array:

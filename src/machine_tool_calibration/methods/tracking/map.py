@@ -108,20 +108,31 @@ def table_map(model: TrackingModel, fit: Fit, tables: tuple[MachineTable, ...]) 
     field = map_field(tables, model.targets)[:, :, :d]
     first = len(model.own)
     place = slice(first, first + len(field))
-    flat = field.reshape(len(field), -1)
-    common = model.motion.at(model.targets[:, :d].T).transpose(2, 0, 1).reshape(n * d, -1)
-    fitted = np.linalg.lstsq(common, flat.T, rcond=None)[0]
-    flat = flat - (common @ fitted).T
+    raw = field.reshape(len(field), -1)
+    common = model.motion.at(model.targets[:, :d].T).transpose(2, 0, 1)
+    loose = fit.solution.loose_directions()[fit.places][place]
+
+    def told(field: Array) -> BoolArray:
+        """(n,) the targets of which every coordinate is determined."""
+        return np.asarray((np.linalg.norm(field.T @ loose, axis=1).reshape(n, d) < 1e-9).all(axis=1))
+
+    def without_common(targets: BoolArray) -> tuple[Array, Array]:
+        """The common motion of some targets, and the field of all without it."""
+        rows = np.repeat(targets, d)
+        fitted = np.linalg.lstsq(common[targets].reshape(-1, common.shape[2]), raw[:, rows].T, rcond=None)[0]
+        return np.asarray(fitted), raw - (common.reshape(n * d, -1) @ fitted).T
+
+    fitted, flat = without_common(np.ones(n, dtype=bool))
+    if (sure := told(raw)).sum() > told(flat).sum():
+        # What is not determined at some targets must not shift and turn all others.
+        fitted, flat = without_common(sure)
+    good = told(flat)
     blocks = flat.reshape(len(field), n, d)
     covariance = np.einsum("knd,kl,lne->nde", blocks, fit.covariance[place, place], blocks, optimize=True)
     # The stations move with the common motion that is taken out of the targets.
     change = np.eye(len(fit.theta))[:first]
     change[:, place] -= model.motion.of_stations(model.stations[:, :d]) @ fitted
     own_u = np.sqrt(np.einsum("ij,jk,ik->i", change, fit.covariance, change))
-    loose = fit.solution.loose_directions()[fit.places][place]
-    good = np.ones(n, dtype=bool)
-    if loose.shape[1]:
-        good = (np.linalg.norm(flat.T @ loose, axis=1).reshape(n, d) < 1e-9).all(axis=1)
     why = {int(k): "an error motion that it needs is not determined" for k in np.flatnonzero(~good)}
     error = (fit.theta[place] @ flat).reshape(n, d)
     return _published(model, fit, _Network(error, covariance, good, change @ fit.theta, own_u, why))

@@ -13,9 +13,8 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, unit_vectors
 from machine_tool_calibration.estimation.problem import FunctionPart, Part, group_points, group_rows
-from machine_tool_calibration.instruments.tracking import beam_direction
 from machine_tool_calibration.methods.tracking.datum import MAP_DATUM, NetworkMotion, OwnSight, carried_stations
 from machine_tool_calibration.methods.tracking.map import free_map, table_map
 from machine_tool_calibration.methods.tracking.multilateration import MultilaterationPart
@@ -29,6 +28,7 @@ from machine_tool_calibration.model.rigid_body import (
     axis_nodes,
     linear_axis_errors,
     machine_terms,
+    read_nodes,
     table_datum,
 )
 from machine_tool_calibration.session.description import TrackingInterferometer
@@ -209,7 +209,7 @@ def build(session: Session, model: str = "free") -> TrackingModel:
     direction = line / length[:, None]
     if description.pointing == "open_loop":
         elevation = readings.columns.get("elevation", np.zeros(len(readings))) if d == 3 else np.zeros(len(readings))
-        direction = beam_direction(readings.column("azimuth"), elevation)
+        direction = unit_vectors(readings.column("azimuth"), elevation)
     path = np.zeros(len(stations))
     for s in range(len(stations)):
         mine = np.flatnonzero(readings.setup == s)
@@ -238,8 +238,9 @@ def build(session: Session, model: str = "free") -> TrackingModel:
     chain = description.machine.kinematics
     nodes = {axis: axis_nodes(targets[:, j]) for j, axis in enumerate("XYZ"[:d])}
     tables, terms, left_out = machine_terms(free.observations, linear_axis_errors(chain, nodes))
+    constraints = table_datum(tables, [read_nodes(term.columns) for term in terms])
     datum = f"{RIGID_BODY_DATUM}; map: {MAP_DATUM}"
-    return replace(free, terms=terms, constraints=table_datum(tables), left_out=left_out, datum=datum, tables=tables)
+    return replace(free, terms=terms, constraints=constraints, left_out=left_out, datum=datum, tables=tables)
 
 
 def _station_datum(model: TrackingModel) -> tuple[Constraint, ...]:

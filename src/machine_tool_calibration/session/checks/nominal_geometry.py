@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray, group_ranges, groups
+from machine_tool_calibration.arrays import Array, IntArray, group_ranges, groups, unit_vectors
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.checks.mistakes import (
     LENGTHS,
@@ -49,12 +49,6 @@ __all__ = [
     "on_table",
     "turning_mistakes",
 ]
-
-
-def direction(azimuth: Array, elevation: Array) -> Array:
-    """(n, 3) unit vectors of a beam, machine frame; angles in rad."""
-    flat = np.cos(elevation)
-    return np.column_stack([np.cos(azimuth) * flat, np.sin(azimuth) * flat, np.sin(elevation)])
 
 
 def places(labels: np.ndarray, ids: list[str]) -> IntArray:
@@ -156,7 +150,7 @@ def _off_beam(session: Session) -> Array:
     assert isinstance(description, TrackingInterferometer)
     upright = 0.0 if description.dimension == 2 else 1.0
     elevation = upright * readings.columns.get("elevation", np.zeros(len(readings)))
-    beam = direction(readings.columns["azimuth"], elevation)
+    beam = unit_vectors(readings.columns["azimuth"], elevation)
     line = _lines(session, readings.position()) * (1.0, 1.0, upright)
     cosine = np.sum(beam * line, axis=1) / np.linalg.norm(line, axis=1)
     return np.asarray(np.arccos(np.clip(cosine, -1, 1)))
