@@ -70,6 +70,20 @@ def test_a_better_model_that_is_known(improved: Path, tmp_path: Path, capsys: Sh
     assert run(["history", str(improved), "--use", "2"]) == 0
 
 
+def test_conformity_and_budget_are_those_of_the_model_in_use(improved: Path, capsys: Shown) -> None:
+    asked = ["conformity", str(improved), "--tolerance", "volumetric=100um", "--json"]
+    assert run(asked) == 0
+    shown = capsys.readouterr()
+    plain = json.loads(shown.out)
+    assert BETTER in shown.err and "--from-history does" in shown.err
+    assert run([*asked, "--from-history"]) == 0
+    shown = capsys.readouterr()
+    assert BETTER not in shown.err
+    used = json.loads(shown.out)
+    assert run([*asked, "--effect", "backlash_y"]) == 0
+    assert used["figures"] == json.loads(capsys.readouterr().out)["figures"] != plain["figures"]
+
+
 def test_several_sessions(improved: Path, session: Path, tmp_path: Path, capsys: Shown) -> None:
     again = measured_again(session, tmp_path / "again")
     words = [str(improved), str(again), "--format", "isg", "-o", str(tmp_path / "a")]

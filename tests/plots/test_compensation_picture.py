@@ -29,3 +29,11 @@ def test_marks_and_band_are_the_errors_and_twice_their_uncertainty() -> None:
     assert np.allclose([band[:, 1].min(), band[:, 1].max()], [-0.4, 0.4])
     lengths = panels[4].collections[0].get_paths()[0].vertices
     assert np.allclose([lengths[:, 1].min(), lengths[:, 1].max()], [0.0, 0.4 * np.sqrt(2)])
+
+
+def test_a_long_title_of_a_narrow_picture_stays_in_it() -> None:
+    points = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]])
+    errors = ResidualErrors(points, np.zeros((2, 3)), np.zeros((2, 3)), np.zeros((2, 3)), np.ones((2, 3), dtype=bool))
+    figure = draw_compensation(errors, "siemens: x")
+    figure.draw_without_rendering()
+    assert figure.texts[0].get_window_extent().width <= figure.bbox.width

@@ -5,9 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.quiver import Quiver, QuiverKey
 
+from machine_tool_calibration.diagnosis.compare import compare_result
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.plots import direct, rotary_axis
+from machine_tool_calibration.plots.compare import draw_map as draw_residual_map
 from machine_tool_calibration.plots.pictures import draw
 from machine_tool_calibration.report.words import words
 from machine_tool_calibration.simulation.simulate import simulate
@@ -64,3 +67,24 @@ def test_a_title_stays_within_its_picture_in_every_language() -> None:
     figure.suptitle(words("de").phrase(figure.get_suptitle()))
     figure.draw_without_rendering()
     assert figure._suptitle.get_window_extent().width < figure.bbox.width
+
+
+def test_arrows_of_a_map_have_their_scale() -> None:
+    content = identify(_session(method="direct", kind="grid_plate", repeats=2)).document()["error_map"]
+    (panel,) = direct.draw_map(content).axes
+    (key,) = (part for part in panel.get_children() if isinstance(part, QuiverKey))
+    (arrows,) = (part for part in panel.get_children() if type(part) is Quiver)
+    error = np.linalg.norm(np.array(content["position_error"])[:, :2].astype(float), axis=1)
+    drawn = np.hypot(arrows.U, arrows.V)
+    size, unit = key.text.get_text().split()
+    assert unit == "µm"
+    assert key.U / (1e-6 * float(size)) == pytest.approx(drawn.max() / error.max(), rel=1e-6)
+
+
+def test_residuals_along_a_line_stand_up_from_it() -> None:
+    session = _session(method="direct", kind="iso230_2", repeats=2)
+    result = identify(session)
+    (panel,) = draw_residual_map(compare_result(result)).axes
+    assert (panel.get_xlabel(), panel.get_ylabel()) == ("x, mm", "residual along x, µm")
+    drawn = np.concatenate([line.get_ydata() for line in panel.lines if line.get_marker() == "."])
+    np.testing.assert_allclose(np.sort(drawn), np.sort(1e6 * result.fit.residuals), atol=1e-9)

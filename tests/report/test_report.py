@@ -188,6 +188,15 @@ def test_diagnosis_budget_conformity_and_readings_set_aside_are_there():
     assert "conformity" in ids and "conformity" not in [section.id for section in content("tracking_2d", "en")]
 
 
+def test_effects_in_the_model_stand_there_with_their_sizes() -> None:
+    found = evaluate(replace(evaluated("iso230_2").chosen, effects=("backlash_x",)), diagnosis=False)
+    tables = [block for section in sections(found, words("en")) for block in section.blocks]
+    (table,) = (one for one in tables if isinstance(one, TextTable) and one.title == "Effects in the model")
+    ((title, name, size),) = table.rows
+    assert (title, name) == ("backlash of X", "backlash_x")
+    assert re.fullmatch(r"b = \d\.\d+ ± 0\.\d+ µm", size)
+
+
 def test_paper_has_its_pages_and_texts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, language: str = "de"):
     file = tmp_path / "folder" / "report.pdf"
     monkeypatch.setattr("machine_tool_calibration.report.page.sections", lambda *_: content("tracking_2d", language))

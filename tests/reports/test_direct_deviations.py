@@ -3,7 +3,7 @@
 
 from typing import Any
 
-from machine_tool_calibration.reports.direct_deviations import direct_tables
+from machine_tool_calibration.reports.direct_deviations import direct_tables, scatter_words
 from machine_tool_calibration.reports.tables import TextTable
 
 RUN: dict[str, Any] = {
@@ -68,3 +68,16 @@ def test_figures_of_a_run_stand_where_they_belong_and_few_runs_are_said() -> Non
     (table,) = direct_tables({"iso230_2": [{**RUN, "count_up": [1], "count_down": [], "note": "One run only."}]})
     assert isinstance(table, TextTable)
     assert table.note.startswith("One run only; ") and "repeatability and accuracy are not determined" in table.note
+
+
+def test_readings_far_outside_their_declared_uncertainty_are_not_called_fitting() -> None:
+    # Passes that differ take the misfit up: uncertainties need no factor, and yet nothing is within what was declared.
+    scatter = {"declared": 3e-7, "found": 5.46e-6, "uncertainties_from": "declared", "factor": 1.0}
+    text = scatter_words({"scatter": scatter}, 0.0)
+    assert "scatter 18.2 times their declared uncertainty" in text
+    assert "fits" not in text
+
+
+def test_a_scatter_is_said_with_its_own_ratio() -> None:
+    scatter = {"declared": 1e-6, "found": 1.51e-6, "uncertainties_from": "scatter", "factor": 1.48}
+    assert "scatter 1.51 times" in scatter_words({"scatter": scatter}, 1e-9)

@@ -9,12 +9,20 @@ from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import Command, Wanted, model_options, note_written
+from machine_tool_calibration.cli.diagnosing import (
+    Command,
+    Wanted,
+    history_option,
+    model_options,
+    note_written,
+    unused_model,
+)
 from machine_tool_calibration.cli.output import (
     MOST_DRAWS,
     PictureFile,
     console,
     json_option,
+    note,
     progress_bar,
     write_json,
 )
@@ -55,6 +63,7 @@ def budget_option(text: str) -> Callable[[Command], Command]:
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of random draws.")
 @click.option("--plot", type=PictureFile(folder=True), help="Draw a bar chart: a file (png, svg, pdf), or a folder.")
 @model_options
+@history_option
 @json_option
 def command(
     measurements: tuple[Path, ...],
@@ -111,12 +120,17 @@ def command(
 
 
 def fitted(wanted: Wanted, paths: Sequence[Path], progress: Report) -> tuple[Sequence[Session], FittedSessions]:
-    """The sessions as they were read, and the fit of them as `mtcal identify` makes it."""
+    """The sessions as they were read, and the fit of them as `mtcal identify` makes it; a better model is named."""
     from machine_tool_calibration.methods.identify import fitted_sessions, identify_sessions
 
     measured = wanted.open(paths)
     progress("identifying")
-    return measured.recorded, fitted_sessions(identify_sessions(measured.chosen))
+    result = identify_sessions(measured.chosen)
+    effects = measured.chosen.effects
+    better = None if wanted.from_history else unused_model(measured.recorded, paths, effects, result.joint)
+    if better:
+        note(better)
+    return measured.recorded, fitted_sessions(result)
 
 
 def contributors_of(files: Sequence[Path], sessions: Sequence[Session]) -> tuple[Contributor, ...]:

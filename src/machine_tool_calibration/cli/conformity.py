@@ -9,7 +9,7 @@ import click
 
 from machine_tool_calibration.budget.conformity import RULES, conformity
 from machine_tool_calibration.cli.budget import budget_option, contributors_of, fitted
-from machine_tool_calibration.cli.diagnosing import Wanted, model_options
+from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options
 from machine_tool_calibration.cli.output import console, json_option, progress_bar, write_json
 
 __all__ = ["command"]
@@ -38,6 +38,7 @@ __all__ = ["command"]
 @budget_option("Take the uncertainties of this budget (`mtcal budget`) instead of those of the identification.")
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of random draws.")
 @model_options
+@history_option
 @json_option
 def command(
     measurements: tuple[Path, ...],

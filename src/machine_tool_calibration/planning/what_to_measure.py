@@ -33,8 +33,7 @@ def assumed_effects(diagnosis: Diagnosis) -> dict[str, Assumed]:
     for found in diagnosis.look.findings:
         effect = found.candidate.effect
         assert effect is not None
-        names = [size.coefficient.name for size in found.sizes]
-        out[found.name] = Assumed(effect, found.shape, dict(zip(names, found.signal.tolist(), strict=False)))
+        out[found.name] = Assumed(effect, found.shape, {size.coefficient.name: size.value for size in found.sizes})
     return out
 
 

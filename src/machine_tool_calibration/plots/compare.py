@@ -11,7 +11,15 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.diagnosis.comparison import Comparison, JointComparison
-from machine_tool_calibration.plots.residuals import color, draw_arrows, draw_residuals, grids, planes, repeat_groups
+from machine_tool_calibration.plots.residuals import (
+    color,
+    draw_arrows,
+    draw_residuals,
+    grids,
+    line_of,
+    planes,
+    repeat_groups,
+)
 from machine_tool_calibration.plots.style import COLORS, save
 from machine_tool_calibration.reports.quantities import rounded
 
@@ -161,17 +169,32 @@ def draw_against(comparison: Comparison, names: Sequence[str]) -> Figure:
 
 
 def draw_map(comparison: Comparison) -> Figure:
-    """Residuals as arrows along the sensed direction where they were read, seen along one or three axes."""
+    """Residuals as arrows along the sensed direction where they were read, seen along one or three axes.
+
+    Of readings along a line, in its direction, they stand up from it.
+    """
     from matplotlib.figure import Figure
 
     observations = comparison.fit.model.observations
     position, arrow = observations.position, comparison.residual[:, None] * observations.direction
     same = repeat_groups(observations)
-    views = planes(position, observations.direction)
-    figure = Figure(figsize=(6.4 * len(views), 6.0), layout="constrained")
-    for panel, (a, b) in zip(figure.subplots(1, len(views), squeeze=False).ravel(), views, strict=True):
-        draw_arrows(panel, position[:, [a, b]], arrow[:, [a, b]], comparison.residual, same)
-        panel.set(xlabel=f"{'xyz'[a]}, mm", ylabel=f"{'xyz'[b]}, mm")
+    line, views = line_of(position, observations.direction), planes(position, observations.direction)
+    if line is not None:
+        figure = Figure(figsize=(9.0, 3.6), layout="constrained")
+        panel = figure.subplots()
+        sign = np.where(observations.direction[:, line] < 0, -1.0, 1.0)
+        more = comparison.residual >= 0
+        for which, own in ((more, color(1)), (~more, color(0))):
+            place, shown = 1e3 * position[which, line], 1e6 * (sign * comparison.residual)[which]
+            panel.vlines(place, 0.0, shown, colors=own, lw=0.6, alpha=0.5)
+            panel.plot(place, shown, ".", color=own, ms=4)
+        panel.axhline(0.0, color="0.6", lw=0.8)
+        panel.set(xlabel=f"{'xyz'[line]}, mm", ylabel=f"residual along {'xyz'[line]}, µm")
+    else:
+        figure = Figure(figsize=(6.4 * len(views), 6.0), layout="constrained")
+        for panel, (a, b) in zip(figure.subplots(1, len(views), squeeze=False).ravel(), views, strict=True):
+            draw_arrows(panel, position[:, [a, b]], arrow[:, [a, b]], comparison.residual, same)
+            panel.set(xlabel=f"{'xyz'[a]}, mm", ylabel=f"{'xyz'[b]}, mm")
     figure.suptitle("Residuals along the sensed direction (orange: more than predicted, blue: less)", fontsize=11)
     grids(figure)
     return figure

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, rms
+from machine_tool_calibration.plots.style import round_down
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.session.session import Session
 
@@ -127,7 +128,13 @@ def draw_map(content: Mapping[str, Any]) -> Figure:
         # arrows in the axes' own unit, so that they turn and grow with the picture
         arrow = 1e3 * _LENGTH * width / largest * error[shown][:, [i, j]]
         start = 1e3 * points[shown][:, [i, j]]
-        panel.quiver(*start.T, *arrow.T, angles="xy", scale_units="xy", scale=1.0, color="tab:blue", width=0.003)
+        arrows = panel.quiver(
+            *start.T, *arrow.T, angles="xy", scale_units="xy", scale=1.0, color="tab:blue", width=0.003
+        )
+        known = round_down(largest)
+        panel.quiverkey(
+            arrows, 0.9, 0.96, 1e3 * _LENGTH * width / largest * known, quantity(known, "m"), labelpos="W", color="0.2"
+        )
         panel.update_datalim(start + arrow)  # matplotlib counts only where arrows begin
         panel.autoscale_view()
     panel.set_aspect("equal", adjustable="datalim")

@@ -114,6 +114,8 @@ def _with_squareness(title: str, parameters: Iterable[Mapping[str, Any]]) -> str
 _SHARE = 0.6
 # Smallest ellipse that is seen beside its point, as a share of the map.
 _SEEN = 0.014
+# Room that ellipses may take beside the points, as a share of the map.
+_ROOM = 0.25
 _MOST_LAYERS = 6
 _MOST_ELLIPSES = 1500
 
@@ -237,6 +239,9 @@ def _layer(panel: Axes, layer: _Map, drawing: _Drawing) -> None:
                 offset_transform=panel.transData, facecolor="none", edgecolor=BAND, lw=1.1, zorder=2,
             )
         )  # fmt: skip
+        # Room for the ellipses, but not for one that hardly anything determines.
+        reach = np.minimum(size / 2, _ROOM * np.ptp(nominal, axis=0).max())
+        panel.update_datalim(np.vstack([found[good] - reach, found[good] + reach]))
         text = "U (k = 2)" + (f", {larger:g} times larger" if larger > 1 else "")
         panel.plot([], [], "o", mfc="none", mec=BAND, label=text)
     panel.plot(nominal[:, 0], nominal[:, 1], ".", color=NOMINAL, ms=4, label="nominal", zorder=2)

@@ -13,7 +13,7 @@ import pandas as pd
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.improve import Improvement, Step, residual_volumetric_error
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.plots.residuals import axis_label, color, grids, planes
+from machine_tool_calibration.plots.residuals import axis_label, color, grids, line_of, planes
 from machine_tool_calibration.plots.style import save
 from machine_tool_calibration.reports.documents import write_table
 from machine_tool_calibration.reports.quantities import quantity
@@ -56,7 +56,7 @@ def draw_steps(steps: Sequence[Step], sessions: Sequence[Session], declared: flo
     # Outliers would hide everything else: the first picture is of the readings that are kept.
     if len(steps) > 2 and last.set_aside:
         first = steps[1]
-    along = sessions[0].spec.along if len(sessions) == 1 else None
+    along = _along(first) if len(sessions) == 1 else None
     size = _size(first)
     for panel, step, title in ((before, first, "before"), (after, last, "after")):
         if along is not None:  # arrows would lie on each other
@@ -66,6 +66,13 @@ def draw_steps(steps: Sequence[Step], sessions: Sequence[Session], declared: flo
         panel.set_title(f"{title}: {quantity(step.result.rms_residual, 'm')} RMS", fontsize=10)
     grids(figure)
     return figure
+
+
+def _along(step: Step) -> str | None:
+    """What the residuals of a single session are drawn over where arrows would lie on each other."""
+    observations = step.result.joint.fits[0].model.observations
+    line = line_of(observations.position, observations.direction)
+    return observations.session.spec.along or (None if line is None else "xyz"[line])
 
 
 def _fall(panel: Axes, steps: Sequence[Step], declared: float) -> None:

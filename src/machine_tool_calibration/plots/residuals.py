@@ -17,13 +17,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["axis_label", "color", "draw_arrows", "draw_residuals", "grids", "planes", "repeat_groups"]
+__all__ = ["axis_label", "color", "draw_arrows", "draw_residuals", "grids", "line_of", "planes", "repeat_groups"]
 
 _BINS = 12
 # Arrows of one panel beyond which they hide each other, and the share of the panel that the longest takes.
 _ARROWS, _LENGTH = 700, 0.10
 # Share of the largest range of an axis that another must have to be shown beside it.
 _WIDE = 0.3
+# The same share up to which readings lie on a line.
+_THIN = 0.01
 
 
 def draw_residuals(panel: Axes, name: str, values: Array, residual: Array, setup: IntArray, most: int = _BINS) -> None:
@@ -138,6 +140,15 @@ def planes(position: Array, direction: Array) -> list[tuple[int, int]]:
     # A line, or readings at one place: the pair that shows its axis and what is sensed.
     seen = span / max(float(span.max()), 1e-12) + 0.5 * np.abs(direction).max(axis=0)
     return [max(pairs, key=lambda pair: float(seen[list(pair)].sum()))]
+
+
+def line_of(position: Array, direction: Array) -> int | None:
+    """The axis along which all readings lie and sense, where arrows at (n, 3) positions would lie on each other."""
+    span, sensed = np.ptp(position, axis=0), np.abs(direction).max(axis=0)
+    axis = int(np.argmax(span))
+    others = [k for k in range(3) if k != axis]
+    alone = span[others].max() <= _THIN * span[axis] and sensed[others].max() <= _THIN * sensed[axis]
+    return axis if alone and span[axis] > 0 else None
 
 
 def repeat_groups(observations: Observations) -> IntArray:

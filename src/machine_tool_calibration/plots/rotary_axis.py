@@ -84,7 +84,7 @@ def draw_arrangement(content: Mapping[str, Any], axis: str = "C") -> Figure:
     figure = Figure(figsize=(11, 5.5), layout="constrained")
     figure.suptitle("Where stations and targets were found, frame of the axis average line")
     for panel, (i, j) in zip(figure.subplots(1, 2), ((first, second), (first, along)), strict=True):
-        stations, targets = _numbers(content["stations"]), _numbers(content["targets"])
+        stations, targets = 1e3 * _numbers(content["stations"]), 1e3 * _numbers(content["targets"])
         _marks(panel, stations[:, [i, j]], content["station_ids"], "^", "tab:red")
         _marks(panel, targets[:, [i, j]], content["target_ids"], "o", "tab:blue")
         if j != along:
@@ -95,8 +95,9 @@ def draw_arrangement(content: Mapping[str, Any], axis: str = "C") -> Figure:
             panel.axvline(0.0, color="0.5", linestyle="-.", linewidth=1)
         panel.plot(0.0, 0.0, "+", color="black")
         panel.set_aspect("equal", adjustable="datalim")
-        panel.set_xlabel(f"{'XYZ'[i]} / m")
-        panel.set_ylabel(f"{'XYZ'[j]} / m")
+        panel.margins(0.12)  # room for the names
+        panel.set_xlabel(f"{'XYZ'[i]} / mm")
+        panel.set_ylabel(f"{'XYZ'[j]} / mm")
     return figure
 
 

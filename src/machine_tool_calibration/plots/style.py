@@ -52,7 +52,7 @@ def new_figure(width: float, height: float, title: str = "") -> Figure:
 
     figure = Figure(figsize=(width, height), layout="constrained")
     if title:
-        figure.suptitle(title, fontsize="medium")
+        figure.suptitle(title, fontsize="medium", wrap=True)
     return figure
 
 
@@ -85,6 +85,12 @@ def add_footer(figure: Figure, text: str) -> Bbox:
     width, height = (float(size) for size in figure.get_size_inches())
     lines = fill(text, max(int(width / _LETTER), 20))
     strip = 0.06 + (lines.count("\n") + 1) * _FOOT * 1.3 / 72
+    if figure.legends:
+        # While the figure is saved its box grows by the strip, and would take a legend at its edge along.
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")
+        for legend in figure.legends:
+            legend.set_bbox_to_anchor((0, 0, 1, 1), figure.transFigure)
     figure.text(0.05 / width, 0.0, lines, va="top", fontsize=_FOOT, color="0.35", in_layout=False)
     return Bbox([[0.0, -strip], [width, height]])
 

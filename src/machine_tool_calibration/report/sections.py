@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from machine_tool_calibration.diagnosis.consequence import effect_estimates
 from machine_tool_calibration.diagnosis.search.findings import Finding
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.model.result import Estimate
@@ -28,7 +29,13 @@ from machine_tool_calibration.report.words import Words
 from machine_tool_calibration.reports.budget import budget_tables
 from machine_tool_calibration.reports.conformity import conformity_table
 from machine_tool_calibration.reports.direct_deviations import direct_tables
-from machine_tool_calibration.reports.identification import group_by_reason, readings_set_aside, summary_rows
+from machine_tool_calibration.reports.identification import (
+    datum_words,
+    group_by_reason,
+    motion_row,
+    readings_set_aside,
+    summary_rows,
+)
 from machine_tool_calibration.reports.information import setup_place
 from machine_tool_calibration.reports.quantities import (
     NOT_DETERMINED,
@@ -201,6 +208,8 @@ def _map(found: Evaluation, words: Words) -> Iterator[str | TextTable | Picture 
             f"{' + '.join(s['effects'])} ({probability(s['probability'])})" for s in document["averaged_over"]
         )
         yield words("averaged", sets=sets)
+    if document["effects"]:
+        yield _effects(found, words)
     if "agreement" in document:
         yield words.phrase(document["agreement"]["statement"])
     yield from map_pictures(found, words)
@@ -214,6 +223,20 @@ def _map(found: Evaluation, words: Words) -> Iterator[str | TextTable | Picture 
             yield part
 
 
+def _effects(found: Evaluation, words: Words) -> TextTable:
+    """Effects in the model, with what was found of them."""
+    rows = [
+        (_title(name, found, words), name, sizes_in_words(effect_estimates(found.result.joint, [name])))
+        for name in found.document["effects"]
+    ]
+    return TextTable(words("effects_in_model"), (words("effect"), "id", words("size_u")), tuple(rows))
+
+
+def _title(name: str, found: Evaluation, words: Words) -> str:
+    known = catalogue(found.measured.chosen.own)
+    return words.phrase(known[name].title) if name in known else name
+
+
 def _motions(found: Evaluation, words: Words) -> Iterator[str | TextTable | Picture]:
     table = error_motions(found.result)
     known = table[table["determined"].astype(bool)]
@@ -221,9 +244,8 @@ def _motions(found: Evaluation, words: Words) -> Iterator[str | TextTable | Pict
     for name, own in known.groupby("motion", sort=False):
         unit = "µrad" if own["unit"].iloc[0] == "rad" else "µm"
         if own["position"].notna().all():
-            expanded = micrometres(2 * float(own["u"].max()))
-            ends = (micrometres(float(own["value"].min())), micrometres(float(own["value"].max())))
-            rows.append((str(name), str(len(own)), *ends, expanded, unit))
+            count = int((table["motion"] == name).sum())
+            rows.append(motion_row(str(name), own["value"].to_numpy(), own["u"].to_numpy(), count, own["unit"].iloc[0]))
         else:
             single.append(
                 (str(name), micrometres(float(own["value"].iloc[0])), micrometres(2 * float(own["u"].iloc[0])), unit)
@@ -273,15 +295,10 @@ def _diagnosis(found: Evaluation, words: Words) -> Iterator[str | TextTable]:
     if found.improvement is None:
         return
     diagnosis = found.improvement.diagnosis
-    known = catalogue(found.measured.chosen.own)
-
-    def title(name: str) -> str:
-        return words.phrase(known[name].title) if name in known else name
-
-    named = ", ".join(f"{title(name)} ({name})" for name in diagnosis.accepted)
+    named = ", ".join(f"{_title(name, found, words)} ({name})" for name in diagnosis.accepted)
     yield words(f"verdict_{diagnosis.verdict}", effects=named, count=len(diagnosis.outliers))
     ranked = [one for one in diagnosis.ranked if one.rank][:_CANDIDATES]
-    rows = tuple((title(one.name), one.name, probability(one.probability), _size(one)) for one in ranked)
+    rows = tuple((_title(one.name, found, words), one.name, probability(one.probability), _size(one)) for one in ranked)
     heads = (words("effect"), "id", words("probability"), words("size_u"))
     yield TextTable(words("candidates"), heads, rows, words("candidates_note"))
     left = tuple(
@@ -360,7 +377,7 @@ def _undetermined(found: Evaluation, words: Words) -> Iterator[str | TextTable]:
         yield TextTable("", (words("what"), words("why")), rows)
     else:
         yield words("all_determined")
-    yield words("datum", datum=words.phrase(document["datum"]))
+    yield words("datum", datum=words.phrase(datum_words(document)))
 
 
 def _rejected(found: Evaluation, words: Words) -> Iterator[str | TextTable]:

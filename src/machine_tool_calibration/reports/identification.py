@@ -3,15 +3,18 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, parse_motion
 from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.reports.direct_deviations import direct_tables, scatter_words
 from machine_tool_calibration.reports.quantities import (
+    NOT_DETERMINED,
     decimals,
     fixed,
     micrometres,
@@ -33,8 +36,10 @@ if TYPE_CHECKING:
     from machine_tool_calibration.session.session import Session
 
 __all__ = [
+    "datum_words",
     "goodness_of_fit",
     "group_by_reason",
+    "motion_row",
     "readings_set_aside",
     "session_headline",
     "show_profiles",
@@ -45,6 +50,8 @@ __all__ = [
 
 # p-value of the residuals below which the model is in doubt.
 _DOUBTFUL = 0.01
+# U, µm or µrad, below which nothing but the datum gave a value.
+_DATUM = 1e-6
 _PUBLISHED = ("x", "y", "z", "workpiece_error", "workpiece_form")
 
 
@@ -82,9 +89,13 @@ def summary_rows(document: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def _lost(error: np.ndarray) -> str:
-    """Directions in which no point has a value."""
-    lost = [axis for axis, known in zip("xyz", np.isfinite(error).any(axis=0), strict=False) if not known]
-    return f"; not determined along {', '.join(lost)}" if lost else ""
+    """Directions in which no point has a value, and how many points lack one in the others."""
+    known = np.isfinite(error)
+    lost = [axis for axis, any_known in zip("xyz", known.any(axis=0), strict=False) if not any_known]
+    partly = int((~known[:, known.any(axis=0)]).any(axis=1).sum())
+    return (f"; not determined along {', '.join(lost)}" if lost else "") + (
+        f"; not determined at {partly} of {len(error)} points" if partly else ""
+    )
 
 
 def _points(points: Any, count: int) -> str:
@@ -92,7 +103,10 @@ def _points(points: Any, count: int) -> str:
     places = len({tuple(point) for point in points}) if points else count
     if places == count:
         return str(count)
-    return f"{count}, at {places} places: a place counts once for each direction of approach if an effect depends on it"
+    return (
+        f"{count}, at {places} places: a place counts once for each direction of approach, temperature … at which "
+        "effects move it otherwise"
+    )
 
 
 def _motions(content: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -177,7 +191,14 @@ def show_result(screen: Console, document: Mapping[str, Any], opened: Sequence[S
     _show_parameters(screen, document, fit)
     for why, names in group_by_reason((entry["name"], entry["why"]) for entry in document["not_determined"]):
         screen.print(f"not determined: {names}: {why}")
-    screen.print(f"datum: {document['datum']}")
+    screen.print(f"datum: {datum_words(document)}")
+
+
+def datum_words(document: Mapping[str, Any]) -> str:
+    """What the values refer to; of the map besides, where its datum is another one."""
+    of_map = (document["error_map"] or {}).get("datum")
+    own = str(document["datum"])
+    return own if not of_map or of_map in own else f"{own}; map: {of_map}"
 
 
 def readings_set_aside(document: Mapping[str, Any], opened: Sequence[Session]) -> TextTable:
@@ -308,6 +329,26 @@ def _show_parameters(screen: Console, document: Mapping[str, Any], fit: JointFit
     _show_tables(screen, document, unknowns, alone)
 
 
+def motion_row(name: str, value: Array, u: Array, count: int, unit: str) -> tuple[str, ...]:
+    """An error motion in a row: how many of its values are determined, the smallest, the largest, the largest U.
+
+    Args:
+        name: of the error motion.
+        value: (n,) of what is determined, in `unit`.
+        u: (n,) standard uncertainties.
+        count: of all its values.
+        unit: m or rad.
+    """
+    shown = "µrad" if unit == "rad" else "µm"
+    many = str(count) if len(value) == count else f"{len(value)} of {count}"
+    most = 2e6 * float(u.max())
+    if len(value) < count and most < _DATUM:
+        return (name, many, *[NOT_DETERMINED] * 3, shown)
+    places = decimals(most) if _DATUM < most < 1e9 else 2
+    return (name, many, *(fixed(1e6 * float(number), places) for number in (value.min(), value.max())),
+            fixed(most, places), shown)  # fmt: skip
+
+
 def _show_tables(
     screen: Console, document: Mapping[str, Any], unknowns: Mapping[str, Parameter], alone: Sequence[str]
 ) -> None:
@@ -318,15 +359,13 @@ def _show_tables(
         unknown = unknowns[entry["name"]]
         if unknown.kind is Kind.MOTION and unknown.owner not in lost:
             tables.setdefault(unknown.family, []).append(entry)
+    without = Counter(unknowns[name].family for name in lost if name in unknowns)
     rows = []
     for name, own in tables.items():
-        value, u = (1e6 * np.array([entry[key] for entry in own]) for key in ("value", "standard_uncertainty"))
-        unit = "µrad" if own[0]["unit"] == "rad" else "µm"
-        most = 2.0 * float(u.max())
-        places = decimals(most) if 1e-6 < most < 1e9 else 2
-        texts = (fixed(float(number), places) for number in (value.min(), value.max(), most))
-        rows.append((name, str(len(own)), *texts, unit))
+        value, u = (np.array([entry[key] for entry in own]) for key in ("value", "standard_uncertainty"))
+        rows.append(motion_row(name, value, u, len(own) + without[name], own[0]["unit"]))
     if rows:
         heads = ("name", "values", "smallest", "largest", "U (k = 2) at most", "unit")
-        note = "; ".join(["--json gives every value", *alone])
+        empty = ["–: no value but the datum's"] if any(row[2] == NOT_DETERMINED for row in rows) else []
+        note = "; ".join(["--json gives every value", *empty, *alone])
         show_table(screen, TextTable("Error motions", heads, tuple(rows), note))

@@ -192,3 +192,11 @@ def test_an_effect_that_would_leave_the_map_undetermined_is_refused_in_words(mon
     assert len(found.fits) == 1
     own = found.fits[0].fits[0]
     assert np.isfinite(np.asarray(own.model.error_map(own).content["EZC"], dtype=float)).all()
+
+
+def test_of_lost_motion_beside_backlash_only_what_varies_is_told() -> None:
+    session = simulated("iso230_2", 5, [FlawSpec(id="backlash_x", size=2e-6)])
+    lost = diagnose(session, effects=["backlash_x"], sets=19).look.of("lost_motion_x")
+    assert "b0" not in {size.coefficient.name for size in lost.sizes} | set(lost.detectable)
+    assert lost.sizes
+    assert all(size.standard_uncertainty < 1e-6 for size in lost.sizes)

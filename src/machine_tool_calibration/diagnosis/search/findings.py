@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chndtrinc
 
-from machine_tool_calibration.arrays import Array, rms
+from machine_tool_calibration.arrays import Array, BoolArray, rms
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped
 from machine_tool_calibration.diagnosis.search.chance import Chance
 from machine_tool_calibration.diagnosis.search.evidence import Gram, Metric
@@ -57,7 +57,7 @@ class Finding:
         candidate: what it is.
         shape: its best nonlinear coefficients.
         columns: (k, n) at these.
-        sizes: its linear coefficients, fitted to what the model leaves.
+        sizes: its linear coefficients, fitted to what the model leaves; without those that the model takes up.
         signal: (k,) the same as numbers; zero in what the model takes up.
         rank: unknowns that it adds; 0 if the model absorbs it.
         probability: that it is missing.
@@ -103,13 +103,18 @@ class Finding:
 def basis_of(inner: Array, place: slice) -> Array:
     """(k, r) combinations of columns that are orthonormal outside the model, without what the model takes up."""
     own = inner[place, place]
-    size = np.diag(own)
-    largest = max(float(size.max(initial=0.0)), 1e-100)
+    largest = max(float(np.diag(own).max(initial=0.0)), 1e-100)
     # A column with next to nothing left is not blown up.
-    scale = np.sqrt(np.where(size > _RANK * largest, size, largest))
+    scale = np.sqrt(np.where(_outside(own), np.diag(own), largest))
     values, vectors = np.linalg.eigh(own / np.outer(scale, scale))
     keep = values > _RANK
     return np.asarray(vectors[:, keep] / np.sqrt(values[keep]) / scale[:, None])
+
+
+def _outside(inner: Array) -> BoolArray:
+    """(k,) whether there is more than rounding of each column outside the model, given their inner products there."""
+    squares = np.diag(inner)
+    return np.asarray(squares > _RANK * max(float(squares.max(initial=0.0)), 1e-100))
 
 
 def finding_of(
@@ -150,7 +155,12 @@ def finding_of(
     gain = float(along @ along)
     variance = max(squares - gain, 1e-12 * squares) / max(gram.freedom - basis.shape[1], 1)
     deviation = np.sqrt(np.sum(basis**2, axis=1) * variance)
-    sizes = tuple(Size(c, float(v), float(u)) for c, v, u in zip(shaped.coefficients, signal, deviation, strict=True))
+    told = _outside(inner)
+    sizes = tuple(
+        Size(c, float(v), float(u))
+        for c, v, u, good in zip(shaped.coefficients, signal, deviation, told, strict=True)
+        if good
+    )
     # Readings without any noise leave nothing.
     rest = max(1.0 - gain / squares, 1e-12) if squares > 0 else 1.0
     taken = basis_of(plain.inner(gram, place, place), slice(0, k)).T @ plain.data(gram)[place, 0]
@@ -180,7 +190,7 @@ def _detectable(
     strength = inner * np.outer(limits, limits)
     values = np.maximum(np.linalg.eigvalsh(strength), 0.0)
     needed = float(np.log(ACCEPTED / (1.0 - ACCEPTED))) - log_odds + float(np.log(candidate.count))
-    norm = np.sqrt(np.maximum(np.diag(inner), 0.0))
+    norm = np.sqrt(np.where(_outside(inner), np.diag(inner), 0.0))
     return {
         coefficient.name: float(smallest_signal(values, (own * limit) ** 2, needed) * np.sqrt(variance) / own)
         for coefficient, own, limit in zip(shaped.coefficients, norm, limits, strict=True)

@@ -232,12 +232,16 @@ def _columns(pool: Pool, candidates: Sequence[Candidate], structures: Sequence[C
         own, least = [], _least(candidate, candidates)
         for j, s in enumerate(candidate.shapes):
             place = slice(first, first + len(s.columns))
-            first = place.stop
             scale = np.sqrt(before[place])
-            share = np.linalg.eigvalsh(gram.inner[place, place] / np.outer(scale, scale))
-            if share[-1] > _ABSORBED:
-                parts = _leading(candidate, place, least)
-                own += [(_block(c, candidate, j, part, before[part], len(parts)), (c, j)) for part in parts]
+            outside = gram.inner[place, place] / np.outer(scale, scale)
+            # The first terms alone may be in the model already, as backlash is the first of lost motion.
+            parts = [
+                part
+                for part in _leading(candidate, place, least)
+                if np.linalg.eigvalsh(outside[: part.stop - first, : part.stop - first])[-1] > _ABSORBED
+            ]
+            own += [(_block(c, candidate, j, part, before[part], len(parts)), (c, j)) for part in parts]
+            first = place.stop
         seen.append(bool(own))
         blocks += [block for block, _ in own]
         shaped += [at for _, at in own]

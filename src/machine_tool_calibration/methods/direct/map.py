@@ -184,7 +184,7 @@ def _words(setups: SetupDatum, reduced: bool) -> str:
     ]
     if not reduced:
         return setups.words
-    return f"{setups.words}; position errors hold nothing of what {what} (least squares over the points)"
+    return f"position errors hold nothing of what {what} (least squares over the points)"
 
 
 def _common(tables: Array, setups: SetupDatum, points: Array, direction: Array) -> Array:
