@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from machine_tool_calibration.cli.main import run
-from machine_tool_calibration.session.folder import write_session
+from machine_tool_calibration.session.folder import read_session, write_session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
 Shown = pytest.CaptureFixture[str]
@@ -69,7 +70,10 @@ def test_a_better_model_that_is_known(improved: Path, tmp_path: Path, capsys: Sh
 
 
 def test_several_sessions(improved: Path, session: Path, tmp_path: Path, capsys: Shown) -> None:
-    words = [str(improved), str(session), "--format", "isg", "-o", str(tmp_path / "a")]
+    again = read_session(session)
+    readings = replace(again.readings, displacement=again.readings.displacement + 1e-9)
+    write_session(again.with_readings(readings), tmp_path / "again")
+    words = [str(improved), str(tmp_path / "again"), "--format", "isg", "-o", str(tmp_path / "a")]
     bad, better = warned(words, capsys)
     assert BAD in bad
     assert BETTER in better and better.endswith("--effect backlash_y does")

@@ -282,6 +282,16 @@ def test_a_reader_that_goes_away_is_no_error(tmp_path: Path, lines: int) -> None
         assert process.wait(60) == 141
 
 
+def test_without_standard_streams(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a scheduler may start it: what Python then has instead of a stream is None."""
+    for name in ("stdout", "stderr"):
+        monkeypatch.setattr(sys, name, None)
+    assert run(["effects", "scale"]) == 0
+    assert run(["info", "nowhere"]) == 1
+    for stream in (sys.stdout, sys.stderr):
+        stream.close()
+
+
 def test_ctrl_c_ends_quietly(tmp_path: Path) -> None:
     with start("import time; print('begun', flush=True); time.sleep(60)", tmp_path) as process:
         assert process.stdout is not None and process.stderr is not None

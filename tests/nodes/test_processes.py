@@ -102,6 +102,7 @@ WRONG = [
     ("axis_simulator", {"publish_clock": True}, "parameter publish_clock needs use_sim_time: true"),
     ("axis_simulator", {"speed": -1.0}, "speed"),
     ("instrument", {"driver": "/nowhere.yaml"}, "/nowhere.yaml: no such file"),
+    ("estimator", {"model": ""}, "Couldn't parse parameter override rule: '-p model:='"),
 ]
 
 

@@ -10,9 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.interface.session import load
 from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.folder import read_session
+from machine_tool_calibration.session.session import refuse_repeated
 
 DATA = Path(__file__).parents[1] / "data"
 METHODS = ["tracking_2d", "step_diagonal", "rotary_axis", "probing_cross"]
@@ -70,3 +73,17 @@ def test_missing_readings_that_are_alike_are_only_missing(tmp_path: Path) -> Non
     displacement = doubled.displacement.copy()
     displacement[18:20] = np.nan
     check_session(session.with_readings(replace(doubled, displacement=displacement)))
+
+
+def test_a_measurement_that_is_given_twice_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Under another name too: each reading would count as two."""
+    shutil.copytree(DATA / "tracking_2d", tmp_path / "again")
+    both = [str(DATA / "tracking_2d"), str(tmp_path / "again")]
+    with pytest.raises(SessionError, match="tracking_2d and again are the same readings"):
+        load(both)
+    assert run(["identify", *both, "--json"]) == 1
+    out, err = capsys.readouterr()
+    assert out == "" and "tracking_2d and again are the same readings" in err
+    session = read_session(DATA / "tracking_2d")
+    noisier = replace(session.readings, displacement=session.readings.displacement + 1e-9)
+    refuse_repeated([session, session.with_readings(noisier)], ["a", "b"])

@@ -223,6 +223,8 @@ class _Conformity:
     def motion(self, name: str) -> list[_Figure]:
         """Range of an error motion over its axis."""
         known, axis = self.numbers.by_name, name[2].lower()
+        if name in known and known[name].at is not None and known[name].count == 1:
+            return []  # at one position there is no range
         if name in known and known[name].count > 1:
             straight = name[1] in "XYZ" and name[2] in "XYZ" and name[1] != name[2]
             nodes = known[name].at if straight else None

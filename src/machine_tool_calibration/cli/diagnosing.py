@@ -67,9 +67,11 @@ class Wanted:
         from machine_tool_calibration.diagnosis.history import Measured
         from machine_tool_calibration.methods.fitted import Chosen
         from machine_tool_calibration.recording.open import open_measurement
+        from machine_tool_calibration.session.session import refuse_repeated
 
         own, labels = own_effects(self.files), session_labels(paths)
         sessions = tuple(keeping([open_measurement(path, topics) for path in paths], labels, self.keep))
+        refuse_repeated(sessions, labels)
         if not self.from_history:
             return Measured(sessions, Chosen(sessions, tuple(labels), self.model, self.effects, tuple(own)))
         if self.effects or self.model:
@@ -98,7 +100,7 @@ class Wanted:
         chosen = Chosen(
             tuple(kept),
             tuple(labels),
-            entry.model,
+            entry.variant(said, sessions),
             entry.effects,
             tuple(entry.own_effects(own)),
             keep_all=True,

@@ -243,7 +243,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
         Exit status: 0 done; 1 the input or the request is wrong, said in one line on standard error; 2 wrong command
         line; 130 interrupted; 141 the reader of standard output went away.
     """
-    _show_what_the_terminal_can()
+    _settle_streams()
     # To look for them goes through every installed package, and no record of ours is changed by one.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     try:
@@ -280,8 +280,13 @@ def run(arguments: Sequence[str] | None = None) -> int:
     return status if type(status) is int else 0
 
 
-def _show_what_the_terminal_can() -> None:
-    """Replace what the encoding of the output lacks, such as the letter µ, instead of failing."""
+def _settle_streams() -> None:
+    """Replace what the encoding of the output lacks, such as the letter µ, instead of failing.
+
+    What would be written to a stream that was closed before the start (`>&-`, some schedulers) goes nowhere.
+    """
+    sys.stdout = sys.stdout or os.fdopen(os.open(os.devnull, os.O_WRONLY), "w")
+    sys.stderr = sys.stderr or os.fdopen(os.open(os.devnull, os.O_WRONLY), "w")
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")

@@ -70,7 +70,7 @@ class Entry(_Record):
         parent: number of the model that it was made from; None for a first one.
         made: date and time, ISO 8601.
         by: the command that made it.
-        model: the method's variant; of several sessions the one that was asked for, or `joint`.
+        model: the method's variant; of several sessions `joint`, as each has its own.
         sessions: those that were fitted together; empty for one session.
         effects: ids of the effects that were added to it.
         own: definitions of those of them, and of the alternatives, that are the user's own by formula.
@@ -138,6 +138,21 @@ class Entry(_Record):
         by_data = {part.data: part for part in self.sessions}
         by_label = {part.label: part for part in self.sessions}
         return [by_data.get(data, by_label.get(label)) for data, label in zip(prints, labels, strict=True)]
+
+    def variant(self, said: Sequence[Entry | Part | None], sessions: Sequence[Session]) -> str | None:
+        """The variant to ask for, so that sessions are fitted as this model was; None for their defaults.
+
+        Args:
+            said: what it says of each session (`of_sessions`).
+            sessions: the measurements.
+        """
+        if len(sessions) == 1:
+            return self.model
+        # Of several, those that have the variant that was asked for took it, all others what they can share.
+        for part, spec in zip(said, (session.spec for session in sessions), strict=True):
+            if part is not None and part.model != (spec.shared or next(iter(spec.models))):
+                return part.model
+        return None
 
     def own_effects(self, known: Sequence[Effect] = ()) -> list[Effect]:
         """Effects of the user's own: those given, and those that the model has by formula.

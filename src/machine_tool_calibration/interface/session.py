@@ -14,7 +14,7 @@ import pandas as pd
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.interface.show import Shown, printed
-from machine_tool_calibration.session.session import Session, distinct_labels
+from machine_tool_calibration.session.session import Session, distinct_labels, refuse_repeated
 
 if TYPE_CHECKING:
     from machine_tool_calibration.effects.effect import Effect
@@ -122,12 +122,14 @@ def load(*sources: Source | Sequence[Source]) -> Measurement:
 
     Raises:
         CalibrationError: nothing to load, or something that is none of these.
-        SessionError: a file is missing or says what cannot be; one line that says what and where.
+        SessionError: a file is missing or says what cannot be, or a measurement is given twice; one line that says what
+            and where.
     """
     found = [entry for source in sources for entry in _opened(source)]
     if not found:
         raise CalibrationError("nothing to load: give a session folder, a recording, or several of them")
     names = distinct_labels([name for name, _, _ in found])
+    refuse_repeated([session for _, session, _ in found], names)
     truth = found[0][2] if len(found) == 1 else None
     return Measurement(tuple(session for _, session, _ in found), tuple(names), truth)
 

@@ -10,7 +10,7 @@ from functools import cached_property
 from machine_tool_calibration.effects.catalogue import catalogue, find_effects
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.effects.effect_terms import add_effects
-from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.methods.build import build_model, sharing_variant
 from machine_tool_calibration.methods.joint.effects import with_effects
 from machine_tool_calibration.methods.joint.map import joint_map
@@ -152,11 +152,16 @@ def joint_models(chosen: Chosen) -> tuple[CommonModels, tuple[str, ...]]:
         chosen: several sessions; without a variant theirs are those with tables of the machine's errors.
 
     Raises:
-        ModelError: labels that are missing or repeat, different machines, or an effect that acts in none.
+        ModelError: labels that are missing or repeat, a model that no session has, different machines, or an effect
+            that acts in none.
     """
     effects, labels = chosen.present, chosen.labels or ()
     if len(labels) != len(chosen.sessions) or len(set(labels)) < len(labels):
         raise ModelError("each session needs a label of its own")
+    known = list(dict.fromkeys(name for session in chosen.sessions for name in session.spec.models))
+    if chosen.model is not None and chosen.model not in known:
+        hint = did_you_mean(chosen.model, known)
+        raise ModelError(f"none of the sessions has a model {chosen.model!r}{hint}; known are {', '.join(known)}")
     pairs = [chosen.base(session) for session in chosen.sessions]
     built, names = [base for base, _ in pairs], [name for _, name in pairs]
     common = common_models(built, labels)

@@ -215,7 +215,7 @@ def _datum_rows(table: MachineTable, placed: BoolArray) -> Array:
     nodes = table.nodes[there]
     rows = np.zeros((2, len(placed)))
     rows[0, there[int(np.argmin(np.abs(nodes)))]] = 1.0
-    if not table.is_straightness:
+    if not table.is_straightness or len(nodes) == 1:  # a single node has no slope
         return rows[:1]
     centred = nodes - nodes.mean()
     rows[1, there] = centred / np.abs(centred).max()

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -19,7 +20,7 @@ from machine_tool_calibration.session.method import MethodSpec
 if TYPE_CHECKING:
     from machine_tool_calibration.session.description import Description, Place
 
-__all__ = ["Readings", "Session", "assemble", "distinct_labels", "distinct_places"]
+__all__ = ["Readings", "Session", "assemble", "distinct_labels", "distinct_places", "refuse_repeated"]
 
 
 @dataclass(frozen=True)
@@ -166,6 +167,34 @@ _MIX = np.array([0x1E3779B97F4A7C15, 0x3F58476D1CE4E5B9, 0x14D049BB133111EB])
 def distinct_labels(names: Sequence[str]) -> list[str]:
     """The names, numbered where they repeat."""
     return [f"{name}#{k + 1}" if names.count(name) > 1 else name for k, name in enumerate(names)]
+
+
+# Readings of which as many hardly ever come out the same again, however coarse the instrument's steps are.
+_FEW = 8
+
+
+def refuse_repeated(sessions: Sequence[Session], labels: Sequence[str]) -> None:
+    """Refuse a measurement that is given twice: fitted together, its readings would count as independent ones.
+
+    Args:
+        sessions: measurements that are to be fitted together.
+        labels: their names.
+
+    Raises:
+        SessionError: two of them are the same readings.
+    """
+    named = zip(labels, (session.readings for session in sessions), strict=True)
+    for (one, first), (other, second) in itertools.combinations(named, 2):
+        if len(first) >= _FEW and _are_same(first, second):
+            raise SessionError(f"{one} and {other} are the same readings; give each measurement once")
+
+
+def _are_same(first: Readings, second: Readings) -> bool:
+    """Whether readings and all that both have recorded of them are the same."""
+    if len(first) != len(second) or not np.array_equal(first.displacement, second.displacement, equal_nan=True):
+        return False
+    both = first.columns.keys() & second.columns.keys()
+    return all(np.array_equal(first.columns[name], second.columns[name], equal_nan=True) for name in both)
 
 
 def distinct_places(position: Array) -> tuple[IntArray, IntArray]:

@@ -155,8 +155,8 @@ class Subject:
                 for what in ("set_aside", "kept")
             )
             before = models[-1] if models else None
-            chosen = replace(self.measurement.chosen(entry.model, entry.effects, self.own), sets=tuple(entry.sets()))
-            made = self.tried(before, entry.change, chosen, aside, kept)
+            chosen = self.measurement.chosen(entry.variant(said, self.measurement.sessions), entry.effects, self.own)
+            made = self.tried(before, entry.change, replace(chosen, sets=tuple(entry.sets())), aside, kept)
             models.append(replace(made, number=entry.number))
         return models
 

@@ -11,12 +11,13 @@ import matplotlib
 import numpy as np
 import pytest
 
+from machine_tool_calibration.budget.conformity import conformity
 from machine_tool_calibration.diagnosis.consequence import map_change
 from machine_tool_calibration.export.preview import residual_errors, summary
 from machine_tool_calibration.maps import error_map_from_points
 from machine_tool_calibration.methods.axis_tables import axis_tables
 from machine_tool_calibration.methods.direct.map import sensed_axes
-from machine_tool_calibration.methods.fitted import Chosen
+from machine_tool_calibration.methods.fitted import Chosen, fit_sessions
 from machine_tool_calibration.methods.identify import identify, identify_sessions
 from machine_tool_calibration.plots import direct as pictures
 from machine_tool_calibration.plots.error_map import draw_map
@@ -62,6 +63,19 @@ def test_a_plate_tells_its_plane_only(direct: SimpleNamespace) -> None:
     assert np.isfinite(error_map.error[:, :2]).all() and np.isnan(error_map.error[:, 2]).all()
     # read along x alone, there is no y either
     assert np.isnan(identify(_plate(direct, both=False)).error_map.uncertainty[:, 1:]).all()
+
+
+@pytest.mark.parametrize("datum", ["none", "rigid"])
+def test_an_axis_that_stands_still_has_no_error_motions(direct: SimpleNamespace, datum: str) -> None:
+    """A line along x, read along x and across: what the datum sets to 0 at Y's only position is no result."""
+    at = np.zeros((20, 3))
+    at[:, 0] = np.tile(NODES, 4)
+    g = np.repeat(np.eye(3)[:2], 10, axis=0)
+    reading = np.where(g[:, 0] > 0, 1e-5 * at[:, 0], 1e-6 * np.sin(20 * at[:, 0]))
+    fitted = fit_sessions(direct.written(at, g, reading, datum=datum, terms=["EXX", "EYX", "EXY", "EYY"]))
+    found = conformity(fitted, {"EXX": 1e-4, "EXY": 1e-4, "EYY": 1e-4})
+    assert [verdict.decision for verdict in found.verdicts] == ["pass", "not determined", "not determined"]
+    assert found.verdicts[1].why == "all readings are at one position of Y"
 
 
 def test_the_datum_is_taken_from_what_was_sensed(direct: SimpleNamespace) -> None:

@@ -95,6 +95,12 @@ def test_bad_requests(several: SimpleNamespace, labels: list[str], message: str)
         joint_models(Chosen((session, session), tuple(labels)))
 
 
+def test_a_model_that_no_session_has(several: SimpleNamespace) -> None:
+    sessions = [several.measured(name, 0).session for name in ("tracker", "run")]
+    with pytest.raises(ModelError, match=r"none of the sessions has a model 'fre' \(did you mean 'free'\?\)"):
+        joint_models(sessions, ["a", "b"], model="fre")
+
+
 def test_another_machine(several: SimpleNamespace) -> None:
     run = several.measured("run", 0).session
     machine = run.description.machine.model_copy(update={"chain": "w-Y-b-X-Z-t"})

@@ -179,8 +179,15 @@ def build_direct(session: Session, terms: Sequence[str] | None = None) -> Direct
     )
     asked = description.terms if terms is None else tuple(terms)
     tables = asked_tables(description.machine.kinematics, asked, position)
-    kept, machine, left = _sensed_terms(observations, tables, setups)
+    kept, machine, left = _sensed_terms(observations, tables)
     constraints, words, fixed = _datum(kept, machine, setups, readings.setup, len(session.setup_ids))
+    laid_down = {name for constraint in constraints for name in constraint.weights}
+    unmoved = [table.name for table in kept if len(table.labels) == 1 and table.labels[0] in laid_down]
+    if unmoved:  # nothing of them is left: their axis stood at one position, where the datum says 0
+        left += tuple(NotDetermined(name, f"all readings are at one position of {name[2]}") for name in unmoved)
+        kept = tuple(table for table in kept if table.name not in unmoved)
+        machine = tuple(term for term in machine if term.name not in unmoved)
+        constraints, words, fixed = _datum(kept, machine, setups, readings.setup, len(session.setup_ids))
     return DirectModel(
         observations=observations,
         terms=machine,
@@ -204,7 +211,7 @@ def _usable(readings: Readings) -> Readings:
 
 
 def _sensed_terms(
-    observations: Observations, tables: tuple[MachineTable, ...], setups: SetupDatum
+    observations: Observations, tables: tuple[MachineTable, ...]
 ) -> tuple[tuple[MachineTable, ...], tuple[Term, ...], tuple[NotDetermined, ...]]:
     """The tables on which some reading depends; which of them cannot be distinguished is found by the solver."""
     kept, terms, left = [], [], []

@@ -6,6 +6,7 @@ from __future__ import annotations
 import faulthandler
 import json
 import os
+import re
 import signal
 import sys
 import tempfile
@@ -18,9 +19,11 @@ from types import ModuleType
 from typing import Any, TypeVar
 
 import rclpy
-from rclpy.exceptions import ParameterException
+from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.signals import SignalHandlerOptions
 
 from machine_tool_calibration.errors import CalibrationError, did_you_mean
@@ -83,13 +86,11 @@ def run(create: Callable[[], GuardedNode], args: list[str] | None = None, *, gra
         signal.signal(number, lambda *_: stop.set())
     signal.pthread_sigmask(signal.SIG_BLOCK, _STOPS)
     threading.Thread(target=_await_stop, args=(stop, grace), name="signals", daemon=True).start()
-    # rclpy's own handlers end the context while callbacks run; without them the loop below finishes first
-    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     node: GuardedNode | None = None
     executor = None
     status = 0
     try:
-        node = create()
+        node = _made(create, args)
         say_unknown_parameters(node)
         executor = EventsExecutor()
         executor.add_node(node)
@@ -113,6 +114,23 @@ def run(create: Callable[[], GuardedNode], args: list[str] | None = None, *, gra
         if rclpy.ok():
             rclpy.shutdown()
     return status
+
+
+def _made(create: Callable[[], Node], args: list[str] | None) -> Node:
+    """A node, in a context of its own.
+
+    Raises:
+        CalibrationError: as `create`, or what is below rclpy refuses: arguments that it cannot read, a file of
+            parameters that is not there, a domain that cannot be.
+    """
+    set_logger_level("rcl", LoggingSeverity.FATAL)  # which would say besides that it refuses something
+    try:
+        # rclpy's own handlers end the context while callbacks run; without them the loop of `run` finishes first
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        set_logger_level("rcl", LoggingSeverity.UNSET)
+        return create()
+    except (_rclpy.RCLError, _rclpy.UnknownROSArgsError, NameValidationException) as error:
+        raise CalibrationError(re.sub(r", at /\S+:\d+", "", str(error))) from error
 
 
 def run_here(create: Callable[[], Node], parameters: Mapping[str, Any], rules: Iterable[str] = ()) -> Node:
