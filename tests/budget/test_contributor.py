@@ -120,7 +120,7 @@ def test_instruments_without_a_budget() -> None:
         ModelError, match=r"no budget for the instrument 'laser_traker' \(did you mean 'laser_tracker'\?\)"
     ):
         template("laser_traker")
-    with pytest.raises(ModelError, match="does not name its instrument: say which budget"):
+    with pytest.raises(ModelError, match="does not name its instrument: `instrument` in session"):
         default_budget([None])
 
 

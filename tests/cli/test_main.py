@@ -87,6 +87,12 @@ def test_known_verbs_stand_under_what_they_are_for(verb: Write, capsys: pytest.C
     assert order == sorted(order)
 
 
+def test_a_summary_goes_on_after_et_al(verb: Write, capsys: pytest.CaptureFixture[str]) -> None:
+    verb("other", source='"""Find it (A et al. 2014). More."""\nimport click\ncommand = click.Command("other")\n')
+    run(["--help"])
+    assert "Find it (A et al. 2014)\n" in capsys.readouterr().out
+
+
 def test_a_verb_may_be_assigned(verb: Write, capsys: pytest.CaptureFixture[str]) -> None:
     verb("other", source='"""What the module says."""\nimport click\ncommand = click.Command("other")\n')
     run(["--help"])

@@ -94,6 +94,9 @@ def test_other_encodings(tmp_path: Path) -> None:
         import_table(file, parse_mapping(content, "m"))
     with pytest.raises(SessionError, match="unknown encoding 'klingon'"):
         import_table(file, parse_mapping({**content, "file": {"encoding": "klingon"}}, "m"))
+    file.write_bytes(b"PK\x03\x04\xbf" + bytes(20))
+    with pytest.raises(SessionError, match="a spreadsheet's workbook; save its sheet as CSV"):
+        import_table(file, parse_mapping(content, "m"))
 
 
 @pytest.mark.parametrize(

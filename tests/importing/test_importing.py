@@ -293,6 +293,13 @@ def test_without_a_header(tmp_path: Path) -> None:
     assert imported.session.readings.labels["point"].tolist() == ["P1", "P2"]
 
 
+def test_repeats_that_are_counted_from_one(tmp_path: Path) -> None:
+    columns = {"x": "X", "actual_x": "M", "repeat": "Run"}
+    session = points(tmp_path, "X,M,Run\n0,0.001,1\n100,100.002,1\n0,0.001,2\n100,100.001,2\n", columns=columns).session
+    assert session.readings.repeat.tolist() == [0, 0, 1, 1]
+    assert session.description.repeats == 2
+
+
 def test_directions_in_words(tmp_path: Path) -> None:
     file = tmp_path / "r.csv"
     file.write_text("p,d,s\n0,1,up\n1,1,Up\n1,2,down\n0,2,sideways\n")

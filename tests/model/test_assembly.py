@@ -13,7 +13,7 @@ from machine_tool_calibration.estimation.problem import LinearPart, group_rows
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.model import Constraint, MethodModel, Parameter, Prior, Term, assemble
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.model.result import ErrorMap, Result, plain
+from machine_tool_calibration.model.result import ErrorMap, Result, correlated_with, plain
 from machine_tool_calibration.session.parse import describe
 from machine_tool_calibration.session.session import Readings, Session
 
@@ -198,3 +198,9 @@ def test_columns_of_a_position_error():
     field = np.zeros((2, 9, 3))
     field[0, :, 0], field[1, :, 1] = X, 1.0
     assert np.allclose(observations.sense(field), [0.6 * X, np.full(9, 0.8)])
+
+
+def test_what_the_points_take_up_is_read_all_the_same() -> None:
+    alone = np.eye(2)[:, :1]
+    assert correlated_with(alone, ["a", "b"], 0) == "no reading depends on it"
+    assert correlated_with(alone, ["a", "b"], 0, points=True) == "fully correlated with the points of the map"

@@ -194,3 +194,11 @@ def test_round_down(value, expected):
 
 def test_spaced():
     assert spaced(20000.0) == "20 000"
+
+
+def test_a_table_of_which_only_the_datum_has_a_value_is_not_determined() -> None:
+    at_zero = {"name": "EXX(0)", "error_motion": "EXX", "position": 0.0, "value": 0.0, "standard_uncertainty": 0.0}
+    known = {**at_zero, "error_motion": "EYX", "position": 0.1, "standard_uncertainty": 1e-7}
+    figure = draw_tables([at_zero, {**at_zero, "error_motion": "EYX"}, known])
+    assert figure is not None
+    assert [[text.get_text() for text in panel.texts] for panel in figure.axes] == [["not determined"], []]

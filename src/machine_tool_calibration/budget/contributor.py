@@ -202,8 +202,8 @@ def default_budget(used: Sequence[str | None]) -> tuple[Contributor, ...]:
     names = list(dict.fromkeys(used))
     if None in names:
         raise ModelError(
-            "the session does not name its instrument: say which budget (`mtcal budget --template INSTRUMENT` prints "
-            f"those of {', '.join(instruments())})"
+            "the session does not name its instrument: `instrument` in session.yaml does, or give a budget "
+            f"(`mtcal budget --template INSTRUMENT` prints those of {', '.join(instruments())})"
         )
     out: list[Contributor] = []
     for name in (str(n) for n in names):

@@ -13,6 +13,7 @@ import importlib
 import io
 import os
 import pkgutil
+import re
 import sys
 import warnings
 from collections.abc import Sequence
@@ -171,7 +172,8 @@ def _paragraph(text: str | None) -> str:
 
 
 def _first_sentence(text: str) -> str:
-    return text.split(". ")[0].rstrip(".")
+    # A sentence does not end at "et al."
+    return re.split(r"(?<!\bal)\. ", text)[0].rstrip(".")
 
 
 def _load(name: str, module: str) -> click.Command:

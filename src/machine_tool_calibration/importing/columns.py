@@ -86,7 +86,9 @@ class Columns:
             return stamps
         unit = self._unit(role, rule, wanted)
         self.read[role] = (rule.column, unit)
-        return self.table.numbers(rule.column, role, unit)
+        values = self.table.numbers(rule.column, role, unit)
+        # People count runs from 1.
+        return values - 1.0 if role == "repeat" and np.nanmin(values, initial=np.inf) == 1.0 else values
 
     def text(self, role: str) -> np.ndarray:
         """(rows,) the text of a column."""

@@ -64,6 +64,8 @@ def stamp_seconds(text: str, pattern: str | None) -> float:
         return float("nan")
 
 
+# How .xlsx, .ods (zipped) and .xls files begin.
+_WORKBOOKS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
 _LARGEST = 64 << 20  # bytes
 _MOST_COLUMNS = 1000
 _MOST_CELLS = 5_000_000
@@ -288,6 +290,8 @@ def _lines(path: Path, form: FileForm) -> list[str]:
         data = path.read_bytes()
     except OSError as error:
         raise SessionError(f"{source}: cannot be read: {error.strerror}") from None
+    if data.startswith(_WORKBOOKS):
+        raise SessionError(f"{source}: a spreadsheet's workbook; save its sheet as CSV, and convert that")
     encoding = form.encoding.lower().replace("_", "-")
     if encoding in ("utf-8", "utf8"):
         reject_foreign_encoding(data, source)

@@ -139,8 +139,9 @@ class JointResult(Identified):
         }
         names = [p.name for p in self.fit.assembly.parameters]
         solution = self.fit.solution
+        points = any(fit.part.n_points for fit in self.fit.fits)
         for k in np.flatnonzero(~solution.is_determined()):
-            out[names[k]] = correlated_with(solution.undetermined, names, int(k))
+            out[names[k]] = correlated_with(solution.undetermined, names, int(k), points)
         if self.angles is not None:
             out |= {entry.name: entry.why for entry in self.angles.untold}
         out |= {entry.name: entry.why for entry in self.error_map.not_determined}

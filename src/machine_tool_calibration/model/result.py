@@ -210,7 +210,9 @@ class Result(Identified):
         whole = _whole_terms(fit)
         out = list(fit.model.left_out) + list(self.error_map.not_determined)
         for k in np.flatnonzero(~fit.determined):
-            why = fit.model.why_not_determined(names[k]) or correlated_with(fit.undetermined, names, int(k))
+            why = fit.model.why_not_determined(names[k]) or correlated_with(
+                fit.undetermined, names, int(k), fit.part.n_points > 0
+            )
             name = whole.get(names[k], names[k])
             if name == names[k] or all(entry.name != name for entry in out):
                 out.append(NotDetermined(name, why))
@@ -239,18 +241,19 @@ class Result(Identified):
         }
 
 
-def correlated_with(undetermined: Array, names: Sequence[str], k: int) -> str:
+def correlated_with(undetermined: Array, names: Sequence[str], k: int, points: bool = False) -> str:
     """Why nothing determines an unknown: which others may change together with it without any reading changing.
 
     Args:
         undetermined: (m, r) directions of the unknowns that nothing fixes.
         names: of the unknowns.
         k: which.
+        points: whether points have unknowns of their own, which are not among the names.
     """
     direction = undetermined @ undetermined[k]
     others = [names[j] for j in np.argsort(-np.abs(direction)) if j != k and abs(direction[j]) > 1e-6]
     if not others:
-        return "no reading depends on it"
+        return "fully correlated with the points of the map" if points else "no reading depends on it"
     return f"fully correlated with {', '.join(others[:4])}{' and others' if len(others) > 4 else ''}"
 
 

@@ -93,6 +93,10 @@ def _panel(panel: Axes, axis: str, tables: Mapping[str, Array]) -> None:
         panel.fill_between(where, value - band, value + band, color=color, alpha=0.2, lw=0)
         panel.plot(where, value, MARKERS[k % len(MARKERS)] + "-", color=color, ms=3.5, lw=1.2, label=name)
     panel.axhline(0.0, color="0.75", lw=0.8, zorder=0)
+    if not any(table[:, 2].any() for table in tables.values()):
+        # Nothing but the datum has a value.
+        panel.set(xticks=[], yticks=[])
+        panel.text(0.5, 0.6, "not determined", transform=panel.transAxes, ha="center", va="center", color="0.4")
     panel.set_xlabel(f"{axis}, {unit}")
     panel.set_ylabel("µrad" if next(iter(tables))[1] in "ABC" else "µm")
     panel.legend(fontsize="small", frameon=False, ncols=len(tables), loc="lower left", bbox_to_anchor=(0.0, 0.99))

@@ -208,3 +208,10 @@ def test_whatever_is_given_is_right(make, differences, seed):
         assert given.sum() >= 3
         # what is badly seen takes up more of the products of errors
         assert np.all(np.abs(found[name][given]) < PICO + 1e-6 * u[given]), name
+
+
+def test_quarter_turns_are_named_where_they_hide_the_part(make):
+    quarters = make(points=cross(), grid=tuple(np.arange(-5, 6) * 0.022), angles=degrees(0, 90, 180, 270)).identified()
+    why = {entry["why"] for entry in quarters["not_determined"] if entry["name"].startswith("workpiece point")}
+    assert len(why) == 1
+    assert "quarter turns apart" in why.pop()

@@ -235,11 +235,14 @@ def _workpiece(model: ProbingModel, fit: Fit) -> tuple[dict[str, Any], tuple[Not
         "workpiece_form": form.value,
         "workpiece_form_u": form.uncertainty,
     }
+    quarters = 2.0 / np.pi * np.diff([setup.c for setup in model.description.setups])
+    alike = np.allclose(quarters, np.round(quarters), atol=1e-3)
+    hint = "; all its angles are quarter turns apart: others, such as 0°, 75°, 130°, 210°, tell more" if alike else ""
     lost = []
     for k in np.flatnonzero(~np.isfinite(errors.value)):
         why = "it was not touched"
         if found.touched[k]:
-            why = "the touches cannot distinguish it from the error motions of the axes"
+            why = f"the touches cannot distinguish it from the error motions of the axes{hint}"
         if np.isfinite(form.value[k]):
             why = "the touches do not fix the position and size of the workpiece as a whole; its form is given"
         lost.append(NotDetermined(f"workpiece point {points[k].id}", why))
