@@ -67,11 +67,17 @@ class PositionErrors:
 
         Returns:
             Two arrays of the same shape, m; NaN outside of the measured region and in a direction not determined.
+
+        Raises:
+            CalibrationError: these are no positions.
         """
-        points = np.asarray(position, dtype=float)
+        try:
+            points = np.asarray(position, dtype=float)
+        except (TypeError, ValueError):
+            raise CalibrationError("positions must be numbers in the shape (3,) or (n, 3)") from None
         if points.shape[-1:] != (3,) or points.ndim > 2:
             raise CalibrationError(f"positions must have the shape (3,) or (n, 3), not {points.shape}")
-        rows = np.atleast_2d(points)
+        rows = np.atleast_2d(np.where(np.isfinite(points), points, np.nan))
         values = self._interpolate(rows)
         away = np.abs(rows - self.lower)[:, self._flat.astype(bool)] > self._tolerance
         values[away.any(axis=1)] = np.nan

@@ -12,6 +12,8 @@ from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
+from ..again import measured_again
+
 SESSION = Path(__file__).parents[1] / "data" / "tracking_2d"
 
 
@@ -101,7 +103,8 @@ def test_several_sessions_together(tmp_path: Path, capsys: pytest.CaptureFixture
 
 def test_sessions_without_tables_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rotary = str(SESSION.parent / "rotary_axis")
-    assert run(["export", rotary, rotary, "--format", "csv", "-o", str(tmp_path / "t")]) == 1
+    again = str(measured_again(rotary, tmp_path / "again"))
+    assert run(["export", rotary, again, "--format", "csv", "-o", str(tmp_path / "t")]) == 1
     captured = capsys.readouterr().err
     assert "no tables of error motions" in captured
     assert not (tmp_path / "t").exists()

@@ -13,6 +13,8 @@ from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
 
+from ..again import measured_again
+
 Shown = pytest.CaptureFixture[str]
 HALF = 2e-6
 
@@ -92,7 +94,8 @@ def test_every_point_may_be_reached_from_both_sides(tmp_path: Path, capsys: Show
 
 
 def test_sessions_together(run_of_x: Path, tmp_path: Path, capsys: Shown) -> None:
-    document = exported([run_of_x, run_of_x], "isg", "backlash_x", tmp_path / "o", capsys)
+    sessions = [run_of_x, measured_again(run_of_x, tmp_path / "again")]
+    document = exported(sessions, "isg", "backlash_x", tmp_path / "o", capsys)
     assert document["not_in_tables"] == ["backlash_x"]
     assert document["preview"][0]["rms_after"] == pytest.approx(HALF, rel=0.05)
 

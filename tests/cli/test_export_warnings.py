@@ -4,14 +4,15 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from machine_tool_calibration.cli.main import run
-from machine_tool_calibration.session.folder import read_session, write_session
+from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, simulate
+
+from ..again import measured_again
 
 Shown = pytest.CaptureFixture[str]
 BAD = "something is missing in it, or the declared uncertainty is too small"
@@ -84,10 +85,8 @@ def test_conformity_and_budget_are_those_of_the_model_in_use(improved: Path, cap
 
 
 def test_several_sessions(improved: Path, session: Path, tmp_path: Path, capsys: Shown) -> None:
-    again = read_session(session)
-    readings = replace(again.readings, displacement=again.readings.displacement + 1e-9)
-    write_session(again.with_readings(readings), tmp_path / "again")
-    words = [str(improved), str(tmp_path / "again"), "--format", "isg", "-o", str(tmp_path / "a")]
+    again = measured_again(session, tmp_path / "again")
+    words = [str(improved), str(again), "--format", "isg", "-o", str(tmp_path / "a")]
     bad, better = warned(words, capsys)
     assert BAD in bad
     assert BETTER in better and better.endswith("--effect backlash_y does")

@@ -16,6 +16,8 @@ from machine_tool_calibration.plots.features import draw_features
 from machine_tool_calibration.reports.history_file import fingerprint, history_path, update_history
 from machine_tool_calibration.session.folder import read_session
 
+from ..again import measured_again
+
 ROOT = Path(__file__).parents[2]
 CROSS = ROOT / "tests" / "data" / "probing_cross"
 
@@ -156,11 +158,13 @@ def test_a_picture_of_no_known_format_is_refused_at_once(
     assert not list(tmp_path.iterdir())
 
 
-def test_other_methods_and_several_sessions_have_no_features(capsys: pytest.CaptureFixture[str]) -> None:
+def test_other_methods_and_several_sessions_have_no_features(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert run(["features", str(ROOT / "tests" / "data" / "tracking_2d")]) == 1
     assert "this session is of the method tracking_interferometer" in capsys.readouterr().err
     with pytest.raises(mtcal.CalibrationError, match="of one probing session; this fit is of several"):
-        mtcal.identify([CROSS, CROSS]).features()
+        mtcal.identify([CROSS, measured_again(CROSS, tmp_path / "again")]).features()
 
 
 def test_a_missing_effect_is_said_and_the_model_in_use_has_it(

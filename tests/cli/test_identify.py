@@ -14,6 +14,8 @@ from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.session.folder import write_session
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, TrackingPlan, simulate
 
+from ..again import measured_again
+
 DATA = Path(__file__).parents[1] / "data"
 
 
@@ -125,7 +127,7 @@ def test_several_sessions_together(say, tmp_path):
         spec = SimulationSpec(plan=TrackingPlan(dimension=2), seed=seed)
         session = simulate(spec).session
         write_session(session, tmp_path / f"day{seed}")
-    shutil.copytree(tmp_path / "day1", tmp_path / "again")
+    measured_again(tmp_path / "day1", tmp_path / "again")
     status, out, _ = say(tmp_path / "day1", tmp_path / "again", "--json")
     assert status == 0
     document = json.loads(out)

@@ -11,7 +11,7 @@ import pytest
 
 from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.diagnosis.history import Entry, History, Part
-from machine_tool_calibration.methods.fitted import joint_models
+from machine_tool_calibration.methods.fitted import Chosen, joint_models
 from machine_tool_calibration.recording.open import open_measurement
 from machine_tool_calibration.reports.history_file import fingerprint, history_path, update_history
 from machine_tool_calibration.session.folder import write_session
@@ -137,8 +137,9 @@ def test_every_session_keeps_the_variant_of_the_history(several_methods: list[st
             data=fingerprint(*opened), used=286, rms_residual=1e-6, degrees_of_freedom=200,
         )  # fmt: skip
         for step in (1, -1):
+            sessions = tuple(opened[::step])
             said_of = entry.of_sessions(prints[::step], [path.name for path in paths][::step])
-            _, models = joint_models(opened[::step], ["a", "b"], model=entry.variant(said_of, opened[::step]))
+            _, models = joint_models(Chosen(sessions, ("a", "b"), entry.variant(said_of, sessions)))
             assert models[::step] == names
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from machine_tool_calibration.errors import CalibrationError, ModelError
 from machine_tool_calibration.export import FORMATS, linuxcnc, read_tables, write_tables
-from machine_tool_calibration.export.preview import preview
+from machine_tool_calibration.export.preview import residual_errors, summary
 from machine_tool_calibration.methods.axis_tables import AxisTable, AxisTables, axis_tables
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.model.model import NotDetermined
@@ -66,7 +66,7 @@ def test_what_is_no_document_of_tables_is_one_line(text: str, tables: AxisTables
 
 @pytest.mark.parametrize("form", VOLUMETRIC)
 def test_a_volumetric_table_takes_all_errors_away(form: str, plane: Result, tables: AxisTables) -> None:
-    left = preview(plane.error_map, read_tables(form, write_tables(form, tables, "cell 1"), tables))
+    left = summary(residual_errors(plane.error_map, read_tables(form, write_tables(form, tables, "cell 1"), tables)))
     assert left[-1].rms_before > 1e-6
     assert left[-1].largest_after < 2e-9  # the last digit of millimetres
     assert not left[-1].worse
@@ -74,7 +74,8 @@ def test_a_volumetric_table_takes_all_errors_away(form: str, plane: Result, tabl
 
 @pytest.mark.parametrize("form", FORMATS)
 def test_a_wrong_sign_shows_in_the_preview(form: str, plane: Result, tables: AxisTables) -> None:
-    left = preview(plane.error_map, read_tables(form, write_tables(form, negated(tables), "cell 1"), tables))
+    wrong = read_tables(form, write_tables(form, negated(tables), "cell 1"), tables)
+    left = summary(residual_errors(plane.error_map, wrong))
     assert left[-1].worse
     if form in VOLUMETRIC:
         assert left[-1].rms_after == pytest.approx(2 * left[-1].rms_before, rel=1e-3)
@@ -194,7 +195,7 @@ def test_step_diagonal_profiles_hold_the_squareness() -> None:
     content = result.error_map.content
     exy = next(table for table in made.tables if table.name == "EXY")
     assert np.array_equal(exy.value, content["y"][:, 0]) and np.array_equal(exy.nodes, content["y_position"])
-    assert preview(result.error_map, made)[-1].largest_after < 1e-12
+    assert summary(residual_errors(result.error_map, made))[-1].largest_after < 1e-12
 
 
 def test_an_incomplete_table_is_left_out(plane: Result) -> None:

@@ -18,7 +18,7 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError, ModelError
 from machine_tool_calibration.export import read_tables, write_tables
 from machine_tool_calibration.export.fanuc import MOST_POINTS
-from machine_tool_calibration.export.preview import preview
+from machine_tool_calibration.export.preview import residual_errors, summary
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.methods.axis_tables import AxisTable, AxisTables
 from machine_tool_calibration.model.result import ErrorMap
@@ -106,7 +106,7 @@ def test_sinumerik_takes_the_errors_of_linear_axes_away(machine: AxisTables, err
     rest = left(machine, points, sinumerik(files, points)) - left(machine, zero, sinumerik(files, zero))
     assert np.abs(machine.field(points)).max() > 1e-5
     assert np.abs(rest).max() < 1e-8
-    assert preview(error_map, read_tables("siemens", files, machine))[-1].largest_after < 2e-9
+    assert summary(residual_errors(error_map, read_tables("siemens", files, machine)))[-1].largest_after < 2e-9
 
 
 def test_fanuc_takes_positioning_errors_away_to_its_rounding(machine: AxisTables) -> None:

@@ -17,6 +17,8 @@ from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.folder import read_session
 from machine_tool_calibration.session.session import refuse_repeated
 
+from ..again import measured_again
+
 DATA = Path(__file__).parents[1] / "data"
 METHODS = ["tracking_2d", "step_diagonal", "rotary_axis", "probing_cross"]
 
@@ -84,6 +86,5 @@ def test_a_measurement_that_is_given_twice_is_refused(tmp_path: Path, capsys: py
     assert run(["identify", *both, "--json"]) == 1
     out, err = capsys.readouterr()
     assert out == "" and "tracking_2d and again are the same readings" in err
-    session = read_session(DATA / "tracking_2d")
-    noisier = replace(session.readings, displacement=session.readings.displacement + 1e-9)
-    refuse_repeated([session, session.with_readings(noisier)], ["a", "b"])
+    other = read_session(measured_again(both[0], tmp_path / "other"))
+    refuse_repeated([read_session(Path(both[0])), other], ["a", "b"])

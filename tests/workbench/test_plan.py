@@ -13,8 +13,8 @@ from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.nodes.shared import procedure_file
 from machine_tool_calibration.procedure import parse_procedure
 from machine_tool_calibration.session.yaml_text import load_yaml
-from machine_tool_calibration.workbench.ahead import planned
 from machine_tool_calibration.workbench.handed_over import reported
+from machine_tool_calibration.workbench.models import planned
 from machine_tool_calibration.workbench.state import Job, State
 
 

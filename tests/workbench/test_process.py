@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.workbench.ahead import looked_ahead
 from machine_tool_calibration.workbench.handed_over import left
+from machine_tool_calibration.workbench.models import looked_ahead
 from machine_tool_calibration.workbench.process import Calculation, FaultError, warm_up
 from machine_tool_calibration.workbench.state import State
 

@@ -163,8 +163,10 @@ def conformity(
         progress: is told what is done and which share of it.
 
     Raises:
-        ModelError: nothing of that name has a tolerance, a tolerance that is not positive, or a rule that is none.
+        ModelError: no tolerance, nothing of that name has one, one that is not positive, or a rule that is none.
     """
+    if not tolerances:
+        raise ModelError("no tolerance is given")
     if rule not in RULES:
         raise ModelError(f"no decision rule {rule!r}{did_you_mean(rule, RULES)}; there are {', '.join(RULES)}")
     if not 0.5 < level < 1.0:

@@ -66,8 +66,12 @@ def tolerance(name: str, value: float | str, source: str = "") -> float:
 
     Raises:
         SessionError: a text without a unit, or with one of another dimension.
+        ModelError: neither a number nor a text.
     """
     if not isinstance(value, str):
-        return float(value)
+        try:
+            return float(value)
+        except TypeError:
+            raise ModelError(f"{source}the tolerance of {name} must be a number or a text with its unit") from None
     wanted = "angle" if unit_of_figure(name) == "rad" else "length"
     return quantity(value, wanted, f"{source}tolerance of {name}")

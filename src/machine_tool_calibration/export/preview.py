@@ -11,7 +11,7 @@ from machine_tool_calibration.arrays import Array, BoolArray, rms
 from machine_tool_calibration.methods.axis_tables import AxisTables
 from machine_tool_calibration.model.result import ErrorMap
 
-__all__ = ["ResidualError", "ResidualErrors", "preview", "residual_errors", "summary"]
+__all__ = ["ResidualError", "ResidualErrors", "residual_errors", "summary"]
 
 _PARTS = ("x", "y", "z")
 
@@ -78,13 +78,6 @@ def residual_errors(error_map: ErrorMap, compensation: AxisTables, directions: A
     before = _without_motion(error_map.points, np.where(known, error_map.error, 0.0), known)
     after = _without_motion(error_map.points, np.where(known, error_map.error - predicted, 0.0), known)
     return ResidualErrors(error_map.points, before, after, np.where(known, error_map.uncertainty, 0.0), known)
-
-
-def preview(
-    error_map: ErrorMap, compensation: AxisTables, directions: Array | None = None
-) -> tuple[ResidualError, ...]:
-    """Figures of `residual_errors`: one for each direction that is known, and for the length at last."""
-    return summary(residual_errors(error_map, compensation, directions))
 
 
 def summary(errors: ResidualErrors) -> tuple[ResidualError, ...]:

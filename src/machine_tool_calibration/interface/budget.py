@@ -219,7 +219,8 @@ def _contributors(
     out = []
     for number, line in enumerate(given, start=1):
         try:
-            out.append(line if isinstance(line, Contributor) else Contributor.model_validate(dict(line)))
+            said = dict(line) if isinstance(line, Mapping) else line  # what is neither is for the check to name
+            out.append(said if isinstance(said, Contributor) else Contributor.model_validate(said))
         except ValidationError as error:
             raise ModelError(first_defect(error, f"contributor {number}", record=Contributor)) from None
     return tuple(out)

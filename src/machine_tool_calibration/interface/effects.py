@@ -69,10 +69,10 @@ class Effect(FormulaEffect):
             "title": title,
             "enters": enters,
             "formula": formula,
-            "coefficients": {name: _range(said) for name, said in coefficients.items()},
-            "shapes": {name: _range(said) for name, said in (shapes or {}).items()},
-            "columns": dict(columns or {}),
-            "constants": {name: dict(said) for name, said in (constants or {}).items()},
+            "coefficients": _ranges(coefficients),
+            "shapes": _ranges(shapes or {}),
+            "columns": columns or {},
+            "constants": _ranges(constants or {}),
             "source": source,
         }
         super().__init__(checked_definition(definition, f"effect {id}"))
@@ -90,7 +90,12 @@ class Effect(FormulaEffect):
         return read_effects(Path(path))
 
 
-def _range(said: Range) -> Any:
+def _ranges(given: Any) -> Any:
+    # What is no mapping is for the check to name.
+    return {name: _range(said) for name, said in given.items()} if isinstance(given, Mapping) else given
+
+
+def _range(said: Any) -> Any:
     if isinstance(said, tuple | list) and len(said) == 3:
         return dict(zip(("unit", "low", "high"), said, strict=True))
     # What is neither is for the check to name.

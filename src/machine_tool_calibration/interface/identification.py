@@ -9,13 +9,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.interface.arguments import require_kind, require_whole
 from machine_tool_calibration.interface.session import Measurement, Source, load, one_below_the_other
 from machine_tool_calibration.interface.show import Shown, chosen, printed
 from machine_tool_calibration.methods.fitted import Chosen
@@ -172,7 +172,7 @@ class Fit(Shown):
         from machine_tool_calibration.maps import error_map_from_points
 
         found = self.result.error_map
-        error, u = error_map_from_points(found.points, found.error, found.uncertainty)(np.asarray(position, float))
+        error, u = error_map_from_points(found.points, found.error, found.uncertainty)(position)
         return error, u
 
     @property
@@ -251,6 +251,7 @@ class Fit(Shown):
         from machine_tool_calibration.methods.probing.features import features
         from machine_tool_calibration.methods.probing.propagation import monte_carlo
 
+        require_whole(draws=draws, seed=seed)
         if not isinstance(self.result, Result):
             raise ModelError("features are those of one probing session; this fit is of several")
         fit = self.result.fit
@@ -277,6 +278,8 @@ class Fit(Shown):
         from machine_tool_calibration.interface.map_comparison import MapComparison
         from machine_tool_calibration.methods.map_comparison import compare_fits
 
+        require_whole(seed=seed)
+        require_kind(other, Fit, "the other map must be that of a fit, as identify gives it")
         pair = fitted_sessions(self.result), fitted_sessions(other.result)
         return MapComparison(compare_fits(*pair, labels, seed=seed))
 
@@ -293,6 +296,7 @@ class Fit(Shown):
         from machine_tool_calibration.diagnosis.diagnose import diagnose
         from machine_tool_calibration.interface.diagnosis import Diagnosis
 
+        require_whole(seed=seed, sets=sets)
         return Diagnosis(diagnose(self.chosen, seed=seed, sets=sets))
 
     def add(self, effects: str | PhysicalEffect | Sequence[str | PhysicalEffect]) -> Fit:
@@ -329,6 +333,7 @@ class Fit(Shown):
         """
         from machine_tool_calibration.interface.budget import Budget
 
+        require_whole(draws=draws, seed=seed)
         fitted = fitted_sessions(self.result)
         return Budget.of(fitted, self.measurement.sessions, contributors, quantities, draws, seed)
 
@@ -354,8 +359,12 @@ class Fit(Shown):
         Raises:
             CalibrationError: nothing of that name has a tolerance, a wrong unit, or no such rule.
         """
-        from machine_tool_calibration.interface.budget import Conformity
+        from machine_tool_calibration.interface.budget import Budget, Conformity
 
+        require_whole(seed=seed)
+        require_kind(tolerances, Mapping, "tolerances must be a mapping from figures to their tolerances")
+        if budget is not None:
+            require_kind(budget, Budget, "budget must be one, as Fit.budget gives it")
         return Conformity.of(fitted_sessions(self.result), tolerances, rule, level, budget, seed)
 
     @cached_property

@@ -15,6 +15,7 @@ from machine_tool_calibration.diagnosis.improve import Step, step_after
 from machine_tool_calibration.diagnosis.improve import improve as improve_models
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.interface.arguments import require_whole
 from machine_tool_calibration.interface.diagnosis import Diagnosis
 from machine_tool_calibration.interface.identification import Fit, split_effects
 from machine_tool_calibration.interface.session import Measurement, Source, load
@@ -138,6 +139,7 @@ def improve(
         SessionError: a session cannot be read.
         ModelError: the data does not allow the model, or an effect is unknown.
     """
+    require_whole(seed=seed, sets=sets)
     measurement = load(session)
     ids, known = split_effects(effects, own)
     done = improve_models(measurement.chosen(model, ids, known), seed=seed, sets=sets)

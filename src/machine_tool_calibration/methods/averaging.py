@@ -7,7 +7,7 @@ with their probabilities, and its uncertainty holds the difference between them 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -15,6 +15,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.methods.fitted import Chosen, FittedSessions, fit_sessions
 from machine_tool_calibration.model.result import EffectSet, ErrorMap
 
 __all__ = ["averaged_map"]
@@ -23,27 +24,24 @@ __all__ = ["averaged_map"]
 _NOTHING = 0.02
 
 
-def averaged_map(
-    best: ErrorMap, effects: Sequence[str], sets: Sequence[EffectSet], map_with: Callable[[Sequence[str]], ErrorMap]
-) -> tuple[ErrorMap, tuple[EffectSet, ...]]:
-    """The mean over sets of effects.
+def averaged_map(fitted: FittedSessions, chosen: Chosen) -> tuple[ErrorMap, tuple[EffectSet, ...]]:
+    """The mean over sets of effects; one with which there is no map, or one that says less, is left out.
 
     Args:
-        best: the map with the effects in the model.
-        effects: their ids.
-        sets: the sets and their probabilities, that of the model's own among them.
-        map_with: the map with other effects; a set with which it cannot be had, or says less, is left out.
+        fitted: with the effects in the model.
+        chosen: the model, and the sets with their probabilities, that of the model's own among them.
 
     Returns:
         The map and the sets it is over; the best one and no sets where nothing depends on it.
     """
+    best = fitted.error_map
     found: list[tuple[EffectSet, ErrorMap]] = []
-    for one in sets:
-        if set(one.effects) == set(effects):
+    for one in chosen.sets:
+        if set(one.effects) == set(chosen.effects):
             found.insert(0, (one, best))
             continue
         try:
-            other = map_with(one.effects)
+            other = fit_sessions(replace(chosen, effects=one.effects)).error_map
         except ModelError:
             continue
         if other.error.shape == best.error.shape and not (np.isfinite(best.error) & ~np.isfinite(other.error)).any():

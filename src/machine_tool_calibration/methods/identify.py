@@ -215,7 +215,7 @@ def identify_sessions(chosen: Chosen) -> Result | JointResult:
     agreed = agreement(joint, common, names, _spread(common))
     if angles is not None:
         agreed = replace(agreed, statement=agreed.statement + angles.hidden)
-    error_map, averaged = _averaged(fitted, chosen)
+    error_map, averaged = averaged_map(fitted, chosen)
     return JointResult(
         labels=names,
         fit=joint,
@@ -229,15 +229,6 @@ def identify_sessions(chosen: Chosen) -> Result | JointResult:
         observations=observations,
         alone=fitted.error_map,
         averaged=averaged,
-    )
-
-
-def _averaged(fitted: FittedSessions, chosen: Chosen) -> tuple[ErrorMap, tuple[EffectSet, ...]]:
-    return averaged_map(
-        fitted.error_map,
-        chosen.effects,
-        chosen.sets,
-        lambda others: fit_sessions(replace(chosen, effects=tuple(others))).error_map,
     )
 
 
@@ -299,7 +290,7 @@ def _identified(chosen: Chosen) -> Result:
     built = next((built for part, built in made if part is kept), None)
     chosen = replace(chosen, sessions=(kept,))
     fitted = fit_sessions(chosen, built)
-    error_map, averaged = _averaged(fitted, chosen)
+    error_map, averaged = averaged_map(fitted, chosen)
     refuse_impossible(session, error_map)
     return Result(
         fit=fitted.joint.fits[0],

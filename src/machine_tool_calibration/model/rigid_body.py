@@ -119,13 +119,9 @@ def axis_nodes(positions: Array) -> Array:
     return np.linspace(distinct[0], distinct[-1], _MOST_NODES)
 
 
-def linear_axis_errors(
-    chain: Chain, nodes: dict[str, Array], axes: Iterable[str] | None = None
-) -> Sequence[MachineTable]:
+def linear_axis_errors(chain: Chain, nodes: dict[str, Array]) -> Sequence[MachineTable]:
     """All 18 error motions and 3 squareness errors of the linear axes that have a table; translations first."""
     moving = [axis for axis in "XYZ" if axis in chain.linear and len(nodes.get(axis, ())) > 1]
-    if axes is not None:
-        moving = [axis for axis in moving if axis in set(axes)]
     out = [MachineTable(chain, f"E{c}{axis}", nodes[axis]) for axis in moving for c in "XYZ"]
     pairs = {"C0Y": "XY", "B0Z": "XZ", "A0Z": "YZ"}
     out += [MachineTable(chain, name, np.empty(0)) for name, pair in pairs.items() if set(pair) <= set(moving)]

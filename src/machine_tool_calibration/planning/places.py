@@ -20,8 +20,9 @@ from machine_tool_calibration.session.session import Session
 __all__ = ["further_angles", "further_stations"]
 
 
-def _fresh(ids: list[str], name: str) -> str:
-    while name in ids:
+def _fresh(session: Session) -> str:
+    name = "new"
+    while name in session.setup_ids:
         name += "_new"
     return name
 
@@ -48,7 +49,7 @@ def further_stations(session: Session, description: TrackingInterferometer | Rot
         if distance.min() < 0.05:
             continue
         setup = description.setups[int(used[0])].model_copy(
-            update={"id": _fresh(list(session.setup_ids), "new"), "position": tuple(float(v) for v in place)}
+            update={"id": _fresh(session), "position": tuple(float(v) for v in place)}
         )
         whole = description.model_copy(update={"setups": (*description.setups, setup)})
         changed = {}
@@ -101,7 +102,7 @@ def _at_index(session: Session, description: Probing, like: int, c: float) -> It
     for j, axis in enumerate("xy"):
         if f"dir_{axis}" in readings.columns:
             changed[f"dir_{axis}"] = np.where(normal[:, j] > 0, -1.0, 1.0)
-    name = _fresh(list(session.setup_ids), "new")
+    name = _fresh(session)
     setup = description.setups[like].model_copy(update={"id": name, "c": c})
     whole = description.model_copy(update={"setups": (*description.setups, setup)})
     new = np.full(len(rows), len(description.setups), dtype=np.int64)

@@ -46,12 +46,11 @@ def read_tables(parameters: Iterable[Mapping[str, Any]]) -> dict[str, Array]:
     return {name: np.array(sorted(entries)) for name, entries in rows.items()}
 
 
-def draw_tables(parameters: Iterable[Mapping[str, Any]], title: str = "Error motions") -> Figure | None:
+def draw_tables(parameters: Iterable[Mapping[str, Any]]) -> Figure | None:
     """One row of panels for each axis: positioning, straightness, angles; bands are U (k = 2).
 
     Args:
         parameters: of a result's document.
-        title: of the picture.
 
     Returns:
         The picture; None where no table is among the parameters.
@@ -62,7 +61,7 @@ def draw_tables(parameters: Iterable[Mapping[str, Any]], title: str = "Error mot
         return None
     axes = [axis for axis in "XYZABC" if any(name[2] == axis for name in tables)]
     kinds = [kind for kind in (_positioning, _straightness, _angles) if any(kind(name) for name in tables)]
-    figure = new_figure(4.6 * len(kinds), 3.0 * len(axes) + 0.7, _with_squareness(title, entries))
+    figure = new_figure(4.6 * len(kinds), 3.0 * len(axes) + 0.7, _headed(entries))
     panels = figure.subplots(len(axes), len(kinds), squeeze=False)
     for row, axis in zip(panels, axes, strict=True):
         for panel, kind in zip(row, kinds, strict=True):
@@ -104,13 +103,13 @@ def _panel(panel: Axes, axis: str, tables: Mapping[str, Array]) -> None:
     panel.margins(x=0.03)
 
 
-def _with_squareness(title: str, parameters: Iterable[Mapping[str, Any]]) -> str:
+def _headed(parameters: Iterable[Mapping[str, Any]]) -> str:
     found = {entry["name"]: entry for entry in parameters if entry["name"] in SQUARENESS}
     parts = [
         f"{name} = {quantity(entry['value'], entry['unit'], entry['standard_uncertainty'])}"
         for name, entry in sorted(found.items())
     ]
-    text = f"{title}, bands: U (k = 2)"
+    text = "Error motions, bands: U (k = 2)"
     return f"{text}\nsquareness: {', '.join(parts)}" if parts else text
 
 
@@ -142,7 +141,7 @@ class _Map:
         return _Map(self.points[keep], self.error[keep], self.uncertainty[keep])
 
 
-def draw_map(content: Mapping[str, Any], title: str = "Measured positions") -> Figure:
+def draw_map(content: Mapping[str, Any]) -> Figure:
     """Nominal and measured positions, with ellipses of expanded uncertainty (k = 2).
 
     A plane is one panel; a volume is drawn layer by layer, with the error across the layer as the colour. A direction
@@ -150,7 +149,6 @@ def draw_map(content: Mapping[str, Any], title: str = "Measured positions") -> F
 
     Args:
         content: `points`, `position_error` and `position_error_u` of a result's error map (document or arrays).
-        title: begins the title.
     """
     whole = _Map(*(np.array(content[key], dtype=float) for key in ("points", "position_error", "position_error_u")))
     whole, unknown = _known(whole)
@@ -160,7 +158,7 @@ def draw_map(content: Mapping[str, Any], title: str = "Measured positions") -> F
     columns = {1: 1, 2: 2, 4: 2}.get(len(layers), 3)
     rows = -(-len(layers) // columns)
     size = (7.2, 7.4) if columns == 1 else (4.6 * columns, 4.7 * rows + 0.6)
-    figure = new_figure(*size, f"{title}, errors magnified {spaced(scale)} times{_figures(whole)}{unknown}")
+    figure = new_figure(*size, f"Measured positions, errors magnified {spaced(scale)} times{_figures(whole)}{unknown}")
     panels = np.atleast_1d(figure.subplots(rows, columns, sharex=True, sharey=True)).reshape(-1)
     limit = 0.0 if flat else 1e6 * float(np.nanmax(np.abs(whole.error[:, 2]), initial=0.0))
     drawn = _Drawing(scale, _larger(whole, scale), limit, float(np.nanmax(np.abs(whole.error[:, :2]), initial=0.0)))

@@ -10,7 +10,7 @@ from typing import Any
 import yaml
 
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.session.yaml_text import load_yaml
+from machine_tool_calibration.session.yaml_text import PlainDumper, load_yaml
 
 __all__ = [
     "LATCHED",
@@ -233,14 +233,9 @@ def bag_information(
     }
 
 
-class _Dumper(yaml.SafeDumper):
-    def ignore_aliases(self, data: Any) -> bool:
-        return True
-
-
 def bag_information_text(information: Mapping[str, Any]) -> str:
     """YAML text of the information, as it stands in a file's `rosbag2` record."""
-    return yaml.dump(dict(information), Dumper=_Dumper, sort_keys=False, default_flow_style=False, width=10_000)
+    return yaml.dump(dict(information), Dumper=PlainDumper, sort_keys=False, default_flow_style=False, width=10_000)
 
 
 def metadata_text(information: Mapping[str, Any]) -> str:

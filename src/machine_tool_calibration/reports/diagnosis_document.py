@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,6 @@ from machine_tool_calibration.diagnosis.consequence import (
 )
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.findings import Finding
-from machine_tool_calibration.diagnosis.search.look import Structure
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.result import plain
 from machine_tool_calibration.planning.advice import Advice, Separation, Visibility, alias_groups_of
@@ -86,8 +86,8 @@ def diagnosis_document(
         "alias_groups": [list(group) for group in alias_groups_of(diagnosis)],
         "separate_by": [_separation(s) for s in advice.separations],
         "absorbed": [{"effect": a.effect, "by": ", ".join(a.families) or "the model"} for a in look.absorbed],
-        "structure": [_structure(s) for s in look.structure],
-        "structure_left": [_structure(s) for s in look.left],
+        "structure": [asdict(s) for s in look.structure],
+        "structure_left": [asdict(s) for s in look.left],
         "outliers": [
             {**_named(label), "row": o.row, "studentized": o.studentized, "deviation": o.deviation}
             for label, own in zip(diagnosis.labels or ("",), diagnosis.set_aside, strict=True)
@@ -185,15 +185,6 @@ def _visibility(visibility: Visibility) -> dict[str, Any]:
         "detectable_after": visibility.after,
         "seconds": visibility.seconds,
         "besides": visibility.aside or None,
-    }
-
-
-def _structure(structure: Structure) -> dict[str, Any]:
-    return {
-        "covariate": structure.covariate,
-        "shape": structure.shape,
-        "p_value": structure.p_value,
-        "share": structure.share,
     }
 
 

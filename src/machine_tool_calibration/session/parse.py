@@ -13,7 +13,7 @@ from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.catalogue import METHODS, method_names, method_spec
 from machine_tool_calibration.session.defects import either, first_defect, kind_of, place_in, shown
 from machine_tool_calibration.session.description import Description
-from machine_tool_calibration.session.yaml_text import Document, load_yaml
+from machine_tool_calibration.session.yaml_text import Document, PlainDumper, load_yaml
 
 __all__ = ["describe", "description_yaml", "parse_description", "parse_record"]
 
@@ -96,12 +96,7 @@ def description_yaml(description: Description) -> str:
     declared = description.standard_uncertainty.model_dump(exclude_defaults=True)
     plain["standard_uncertainty"] = {key: _plain(value) for key, value in declared.items()}
     plain["machine"] = {key: value for key, value in plain["machine"].items() if value != {}}
-    return yaml.dump(plain, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=120, allow_unicode=True)
-
-
-class _Dumper(yaml.SafeDumper):
-    def ignore_aliases(self, data: Any) -> bool:
-        return True
+    return yaml.dump(plain, Dumper=PlainDumper, sort_keys=False, default_flow_style=None, width=120, allow_unicode=True)
 
 
 def _plain(value: Any) -> Any:

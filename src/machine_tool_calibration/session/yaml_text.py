@@ -16,7 +16,7 @@ import yaml
 
 from machine_tool_calibration.errors import SessionError
 
-__all__ = ["Document", "load_yaml"]
+__all__ = ["Document", "PlainDumper", "load_yaml"]
 
 _MAX_DEPTH = 32
 _MAX_VALUES = 4_000_000
@@ -208,3 +208,11 @@ def load_yaml(text: str, source: str, *, truth: bool = True) -> Document:
         problem = getattr(error, "problem", None) or getattr(error, "reason", None) or type(error).__name__
         raise SessionError(f"{source}{where}: not valid YAML: {problem}") from None
     return Document(builder.root, builder.lines)
+
+
+class PlainDumper(yaml.SafeDumper):
+    """Writes what is there twice in full, not as an alias."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        """Whatever it is."""
+        return True

@@ -131,17 +131,15 @@ def simulate(
     return Simulated(session, truth)
 
 
-def measured_again(simulated: Simulated, seed: int, noise: float | None = None) -> Session:
+def measured_again(simulated: Simulated, seed: int) -> Session:
     """The same measurement with other noise and nothing else random: fast, for Monte Carlo.
 
     Args:
         simulated: a simulated session.
         seed: of the noise.
-        noise: standard deviation of a reading, m; the declared one if absent.
     """
-    sigma = simulated.session.sigma if noise is None else noise
     clean, readings = simulated.truth.clean, simulated.session.readings
-    total = clean + sigma * np.random.default_rng(seed).normal(size=len(clean))
+    total = clean + simulated.session.sigma * np.random.default_rng(seed).normal(size=len(clean))
     displacement = np.where(np.isnan(readings.displacement), np.nan, since_first(total, simulated.truth.datum))
     return simulated.session.with_readings(replace(readings, displacement=displacement))
 

@@ -23,12 +23,17 @@ from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.interface.identification import Fit
 from machine_tool_calibration.interface.session import Measurement, load
+from machine_tool_calibration.interface.show import printed
 from machine_tool_calibration.methods.fitted import Chosen, gross_errors
 from machine_tool_calibration.methods.identify import JointResult, identify_sessions
+from machine_tool_calibration.planning.forecast import forecast
+from machine_tool_calibration.planning.outlook import Outlook, current, outlook_of, outlooks
 from machine_tool_calibration.planning.what_to_measure import SEARCH, Conclusions, conclude
+from machine_tool_calibration.procedure import Procedure
+from machine_tool_calibration.reports.forecast import show_forecast
 from machine_tool_calibration.reports.history_file import fingerprint, history_path, read_history
 
-__all__ = ["Model", "Opened", "Progress", "Subject", "diagnosed", "improved", "opened"]
+__all__ = ["Model", "Opened", "Progress", "Subject", "diagnosed", "improved", "looked_ahead", "opened", "planned"]
 
 Progress = Callable[[str, float], None]
 """Told what is being done, and the share that is finished."""
@@ -310,3 +315,34 @@ def improved(subject: Subject, model: Model, found: Diagnosis, progress: Progres
         chosen = start.adding(found.accepted[: k + 1], found.sets if k + 1 == len(found.accepted) else ())
         made.append(subject.tried(made[-1], name, chosen, aside, model.kept))
     return made[1:]
+
+
+def looked_ahead(subject: Subject, model: Model, progress: Progress) -> list[Outlook]:
+    """What is known with a model, and what would be after each further measurement."""
+    return outlooks(subject.chosen(model), progress)
+
+
+def planned(
+    subject: Subject,
+    model: Model | None,
+    procedure: Procedure,
+    variant: str | None,
+    warming: float,
+    angular: float,
+    progress: Progress,
+) -> tuple[Outlook | None, Outlook, str]:
+    """What a procedure would tell by itself, and that in the words of `mtcal plan`.
+
+    Args:
+        subject: for the user's own effects.
+        model: of which to say what is known now as well; None if that is known.
+        procedure: what would be measured.
+        variant: of its method's model.
+        warming: of the air, K per hour.
+        angular: errors of the machine that are assumed, rad.
+        progress: told what is being done.
+    """
+    found = forecast(procedure, model=variant, own=subject.own, warming=warming, angular=angular, progress=progress)
+    now = None if model is None else current(subject.chosen(model))
+    words = f"procedure {procedure.name}, by itself"
+    return now, outlook_of(found, words), printed(lambda screen: show_forecast(screen, found))

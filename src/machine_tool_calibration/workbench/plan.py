@@ -20,7 +20,6 @@ from machine_tool_calibration.reports.quantities import duration
 from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.description import DESCRIPTION_FILE, OBSERVATIONS_FILE
 from machine_tool_calibration.session.folder import write_session
-from machine_tool_calibration.workbench.ahead import looked_ahead, planned
 from machine_tool_calibration.workbench.look import (
     bar_button,
     beside,
@@ -33,6 +32,7 @@ from machine_tool_calibration.workbench.look import (
     typed_out,
     when_changed,
 )
+from machine_tool_calibration.workbench.models import looked_ahead, planned
 from machine_tool_calibration.workbench.procedure_form import ProcedureForm
 from machine_tool_calibration.workbench.readings import Readings
 from machine_tool_calibration.workbench.saved import Saved, refuse_others

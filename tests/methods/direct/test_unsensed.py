@@ -13,7 +13,7 @@ import pytest
 
 from machine_tool_calibration.budget.conformity import conformity
 from machine_tool_calibration.diagnosis.consequence import map_change
-from machine_tool_calibration.export.preview import preview
+from machine_tool_calibration.export.preview import residual_errors, summary
 from machine_tool_calibration.maps import error_map_from_points
 from machine_tool_calibration.methods.axis_tables import axis_tables
 from machine_tool_calibration.methods.direct.map import sensed_axes
@@ -128,7 +128,7 @@ def test_subscribers_and_controllers_get_what_was_measured(direct: SimpleNamespa
     assert np.isfinite([error[0], uncertainty[0]]).all() and np.isnan([*error[1:], *uncertainty[1:]]).all()
     corrected = held.compensated([0.1, 0.0, 0.0])
     assert corrected[0] != 0.1 and corrected[1:].tolist() == [0.0, 0.0]
-    shown = {row.name for row in preview(found, axis_tables(result))}
+    shown = {row.name for row in summary(residual_errors(found, axis_tables(result)))}
     assert "x" in shown and not shown & {"y", "z"}
 
 

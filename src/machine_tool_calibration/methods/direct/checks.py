@@ -63,15 +63,21 @@ def refuse_mistakes(session: Session, build: Build) -> None:
     extent = float(np.ptp(seen.position, axis=0).max())
     if extent == 0.0 or len(seen) < 8:
         return
-    what = f"x, y and z look {LENGTHS}" if extent > _HALL else explanation(session, _judgements(session, build, extent))
+    if extent > _HALL:
+        what: str | None = f"x, y and z look {LENGTHS}"
+    else:
+        what = explanation(session, _judgements(session, build, seen, extent))
     if what is not None:
         with suspected():
             raise ModelError(f"{session.source}: {what}")
 
 
-def _judgements(session: Session, build: Build, extent: float) -> Iterator[Judgement]:
+def _judgements(session: Session, build: Build, seen: Observations, extent: float) -> Iterator[Judgement]:
+    def observed(supposed: Session) -> Observations:
+        return seen if supposed is session else build(supposed).observations
+
     for a, b in itertools.combinations(range(3), 2):
-        yield from _lying(session, build, [a, b])
+        yield from _lying(session, observed, [a, b])
     # Single readings may be off by anything: the bulk counts.
     reading = session.readings.displacement
     spread = 1.4826 * float(np.nanmedian(np.abs(reading - np.nanmedian(reading))))
@@ -82,8 +88,8 @@ def _judgements(session: Session, build: Build, extent: float) -> Iterator[Judge
         yield Judgement(lambda s: float(np.nanstd(s.readings.displacement)) / along, _read(session), _WRECK, _READ)
 
     # A part may lie askew: what counts is what is left of its deviations.
-    def left(seen: Session) -> float:
-        return float(np.median(np.abs(fit_models([build(seen)]).fits[0].residuals))) / extent
+    def left(supposed: Session) -> float:
+        return float(np.median(np.abs(fit_models([build(supposed)]).fits[0].residuals))) / extent
 
     units = [(factor, what) for factor, what in UNITS if spread * factor < _ASKEW * extent]
     yield Judgement(left, scaled(session, *units), max(_WRECK, _GOOD * session.sigma / extent), _USUAL)
@@ -114,11 +120,13 @@ def _read(session: Session) -> Iterator[Supposition]:
         yield _less(session, what, np.eye(3), factor)
 
 
-def _lying(session: Session, build: Build, plane: list[int]) -> Iterator[Judgement]:
+def _lying(
+    session: Session, observed: Callable[[Session], Observations], plane: list[int]
+) -> Iterator[Judgement]:
     """How a plate lies, if its places and its deviations do not belong together."""
 
     def motion(session: Session) -> tuple[Array, bool]:
-        return _affine(build(session).observations, plane)
+        return _affine(observed(session), plane)
 
     def turned(session: Session) -> float:
         return float(np.abs(motion(session)[0]).max())

@@ -165,29 +165,29 @@ class Touched:
         return Touched(self.position[keep], self.normal[keep])
 
 
-def join(segments: Sequence[Segment], gap: float = _GAP) -> list[Contour]:
+def join(segments: Sequence[Segment]) -> list[Contour]:
     """Chain segments, in whatever order and direction they come, to contours."""
     left = list(segments)
     contours = []
     while left:
         chain = [left.pop(0)]
         grown = True
-        while grown and not (len(chain) > 1 and _near(chain[-1].end, chain[0].start, gap)):
-            grown = _grow(chain, left, gap)
-        closed = _near(chain[-1].end, chain[0].start, gap)
+        while grown and not (len(chain) > 1 and _near(chain[-1].end, chain[0].start)):
+            grown = _grow(chain, left)
+        closed = _near(chain[-1].end, chain[0].start)
         contours.append(Contour(tuple(chain), closed))
     return contours
 
 
-def _grow(chain: list[Segment], left: list[Segment], gap: float) -> bool:
+def _grow(chain: list[Segment], left: list[Segment]) -> bool:
     """Add one segment at the end of a chain, or at its beginning; whether one fitted."""
     for k, segment in enumerate(left):
         back = segment.turned_back()
         for fits, piece, at_end in (
-            (_near(chain[-1].end, segment.start, gap), segment, True),
-            (_near(chain[-1].end, segment.end, gap), back, True),
-            (_near(chain[0].start, segment.end, gap), segment, False),
-            (_near(chain[0].start, segment.start, gap), back, False),
+            (_near(chain[-1].end, segment.start), segment, True),
+            (_near(chain[-1].end, segment.end), back, True),
+            (_near(chain[0].start, segment.end), segment, False),
+            (_near(chain[0].start, segment.start), back, False),
         ):
             if fits:
                 del left[k]
@@ -196,8 +196,8 @@ def _grow(chain: list[Segment], left: list[Segment], gap: float) -> bool:
     return False
 
 
-def _near(a: tuple[float, float], b: tuple[float, float], gap: float) -> bool:
-    return bool(np.hypot(a[0] - b[0], a[1] - b[1]) <= gap)
+def _near(a: tuple[float, float], b: tuple[float, float]) -> bool:
+    return bool(np.hypot(a[0] - b[0], a[1] - b[1]) <= _GAP)
 
 
 def probe_points(contour: Contour, material: Material, spacing: float) -> Touched:

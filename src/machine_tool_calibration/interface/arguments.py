@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Arguments that cannot be, refused in one line before anything is calculated from them."""
+
+from __future__ import annotations
+
+import operator
+from typing import Any
+
+from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.session.defects import shown
+
+__all__ = ["require_kind", "require_whole"]
+
+# Smallest and largest; quantiles of more draws are no better known than what is drawn from.
+_LIMITS = {"seed": (0, 2**63 - 1), "sets": (1, 100_000), "draws": (0, 100_000)}
+
+
+def require_whole(**numbers: Any) -> None:
+    """Refuse a `seed`, or numbers of `sets` or `draws`, that are no whole numbers within their limits.
+
+    Raises:
+        CalibrationError: one of them is not.
+    """
+    for name, value in numbers.items():
+        low, high = _LIMITS[name]
+        try:
+            fits = low <= operator.index(value) <= high
+        except TypeError:
+            fits = False
+        if not fits:
+            raise CalibrationError(f"{name} must be a whole number from {low} to {high}, not {shown(value)}")
+
+
+def require_kind(value: Any, kind: type, words: str) -> None:
+    """Refuse an argument that is of another kind.
+
+    Args:
+        value: what was given.
+        kind: what it has to be.
+        words: that, in words, with the argument's name before it.
+
+    Raises:
+        CalibrationError: it is not.
+    """
+    if not isinstance(value, kind):
+        raise CalibrationError(f"{words}, not {shown(value)}")
