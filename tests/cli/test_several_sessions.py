@@ -137,9 +137,8 @@ def test_every_session_keeps_the_variant_of_the_history(several_methods: list[st
             data=fingerprint(*opened), used=286, rms_residual=1e-6, degrees_of_freedom=200,
         )  # fmt: skip
         for step in (1, -1):
-            sessions = tuple(opened[::step])
             said_of = entry.of_sessions(prints[::step], [path.name for path in paths][::step])
-            _, models = joint_models(Chosen(sessions, ("a", "b"), entry.variant(said_of, sessions)))
+            _, models = joint_models(Chosen(tuple(opened[::step]), ("a", "b"), entry.variant(said_of, opened[::step])))
             assert models[::step] == names
 
 

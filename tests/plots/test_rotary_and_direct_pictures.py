@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.quiver import Quiver, QuiverKey
 
-from machine_tool_calibration.diagnosis.compare import compare_result
+from machine_tool_calibration.diagnosis.compare import compare
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.plots import direct, rotary_axis
 from machine_tool_calibration.plots.compare import draw_map as draw_residual_map
@@ -84,7 +84,7 @@ def test_arrows_of_a_map_have_their_scale() -> None:
 def test_residuals_along_a_line_stand_up_from_it() -> None:
     session = _session(method="direct", kind="iso230_2", repeats=2)
     result = identify(session)
-    (panel,) = draw_residual_map(compare_result(result)).axes
+    (panel,) = draw_residual_map(compare(result)).axes
     assert (panel.get_xlabel(), panel.get_ylabel()) == ("x, mm", "residual along x, µm")
     drawn = np.concatenate([line.get_ydata() for line in panel.lines if line.get_marker() == "."])
     np.testing.assert_allclose(np.sort(drawn), np.sort(1e6 * result.fit.residuals), atol=1e-9)

@@ -12,6 +12,7 @@ import pytest
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.search.priors import ACCEPTED
 from machine_tool_calibration.effects.catalogue import catalogue
+from machine_tool_calibration.methods.fitted import Chosen
 from machine_tool_calibration.planning.advice import Advice
 from machine_tool_calibration.reports.verdict import verdict_words
 from machine_tool_calibration.residuals.pool import RANDOM
@@ -196,7 +197,7 @@ def test_an_effect_that_would_leave_the_map_undetermined_is_refused_in_words(mon
 
 def test_of_lost_motion_beside_backlash_only_what_varies_is_told() -> None:
     session = simulated("iso230_2", 5, [FlawSpec(id="backlash_x", size=2e-6)])
-    lost = diagnose(session, effects=["backlash_x"], sets=19).look.of("lost_motion_x")
+    lost = diagnose(Chosen((session,), effects=("backlash_x",)), sets=19).look.of("lost_motion_x")
     assert "b0" not in {size.coefficient.name for size in lost.sizes} | set(lost.detectable)
     assert lost.sizes
     assert all(size.standard_uncertainty < 1e-6 for size in lost.sizes)

@@ -96,9 +96,9 @@ def test_bad_requests(several: SimpleNamespace, labels: list[str], message: str)
 
 
 def test_a_model_that_no_session_has(several: SimpleNamespace) -> None:
-    sessions = tuple(several.measured(name, 0).session for name in ("tracker", "run"))
+    sessions = [several.measured(name, 0).session for name in ("tracker", "run")]
     with pytest.raises(ModelError, match=r"none of the sessions has a model 'fre' \(did you mean 'free'\?\)"):
-        joint_models(Chosen(sessions, ("a", "b"), "fre"))
+        joint_models(Chosen(tuple(sessions), ("a", "b"), "fre"))
 
 
 def test_another_machine(several: SimpleNamespace) -> None:
