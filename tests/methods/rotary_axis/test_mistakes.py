@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.rotary_axis.checks import suppositions
 from machine_tool_calibration.methods.rotary_axis.model import build
 from machine_tool_calibration.session.session import Session
@@ -83,6 +84,14 @@ def test_two_targets_exchanged(rotary: SimpleNamespace) -> None:
 def test_a_bad_axis_is_no_mistake(rotary: SimpleNamespace) -> None:
     machine = {"random": {"rotary_translation": 1e-4, "rotary_tilt": 3e-4, "rotary_angle": 5e-4}}
     build(rotary.measured(0, machine).session)
+
+
+def test_repeats_that_number_the_readings(rotary: SimpleNamespace) -> None:
+    """Every run has a single reading, which says nothing: there are too few of them, and no other fault."""
+    session = rotary.measured(2, angles=FEW).session
+    numbered = session.with_readings(replace(session.readings, repeat=np.arange(len(session.readings))))
+    with pytest.raises(ModelError, match="too few readings"):
+        identify(numbered)
 
 
 def test_no_rotary_axis(rotary: SimpleNamespace) -> None:

@@ -127,7 +127,8 @@ def _fitted(table: TableReadings, stations: Array, targets: Array, within: float
     """Reweighted as long as some readings are off by far more than the others: gross errors must not lead astray."""
     x = np.concatenate([stations.ravel(), targets.ravel()])
     off = np.abs(_off(table, stations, targets))
-    weight = np.minimum(1.0, _WILD * np.median(off) / np.maximum(off, 1e-12)) ** 2
+    usual = max(float(np.median(off)), 1e-9)  # m; 0 where most runs have a single reading
+    weight = np.minimum(1.0, _WILD * usual / np.maximum(off, 1e-12)) ** 2
     for _ in range(_REWEIGHTED):
         x, left = _weighted(table, stations, targets, within, x, weight)
         scale = max(float(np.median(np.abs(left))) / 0.6745, 1e-9)
