@@ -189,7 +189,9 @@ def test_diagnosis_budget_conformity_and_readings_set_aside_are_there():
 
 
 def test_effects_in_the_model_stand_there_with_their_sizes() -> None:
-    found = evaluate(replace(evaluated("iso230_2").chosen, effects=("backlash_x",)), diagnosis=False)
+    measured = evaluated("iso230_2").measured
+    chosen = replace(measured.chosen, effects=("backlash_x",))
+    found = evaluate(replace(measured, chosen=chosen), diagnosis=False)
     tables = [block for section in sections(found, words("en")) for block in section.blocks]
     (table,) = (one for one in tables if isinstance(one, TextTable) and one.title == "Effects in the model")
     ((title, name, size),) = table.rows
