@@ -28,6 +28,7 @@ class Step:
 
     Attributes:
         change: what it has and the one before has not: an effect's id, or words.
+        chosen: it, and the readings.
         result: of its identification.
         map_rms: RMS length of the position errors at the map's points, m; None where the method maps none.
         map_uncertainty: RMS length of their standard uncertainty, as it is published, m.
@@ -36,6 +37,7 @@ class Step:
     """
 
     change: str
+    chosen: Chosen
     result: Result | JointResult
     map_rms: float | None
     map_uncertainty: float | None
@@ -149,30 +151,34 @@ def improve(
     chosen = replace(Chosen.of(subject), keep_all=True, sets=())
     found = diagnose(chosen, seed=seed, sets=sets, progress=lambda what, share: progress(what, 0.9 * share))
     aside = tuple(outlier.row for one in found.set_aside for outlier in sorted(one, key=lambda o: o.row))
-    steps = [step_after(None, "", identify_sessions(chosen), ())]
+    steps = [step_after(None, "", chosen, identify_sessions(chosen), ())]
     if aside:
         words = f"{len(aside)} reading{'' if len(aside) == 1 else 's'} set aside"
-        steps.append(step_after(steps[-1], words, identify_sessions(found.chosen), aside))
+        steps.append(step_after(steps[-1], words, found.chosen, identify_sessions(found.chosen), aside))
     for k, name in enumerate(found.accepted):
         progress(f"adding {name}", 0.9 + 0.1 * k / len(found.accepted))
         over = found.sets if k + 1 == len(found.accepted) else ()
-        result = identify_sessions(found.chosen.adding(found.accepted[: k + 1], over))
-        steps.append(step_after(steps[-1], name, result, aside))
+        wider = found.chosen.adding(found.accepted[: k + 1], over)
+        steps.append(step_after(steps[-1], name, wider, identify_sessions(wider), aside))
     progress("done", 1.0)
     return Improvement(found, tuple(steps))
 
 
-def step_after(before: Step | None, change: str, result: Result | JointResult, aside: tuple[int, ...]) -> Step:
+def step_after(
+    before: Step | None, change: str, chosen: Chosen, result: Result | JointResult, aside: tuple[int, ...]
+) -> Step:
     """A model as a step of a way.
 
     Args:
         before: the step before it; None for the first.
         change: what it has and that one has not: an effect's id, or words.
+        chosen: it, and the readings.
         result: of its identification.
         aside: rows of the readings that were left out.
     """
     return Step(
         change=change,
+        chosen=chosen,
         result=result,
         map_rms=map_rms(result.error_map.error),
         map_uncertainty=map_rms(result.error_map.uncertainty),

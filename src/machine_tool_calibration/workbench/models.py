@@ -135,10 +135,10 @@ class Subject:
             ModelError: the data does not allow it.
         """
         measurement = self.without(aside, kept)
-        result = identify_sessions(replace(chosen, sessions=measurement.sessions, own=self.own, keep_all=True))
-        step = step_after(before.step if before else None, words, result, tuple(sorted(aside)))
-        fit = Fit(measurement, result, chosen.model, self.own, keep_all=True)
-        return Model(fit, step, compare(result), aside, kept)
+        chosen = replace(chosen, sessions=measurement.sessions, own=self.own, keep_all=True)
+        result = identify_sessions(chosen)
+        step = step_after(before.step if before else None, words, chosen, result, tuple(sorted(aside)))
+        return Model(Fit(measurement, result, chosen), step, compare(result), aside, kept)
 
     def on_the_way(self, entries: Sequence[Entry], prints: Sequence[str]) -> list[Model]:
         """Models of a history, each made from the one before.
