@@ -167,7 +167,8 @@ def plot_improvement(fits: Sequence[Fit]) -> Figure:
     steps = list[Step]()
     for fit in models:
         before = steps[-1] if steps else None
-        steps.append(step_after(before, _change(before, fit), fit.chosen, fit.result, ()))
+        none = tuple(() for _ in fit.chosen.sessions)
+        steps.append(step_after(before, _change(before, fit), fit.chosen, fit.result, none))
     first = models[0]
     declared = noise_of(first.result.joint.fits[0]).declared
     return notebook(draw_steps(steps, first.measurement.sessions, declared))
