@@ -238,8 +238,8 @@ def opened(paths: Sequence[Path], variant: str | None, own: Sequence[Effect], pr
     progress("readings that do not belong to the rest", 0.2)
     found = {}
     first = measurement.chosen(variant, (), tuple(own))
-    for k, (outliers, _) in enumerate(gross_errors(first)):
-        for outlier in outliers:
+    for k, sifted in enumerate(gross_errors(first)):
+        for outlier in sifted.outliers:
             found[int(subject.numbers(k, np.array(outlier.row)))] = outlier.deviation
     progress("fitting", 0.5)
     models: list[Model] = []
