@@ -358,3 +358,17 @@ def test_the_mapping_of_a_plate_to_start_from(tmp_path: Path) -> None:
     assert readings.columns["x"].tolist() == [0.25, 0.25, 0.35, 0.35, 0.25, 0.25]
     assert readings.columns["z"].tolist() == [0.12] * 6
     assert np.isnan(readings.displacement).tolist() == [False, False, False, True, False, False]
+
+
+@pytest.mark.parametrize("pattern", [None, "%H:%M:%S"])
+def test_times_of_day_go_on_past_midnight(pattern: str | None, tmp_path: Path) -> None:
+    times = ["23:59:20", "23:59:50", "", "0:00:50"]
+    rows = "".join(f"{100 * k},{100 * k + 0.001 * k:.3f},{time}\n" for k, time in enumerate(times))
+    made = points(
+        tmp_path,
+        f"X,M,T\n{rows}",
+        columns={"x": "X", "actual_x": "M", "time": "T"},
+        file={} if pattern is None else {"time_format": pattern},
+    )
+    np.testing.assert_array_equal(made.session.readings.columns["x"], [0.0, 0.1, 0.2, 0.3])
+    np.testing.assert_array_equal(made.session.readings.columns["time"], [0.0, 30.0, np.nan, 90.0])

@@ -101,8 +101,8 @@ _TEXTS = (".csv", ".txt", ".tsv", ".dat", ".asc")
 @click.option(
     "--description",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="SOURCE is a table with the columns of observations.csv, in SI units, and this its session.yaml; by default "
-    "the one beside the table.",
+    help="The session.yaml of a table: one with the columns of observations.csv in SI units (by default the one beside "
+    "it), or one that --table or --mapping says how to read.",
 )
 @topic_option
 @json_option
@@ -134,9 +134,10 @@ def command(
     mtcal convert session mended --separator semicolon --decimal comma    after a spreadsheet had it
 
     With --table or --mapping, SOURCE is a text table of another program: a part or plate measured on a CMM, targets
-    measured by a laser tracker, readings by ISO 230-2. Several of the same form become one session, each with setups of
-    its own. Nothing is guessed: columns and units are named, and --dry-run shows what would be read. What looks like
-    another unit is refused; --trust-units takes it as it is, and so does everything that reads the session.
+    measured by a laser tracker, readings by ISO 230-2, or the readings of any method. Several of the same form become
+    one session, each with setups of its own. Nothing is guessed: columns and units are named, and --dry-run shows what
+    would be read. What looks like another unit is refused; --trust-units takes it as it is, and so does everything that
+    reads the session.
 
     \b
     A drilled plate on a CMM, with decimal commas:
@@ -151,6 +152,9 @@ def command(
     A positioning run, columns Position, 1 up, 1 down, 2 up, 2 down …, by ISO 230-2:
       mtcal convert x_axis.csv x_axis --table iso230-2 --axis x --column position=Position \\
         --unit mm --unit deviation=um --chain w-X-b-t --uncertainty 0.3um
+    Readings of a step diagonal or any other method, in columns named as those of observations.csv but for --column:
+      mtcal convert steps.csv steps --table readings --description session.yaml --unit mm \\
+        --column "displacement=Reading [um]"
     """
     from machine_tool_calibration.recording.open import is_session_folder
 
@@ -160,7 +164,7 @@ def command(
     for path in sources:
         if not path.exists():
             raise CalibrationError(f"{path}: no such file or folder")
-    imported = _imported(sources, setup_name, foreign) if is_asked(foreign) else None
+    imported = _imported(sources, setup_name, foreign, description) if is_asked(foreign) else None
     own = None if imported is not None else _own_table(sources, setup_name, foreign, description)
     from_session = imported is None and own is None and is_session_folder(source)
     if form is None:
@@ -218,11 +222,13 @@ def _form(target: Path | None, otherwise: str) -> str:
     return otherwise
 
 
-def _imported(sources: Sequence[Path], setup_name: str | None, foreign: dict[str, Any]) -> Imported:
+def _imported(
+    sources: Sequence[Path], setup_name: str | None, foreign: dict[str, Any], description: Path | None
+) -> Imported:
     """The session of foreign tables."""
     from machine_tool_calibration.importing import import_table, parse_mapping
 
-    content, name = mapping_from(foreign)
+    content, name = mapping_from(foreign, description)
     return import_table(sources, parse_mapping(content, name), name=setup_name)
 
 
@@ -244,8 +250,9 @@ def _own_table(
     described = description or table.with_name(DESCRIPTION_FILE)
     if not described.exists():
         raise CalibrationError(
-            f"{source}: say what this table holds, with --table points, ranges or iso230-2, or with --mapping; if it "
-            f"is in SI units with the columns of {OBSERVATIONS_FILE}, with --description {DESCRIPTION_FILE}"
+            f"{source}: say what this table holds, with --table points, ranges, iso230-2 or readings, or with "
+            f"--mapping; if it is in SI units with the columns of {OBSERVATIONS_FILE}, with --description "
+            f"{DESCRIPTION_FILE}"
         )
     from machine_tool_calibration.importing.own import read_own_table
     from machine_tool_calibration.importing.text_table import parse_form

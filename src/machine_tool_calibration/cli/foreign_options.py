@@ -42,9 +42,9 @@ def _option(*names: str, **settings: Any) -> Callable[[Any], Any]:
 _OPTIONS: Sequence[Callable[[Any], Any]] = (
     _option(
         "--table",
-        type=click.Choice(["points", "ranges", "iso230-2"]),
+        type=click.Choice(["points", "ranges", "iso230-2", "readings"]),
         help="SOURCE is a text table: nominal and measured coordinates, distances from a tracker's stations, or "
-        "readings by ISO 230-2.",
+        "readings by ISO 230-2; `readings`: those of any method, of which --description is the session.yaml.",
     ),
     _option(
         "--mapping",
@@ -59,7 +59,8 @@ _OPTIONS: Sequence[Callable[[Any], Any]] = (
         metavar="QUANTITY=NAME",
         help="Column of a quantity: x, y, z (nominal), actual_x … or deviation_x …, setup, point, time, repeat, dir_x, "
         "temperature_air …; ranges: range (or actual_x … from the station), azimuth or bearing, elevation or zenith, "
-        "target, c; iso230-2: position, deviation or actual, run, direction.",
+        "target, c; iso230-2: position, deviation or actual, run, direction; readings: as in observations.csv, where "
+        "the table has another name for it.",
     ),
     _option("--extra", "extras", multiple=True, metavar="NAME=COLUMN", help="Column that is kept as a covariate."),
     _option(
@@ -166,8 +167,8 @@ def file_form(given: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in form.items() if value is not None}
 
 
-def mapping_from(given: dict[str, Any]) -> tuple[dict[str, Any], str]:
-    """The content of a mapping: that of the file, with what the options say over it.
+def mapping_from(given: dict[str, Any], description: Path | None = None) -> tuple[dict[str, Any], str]:
+    """The content of a mapping: that of the file, with a session.yaml and what the options say over it.
 
     Returns:
         The content, and its name for messages.
@@ -177,6 +178,8 @@ def mapping_from(given: dict[str, Any]) -> tuple[dict[str, Any], str]:
         CalibrationError: a mapping file that cannot be read.
     """
     from machine_tool_calibration.importing.mapping import FORMAT, read_mapping
+    from machine_tool_calibration.session.text import read_text
+    from machine_tool_calibration.session.yaml_text import load_yaml
 
     path = given["mapping"]
     content: dict[str, Any] = {} if path is None else dict(read_mapping(path))
@@ -213,6 +216,11 @@ def mapping_from(given: dict[str, Any]) -> tuple[dict[str, Any], str]:
     session["machine"] = {"chain": given["chain"]} if given["chain"] else None
     session["terms"] = list(given["terms"]) or None
     session["trust_units"] = given["trust_units"] or None
+    if description is not None:
+        described = load_yaml(read_text(description), str(description)).value
+        if not isinstance(described, dict):
+            raise CalibrationError(f"{description}: a session.yaml is a mapping of keys")
+        _update(content, "session", {key: value for key, value in described.items() if key != "format"}, path)
     _update(content, "session", {key: value for key, value in session.items() if value is not None}, path)
     return content, "command line" if path is None else str(path)
 

@@ -17,6 +17,7 @@ from machine_tool_calibration.importing.mapping import Mapping
 from machine_tool_calibration.importing.points import point_rows
 from machine_tool_calibration.importing.positioning import positioning_rows
 from machine_tool_calibration.importing.ranges import range_rows
+from machine_tool_calibration.importing.readings import reading_rows
 from machine_tool_calibration.importing.text_table import TextTable, read_text_table
 from machine_tool_calibration.importing.units import quantity
 from machine_tool_calibration.methods.direct.model import asked_tables
@@ -103,6 +104,7 @@ _ROWS: dict[str, Callable[[Columns, str], Rows]] = {
     "points": point_rows,
     "ranges": lambda columns, setup: range_rows(columns),
     "iso230-2": positioning_rows,
+    "readings": reading_rows,
 }
 
 
@@ -126,12 +128,14 @@ def _joined(parts: Sequence[Rows], read: Sequence[Columns]) -> tuple[Rows, IntAr
     }
     setups: dict[str, tuple[str, object]] = {}
     for part, source in zip(parts, (columns.table.source for columns in read), strict=True):
-        for entry in part.description["setups"]:  # type: ignore[attr-defined]
+        for entry in part.description.get("setups", ()):  # type: ignore[attr-defined]
             if entry["id"] in setups:
                 first = setups[entry["id"]][0]
                 raise SessionError(f"{source}: setup {entry['id']!r} is in {first} too; a setup is in one file")
             setups[entry["id"]] = (source, entry)
-    described = {**parts[0].description, "setups": [entry for _, entry in setups.values()]}
+    described = dict(parts[0].description)
+    if setups:
+        described["setups"] = [entry for _, entry in setups.values()]
     if "repeats" in described:
         described["repeats"] = max(part.description["repeats"] for part in parts)  # type: ignore[type-var]
     notes = tuple(dict.fromkeys(text for part in parts for text in part.notes))
@@ -150,9 +154,14 @@ def _described(rows: Rows, mapping: Mapping, source: str) -> dict[str, Any]:
     """The content of session.yaml: what the table gives, and over it what the user says."""
     given = dict(mapping.session)
     content: dict[str, Any] = {"format": "mtcal-session/1", **rows.description}
-    wanted = str(content["method"])
+    if "method" not in content and "method" not in given:
+        raise SessionError(
+            f"{source}: a table of readings needs the session.yaml that says of what, with --description session.yaml"
+        )
+    wanted = str(content.get("method", given.get("method")))
     if given.pop("method", wanted) != wanted:
         raise SessionError(f"{source}: this table makes a session of {wanted}; leave out method")
+    content["method"] = wanted
     if "machine" not in given:
         raise SessionError(f"{source}: the machine's chain is not given, as in --chain w-Y-X-b-Z-t")
     if "standard_uncertainty" not in given:
@@ -164,8 +173,7 @@ def _described(rows: Rows, mapping: Mapping, source: str) -> dict[str, Any]:
         given["standard_uncertainty"] = {"displacement": value}
     if "repeat" in rows.numbers and "repeats" not in content:
         content["repeats"] = int(np.nanmax(rows.numbers["repeat"], initial=0)) + 1
-    own = given.pop("setups", None)
-    if own is not None:
+    if "setups" in content and (own := given.pop("setups", None)) is not None:
         content["setups"] = _merged(content["setups"], own, source)
     return {**content, **given}
 

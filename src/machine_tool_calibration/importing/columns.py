@@ -59,6 +59,17 @@ class Columns:
         """Whether a column or a value is named for it."""
         return role in self.mapping.columns or role in self.mapping.values
 
+    def take_namesakes(self) -> None:
+        """Take each column that is called as a quantity, with or without its unit, for that where nothing else is."""
+        named = dict(self.mapping.columns)
+        for column in self.table.names:
+            role = column
+            if unit_in_name(column) is not None:
+                role = column[: max(column.rfind("["), column.rfind("("))].strip()
+            if role in ROLES[self.mapping.table] and not self.has(role):
+                named.setdefault(role, ColumnRule(column=column))
+        self.mapping = self.mapping.model_copy(update={"columns": named})
+
     def need(self, roles: Collection[str], why: str) -> None:
         """Raise a SessionError that names the first quantity that nothing is named for."""
         for role in roles:
@@ -164,10 +175,10 @@ class Columns:
             given = "1"
         if given is None:
             self.table.index(rule.column, role)  # where there is no such column, that is what is wrong
+            usual = {"length": "mm", "angle": "deg", "pressure": "hPa"}.get(str(wanted), "1")
             raise SessionError(
                 f"{self.table.source}: the unit of {role} (column {rule.column!r}) is not given, as in "
-                f"--unit {role}={'mm' if wanted == 'length' else 'deg'} or --unit {wanted}="
-                f"{'mm' if wanted == 'length' else 'deg'}"
+                f"--unit {role}={usual} or --unit {wanted}={usual}"
             )
         if wanted is not None and dimension(given) != wanted:
             raise SessionError(f"{self.table.source}: {role} is a {wanted}, and {given} is no unit of it")

@@ -18,7 +18,7 @@ from machine_tool_calibration.session.yaml_text import load_yaml
 __all__ = ["FORMAT", "ROLES", "TABLES", "ColumnRule", "Mapping", "Run", "parse_mapping", "read_mapping"]
 
 FORMAT = "mtcal-mapping/1"
-TABLES = ("points", "ranges", "iso230-2")
+TABLES = ("points", "ranges", "iso230-2", "readings")
 _XYZ = ("x", "y", "z")
 
 _COMMON = {
@@ -50,6 +50,13 @@ ROLES: dict[str, dict[str, str]] = {
         **dict.fromkeys(("position", "actual", "deviation"), "length"),
         "run": "number",
         "direction": "text",
+    },
+    "readings": {
+        **_COMMON,
+        "target": "text",
+        **dict.fromkeys(("azimuth", "elevation"), "angle"),
+        **dict.fromkeys(("gx", "gy", "gz"), "number"),
+        "displacement": "length",
     },
 }
 """For each kind of table what a column can be, and its dimension."""
@@ -102,8 +109,8 @@ class Mapping(Rule):
     """How a foreign table becomes a session.
 
     Attributes:
-        table: `points` (nominal and measured coordinates), `ranges` (distances from the stations of a tracker) or
-            `iso230-2` (deviations at target positions in runs up and down).
+        table: `points` (nominal and measured coordinates), `ranges` (distances from the stations of a tracker),
+            `iso230-2` (deviations at target positions in runs up and down) or `readings` (those of any method).
         file: how the text is written.
         columns: where each quantity stands (`ROLES`).
         extras: covariates by the name that they get, with their column.
@@ -124,7 +131,7 @@ class Mapping(Rule):
     """
 
     format: Literal["mtcal-mapping/1"] = "mtcal-mapping/1"
-    table: Literal["points", "ranges", "iso230-2"]
+    table: Literal["points", "ranges", "iso230-2", "readings"]
     file: FileForm = FileForm()
     columns: dict[str, Column] = {}
     extras: dict[str, Column] = {}

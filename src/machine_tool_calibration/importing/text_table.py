@@ -12,7 +12,7 @@ import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, date, datetime
 from pathlib import Path
 from typing import Any
 
@@ -26,19 +26,21 @@ from machine_tool_calibration.importing.units import si_values
 from machine_tool_calibration.session.defects import first_defect
 from machine_tool_calibration.session.text import reject_foreign_encoding
 
-__all__ = ["FileForm", "TextTable", "are_stamps", "parse_form", "read_text_table", "stamp_seconds"]
+__all__ = ["FileForm", "TextTable", "parse_form", "read_text_table"]
 
 
 _CLOCK = re.compile(r"\d?\d:\d\d(:\d\d([.,]\d+)?)?")
 _GERMAN = re.compile(r"(\d?\d)\.(\d?\d)\.(\d{4})[ T](.*)")
+_DAY = 86400.0
+_NO_DATE = date(1900, 1, 1)  # of `datetime.strptime` where the text has none
 
 
-def are_stamps(cells: np.ndarray) -> bool:
+def _are_stamps(cells: np.ndarray) -> bool:
     """Whether a column holds dates or times of day; numbers of seconds otherwise."""
     return any(":" in cell for cell in cells[:1000])
 
 
-def stamp_seconds(text: str, pattern: str | None) -> float:
+def _stamp_seconds(text: str, pattern: str | None) -> float:
     """A time stamp in seconds since 1970, or since midnight where it has no date; NaN where it is none.
 
     Read are ISO 8601 (2024-05-03 10:15:00.25, with or without an offset), 3.5.2024 10:15:00 (the day first, as dots
@@ -51,6 +53,8 @@ def stamp_seconds(text: str, pattern: str | None) -> float:
     try:
         if pattern is not None:
             found = datetime.strptime(text, pattern)
+            if found.date() == _NO_DATE:
+                return (found - datetime.combine(_NO_DATE, datetime.min.time())).total_seconds()
         elif _CLOCK.fullmatch(text):
             hours, minutes, *rest = text.replace(",", ".").split(":")
             return 3600.0 * int(hours) + 60.0 * int(minutes) + float(rest[0] if rest else 0)
@@ -62,6 +66,14 @@ def stamp_seconds(text: str, pattern: str | None) -> float:
         return (found if found.tzinfo else found.replace(tzinfo=UTC)).timestamp()
     except (ValueError, OverflowError):
         return float("nan")
+
+
+def _past_midnight(times: Array) -> Array:
+    """Times of day in the order of a file, s: another day wherever they fall by more than half of one."""
+    out, known = times.copy(), np.isfinite(times)
+    if (times[known] < _DAY).all():
+        out[known] += _DAY * np.cumsum(np.diff(times[known], prepend=times[known][:1]) < -_DAY / 2)
+    return out
 
 
 # How .xlsx, .ods (zipped) and .xls files begin.
@@ -191,20 +203,22 @@ class TextTable:
     def stamps(self, column: str, what: str) -> Array | None:
         """(rows,) seconds of a column of time stamps, NaN where a cell is empty; None where it holds numbers.
 
+        Times of day go on past midnight.
+
         Raises:
             SessionError: no such column, or a cell that is no time stamp, with its line.
         """
         cells = self.text(column, what)
-        if self.form.time_format is None and not are_stamps(cells):
+        if self.form.time_format is None and not _are_stamps(cells):
             return None
-        values = np.array([stamp_seconds(cell, self.form.time_format) for cell in cells.tolist()])
+        values = np.array([_stamp_seconds(cell, self.form.time_format) for cell in cells.tolist()])
         bad = np.flatnonzero(~np.isfinite(values) & ~self._missing(cells))
         if len(bad):
             raise SessionError(
                 f"{self.where(int(bad[0]))}: column {column!r}: {str(cells[bad[0]])[:40]!r} is no time stamp such as "
                 "2024-05-03 10:15:00; the form of others is said, as in --time-format '%m/%d/%Y %H:%M:%S'"
             )
-        return values
+        return _past_midnight(values)
 
     def _missing(self, cells: np.ndarray) -> BoolArray:
         """(n,) whether a cell's text stands for no value."""

@@ -72,7 +72,7 @@ class Mounting:
         session: what was measured.
         description: with the setups made again; they have unknowns of their own.
         place: the new setup of each old one; the same where nothing has to be mounted.
-        words: to be put behind "measure … once more".
+        words: to be put behind what is measured again.
         aside: what comes on top of the measuring time.
     """
 
@@ -132,7 +132,8 @@ def further_options(session: Session, setups: Sequence[int] | None = None) -> li
     what = "everything"
     if setups is not None and len(session.setup_ids) > 1:
         what = f"{session.spec.setup_word} {', '.join(session.setup_ids[s] for s in setups)}"
-    out = list(_repeated(session, rows, f"measure {what} once more"))
+    measure = f"one more repetition of {what}" if np.ptp(session.readings.repeat) else f"measure {what} once more"
+    out = list(_repeated(session, rows, measure))
     if setups is None:
         further = session.spec.further_places
         out += [] if further is None else load(further)(session, session.description)

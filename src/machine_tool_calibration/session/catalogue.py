@@ -7,13 +7,14 @@ import difflib
 import warnings
 from collections.abc import Collection
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING
 
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.method import MethodSpec, load
 
 if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
     from machine_tool_calibration.session.description import Description
 
 __all__ = ["ENTRY_POINT_GROUP", "METHODS", "method_names", "method_spec", "needed_columns", "require_columns"]
@@ -34,6 +35,8 @@ METHODS = {
 @cache
 def _plugins() -> dict[str, MethodSpec]:
     """Methods of installed packages by name; a broken one is skipped with a warning."""
+    from importlib.metadata import entry_points
+
     found: dict[str, MethodSpec] = {}
     for point in entry_points(group=ENTRY_POINT_GROUP):
         try:

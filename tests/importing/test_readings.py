@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Readings of any method from a table with names and units of its own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+
+from machine_tool_calibration.cli.main import run
+from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.importing import import_table, parse_mapping
+from machine_tool_calibration.session.folder import read_session
+
+DATA = Path(__file__).parents[1] / "data"
+UNITS = {"length": "mm", "angle": "deg", "pressure": "hPa"}
+
+
+def as_people_have_it(session: Path, file: Path) -> None:
+    """The readings with lengths in mm, angles in degrees, the reading in micrometres, runs from 1, decimal commas."""
+    readings = pd.read_csv(session / "observations.csv")
+    table = {}
+    for name, values in readings.items():
+        if name in ("x", "y", "z"):
+            table[f"{name} [mm]"] = (1e3 * values).round(12)
+        elif name in ("c", "azimuth", "elevation"):
+            table[f"{name} (deg)"] = np.degrees(values).round(12)
+        elif name == "displacement":
+            table["Reading [um]"] = (1e6 * values).round(10)
+        elif name == "air_pressure":
+            table[name] = (1e-2 * values).round(12)
+        else:
+            table[str(name)] = values + 1 if name == "repeat" else values
+    pd.DataFrame(table).to_csv(file, sep=";", decimal=",", index=False)
+
+
+@pytest.mark.parametrize("method", ["step_diagonal", "probing_cross", "rotary_axis", "tracking_2d"])
+def test_every_method(method: str, tmp_path: Path) -> None:
+    as_people_have_it(DATA / method, tmp_path / "table.csv")
+    words = ["convert", str(tmp_path / "table.csv"), str(tmp_path / "made"), "--table", "readings"]
+    words += ["--description", str(DATA / method / "session.yaml"), "--separator", "semicolon", "--decimal", "comma"]
+    assert run([*words, "--column", "displacement=Reading [um]", "--unit", "pressure=hPa"]) == 0
+    made, given = read_session(tmp_path / "made"), read_session(DATA / method)
+    assert made.description == given.description
+    assert np.array_equal(made.readings.setup, given.readings.setup)
+    assert np.array_equal(made.readings.repeat, given.readings.repeat)
+    np.testing.assert_allclose(made.readings.displacement, given.readings.displacement, rtol=0, atol=1e-15)
+    assert made.readings.columns.keys() == given.readings.columns.keys()
+    for name, values in given.readings.columns.items():
+        np.testing.assert_allclose(made.readings.columns[name], values, rtol=1e-12, atol=1e-14)
+    assert {name: list(values) for name, values in made.readings.labels.items()} == {
+        name: list(values) for name, values in given.readings.labels.items()
+    }
+
+
+@pytest.mark.parametrize(
+    ("without", "units", "message"),
+    [
+        ("session", UNITS, "a table of readings needs the session.yaml that says of what"),
+        ("Reading [um]", UNITS, "no column is named for displacement"),
+        ("setup", UNITS, "no column says which of the setups ppp, npp, pnp"),
+        ("", {}, "the unit of air_pressure .* is not given, as in --unit air_pressure=hPa or --unit pressure=hPa"),
+    ],
+)
+def test_what_is_lacking_is_said(without: str, units: dict[str, str], message: str, tmp_path: Path) -> None:
+    as_people_have_it(DATA / "step_diagonal", tmp_path / "table.csv")
+    lines = pd.read_csv(tmp_path / "table.csv", sep=";", dtype=str)
+    lines.drop(columns=without, errors="ignore").to_csv(tmp_path / "table.csv", sep=";", index=False)
+    described = yaml.safe_load((DATA / "step_diagonal" / "session.yaml").read_text())
+    described.pop("format")
+    content = {
+        "table": "readings",
+        "file": {"separator": "semicolon", "decimal": ","},
+        "columns": {} if without == "Reading [um]" else {"displacement": "Reading [um]"},
+        "units": units,
+        "session": {} if without == "session" else described,
+    }
+    with pytest.raises(SessionError, match=message):
+        import_table(tmp_path / "table.csv", parse_mapping(content, "mapping"))
