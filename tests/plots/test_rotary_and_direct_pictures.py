@@ -40,8 +40,8 @@ def test_rotary_axis(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("kind", "names"),
     [
-        ("iso230_2", ["iso230_2_X.png", "tables.png"]),
-        ("grid_plate", ["tables.png", "map.png"]),
+        ("iso230_2", ["iso230_2_X.png", "error_motions.png"]),
+        ("grid_plate", ["error_motions.png", "map.png"]),
         ("drilled_plate", ["map.png"]),
     ],
 )

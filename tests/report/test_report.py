@@ -177,6 +177,12 @@ def test_each_error_motion_has_a_picture_and_a_run_by_iso_230_2_too():
     assert "iso230_2_X" in [picture.name for picture in blocks("iso230_2", Picture)]
 
 
+def test_an_error_motion_is_drawn_once():
+    found, english = evaluated("iso230_2"), words("en")
+    drawn = [*figures.map_pictures(found, english), *figures.motion_pictures(found, english)]
+    assert [picture.name for picture in drawn] == ["iso230_2_X", "motion_EXX"]
+
+
 def test_diagnosis_budget_conformity_and_readings_set_aside_are_there():
     tables = {table.title: table for table in blocks("tracking_2d", TextTable)}
     assert tables["Effects that were looked for, the most probable first"].rows[0][1] == "backlash_y"

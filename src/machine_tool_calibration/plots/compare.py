@@ -19,6 +19,7 @@ from machine_tool_calibration.plots.residuals import (
     line_of,
     planes,
     repeat_groups,
+    sense_along,
 )
 from machine_tool_calibration.plots.style import COLORS, save
 from machine_tool_calibration.reports.quantities import rounded
@@ -182,7 +183,7 @@ def draw_map(comparison: Comparison) -> Figure:
     if line is not None:
         figure = Figure(figsize=(9.0, 3.6), layout="constrained")
         panel = figure.subplots()
-        sign = np.where(observations.direction[:, line] < 0, -1.0, 1.0)
+        sign = sense_along(observations.direction, line)
         more = comparison.residual >= 0
         for which, own in ((more, color(1)), (~more, color(0))):
             place, shown = 1e3 * position[which, line], 1e6 * (sign * comparison.residual)[which]

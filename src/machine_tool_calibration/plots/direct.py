@@ -24,11 +24,11 @@ _LENGTH = 0.08
 
 
 def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:
-    """One for each run by ISO 230-2, the tables, and the map where it fills a plane."""
+    """One for each run by ISO 230-2, the error motions, and the map where it fills a plane."""
     content = result["error_map"]
     out = {f"iso230_2_{run['setup']}": draw_positioning(run) for run in content.get("iso230_2", ())}
     if any("nodes" in table for table in content["tables"].values()):
-        out["tables"] = draw_tables(content["tables"])
+        out["error_motions"] = draw_tables(content["tables"])
     points = _numbers(content["points"]).reshape(-1, 3)
     if len(points) and (np.ptp(points, axis=0) > 1e-6).sum() >= 2:
         out["map"] = draw_map(content)

@@ -17,7 +17,17 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["axis_label", "color", "draw_arrows", "draw_residuals", "grids", "line_of", "planes", "repeat_groups"]
+__all__ = [
+    "axis_label",
+    "color",
+    "draw_arrows",
+    "draw_residuals",
+    "grids",
+    "line_of",
+    "planes",
+    "repeat_groups",
+    "sense_along",
+]
 
 _BINS = 12
 # Arrows of one panel beyond which they hide each other, and the share of the panel that the longest takes.
@@ -149,6 +159,11 @@ def line_of(position: Array, direction: Array) -> int | None:
     others = [k for k in range(3) if k != axis]
     alone = span[others].max() <= _THIN * span[axis] and sensed[others].max() <= _THIN * sensed[axis]
     return axis if alone and span[axis] > 0 else None
+
+
+def sense_along(direction: Array, axis: int) -> Array:
+    """(n,) 1 where readings of (n, 3) directions sense an axis upwards, -1 where downwards."""
+    return np.where(direction[:, axis] < 0, -1.0, 1.0)
 
 
 def repeat_groups(observations: Observations) -> IntArray:

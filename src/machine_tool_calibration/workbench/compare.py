@@ -144,7 +144,9 @@ class ComparePage:
         self._readings.draw(across=plane[0], up=plane[1], u=f"{plane}:u", v=f"{plane}:v")
         self._map.xaxis.axis_label, self._map.yaxis.axis_label = (f"{axis}, mm" for axis in plane)
         larger = self._readings.magnification
-        self._map.title.text = f"Residuals, {spaced(larger)} times magnified; orange: +" if larger else "Places"
+        self._map.title.text = (
+            f"{self._readings.arrows}, {spaced(larger)} times magnified; orange: +" if larger else "Places"
+        )
 
     def _say_selected(self) -> None:
         chosen, model = self._readings.selected, self._state.model

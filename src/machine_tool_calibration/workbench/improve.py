@@ -153,7 +153,7 @@ class ImprovePage:
         factor = magnification(list(maps.values()))
         words = ["Above the plots: RMS."]
         if larger:
-            words.append(f"Residuals: {spaced(larger)} times magnified, in the colour of their setup.")
+            words.append(f"{self._readings.arrows}: {spaced(larger)} times magnified, in the colour of their setup.")
         if factor:
             words.append(f"Errors of the map: {spaced(factor)} times magnified; ellipses: U (k = 2).")
         self._scale.object = escape(" ".join(words))

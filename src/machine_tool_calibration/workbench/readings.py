@@ -12,7 +12,7 @@ from bokeh.models import ColumnDataSource
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.comparison import Comparison
-from machine_tool_calibration.plots.residuals import axis_label, planes
+from machine_tool_calibration.plots.residuals import axis_label, line_of, planes, sense_along
 from machine_tool_calibration.plots.style import round_down
 from machine_tool_calibration.workbench.look import packed, setup_color
 from machine_tool_calibration.workbench.models import Model
@@ -48,6 +48,7 @@ class Readings:
         ranked: the columns of covariates, those first that the first model's residuals follow.
         magnification: of the residuals that are drawn as arrows; 0 where they cannot be, as at a single place.
         planes: in which the readings extend, or are sensed.
+        arrows: what they show, in words.
     """
 
     def __init__(self, state: State) -> None:
@@ -58,8 +59,9 @@ class Readings:
         self._state = state
         self._measurement: object = None
         self._number = np.zeros(0, dtype=np.int64)
-        self._place = self._direction = np.zeros((0, 3))
+        self._place = self._arrow = np.zeros((0, 3))
         self.planes: list[str] = ["xy"]
+        self.arrows = "Residuals"
         self._sources: dict[str, ColumnDataSource] = {}
         self._page = ""
         self._chosen: list[int] = []
@@ -156,7 +158,13 @@ class Readings:
         place, direction = (np.concatenate([getattr(o, what) for o in seen]) for what in ("position", "direction"))
         self.planes = ["xyz"[a] + "xyz"[b] for a, b in planes(place, direction)]
         self._place = np.column_stack([self._of(first, f"position.{k}") for k in range(3)])
-        self._direction = np.column_stack([self._of(first, f"direction.{k}") for k in range(3)])
+        sensed = np.column_stack([self._of(first, f"direction.{k}") for k in range(3)])
+        self._arrow, self.arrows = sensed, "Residuals"
+        line = line_of(place, direction)
+        if line is not None:  # arrows would lie on each other
+            across = next("xyz".index(axis) for axis in self.planes[0] if axis != "xyz"[line])
+            self._arrow = np.eye(3)[across] * sense_along(sensed, line)[:, None]
+            self.arrows = f"Residuals along {'xyz'[line]}, standing up from the line"
         self.labels = {f"c:{name}": axis_label(name)[0] for one in first.each for name in one.covariates}
         share: dict[str, float] = {}
         for one in first.each:
@@ -240,7 +248,7 @@ class Readings:
 
     def _arrows(self, residual: Array, factor: float) -> dict[str, Array]:
         """Ends of the magnified arrows of residuals (m) in every plane, mm."""
-        tip = 1e3 * (self._place + factor * residual[:, None] * self._direction)
+        tip = 1e3 * (self._place + factor * residual[:, None] * self._arrow)
         return {
             f"{view}:{end}": tip[:, k] for view in self.planes for end, k in zip("uv", VIEWS[view], strict=True)
         }
