@@ -101,7 +101,7 @@ def test_outliers_are_set_aside_first() -> None:
     done = improve(simulated.session, sets=19)
     n = len(simulated.truth.outliers)
     assert [s.label for s in done.steps] == ["first model", f"{n} readings set aside"]
-    assert done.steps[1].set_aside == tuple(sorted(simulated.truth.outliers))
+    assert done.steps[1].set_aside == (tuple(sorted(simulated.truth.outliers)),)
     assert len(done.steps[1].result.fit.model.observations) == len(simulated.session.readings) - n
     assert done.steps[1].result.rms_residual < 0.5 * done.steps[0].result.rms_residual
 

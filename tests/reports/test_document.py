@@ -14,6 +14,8 @@ import pytest
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.methods.fitted import Chosen
 from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.planning.advice import Advice
+from machine_tool_calibration.planning.what_to_measure import conclude
 from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
 from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, simulate
 
@@ -52,7 +54,8 @@ CANDIDATE = {
 @cache
 def found(verdict: str) -> tuple[Diagnosis, dict[str, Any]]:
     diagnosis = diagnosed(VERDICTS[verdict])
-    return diagnosis, diagnosis_document(diagnosis)
+    then = conclude(diagnosis, progress=lambda what, share: None)
+    return diagnosis, diagnosis_document(diagnosis, then.advice, then.changes)
 
 
 def numbers(value: Any) -> list[float]:
@@ -211,7 +214,7 @@ def test_smallest_detectable_sizes_are_sizes_that_occur_or_null() -> None:
 
 def test_what_is_in_the_model_already_is_no_candidate() -> None:
     session = simulate(VERDICTS["missing_effect"]).session
-    document = diagnosis_document(diagnose(Chosen((session,), effects=("backlash_y",)), sets=19))
+    document = diagnosis_document(diagnose(Chosen((session,), effects=("backlash_y",)), sets=19), Advice(), {})
     assert document["fit"]["before"]["effects"] == ["backlash_y"]
     assert "backlash_y" not in {c["effect"] for c in document["candidates"]}
     assert document["fit"]["before"]["rms_residual"] < 4e-7

@@ -15,6 +15,7 @@ from machine_tool_calibration.cli.main import run
 from machine_tool_calibration.diagnosis.diagnose import diagnose
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.methods.identify import identify
+from machine_tool_calibration.planning.advice import Advice
 from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
 from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.checks.suspicion import suspicions
@@ -64,7 +65,7 @@ def test_in_words_and_in_json(
 
 
 def test_a_diagnosis_says_it(sound: Session) -> None:
-    document = diagnosis_document(diagnose(moved(sound)))
+    document = diagnosis_document(diagnose(moved(sound)), Advice(), {})
     assert len(document["suspicious"]) == 1 and "off the travel" in document["suspicious"][0]
 
 

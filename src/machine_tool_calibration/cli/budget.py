@@ -18,7 +18,6 @@ from machine_tool_calibration.cli.diagnosing import (
     unused_model,
 )
 from machine_tool_calibration.cli.output import (
-    MOST_DRAWS,
     PictureFile,
     console,
     json_option,
@@ -26,6 +25,7 @@ from machine_tool_calibration.cli.output import (
     progress_bar,
     write_json,
 )
+from machine_tool_calibration.interface.arguments import MOST_DRAWS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

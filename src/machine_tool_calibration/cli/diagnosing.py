@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from machine_tool_calibration.cli.output import MOST_DRAWS, note, session_labels
+from machine_tool_calibration.cli.output import note, session_labels
 from machine_tool_calibration.errors import CalibrationError, SessionError
+from machine_tool_calibration.interface.arguments import MOST_DRAWS
 
 if TYPE_CHECKING:
     from machine_tool_calibration.diagnosis.history import Measured
-    from machine_tool_calibration.effects.effect import Effect
     from machine_tool_calibration.model.fit import JointFit
     from machine_tool_calibration.session.session import Session
 
@@ -29,7 +29,6 @@ __all__ = [
     "model_options",
     "no_model",
     "note_written",
-    "own_effects",
     "search_options",
     "unused_model",
 ]
@@ -65,6 +64,7 @@ class Wanted:
             CalibrationError: a measurement cannot be read, `--keep` names no reading of it, or no model was tried yet.
         """
         from machine_tool_calibration.diagnosis.history import Measured
+        from machine_tool_calibration.effects.catalogue import own_effects
         from machine_tool_calibration.methods.fitted import Chosen
         from machine_tool_calibration.recording.open import open_measurement
         from machine_tool_calibration.session.session import refuse_repeated
@@ -256,15 +256,6 @@ def search_options(function: Command) -> Command:
     ):
         function = option(function)
     return function
-
-
-def own_effects(files: Sequence[Path]) -> list[Effect]:
-    """The user's own effects from their files."""
-    if not files:
-        return []
-    from machine_tool_calibration.effects.formula import read_effects
-
-    return [effect for file in files for effect in read_effects(file)]
 
 
 def note_written(paths: Sequence[Path]) -> None:

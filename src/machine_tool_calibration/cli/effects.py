@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import effects_file_option, note_written, own_effects
+from machine_tool_calibration.cli.diagnosing import effects_file_option, note_written
 from machine_tool_calibration.cli.output import console, json_option, progress_bar, write_json
 from machine_tool_calibration.reports.tables import TextTable, show_table
 
@@ -39,7 +39,7 @@ def command(ids: tuple[str, ...], files: tuple[Path, ...], gallery: Path | None,
     mtcal effects backlash_x warmup_y
     mtcal effects --effects-file my_effects.yaml my_creep --gallery pictures
     """
-    from machine_tool_calibration.effects.catalogue import catalogue, find_effects
+    from machine_tool_calibration.effects.catalogue import catalogue, find_effects, own_effects
     from machine_tool_calibration.reports.effect_page import effect_document
 
     own = own_effects(files)

@@ -16,7 +16,8 @@ from machine_tool_calibration.cli.diagnosing import (
     note_written,
     unused_model,
 )
-from machine_tool_calibration.cli.output import MOST_DRAWS, PictureFile, console, json_option, note, write_json
+from machine_tool_calibration.cli.output import PictureFile, console, json_option, note, write_json
+from machine_tool_calibration.interface.arguments import MOST_DRAWS
 
 __all__ = ["command"]
 

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 __all__ = [
-    "MOST_DRAWS",
     "PictureFile",
     "RosName",
     "console",
@@ -38,8 +37,6 @@ __all__ = [
 ]
 
 Command = TypeVar("Command", bound=Callable[..., Any])
-MOST_DRAWS = 100_000
-"""Simulated data sets that can be asked for: quantiles of more are no better known than what is drawn from."""
 
 
 def json_option(function: Command) -> Command:

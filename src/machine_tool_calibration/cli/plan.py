@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import effects_file_option, model_option, own_effects
+from machine_tool_calibration.cli.diagnosing import effects_file_option, model_option
 from machine_tool_calibration.cli.output import console, json_option, progress_bar, write_json
 
 __all__ = ["command"]
@@ -40,6 +40,7 @@ def command(
     mtcal plan tracking_2d
     mtcal plan my_procedure.yaml --warming 3 --json
     """
+    from machine_tool_calibration.effects.catalogue import own_effects
     from machine_tool_calibration.nodes.shared import procedure_file
     from machine_tool_calibration.planning.forecast import forecast
     from machine_tool_calibration.procedure import read_procedure

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import effects_file_option, model_option, own_effects
+from machine_tool_calibration.cli.diagnosing import effects_file_option, model_option
 from machine_tool_calibration.cli.measuring import graph_place
 from machine_tool_calibration.cli.output import note
 from machine_tool_calibration.errors import CalibrationError
@@ -54,6 +54,8 @@ def command(
     for measurement in measurements:
         if not measurement.exists():
             raise CalibrationError(f"{measurement}: no such file or folder")
+    from machine_tool_calibration.effects.catalogue import own_effects
+
     own = own_effects(files)
     try:
         from machine_tool_calibration.workbench.server import serve

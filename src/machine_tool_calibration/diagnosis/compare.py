@@ -115,7 +115,7 @@ def compare(subject: Session | Chosen | Fit | Result | JointResult) -> Compariso
     if isinstance(subject, Session | Chosen):
         chosen = Chosen.of(subject)
         fitted = fit_sessions(chosen)
-        apart = [tuple(sorted(outlier.row for outlier in found)) for found, _ in gross_errors(chosen)]
+        apart = [tuple(sorted(outlier.row for outlier in own.outliers)) for own in gross_errors(chosen)]
     else:
         fitted = fitted_sessions(subject)
         apart = [() for _ in fitted.model_names]

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
 from machine_tool_calibration.diagnosis.consequence import effect_estimates, map_change, map_rms
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.history import Alternative, Coefficient, Entry, Part
-from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.methods.fitted import Chosen
 from machine_tool_calibration.methods.identify import JointResult, identify_sessions
 from machine_tool_calibration.model.result import Estimate, Result
@@ -19,7 +19,19 @@ from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.provenance import Provenance
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["Improvement", "Step", "entries", "entry_of", "improve", "residual_volumetric_error", "step_after"]
+__all__ = [
+    "Improvement",
+    "Step",
+    "accepting",
+    "entries",
+    "entry_of",
+    "improve",
+    "residual_volumetric_error",
+    "step_after",
+    "words_set_aside",
+]
+
+Tried = TypeVar("Tried")
 
 
 @dataclass(frozen=True)
@@ -28,19 +40,21 @@ class Step:
 
     Attributes:
         change: what it has and the one before has not: an effect's id, or words.
+        chosen: it, and the readings.
         result: of its identification.
         map_rms: RMS length of the position errors at the map's points, m; None where the method maps none.
         map_uncertainty: RMS length of their standard uncertainty, as it is published, m.
         map_change: RMS length by which those of the model alone moved against the step before, as in a diagnosis, m.
-        set_aside: rows of the readings that were left out, of all sessions one after the other.
+        set_aside: rows of the readings of each session that were left out.
     """
 
     change: str
+    chosen: Chosen
     result: Result | JointResult
     map_rms: float | None
     map_uncertainty: float | None
     map_change: float | None
-    set_aside: tuple[int, ...]
+    set_aside: tuple[tuple[int, ...], ...]
 
     @property
     def label(self) -> str:
@@ -148,31 +162,69 @@ def improve(
     """
     chosen = replace(Chosen.of(subject), keep_all=True, sets=())
     found = diagnose(chosen, seed=seed, sets=sets, progress=lambda what, share: progress(what, 0.9 * share))
-    aside = tuple(outlier.row for one in found.set_aside for outlier in sorted(one, key=lambda o: o.row))
-    steps = [step_after(None, "", identify_sessions(chosen), ())]
-    if aside:
-        words = f"{len(aside)} reading{'' if len(aside) == 1 else 's'} set aside"
-        steps.append(step_after(steps[-1], words, identify_sessions(found.chosen), aside))
-    for k, name in enumerate(found.accepted):
-        progress(f"adding {name}", 0.9 + 0.1 * k / len(found.accepted))
-        over = found.sets if k + 1 == len(found.accepted) else ()
-        result = identify_sessions(found.chosen.adding(found.accepted[: k + 1], over))
-        steps.append(step_after(steps[-1], name, result, aside))
+    aside = tuple(tuple(sorted(outlier.row for outlier in one)) for one in found.set_aside)
+    first = step_after(None, "", chosen, identify_sessions(chosen), tuple(() for _ in aside))
+    steps = accepting(
+        found,
+        first,
+        lambda before, change, wider: step_after(before, change, wider, identify_sessions(wider), aside),
+        lambda what, share: progress(what, 0.9 + 0.1 * share),
+    )
     progress("done", 1.0)
-    return Improvement(found, tuple(steps))
+    return Improvement(found, (first, *steps))
 
 
-def step_after(before: Step | None, change: str, result: Result | JointResult, aside: tuple[int, ...]) -> Step:
+def accepting(
+    found: Diagnosis,
+    first: Tried,
+    tried: Callable[[Tried, str, Chosen], Tried],
+    progress: Callable[[str, float], None],
+) -> list[Tried]:
+    """Set aside and add what a diagnosis names, one after the other.
+
+    Args:
+        found: the diagnosis.
+        first: the model of which it is.
+        tried: fits a model, given the one before, what is new (an effect's id, or words), and it.
+        progress: called with what is being done and the share that is finished.
+
+    Returns:
+        The models after the first one, each made from the one before.
+    """
+    models, start = [first], replace(found.chosen, sets=())
+    if found.outliers:
+        models.append(tried(models[-1], words_set_aside(len(found.outliers)), start))
+    for k, name in enumerate(found.accepted):
+        progress(f"adding {name}", k / len(found.accepted))
+        over = found.sets if k + 1 == len(found.accepted) else ()
+        models.append(tried(models[-1], name, start.adding(found.accepted[: k + 1], over)))
+    return models[1:]
+
+
+def words_set_aside(count: int) -> str:
+    """What a model without some of the readings has changed, in words."""
+    return f"{count} reading{'' if count == 1 else 's'} set aside"
+
+
+def step_after(
+    before: Step | None,
+    change: str,
+    chosen: Chosen,
+    result: Result | JointResult,
+    aside: tuple[tuple[int, ...], ...],
+) -> Step:
     """A model as a step of a way.
 
     Args:
         before: the step before it; None for the first.
         change: what it has and that one has not: an effect's id, or words.
+        chosen: it, and the readings.
         result: of its identification.
-        aside: rows of the readings that were left out.
+        aside: rows of the readings of each session that were left out.
     """
     return Step(
         change=change,
+        chosen=chosen,
         result=result,
         map_rms=map_rms(result.error_map.error),
         map_uncertainty=map_rms(result.error_map.uncertainty),
@@ -190,37 +242,31 @@ def entries(improvement: Improvement, data: str, each: Sequence[str], made: str)
         each: fingerprints of the readings of each session.
         made: date and time, ISO 8601.
     """
-    own = improvement.diagnosis.chosen.own
-    return [
-        entry_of(step, data, made, "improve", parts=_parts(improvement, step, each), number=k, own=own)
-        for k, step in enumerate(improvement.steps, start=1)
-    ]
+    return [entry_of(step, data, each, made, "improve", number=k) for k, step in enumerate(improvement.steps, start=1)]
 
 
-def entry_of(
-    step: Step,
-    data: str,
-    made: str,
-    by: str,
-    *,
-    parts: tuple[Part, ...] = (),
-    number: int = 1,
-    own: Sequence[Effect] = (),
-) -> Entry:
+def entry_of(step: Step, data: str, each: Sequence[str], made: str, by: str, *, number: int) -> Entry:
     """A step as an entry of a history, which gives it its own number.
 
     Args:
         step: the model.
         data: fingerprint of all readings.
+        each: fingerprints of the readings of each session.
         made: date and time, ISO 8601.
         by: the command.
-        parts: the sessions, if there are several.
         number: of the entry.
-        own: the user's own effects; the entry keeps the formulas of those that are in the model.
     """
     joint = step.result.joint
     used = {*step.result.effects, *(name for one in step.result.averaged for name in one.effects)}
     p_value, single = joint.p_value, step.result if isinstance(step.result, Result) else None
+    kept = [tuple(sorted(session.sound)) for session in step.chosen.sessions]
+    parts: tuple[Part, ...] = ()
+    if isinstance(step.result, JointResult):
+        found = zip(step.result.labels, step.result.model_names, each, step.set_aside, kept, strict=True)
+        parts = tuple(
+            Part(label=label, model=model, data=own, set_aside=aside, kept=sound)
+            for label, model, own, aside, sound in found
+        )
     return Entry(
         number=number,
         made=made,
@@ -228,15 +274,15 @@ def entry_of(
         model=single.model_name if single else "joint",
         sessions=parts,
         effects=step.result.effects,
-        own=tuple(dict(e.definition) for e in own if e.id in used and e.definition is not None),
+        own=tuple(dict(e.definition) for e in step.chosen.own if e.id in used and e.definition is not None),
         change=step.change,
         alternatives=tuple(
             Alternative(effects=one.effects, probability=one.probability) for one in step.result.averaged
         ),
         data=data,
         used=joint.assembly.problem.n_readings,
-        set_aside=step.set_aside if single else (),
-        kept=_kept(single.fit.model.observations.session) if single else (),
+        set_aside=step.set_aside[0] if single else (),
+        kept=kept[0] if single else (),
         rms_residual=step.result.rms_residual,
         reduced_chi_square=step.reduced_chi_square,
         degrees_of_freedom=joint.solution.degrees_of_freedom,
@@ -249,19 +295,3 @@ def entry_of(
             for p in step.parameters
         ),
     )
-
-
-def _parts(improvement: Improvement, step: Step, each: Sequence[str]) -> tuple[Part, ...]:
-    """The sessions of a step; none for a single one, which the entry itself describes."""
-    if isinstance(step.result, Result):
-        return ()
-    aside = improvement.diagnosis.set_aside if step.set_aside else tuple(() for _ in each)
-    found = zip(step.result.labels, step.result.model_names, each, aside, improvement.diagnosis.sessions, strict=True)
-    return tuple(
-        Part(label=label, model=model, data=data, set_aside=tuple(sorted(o.row for o in own)), kept=_kept(session))
-        for label, model, data, own, session in found
-    )
-
-
-def _kept(session: Session) -> tuple[int, ...]:
-    return tuple(sorted(session.sound))

@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import cache
 from importlib.metadata import entry_points
+from pathlib import Path
 
 from machine_tool_calibration.effects.air import DeadPath, RefractiveIndex
 from machine_tool_calibration.effects.backlash import Backlash, RotaryBacklash
@@ -30,7 +31,7 @@ from machine_tool_calibration.effects.warmup import Warmup
 from machine_tool_calibration.errors import ModelError, did_you_mean
 from machine_tool_calibration.machine.error_motions import SQUARENESS
 
-__all__ = ["catalogue", "find_effects"]
+__all__ = ["catalogue", "find_effects", "own_effects"]
 
 ENTRY_POINT_GROUP = "machine_tool_calibration.effects"
 
@@ -114,3 +115,17 @@ def find_effects(ids: Sequence[str], own: Sequence[Effect] = ()) -> list[Effect]
         if name in ids[:k]:
             raise ModelError(f"the effect {name!r} is named twice")
     return [known[name] for name in ids]
+
+
+def own_effects(files: Iterable[str | Path]) -> list[Effect]:
+    """The user's own effects from their YAML files; empty names are passed over.
+
+    Raises:
+        CalibrationError: a file cannot be read, or an effect is wrong.
+    """
+    named = [Path(file) for file in files if file]
+    if not named:
+        return []
+    from machine_tool_calibration.effects.formula import read_effects  # loads pint, for few
+
+    return [effect for file in named for effect in read_effects(file)]

@@ -7,12 +7,13 @@ import operator
 from typing import Any
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.session.defects import shown
 
-__all__ = ["require_kind", "require_whole"]
+__all__ = ["MOST_DRAWS", "require_kind", "require_whole"]
 
-# Smallest and largest; quantiles of more draws are no better known than what is drawn from.
-_LIMITS = {"seed": (0, 2**63 - 1), "sets": (1, 100_000), "draws": (0, 100_000)}
+MOST_DRAWS = 100_000
+"""Simulated data sets that can be asked for: quantiles of more are no better known than what is drawn from."""
+# Smallest and largest.
+_LIMITS = {"seed": (0, 2**63 - 1), "sets": (1, MOST_DRAWS), "draws": (0, MOST_DRAWS)}
 
 
 def require_whole(**numbers: Any) -> None:
@@ -28,7 +29,7 @@ def require_whole(**numbers: Any) -> None:
         except TypeError:
             fits = False
         if not fits:
-            raise CalibrationError(f"{name} must be a whole number from {low} to {high}, not {shown(value)}")
+            raise _refused(f"{name} must be a whole number from {low} to {high}", value)
 
 
 def require_kind(value: Any, kind: type, words: str) -> None:
@@ -43,4 +44,10 @@ def require_kind(value: Any, kind: type, words: str) -> None:
         CalibrationError: it is not.
     """
     if not isinstance(value, kind):
-        raise CalibrationError(f"{words}, not {shown(value)}")
+        raise _refused(words, value)
+
+
+def _refused(words: str, value: Any) -> CalibrationError:
+    from machine_tool_calibration.session.defects import shown  # loads pydantic, which few verbs need
+
+    return CalibrationError(f"{words}, not {shown(value)}")

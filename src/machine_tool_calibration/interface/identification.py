@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -44,21 +44,12 @@ class Fit(Shown):
     Attributes:
         measurement: the readings.
         result: all that was calculated, as the package itself uses it.
-        variant: of the method's model that was asked for; None for the default.
-        own: the user's own effects, known beside the catalogue.
-        keep_all: whether readings that stand out of all others were kept.
+        chosen: the model that was asked for, and the user's own effects, known beside the catalogue.
     """
 
     measurement: Measurement
     result: Result | JointResult
-    variant: str | None = None
-    own: tuple[PhysicalEffect, ...] = ()
-    keep_all: bool = False
-
-    @property
-    def chosen(self) -> Chosen:
-        """The readings and the model, as the package itself uses them."""
-        return self.measurement.chosen(self.variant, self.effects, self.own, self.keep_all)
+    chosen: Chosen
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -308,8 +299,8 @@ class Fit(Shown):
         Raises:
             ModelError: an effect is unknown, in the model already, or needs what was not recorded.
         """
-        ids, own = split_effects(effects, self.own)
-        return _fitted(self.measurement, self.variant, (*self.effects, *ids), own, self.keep_all)
+        ids, own = split_effects(effects, self.chosen.own)
+        return _fitted(self.measurement, replace(self.chosen.adding(ids), own=own))
 
     def budget(
         self,
@@ -404,18 +395,12 @@ def identify(
             identified cannot be.
     """
     ids, known = split_effects(effects, own)
-    return _fitted(load(session), model, ids, known, keep_all)
+    measurement = load(session)
+    return _fitted(measurement, measurement.chosen(model, ids, known, keep_all))
 
 
-def _fitted(
-    measurement: Measurement,
-    variant: str | None,
-    effects: tuple[str, ...],
-    own: tuple[PhysicalEffect, ...],
-    keep_all: bool,
-) -> Fit:
-    result = identify_sessions(measurement.chosen(variant, effects, own, keep_all))
-    return Fit(measurement, result, variant, own, keep_all)
+def _fitted(measurement: Measurement, asked: Chosen) -> Fit:
+    return Fit(measurement, identify_sessions(asked), asked)
 
 
 def split_effects(

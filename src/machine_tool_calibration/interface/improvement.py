@@ -49,10 +49,8 @@ class Improvement(Shown):
     @cached_property
     def fits(self) -> tuple[Fit, ...]:
         """Every model, the first one, the one without readings that do not belong to the rest, one for each effect."""
-        chosen = self.done.diagnosis.chosen
-        kept = replace(self.measurement, sessions=chosen.sessions)
         return tuple(
-            Fit(kept if step.set_aside else self.measurement, step.result, chosen.model, chosen.own, keep_all=True)
+            Fit(replace(self.measurement, sessions=step.chosen.sessions), step.result, step.chosen)
             for step in self.done.steps
         )
 
@@ -169,7 +167,8 @@ def plot_improvement(fits: Sequence[Fit]) -> Figure:
     steps = list[Step]()
     for fit in models:
         before = steps[-1] if steps else None
-        steps.append(step_after(before, _change(before, fit), fit.result, ()))
+        none = tuple(() for _ in fit.chosen.sessions)
+        steps.append(step_after(before, _change(before, fit), fit.chosen, fit.result, none))
     first = models[0]
     declared = noise_of(first.result.joint.fits[0]).declared
     return notebook(draw_steps(steps, first.measurement.sessions, declared))

@@ -23,7 +23,10 @@ from machine_tool_calibration.residuals.outliers import Outlier, set_aside
 from machine_tool_calibration.session.provenance import Provenance, provenance
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["Chosen", "FittedSessions", "fit_sessions", "gross_errors", "joint_models"]
+__all__ = ["Chosen", "FittedSessions", "Sifted", "fit_sessions", "gross_errors", "joint_models"]
+
+Built = tuple[MethodModel, str]
+"""A session's model, and the name of its variant."""
 
 
 @dataclass(frozen=True)
@@ -82,9 +85,29 @@ class Chosen:
         """All other effects that are known."""
         return [effect for effect in catalogue(self.own).values() if effect.id not in self.effects]
 
-    def base(self, session: Session) -> tuple[MethodModel, str]:
+    def base(self, session: Session) -> Built:
         """The model of one of the sessions, or of a part of it, without effects; and the name of its variant."""
         return build_model(session, self.model if len(self.sessions) == 1 else sharing_variant(session, self.model))
+
+    def built(self, session: Session) -> Built:
+        """The same as far as it is the session's alone: with the effects, unless several sessions share them."""
+        base, name = self.base(session)
+        return (add_effects(base, self.present) if len(self.sessions) == 1 else base), name
+
+
+@dataclass(frozen=True)
+class Sifted:
+    """A session without the readings that do not belong to the rest.
+
+    Attributes:
+        outliers: these readings, the largest first.
+        session: it, with these as lost ones.
+        built: see `Chosen`; None where it is yet to be made of what was left.
+    """
+
+    outliers: list[Outlier]
+    session: Session
+    built: Built | None = None
 
 
 @dataclass(frozen=True)
@@ -123,33 +146,32 @@ class FittedSessions:
         return joint_map(joint, self.common, stated(joint, self.common.angles))
 
 
-def fit_sessions(subject: Session | Chosen, built: tuple[MethodModel, str] | None = None) -> FittedSessions:
+def fit_sessions(subject: Session | Chosen, built: Sequence[Built | None] = ()) -> FittedSessions:
     """Fit one session by itself, or several of one machine together.
 
     Args:
         subject: what, and by which model.
-        built: the model of a single session with these effects in it, and its variant's name, where it was made before.
+        built: see `Chosen`; of every session or none, made here where it was not before.
 
     Raises:
         ModelError: as for `joint_models`; an effect is unknown or cannot act; or there are too few readings.
     """
     chosen = Chosen.of(subject)
     if len(chosen.sessions) == 1:
-        if built is None:
-            base, name = chosen.base(chosen.sessions[0])
-            built = add_effects(base, chosen.present), name
-        return FittedSessions(fit_models([built[0]]), None, (built[1],), chosen.effects)
-    common, names = joint_models(chosen)
+        ((model, name),) = _all_built(chosen, built)
+        return FittedSessions(fit_models([model]), None, (name,), chosen.effects)
+    common, names = joint_models(chosen, built)
     return FittedSessions(
         fit_models(common.models, chosen.labels, random_of(common.angles)), common, names, chosen.effects
     )
 
 
-def joint_models(chosen: Chosen) -> tuple[CommonModels, tuple[str, ...]]:
+def joint_models(chosen: Chosen, built: Sequence[Built | None] = ()) -> tuple[CommonModels, tuple[str, ...]]:
     """The models of several sessions of one machine, with the same unknowns of the machine.
 
     Args:
         chosen: several sessions; without a variant theirs are those with tables of the machine's errors.
+        built: as for `fit_sessions`.
 
     Raises:
         ModelError: labels that are missing or repeat, a model that no session has, different machines, or an effect
@@ -162,21 +184,36 @@ def joint_models(chosen: Chosen) -> tuple[CommonModels, tuple[str, ...]]:
     if chosen.model is not None and chosen.model not in known:
         hint = did_you_mean(chosen.model, known)
         raise ModelError(f"none of the sessions has a model {chosen.model!r}{hint}; known are {', '.join(known)}")
-    pairs = [chosen.base(session) for session in chosen.sessions]
-    built, names = [base for base, _ in pairs], [name for _, name in pairs]
-    common = common_models(built, labels)
+    models, names = zip(*_all_built(chosen, built), strict=True)
+    common = common_models(models, labels)
     common = replace(common, models=settled(common.models, labels, common.angles))
     if not effects:
-        return common, tuple(names)
+        return common, names
     common = with_effects(common, labels, effects)
-    return replace(common, models=settled(common.models, labels, common.angles)), tuple(names)
+    return replace(common, models=settled(common.models, labels, common.angles)), names
 
 
-def gross_errors(chosen: Chosen) -> list[tuple[list[Outlier], Session]]:
-    """The readings of each session that do not belong to the rest, the largest first, and it with these as lost ones.
+def _all_built(chosen: Chosen, built: Sequence[Built | None]) -> list[Built]:
+    made = built or [None] * len(chosen.sessions)
+    return [own or chosen.built(session) for session, own in zip(chosen.sessions, made, strict=True)]
+
+
+def gross_errors(chosen: Chosen) -> list[Sifted]:
+    """The readings of each session that do not belong to the rest, and what is left.
 
     Of several, each by itself and without effects: where one is missing, all its residuals are large, and none stands
     out.
     """
-    present = chosen.present if len(chosen.sessions) == 1 else []
-    return [set_aside(session, lambda part: add_effects(chosen.base(part)[0], present)) for session in chosen.sessions]
+    return [_sifted(chosen, session) for session in chosen.sessions]
+
+
+def _sifted(chosen: Chosen, session: Session) -> Sifted:
+    made: list[Built] = []
+
+    def build(part: Session) -> MethodModel:
+        made.append(chosen.built(part))
+        return made[-1][0]
+
+    outliers, kept = set_aside(session, build)
+    # Where nothing was set aside the model is that in which it was looked for.
+    return Sifted(outliers, kept, made[0] if made and not outliers else None)

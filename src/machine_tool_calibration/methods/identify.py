@@ -12,12 +12,11 @@ import numpy as np
 
 from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.effects.effect import Effect
-from machine_tool_calibration.effects.effect_terms import add_effects
 from machine_tool_calibration.errors import ModelError, suspected
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.averaging import averaged_map
 from machine_tool_calibration.methods.build import rejected_readings
-from machine_tool_calibration.methods.fitted import Chosen, FittedSessions, fit_sessions, gross_errors
+from machine_tool_calibration.methods.fitted import Chosen, FittedSessions, Sifted, fit_sessions, gross_errors
 from machine_tool_calibration.methods.joint.agreement import Agreement, agreement
 from machine_tool_calibration.methods.joint.model import CommonModels, common_models
 from machine_tool_calibration.methods.joint.small_angles import StatedAngles, stated
@@ -33,7 +32,6 @@ from machine_tool_calibration.model.result import (
     correlated_with,
     plain,
 )
-from machine_tool_calibration.residuals.outliers import Outlier, set_aside
 from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.session.method import load
 from machine_tool_calibration.session.provenance import Provenance
@@ -202,12 +200,7 @@ def identify_sessions(chosen: Chosen) -> Result | JointResult:
     if len(chosen.sessions) == 1:
         return _identified(chosen)
     observations = tuple(len(session.readings) for session in chosen.sessions)
-    rejected = tuple(map(rejected_readings, chosen.sessions))
-    if not chosen.keep_all:
-        found = gross_errors(chosen)
-        rejected = tuple(lost + _set_aside(own) for lost, (own, _) in zip(rejected, found, strict=True))
-        chosen = replace(chosen, sessions=tuple(kept for _, kept in found))
-    fitted = fit_sessions(chosen)
+    rejected, chosen, fitted = _fitted(chosen)
     joint, common = fitted.joint, fitted.common
     names = joint.assembly.labels
     assert common is not None and names is not None
@@ -232,8 +225,15 @@ def identify_sessions(chosen: Chosen) -> Result | JointResult:
     )
 
 
-def _set_aside(found: Sequence[Outlier]) -> tuple[Rejected, ...]:
-    return tuple(Rejected(o.row, o.reason, o.deviation) for o in found)
+def _fitted(chosen: Chosen) -> tuple[tuple[tuple[Rejected, ...], ...], Chosen, FittedSessions]:
+    """The readings of each session that are kept out, what is chosen without them, and the fit to it."""
+    found = [Sifted([], session) for session in chosen.sessions] if chosen.keep_all else gross_errors(chosen)
+    rejected = tuple(
+        rejected_readings(session) + tuple(Rejected(o.row, o.reason, o.deviation) for o in own.outliers)
+        for session, own in zip(chosen.sessions, found, strict=True)
+    )
+    chosen = replace(chosen, sessions=tuple(own.session for own in found))
+    return rejected, chosen, fit_sessions(chosen, [own.built for own in found])
 
 
 def _spread(common: CommonModels) -> float:
@@ -277,19 +277,8 @@ def identify(
 
 @single_blas()
 def _identified(chosen: Chosen) -> Result:
-    (session,), present = chosen.sessions, chosen.present
-    made: list[tuple[Session, tuple[MethodModel, str]]] = []
-
-    def build(part: Session) -> MethodModel:
-        base, name = chosen.base(part)
-        made.append((part, (add_effects(base, present), name)))
-        return made[-1][1][0]
-
-    found, kept = ([], session) if chosen.keep_all else set_aside(session, build)
-    # Where nothing was set aside the model is that in which it was looked for.
-    built = next((built for part, built in made if part is kept), None)
-    chosen = replace(chosen, sessions=(kept,))
-    fitted = fit_sessions(chosen, built)
+    (session,) = chosen.sessions
+    (rejected,), chosen, fitted = _fitted(chosen)
     error_map, averaged = averaged_map(fitted, chosen)
     refuse_impossible(session, error_map)
     return Result(
@@ -297,7 +286,7 @@ def _identified(chosen: Chosen) -> Result:
         error_map=error_map,
         effects=chosen.effects,
         model_name=fitted.model_names[0],
-        rejected=rejected_readings(session) + _set_aside(found),
+        rejected=rejected,
         observations=len(session.readings),
         alone=fitted.error_map,
         averaged=averaged,

@@ -4,16 +4,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, TypeVar
 
 from machine_tool_calibration.diagnosis.compare import compare
 from machine_tool_calibration.diagnosis.consequence import Consequence
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.improve import Improvement, improve
-from machine_tool_calibration.effects.effect import Effect
+from machine_tool_calibration.effects.catalogue import own_effects
 from machine_tool_calibration.methods.fitted import Chosen
 from machine_tool_calibration.methods.identify import identify_sessions
 from machine_tool_calibration.model.result import Result, plain
@@ -34,7 +33,6 @@ __all__ = [
     "diagnosed",
     "identified",
     "improved",
-    "own_effects",
 ]
 
 
@@ -72,20 +70,6 @@ class Request:
         """
         session = live_session(self.text, self.readings)
         return Chosen((session,), None, self.model, self.effects, tuple(own_effects(self.files)))
-
-
-def own_effects(files: Iterable[str]) -> list[Effect]:
-    """The effects that files describe; empty names are passed over.
-
-    Raises:
-        CalibrationError: a file cannot be read, or an effect is wrong.
-    """
-    named = [Path(file) for file in files if file]
-    if not named:
-        return []
-    from machine_tool_calibration.effects.formula import read_effects  # loads pint, for few
-
-    return [effect for file in named for effect in read_effects(file)]
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from machine_tool_calibration.effects.catalogue import find_effects
+from machine_tool_calibration.effects.catalogue import find_effects, own_effects
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.methods.build import model_names
 from machine_tool_calibration.nodes.calculation import (
@@ -30,7 +30,6 @@ from machine_tool_calibration.nodes.calculation import (
     diagnosed,
     identified,
     improved,
-    own_effects,
 )
 from machine_tool_calibration.nodes.publications import Publications, in_words
 from machine_tool_calibration.nodes.ros.messages import LATCHED, READINGS, Level, from_message
@@ -254,7 +253,7 @@ class Estimator(GuardedNode):
             "verdict": outcome.diagnosed.content["verdict"],
             "accepted": added,
             "effects": effects,
-            "set_aside": [int(row) for row in last.set_aside],
+            "set_aside": [int(row) for row in last.set_aside[0]],
             "rms_before": before,
             "rms_after": after,
             "reduced_chi_square_before": first.reduced_chi_square,

@@ -54,7 +54,7 @@ def draw_steps(steps: Sequence[Step], sessions: Sequence[Session], declared: flo
     _fall(fall, steps, declared)
     first, last = steps[0], steps[-1]
     # Outliers would hide everything else: the first picture is of the readings that are kept.
-    if len(steps) > 2 and last.set_aside:
+    if len(steps) > 2 and any(last.set_aside):
         first = steps[1]
     along = _along(first) if len(sessions) == 1 else None
     size = _size(first)

@@ -10,18 +10,12 @@ from typing import Any
 import numpy as np
 
 from machine_tool_calibration.arrays import rms
-from machine_tool_calibration.diagnosis.consequence import (
-    Consequence,
-    before_and_after,
-    consequences,
-    effect_estimates,
-)
+from machine_tool_calibration.diagnosis.consequence import Consequence, before_and_after, effect_estimates
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.findings import Finding
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.result import plain
 from machine_tool_calibration.planning.advice import Advice, Separation, Visibility, alias_groups_of
-from machine_tool_calibration.planning.what_to_measure import what_to_measure
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.checks.suspicion import suspicions
 
@@ -33,9 +27,7 @@ _TOLD = 0.01
 _BEYOND = 10.0
 
 
-def diagnosis_document(
-    diagnosis: Diagnosis, advice: Advice | None = None, changes: Mapping[str, Consequence] | None = None
-) -> dict[str, Any]:
+def diagnosis_document(diagnosis: Diagnosis, advice: Advice, changes: Mapping[str, Consequence]) -> dict[str, Any]:
     """The diagnosis as the contract's JSON document; what is not known is null.
 
     Beyond the contract: `accepted` (effects named as the cause, the surest first), `likely` (those that are not sure
@@ -50,11 +42,9 @@ def diagnosis_document(
 
     Args:
         diagnosis: what was found.
-        advice: what to measure next; worked out for the method's default model if absent.
-        changes: what candidates change, by id; worked out if absent.
+        advice: what to measure next.
+        changes: what candidates change, by id.
     """
-    advice = what_to_measure(diagnosis) if advice is None else advice
-    changes = consequences(diagnosis) if changes is None else changes
     look, noise = diagnosis.look, diagnosis.noise
     document = {
         "format": "mtcal-diagnosis/1",

@@ -33,7 +33,7 @@ def improvement_document(done: Improvement) -> dict[str, Any]:
         "format": "mtcal-improvement/1",
         "verdict": done.diagnosis.verdict,
         "accepted": done.diagnosis.accepted,
-        "set_aside": done.steps[-1].set_aside,
+        "set_aside": [row for rows in done.steps[-1].set_aside for row in rows],
         "steps": [
             {
                 "change": step.change,

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -57,7 +56,7 @@ def reported(
     """
     measured = Measured(
         subject.without((), model.kept).sessions,
-        replace(subject.chosen(model), sets=tuple(model.fit.result.averaged)),
+        subject.chosen(model),
         tuple(history) if len(history) > 1 else (),
     )
     found = evaluate(measured, diagnosis=diagnosis, progress=lambda what, share: progress(what, 0.9 * share))

@@ -17,15 +17,15 @@ from machine_tool_calibration.arrays import IntArray
 from machine_tool_calibration.diagnosis.compare import compare
 from machine_tool_calibration.diagnosis.comparison import Comparison, JointComparison
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
-from machine_tool_calibration.diagnosis.history import Entry, History, Part
-from machine_tool_calibration.diagnosis.improve import Step, entry_of, step_after
+from machine_tool_calibration.diagnosis.history import Entry, History
+from machine_tool_calibration.diagnosis.improve import Step, accepting, entry_of, step_after, words_set_aside
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.interface.identification import Fit
 from machine_tool_calibration.interface.session import Measurement, load
 from machine_tool_calibration.interface.show import printed
 from machine_tool_calibration.methods.fitted import Chosen, gross_errors
-from machine_tool_calibration.methods.identify import JointResult, identify_sessions
+from machine_tool_calibration.methods.identify import identify_sessions
 from machine_tool_calibration.planning.forecast import forecast
 from machine_tool_calibration.planning.outlook import Outlook, current, outlook_of, outlooks
 from machine_tool_calibration.planning.what_to_measure import SEARCH, Conclusions, conclude
@@ -135,10 +135,11 @@ class Subject:
             ModelError: the data does not allow it.
         """
         measurement = self.without(aside, kept)
-        result = identify_sessions(replace(chosen, sessions=measurement.sessions, own=self.own, keep_all=True))
-        step = step_after(before.step if before else None, words, result, tuple(sorted(aside)))
-        fit = Fit(measurement, result, chosen.model, self.own, keep_all=True)
-        return Model(fit, step, compare(result), aside, kept)
+        chosen = replace(chosen, sessions=measurement.sessions, own=self.own, keep_all=True)
+        result = identify_sessions(chosen)
+        rows = tuple(self._rows(k, aside) for k in range(len(self.first)))
+        step = step_after(before.step if before else None, words, chosen, result, rows)
+        return Model(Fit(measurement, result, chosen), step, compare(result), aside, kept)
 
     def on_the_way(self, entries: Sequence[Entry], prints: Sequence[str]) -> list[Model]:
         """Models of a history, each made from the one before.
@@ -175,32 +176,9 @@ class Subject:
         """
         data = prints[0] if len(prints) == 1 else fingerprint(*self.measurement.sessions)
         return [
-            entry_of(
-                one.step,
-                data,
-                made,
-                "workbench",
-                parts=self._parts(one, prints),
-                number=one.number or k,
-                own=self.own,
-            )
+            entry_of(one.step, data, prints, made, "workbench", number=one.number or k)
             for k, one in enumerate(models, 1)
         ]
-
-    def _parts(self, model: Model, prints: Sequence[str]) -> tuple[Part, ...]:
-        result = model.fit.result
-        if not isinstance(result, JointResult):
-            return ()
-        return tuple(
-            Part(
-                label=name,
-                model=variant,
-                data=data,
-                set_aside=self._rows(k, model.aside),
-                kept=self._rows(k, model.kept),
-            )
-            for k, (name, variant, data) in enumerate(zip(result.labels, result.model_names, prints, strict=True))
-        )
 
     def _rows(self, session: int, numbers: Iterable[int]) -> tuple[int, ...]:
         """Those of the readings that are of one session, as rows of its recording."""
@@ -260,8 +238,8 @@ def opened(paths: Sequence[Path], variant: str | None, own: Sequence[Effect], pr
     progress("readings that do not belong to the rest", 0.2)
     found = {}
     first = measurement.chosen(variant, (), tuple(own))
-    for k, (outliers, _) in enumerate(gross_errors(first)):
-        for outlier in outliers:
+    for k, sifted in enumerate(gross_errors(first)):
+        for outlier in sifted.outliers:
             found[int(subject.numbers(k, np.array(outlier.row)))] = outlier.deviation
     progress("fitting", 0.5)
     models: list[Model] = []
@@ -273,7 +251,7 @@ def opened(paths: Sequence[Path], variant: str | None, own: Sequence[Effect], pr
     if not models:
         models.append(subject.tried(None, "", first, frozenset(), frozenset()))
         if found:
-            words = f"{len(found)} reading{'s' if len(found) > 1 else ''} set aside"
+            words = words_set_aside(len(found))
             aside = frozenset(found)
             models.append(subject.tried(models[0], words, first, aside, frozenset()))
             remark = remark or f"{words}, which do not belong to the rest: Compare shows them, and puts them back."
@@ -304,17 +282,13 @@ def improved(subject: Subject, model: Model, found: Diagnosis, progress: Progres
     Returns:
         The models, each made from the one before.
     """
-    made, start = [model], model.fit.chosen
     more = {int(subject.numbers(k, np.array(outlier.row))) for k, own in enumerate(found.set_aside) for outlier in own}
     aside = model.aside | more
-    if more:
-        words = f"{len(more)} reading{'s' if len(more) > 1 else ''} set aside"
-        made.append(subject.tried(made[-1], words, start, aside, model.kept))
-    for k, name in enumerate(found.accepted):
-        progress(f"adding {name}", k / len(found.accepted))
-        chosen = start.adding(found.accepted[: k + 1], found.sets if k + 1 == len(found.accepted) else ())
-        made.append(subject.tried(made[-1], name, chosen, aside, model.kept))
-    return made[1:]
+
+    def tried(before: Model, change: str, chosen: Chosen) -> Model:
+        return subject.tried(before, change, chosen, aside, model.kept)
+
+    return accepting(found, model, tried, progress)
 
 
 def looked_ahead(subject: Subject, model: Model, progress: Progress) -> list[Outlook]:

@@ -113,6 +113,22 @@ def test_one_coefficient_with_a_direct_integration_over_it_and_the_noise() -> No
     assert found.log_factors[0, 0] == pytest.approx(np.log(with_it / without), abs=1e-4)
 
 
+def test_one_effect_where_the_noise_is_known() -> None:
+    """The difference of two normal densities of the readings, with the effect's columns in the covariance or not."""
+    wide, variance = columns(4, 2), 2.5
+    readings = 3.0 * np.random.default_rng(5).normal(size=N) + wide @ [0.9, -0.4]
+    unit = 1.5 * SMALLEST_SIGNAL / float(np.linalg.svd(wide, compute_uv=False)[0])
+    gram = gram_of(wide, np.zeros((N, 0)), readings).with_noise(variance)
+    found = table(gram, [block(0, 0, [unit, unit])], metrics(gram), 1)
+    # The coefficients' scale is in units of the noise, as the readings are here.
+    own, scaled = unit * wide, readings / np.sqrt(variance)
+    with_it, without = (
+        stats.multivariate_normal(np.zeros(N), covariance).logpdf(scaled)
+        for covariance in (np.eye(N) + own @ own.T, np.eye(N))
+    )
+    assert found.log_factors[0, 0] == pytest.approx(with_it - without, rel=1e-11)
+
+
 def test_sums_over_nonlinear_coefficients_have_their_shares() -> None:
     wide = columns(6, 2, 3.0)
     readings = np.random.default_rng(7).normal(size=N) + wide[:, 1]

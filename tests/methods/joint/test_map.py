@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.fitted import Chosen, joint_models
 from machine_tool_calibration.methods.identify import JointResult, identify, identify_sessions
 from machine_tool_calibration.model.rigid_body import map_field
+from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation.simulate import Simulated, simulate
 from machine_tool_calibration.simulation.spec import SimulationSpec
 
@@ -132,3 +134,18 @@ def test_two_tools_of_different_reach_tell_the_yaw(several: SimpleNamespace) -> 
         assert estimate.standard_uncertainty < 2e-6
     left = {entry.name for entry in identify(sessions[1].session).not_determined}
     assert {f"{name}({node:.6g})" for name in ("EXX", "ECX") for node in several.nodes[1:]} <= left
+
+
+@pytest.mark.parametrize("names", [("run",), ("run", "grid")])
+def test_a_session_in_which_nothing_stands_out_is_modelled_once(
+    several: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, names: tuple[str, ...]
+) -> None:
+    sessions, made = tuple(several.measured(name, 0).session for name in names), []
+
+    def counted(session: Session, model: str | None) -> Any:
+        made.append(session)
+        return build_model(session, model)
+
+    monkeypatch.setattr("machine_tool_calibration.methods.fitted.build_model", counted)
+    identify_sessions(Chosen(sessions, names))
+    assert made == list(sessions)

@@ -41,8 +41,6 @@ _AT_ONCE = 4e5
 _ABSORBED = 1e-9
 # Share of the squared norm of columns below which what a model leaves of a combination of them is rounding.
 _ROUNDED = 1e-7
-# Readings that an exact knowledge of the noise is worth: as good as infinitely many.
-_KNOWN = 1e9
 
 
 @dataclass(frozen=True)
@@ -116,7 +114,7 @@ class Gram:
         family: (u,) family of each spread column.
         freedom: degrees of freedom of the readings beside the model's unknowns.
         sizes: of the last families, where they are known in their own unit: with their prior probabilities.
-        worth: readings that what is known of the noise is worth.
+        worth: readings that what is known of the noise is worth; infinite where it is known.
     """
 
     inner: Array
@@ -129,11 +127,6 @@ class Gram:
     freedom: int
     sizes: tuple[dict[float, float], ...] = ()
     worth: float = DECLARED_WORTH
-
-    @property
-    def power(self) -> float:
-        """Of the squares that are left, in the evidence."""
-        return 0.5 * (self.freedom + self.worth)
 
     @classmethod
     def of(
@@ -167,8 +160,24 @@ class Gram:
     def with_noise(self, variance: float) -> Gram:
         """With noise whose variance over that declared is known."""
         root = np.sqrt(variance)
-        known = replace(self, worth=_KNOWN)
+        known = replace(self, worth=np.inf)
         return known.with_data(self.data / root, self.spread_data / root, self.squares / variance)
+
+    def log_likelihood(self, left: Array) -> Array:
+        """Logarithm of the evidence by the squares that are left, up to what all models share.
+
+        That of Student's form, the variance of the noise being integrated out; where that is known its limit: minus
+        half of chi-square.
+        """
+        if np.isinf(self.worth):
+            return -0.5 * left
+        return np.asarray(-0.5 * (self.freedom + self.worth) * np.log(self.worth + left))
+
+    def noise(self, left: Array) -> Array:
+        """Variance of the noise by the squares that are left, over that declared, or over the known one."""
+        if np.isinf(self.worth):
+            return np.ones_like(left)
+        return np.asarray((self.worth + left) / (self.worth + self.freedom))
 
 
 @dataclass(frozen=True)
@@ -209,7 +218,7 @@ class Metric:
 
     def log_null(self, gram: Gram) -> Array:
         """(B,) logarithm of the evidence without any candidate."""
-        return np.asarray(self.log_prior - gram.power * np.log(gram.worth + self.squares(gram)))
+        return self.log_prior + gram.log_likelihood(self.squares(gram))
 
     def beside(self, gram: Gram, columns: IntArray, scale: Array) -> Metric:
         """With columns of given scales (standard deviations of their coefficients) folded in as well."""
@@ -373,14 +382,13 @@ def _evidence(
     left = squares[:, None, None] - gain @ along**2
     left = np.maximum(left, 1e-12 * squares[:, None, None])
     prior = np.array([metric.log_prior for metric in tried])[:, None, None]
-    value = (prior - 0.5 * np.log(grown).sum(axis=-1))[..., None] - gram.power * np.log(gram.worth + left)
+    value = (prior - 0.5 * np.log(grown).sum(axis=-1))[..., None] + gram.log_likelihood(left)
     uncut = _log_sum(value[..., 0])
     if not any(map(_is_bounded, blocks)):
         return _log_sum(value), uncut
     mean = vectors[:, :, None] @ (gain[..., None] * along[:, :, None])
     variance = (vectors[:, :, None] ** 2 @ gain[..., None])[..., 0]
-    noise = (gram.worth + left) / (gram.worth + gram.freedom)
-    deviation = np.sqrt(np.maximum(variance[..., None] * noise[..., None, :], 1e-300))
+    deviation = np.sqrt(np.maximum(variance[..., None] * gram.noise(left)[..., None, :], 1e-300))
     low = (np.array([block.low for block in blocks]) / unit)[None, :, None, :, None]
     high = (np.array([block.high for block in blocks]) / unit)[None, :, None, :, None]
     # Signs and sizes that do not occur, coefficient by coefficient: the probability of the others after the readings
@@ -393,7 +401,9 @@ def _evidence(
 
 
 def _normal(t: Array, freedom: float) -> Array:
-    """Normal deviate that is as improbable as a Student one (Wallace 1959): the noise is not known exactly."""
+    """Normal deviate that is as improbable as a Student one (Wallace 1959): itself where the noise is known exactly."""
+    if np.isinf(freedom):
+        return t
     return np.asarray(np.sign(t) * np.sqrt(freedom * np.log1p(t**2 / freedom)) * (8 * freedom + 1) / (8 * freedom + 3))
 
 

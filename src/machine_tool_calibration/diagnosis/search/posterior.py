@@ -285,8 +285,7 @@ def _best_pairs(work: _Search, single: Table, among: Sequence[int]) -> list[tupl
             solved = np.linalg.solve(core, right[:, :, None])[:, :, 0]
             left = np.maximum(squares - np.einsum("nk,nk->n", right, solved), 1e-12 * squares)
             determinant = np.linalg.slogdet(core)[1]
-            misfit = work.gram.power * np.log(work.gram.worth + left)
-            values[numbers, t] = metric.log_prior - 0.5 * determinant - misfit
+            values[numbers, t] = metric.log_prior - 0.5 * determinant + work.gram.log_likelihood(left)
     weight = logsumexp(values, axis=1) + total
     best = max(value for value, _ in work.found.values())
     order = np.argsort(-weight)[:_PAIRS]
