@@ -372,3 +372,8 @@ def test_times_of_day_go_on_past_midnight(pattern: str | None, tmp_path: Path) -
     )
     np.testing.assert_array_equal(made.session.readings.columns["x"], [0.0, 0.1, 0.2, 0.3])
     np.testing.assert_array_equal(made.session.readings.columns["time"], [0.0, 30.0, np.nan, 90.0])
+
+
+def test_a_minus_sign_is_one(tmp_path: Path) -> None:
+    made = points(tmp_path, "X,M\n\N{MINUS SIGN}100,-100.002\n0,0.001\n100,100.001\n")
+    np.testing.assert_array_equal(made.session.readings.columns["x"], [-0.1, 0.0, 0.1])

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from machine_tool_calibration.procedure.events import Aimed, Arrived, Captured, Motion, Refused
+from machine_tool_calibration.procedure.events import Aimed, Arrived, Captured, Motion, MovedAway, Refused
 from machine_tool_calibration.procedure.progress import State, Timing
 
 from .procedures import TEXT, small
@@ -262,3 +262,41 @@ def test_three_dimensions_point_upwards():
     azimuth, elevation = world.sequencer._pending.angles
     assert elevation == pytest.approx(__import__("math").atan2(0.05, __import__("math").hypot(0.35, 0.05)))
     assert azimuth == pytest.approx(__import__("math").atan2(0.05, 0.35))
+
+
+def jogged(stamp, times=1):
+    """A world in which another command moves the axes between their arrival and the reading."""
+    world = World(small())
+    asked, left = world.asked, [times]
+
+    def asked_too_late(request):
+        if len(world.emitted) == 3 and left[0]:
+            left[0] -= 1
+            before = world.clock
+            world.clock += SECOND
+            world.axes["x"] += 5e-4
+            world.moves.append(Motion(world.clock - 1, ()))
+            world.heard["axes"] = world.clock, (world.clock, dict(world.axes))
+            world.do(world.sequencer.handle(MovedAway(stamp(before), "a1"), world.clock, world.wall))
+        asked(request)
+
+    world.asked = asked_too_late
+    world.run()
+    return world
+
+
+def test_no_reading_is_taken_where_another_command_brought_the_axes():
+    world = jogged(lambda before: before + SECOND)
+    assert world.sequencer.state is State.FINISHED
+    world.check()
+    assert world.sequencer.counters.unstable == 1
+
+
+def test_who_moves_the_axes_again_and_again_ends_in_an_error():
+    world = jogged(lambda before: before + SECOND, times=4)
+    assert world.sequencer.state is State.ERROR
+    assert world.sequencer.message == "axes: another command moves them while a reading is taken"
+
+
+def test_what_was_said_of_the_axes_before_they_arrived_moves_nothing():
+    assert jogged(lambda before: before, times=1).sequencer.counters.unstable == 0

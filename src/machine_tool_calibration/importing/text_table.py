@@ -187,17 +187,19 @@ class TextTable:
             lines: (n,) line of each cell, where they are not those of the rows.
         """
         text = pd.Series(cells, dtype=object)
-        plain = text
+        plain = text.str.replace("\N{MINUS SIGN}", "-", regex=False)
         if self.form.decimal == ",":
             # a point would be a thousands separator, or the wrong mark: neither is guessed
-            plain = text.where(~text.str.contains(".", regex=False), "?").str.replace(",", ".", regex=False)
+            plain = plain.where(~plain.str.contains(".", regex=False), "?").str.replace(",", ".", regex=False)
         written = plain.str.fullmatch(_NUMBER).to_numpy(dtype=bool)
         values = si_values(plain.where(written, "nan").tolist(), unit)
         bad = np.flatnonzero(~np.isfinite(values) & ~self._missing(cells))
         if len(bad):
             row = int(bad[0])
             line = (self.lines if lines is None else lines)[row]
-            raise SessionError(f"{self.source} line {line}: {what}: {self._shown(str(text[row]))} is not a number")
+            cell = str(text[row])
+            hint = "" if any(sign.isdigit() for sign in cell) else " (--missing, if it stands for no value)"
+            raise SessionError(f"{self.source} line {line}: {what}: {self._shown(cell)} is not a number{hint}")
         return values
 
     def stamps(self, column: str, what: str) -> Array | None:

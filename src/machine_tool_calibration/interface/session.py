@@ -140,7 +140,8 @@ def _opened(source: Any) -> Iterator[tuple[str, Session, Mapping[str, Any] | Non
 
     if isinstance(source, str | os.PathLike):
         path = Path(os.fspath(source))
-        yield Path(os.path.realpath(path)).stem, open_measurement(path), None
+        session = open_measurement(path)  # first: of a name that cannot be there is no real path
+        yield Path(os.path.realpath(path)).stem, session, None
     elif isinstance(source, Measurement):
         for label, session in zip(source.labels, source.sessions, strict=True):
             yield label, session, source.truth

@@ -62,6 +62,7 @@ from machine_tool_calibration.procedure.events import (
     Emit,
     Event,
     Motion,
+    MovedAway,
     Refused,
     SetDatum,
     Stop,
@@ -281,13 +282,17 @@ class ProcedureNode(GuardedNode):
     # --- what the partners say
 
     def _axes_status(self, message: DiagnosticArray) -> None:
-        entries = values(message)
+        entries, motion = values(message), self._motion
+        state = entries.get("state") if self._arrival_source == "status" else ""
         event: Event | None = None
-        if self._arrival_source == "status" and entries.get("state") == "arrived":
-            command, arrived, held = (stamp_among(entries, key) for key in ("command", "arrived", "held"))
-            event = Arrived(command, arrived, held, entries.get("epoch", ""))
-        elif self._arrival_source == "status" and entries.get("state") == "refused":
+        if state == "refused":
             event = Refused(stamp_among(entries, "command"), message.status[0].message)
+        elif motion is not None and state in ("idle", "moving", "arrived"):
+            command, epoch = stamp_among(entries, "command"), entries.get("epoch", "")
+            if command != motion.stamp:
+                event = MovedAway(from_message(message.header.stamp), epoch)
+            elif state == "arrived":
+                event = Arrived(command, stamp_among(entries, "arrived"), stamp_among(entries, "held"), epoch)
         self._seen.add("axes")
         if event is not None:
             self._hear(event)
@@ -306,6 +311,8 @@ class ProcedureNode(GuardedNode):
         earliest = motion.stamp + round(motion.points[-2].time * 1e9)
         if off <= self._position_tolerance and is_still and stamp >= earliest:
             self._hear(Arrived(motion.stamp, stamp, stamp))
+        elif self._position_tolerance < off < math.inf:
+            self._hear(MovedAway(stamp))
 
     def _pointer_state(self, message: JointState) -> None:
         angles = positions(message)

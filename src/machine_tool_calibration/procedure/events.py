@@ -22,6 +22,7 @@ __all__ = [
     "Emit",
     "Event",
     "Motion",
+    "MovedAway",
     "Refused",
     "SetDatum",
     "Stop",
@@ -43,6 +44,19 @@ class Arrived:
     command: int
     arrived: int
     held: int
+    epoch: str = ""
+
+
+@dataclass(frozen=True)
+class MovedAway:
+    """The axes are not where the last command brought them: another one commands them, or they were started anew.
+
+    Attributes:
+        stamp: when it is so.
+        epoch: as of `Arrived`.
+    """
+
+    stamp: int
     epoch: str = ""
 
 
@@ -161,5 +175,5 @@ class Emit:
     columns: Mapping[str, float]
 
 
-Event = Arrived | Refused | Aimed | Captured | CaptureFailed | DatumSet
+Event = Arrived | MovedAway | Refused | Aimed | Captured | CaptureFailed | DatumSet
 Action = Motion | Stop | Aim | SetDatum | Capture | Emit

@@ -27,6 +27,7 @@ from machine_tool_calibration.procedure.events import (
     Emit,
     Event,
     Motion,
+    MovedAway,
     Refused,
     SetDatum,
     Stop,
@@ -133,6 +134,8 @@ class Sequencer:
         match event:
             case Arrived():
                 return self._arrived(event, now, wall)
+            case MovedAway():
+                return self._moved_away(event, now, wall)
             case Refused():
                 if self._pending.motion is not None and event.command == self._pending.motion.stamp:
                     self._fail(f"axes: {event.reason}")
@@ -244,6 +247,21 @@ class Sequencer:
         pending.arrived = event
         self._floor = max(self._floor, event.held)
         return self._at_rest(now, wall)
+
+    def _moved_away(self, event: MovedAway, now: int, wall: float) -> list[Action]:
+        """A reading would be that of another place: go back and measure again."""
+        there = self._pending.arrived
+        # a probe moves the axes itself, and says where it has touched
+        if there is None or isinstance(self.plan.procedure.session, Probing):
+            return []
+        if event.epoch == there.epoch and event.stamp <= there.held:
+            return []  # said before, and late
+        self.counters.unstable += 1
+        self._unstable += 1
+        if self._unstable > _UNSTABLE_BEFORE_ERROR:
+            self._fail("axes: another command moves them while a reading is taken")
+            return []
+        return self._begin(max(now, event.stamp), wall, again=True)
 
     def _aimed(self, event: Aimed, now: int, wall: float) -> list[Action]:
         pending = self._pending

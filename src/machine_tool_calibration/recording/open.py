@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -31,7 +32,7 @@ def open_measurement(path: Path, topics: Mapping[str, str] | None = None, *, che
     from machine_tool_calibration.session.folder import read_session
 
     path = Path(path)
-    if not path.exists():
+    if not os.path.exists(path):  # of a name that cannot be, too
         raise SessionError(f"{path}: no such file or folder")
     if is_session_folder(path):
         return read_session(path, check=check)

@@ -126,12 +126,12 @@ def kind_of(value: Any) -> str:
 
 
 def shown(value: Any) -> str:
-    """A value, for people, of bounded length."""
+    """A value, for people, in one line of bounded length."""
     if value is None:
         return "nothing"
     if isinstance(value, dict | list):
         return kind_of(value)
-    text = repr(value)
+    text = " ".join(repr(value).split())
     return text if len(text) <= 60 else text[:57] + "..."
 
 

@@ -280,6 +280,8 @@ def test_one_angle_determines_no_feature(part: Callable[..., Any]) -> None:
         ({"centres": {"p": ["a"]}}, "feature p: its points lie neither on a circle"),
         ({"angles": [("top", "a")]}, "angle top,a: it is between two lines, or at the second of three circles"),
         ({"angles": [("a", "a", "b")]}, "angle a,a,b: the centres of a and a coincide"),
+        ({"centres": {"p": []}}, "feature p: no centre is given"),
+        ({"named": {"e": []}}, "feature e: no point is given"),
         ({"named": {"e": ["0", "x1"]}}, "feature e: the workpiece has no point 'x1'"),
         ({"named": {"e": ["0", "0"]}}, "feature e: a point stands in it twice"),
         ({"named": {"e": ["0", "1"]}}, "feature e: 2 touched points do not determine centre and radius"),

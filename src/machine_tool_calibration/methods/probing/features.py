@@ -159,6 +159,8 @@ def _round(known: Mapping[str, Element], name: str, patterns: Sequence[str]) -> 
         raise CalibrationError(f"feature {name}: there is one of that name already")
     wanted = [n for p in patterns for n in (fnmatch.filter(known, p) or [_named(known, p, f"feature {name}").name])]
     found = [known[n] for n in dict.fromkeys(wanted)]
+    if not found:
+        raise CalibrationError(f"feature {name}: no centre is given")
     for one in found:
         if not isinstance(one, Circle):
             raise CalibrationError(f"feature {name}: {one.name} is a line and has no centre")

@@ -93,6 +93,8 @@ def elements(
     place = {point.id: k for k, point in enumerate(description.workpiece)}
     listed = named or {}
     for name, ids in listed.items():
+        if not len(ids):
+            raise CalibrationError(f"feature {name}: no point is given")
         for id_ in ids:
             if id_ not in place:
                 raise CalibrationError(f"feature {name}: the workpiece has no point {id_!r}{did_you_mean(id_, place)}")
