@@ -92,6 +92,16 @@ def test_what_is_received_is_in_the_order_of_time_and_once() -> None:
     assert len(received) == 1
 
 
+def test_readings_of_one_time_that_differ_are_of_two_sessions() -> None:
+    received = Received()
+    for time in (1.0, 2.0):
+        assert not received.add(round(time * 1e9), message(time, time))
+    assert not received.add(2_000_000_000, message(2.0, 2.0))
+    other = Reading("machine", ("time", "reading_index", "displacement"), (2.0, 2.0, 1e-5))
+    assert received.add(2_000_000_000, other) == 2
+    assert received.in_order() == [other] and received.missing == 2
+
+
 def test_readings_that_never_came_are_counted() -> None:
     received = Received()
     assert (received.missing, received.expected, received.lacks_the_first) == (0, 0, False)

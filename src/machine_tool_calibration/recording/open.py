@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -32,8 +31,12 @@ def open_measurement(path: Path, topics: Mapping[str, str] | None = None, *, che
     from machine_tool_calibration.session.folder import read_session
 
     path = Path(path)
-    if not os.path.exists(path):  # of a name that cannot be, too
-        raise SessionError(f"{path}: no such file or folder")
+    try:
+        path.stat()
+    except (FileNotFoundError, NotADirectoryError, ValueError):  # the last one of a name that cannot be
+        raise SessionError(f"{path}: no such file or folder") from None
+    except OSError as error:
+        raise SessionError(f"{path}: {error.strerror}") from None
     if is_session_folder(path):
         return read_session(path, check=check)
     if path.is_file() and path.name in (DESCRIPTION_FILE, OBSERVATIONS_FILE):

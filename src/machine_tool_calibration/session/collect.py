@@ -157,6 +157,10 @@ class Reading:
     values: Sequence[float]
 
 
+def _is_same(one: Reading, other: Reading) -> bool:
+    return tuple(one.names) == tuple(other.names) and np.array_equal(one.values, other.values, equal_nan=True)
+
+
 class Received:
     """The readings of the session that is being measured, as messages bring them: in any order, and some twice."""
 
@@ -186,16 +190,19 @@ class Received:
         time, index = columns.get("time", math.nan), columns.get(READING_INDEX, math.nan)
         if not (math.isnan(index) or (0 <= index < _MOST and index == int(index))):
             raise SessionError(f"{READING_INDEX} is {index:g}")
-        forgotten = 0
+        origin, forgotten = self._origin, 0
         if math.isfinite(time):
             # start of the session that it belongs to: the same for all its readings
             origin = stamp - round(time * 1e9)
             if origin < -_SAME_SESSION:
                 raise SessionError(f"its time, {time:g} s, does not suit its stamp")
-            if self._origin is not None and abs(origin - self._origin) > _SAME_SESSION:
-                forgotten = len(self)
-                self.forget()
-            self._origin = origin
+        before = origin if self._origin is None else self._origin
+        is_other = origin is not None and before is not None and abs(origin - before) > _SAME_SESSION
+        # where simulated time begins at the same moment in both, two readings of one time differ
+        if is_other or not _is_same(self._readings.get(stamp, reading), reading):
+            forgotten = len(self)
+            self.forget()
+        self._origin = origin
         self._readings[stamp] = reading
         if not math.isnan(index):
             self._indices.add(int(index))
