@@ -195,6 +195,16 @@ def test_defects(tmp_path: Path, setup: str, names: list[str], values: list[floa
     assert damaged(tmp_path, setup, names, values) == expected
 
 
+@pytest.mark.parametrize("content", [b"", b"\0\1\0\0", b"\0\1\0\0" + b"\xff" * 40])
+def test_where_a_damaged_message_stands_is_said(content: bytes, tmp_path: Path) -> None:
+    session = read_session(DATA / "rotary_axis")
+    with BagWriter(tmp_path / "bag") as bag:
+        write(bag, session, rows=slice(0, 3))
+        bag.write("/reading", content, 10)
+    with pytest.raises(RecordingError, match=r"bag: /reading at 10 ns: a sensor_msgs/msg/JointState is damaged: "):
+        session_from_bag(tmp_path / "bag")
+
+
 def test_a_damaged_description(tmp_path: Path) -> None:
     session = read_session(DATA / "tracking_2d")
     with BagWriter(tmp_path / "bag") as bag:

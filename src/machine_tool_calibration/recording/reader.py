@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path, PurePosixPath
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from mcap.records import Channel
 
@@ -23,6 +23,8 @@ __all__ = ["BagReader", "Message", "Topic", "bag_files", "is_bag"]
 
 _LARGEST_METADATA = 2 << 20
 METADATA_FILE = "metadata.yaml"
+
+Content = TypeVar("Content")
 
 
 @dataclass(frozen=True)
@@ -127,8 +129,16 @@ class BagReader:
         """
         if not self.topics[message.topic].readable:
             raise RecordingError(f"{self.path}: {message.topic} has the type {message.type!r}, which cannot be read")
+        return self.read(message, partial(decode, message.type))
+
+    def read(self, message: Message, content: Callable[[bytes], Content]) -> Content:
+        """What a function makes of a message.
+
+        Raises:
+            RecordingError: that of the function, with where the message stands.
+        """
         try:
-            return decode(message.type, message.data)
+            return content(message.data)
         except RecordingError as error:
             raise RecordingError(f"{self.path}: {message.topic} at {message.log_time} ns: {error}") from None
 

@@ -70,7 +70,7 @@ def _runs(
     again = False
     for message in bag.messages(wanted):
         if message.topic == names[SESSION]:
-            latest = text(message.data)
+            latest = bag.read(message, text)
             again = True
             if latest != described:
                 if len(collector):
@@ -80,7 +80,7 @@ def _runs(
         elif message.topic == labels:
             kept = _labels(bag, message)
         else:
-            reading = reader.read(message.data)
+            reading = bag.read(message, reader.read)
             # the same description again, and its clock starts anew: the procedure was started again
             if again and reading.value("time") < collector.last_time:
                 yield collector, kept
@@ -93,13 +93,13 @@ def _runs(
 
 def _description_text(bag: BagReader, topic: str) -> str:
     """The first description; it may stand behind the first readings, where the recorder met it late."""
-    return text(next(iter(bag.messages([topic]))).data)
+    return bag.read(next(iter(bag.messages([topic]))), text)
 
 
 def _labels(bag: BagReader, message: Message) -> dict[str, np.ndarray]:
     """Text columns of the user's own, which a JointState cannot carry."""
     try:
-        content = json.loads(text(message.data))
+        content = json.loads(bag.read(message, text))
         return {
             str(name): np.array([str(value) for value in values], dtype=np.str_) for name, values in content.items()
         }
