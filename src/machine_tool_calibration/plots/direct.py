@@ -52,8 +52,8 @@ def draw_positioning(run: Mapping[str, Any]) -> Figure:
             panel.fill_between(position, mean - 2 * s, mean + 2 * s, color=color, alpha=0.15, linewidth=0)
             panel.plot(position, mean, "o-", color=color, markersize=4, label=f"mean {arrow} (band: 2 s)")
     panel.axhline(0.0, color="0.8", linewidth=0.8, zorder=0)
-    panel.set_xlabel(f"{run['axis']} / mm")
-    panel.set_ylabel("deviation / µm")
+    panel.set_xlabel(f"{run['axis']}, mm")
+    panel.set_ylabel("deviation, µm")
     figures = [(name, run[name]) for name in ("A", "E", "M", "R", "R_up", "R_down", "B", "B_mean")]
     text = "   ".join(f"{_symbol(name)} {1e6 * value:.2f}" for name, value in figures if _known(value))
     figure.suptitle(f"ISO 230-2:2014, axis {run['axis']}, setup {run['setup']}\n{text} µm")
@@ -98,7 +98,7 @@ def _curve(panel: Axes, name: str, table: Mapping[str, Any]) -> None:
     panel.fill_between(node, value - 2 * u, value + 2 * u, color="tab:blue", alpha=0.2, linewidth=0)
     panel.plot(node, value, "o-", color="tab:blue", markersize=3, linewidth=1)
     panel.set_title(name)
-    panel.set_xlabel(f"{name[2]} / mm")
+    panel.set_xlabel(f"{name[2]}, mm")
     panel.set_ylabel("µrad" if name[1] in "ABC" else "µm")
 
 
@@ -138,8 +138,8 @@ def draw_map(content: Mapping[str, Any]) -> Figure:
         panel.update_datalim(start + arrow)  # matplotlib counts only where arrows begin
         panel.autoscale_view()
     panel.set_aspect("equal", adjustable="datalim")
-    panel.set_xlabel(f"{'XYZ'[i]} / mm")
-    panel.set_ylabel(f"{'XYZ'[j]} / mm")
+    panel.set_xlabel(f"{'XYZ'[i]}, mm")
+    panel.set_ylabel(f"{'XYZ'[j]}, mm")
     known = np.linalg.norm(np.nan_to_num(error[np.isfinite(error).any(axis=1)]), axis=1)
     longest = quantity(float(known.max(initial=0.0)), "m")
     nowhere = ", ".join("xyz"[k] for k in (i, j) if lost[k])

@@ -47,7 +47,7 @@ def draw_motions(content: Mapping[str, Any], axis: str = "C") -> Figure:
         panel.set_title(name + _meaning(component, axis))
         panel.set_ylabel("µm" if component in "XYZ" else "µrad")
     for panel in panels[1]:
-        panel.set_xlabel(f"{axis} / °")
+        panel.set_xlabel(f"{axis}, °")
     return figure
 
 
@@ -96,8 +96,8 @@ def draw_arrangement(content: Mapping[str, Any], axis: str = "C") -> Figure:
         panel.plot(0.0, 0.0, "+", color="black")
         panel.set_aspect("equal", adjustable="datalim")
         panel.margins(0.12)  # room for the names
-        panel.set_xlabel(f"{'XYZ'[i]} / mm")
-        panel.set_ylabel(f"{'XYZ'[j]} / mm")
+        panel.set_xlabel(f"{'XYZ'[i]}, mm")
+        panel.set_ylabel(f"{'XYZ'[j]}, mm")
     return figure
 
 

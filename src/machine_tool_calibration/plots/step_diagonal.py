@@ -86,8 +86,8 @@ def _panel(panel: Axes, comparison: Comparison, motion: int, component: int) -> 
         if name in _SCALED:
             low, high = min(low, float(np.nanmin(value - bar))), max(high, float(np.nanmax(value + bar)))
     panel.set_title(f"$e_{along}({letter.lower()})$: error in {along.upper()}, motion of {letter}", fontsize=10)
-    panel.set_xlabel(f"{letter} / mm")
-    panel.set_ylabel("error / µm")
+    panel.set_xlabel(f"{letter}, mm")
+    panel.set_ylabel("error, µm")
     panel.grid(alpha=0.3)
     if not drawn:
         panel.text(0.5, 0.5, "not determined", ha="center", va="center", transform=panel.transAxes, color="0.5")
