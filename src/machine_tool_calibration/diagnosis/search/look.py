@@ -234,13 +234,13 @@ def _columns(pool: Pool, candidates: Sequence[Candidate], structures: Sequence[C
             place = slice(first, first + len(s.columns))
             scale = np.sqrt(before[place])
             outside = gram.inner[place, place] / np.outer(scale, scale)
-            # The first terms alone may be in the model already, as backlash is the first of lost motion.
-            parts = [
-                part
-                for part in _leading(candidate, place, least)
-                if np.linalg.eigvalsh(outside[: part.stop - first, : part.stop - first])[-1] > _ABSORBED
-            ]
-            own += [(_block(c, candidate, j, part, before[part], len(parts)), (c, j)) for part in parts]
+            leading = _leading(candidate, place, least)
+            for part in leading:
+                # The first terms alone may be in the model already, as backlash is the first of lost motion: they have
+                # their share of the probability, and nothing shows them.
+                ahead = slice(0, part.stop - first)
+                if np.linalg.eigvalsh(outside[ahead, ahead])[-1] > _ABSORBED:
+                    own.append((_block(c, candidate, j, part, before[part], len(leading)), (c, j)))
             first = place.stop
         seen.append(bool(own))
         blocks += [block for block, _ in own]
