@@ -15,7 +15,6 @@ from machine_tool_calibration.cli.diagnosing import (
     history_option,
     model_options,
     note_written,
-    unused_model,
 )
 from machine_tool_calibration.cli.output import (
     PictureFile,
@@ -126,9 +125,7 @@ def fitted(wanted: Wanted, paths: Sequence[Path], progress: Report) -> tuple[Seq
     measured = wanted.open(paths)
     progress("identifying")
     result = identify_sessions(measured.chosen)
-    effects = measured.chosen.effects
-    better = None if wanted.from_history else unused_model(measured.recorded, paths, effects, result.joint)
-    if better:
+    if better := wanted.unused(measured, paths, result.joint):
         note(better)
     return measured.recorded, fitted_sessions(result)
 

@@ -108,6 +108,10 @@ class Wanted:
         )
         return Measured(sessions, chosen, history.way_to(entry.number))
 
+    def unused(self, measured: Measured, paths: Sequence[Path], fit: JointFit) -> str | None:
+        """That the history holds a better model, where it was not asked for: see `unused_model`."""
+        return None if self.from_history else unused_model(measured.recorded, paths, measured.chosen.effects, fit)
+
 
 def unused_model(
     sessions: Sequence[Session],

@@ -174,8 +174,7 @@ def _identified(paths: tuple[Path, ...], wanted: Wanted, topics: dict[str, str])
     said = [bad_fit(result.joint, result.error_map.content)]
     if isinstance(result, Result):
         models: tuple[str, ...] = (result.model_name,)
-        if not wanted.from_history:
-            said.append(unused_model(recorded, paths, chosen.effects, result.joint))
+        said.append(wanted.unused(measured, paths, result.joint))
     else:
         models = result.model_names
         note(result.agreement.statement)

@@ -14,7 +14,6 @@ from machine_tool_calibration.cli.diagnosing import (
     history_option,
     model_options,
     note_written,
-    unused_model,
 )
 from machine_tool_calibration.cli.output import PictureFile, console, json_option, note, write_json
 from machine_tool_calibration.interface.arguments import MOST_DRAWS
@@ -130,9 +129,7 @@ def command(
     measured = wanted.open([session])
     result = identify_sessions(measured.chosen)
     assert isinstance(result, Result)  # of a single session
-    unused = None
-    if not wanted.from_history:
-        unused = unused_model(measured.recorded, [session], measured.chosen.effects, result.joint)
+    unused = wanted.unused(measured, [session], result.joint)
     fit = result.fit
     found = features(fit, named=named, centres=through, frame=frame, distances=distances, angles=angles)
     drawn = monte_carlo(fit, found.rows, draws, distribution, seed) if draws else None  # type: ignore[arg-type]

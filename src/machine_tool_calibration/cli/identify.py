@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options, unused_model
+from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options
 from machine_tool_calibration.cli.output import console, json_option, note, progress_bar, write_json
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.reports.documents import plain, to_json
@@ -90,9 +90,7 @@ def command(
                 written.append(write_table(tidy(result), table, result.provenance))
             except OSError as error:
                 raise CalibrationError(f"{table}: cannot be written: {error.strerror}") from None
-    better = None
-    if result is not None and not wanted.from_history:
-        better = unused_model(recorded, sessions, chosen.effects, result.joint)
+    better = None if result is None else wanted.unused(measured, sessions, result.joint)
     if as_json:
         write_json(document)
     elif result is None:

@@ -154,14 +154,13 @@ def _described(rows: Rows, mapping: Mapping, source: str) -> dict[str, Any]:
     """The content of session.yaml: what the table gives, and over it what the user says."""
     given = dict(mapping.session)
     content: dict[str, Any] = {"format": "mtcal-session/1", **rows.description}
-    if "method" not in content and "method" not in given:
+    wanted = content.get("method", given.get("method"))
+    if wanted is None:
         raise SessionError(
             f"{source}: a table of readings needs the session.yaml that says of what, with --description session.yaml"
         )
-    wanted = str(content.get("method", given.get("method")))
-    if given.pop("method", wanted) != wanted:
+    if given.get("method", wanted) != wanted:
         raise SessionError(f"{source}: this table makes a session of {wanted}; leave out method")
-    content["method"] = wanted
     if "machine" not in given:
         raise SessionError(f"{source}: the machine's chain is not given, as in --chain w-Y-X-b-Z-t")
     if "standard_uncertainty" not in given:

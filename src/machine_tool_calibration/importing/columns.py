@@ -13,7 +13,7 @@ from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.importing.mapping import ROLES, ColumnRule
 from machine_tool_calibration.importing.mapping import Mapping as TableMapping
 from machine_tool_calibration.importing.text_table import TextTable
-from machine_tool_calibration.importing.units import dimension, quantity, unit_in_name
+from machine_tool_calibration.importing.units import dimension, quantity, unit_in_name, without_unit
 
 __all__ = ["Columns", "Rows"]
 
@@ -63,9 +63,7 @@ class Columns:
         """Take each column that is called as a quantity, with or without its unit, for that where nothing else is."""
         named = dict(self.mapping.columns)
         for column in self.table.names:
-            role = column
-            if unit_in_name(column) is not None:
-                role = column[: max(column.rfind("["), column.rfind("("))].strip()
+            role = without_unit(column)
             if role in ROLES[self.mapping.table] and not self.has(role):
                 named.setdefault(role, ColumnRule(column=column))
         self.mapping = self.mapping.model_copy(update={"columns": named})

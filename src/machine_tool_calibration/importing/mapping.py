@@ -15,10 +15,9 @@ from machine_tool_calibration.session.defects import first_defect
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
 
-__all__ = ["FORMAT", "ROLES", "TABLES", "ColumnRule", "Mapping", "Run", "parse_mapping", "read_mapping"]
+__all__ = ["FORMAT", "ROLES", "ColumnRule", "Mapping", "Run", "parse_mapping", "read_mapping"]
 
 FORMAT = "mtcal-mapping/1"
-TABLES = ("points", "ranges", "iso230-2", "readings")
 _XYZ = ("x", "y", "z")
 
 _COMMON = {

@@ -12,7 +12,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import SessionError
 
-__all__ = ["UNITS", "dimension", "quantity", "si_values", "spelled", "unit_in_name"]
+__all__ = ["UNITS", "dimension", "quantity", "si_values", "spelled", "unit_in_name", "without_unit"]
 
 # Unit to its dimension, power of ten and factor. The power goes into the text: 123.4 mm is 0.1234 m to the last bit,
 # which neither 123.4 * 0.001 nor 123.4 / 1000 is.
@@ -53,7 +53,7 @@ _SPELLINGS = {
     "sec": "s",
 }
 _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\d\s].*?)?\s*")
-_IN_NAME = re.compile(r".*[\[(]\s*([^\])]+?)\s*[\])]\s*")
+_IN_NAME = re.compile(r"(.*)[\[(]\s*([^\])]+?)\s*[\])]\s*")
 
 
 def spelled(unit: str) -> str:
@@ -125,8 +125,14 @@ def unit_in_name(column: str) -> str | None:
     match = _IN_NAME.fullmatch(column)
     if match is None:
         return None
-    name = _SPELLINGS.get(match[1], match[1])
+    name = _SPELLINGS.get(match[2], match[2])
     return name if name in UNITS and name != "1" else None
+
+
+def without_unit(column: str) -> str:
+    """A column's name without the unit that it ends with."""
+    match = _IN_NAME.fullmatch(column)
+    return column if match is None or unit_in_name(column) is None else match[1].strip()
 
 
 def _example(wanted: str) -> str:
