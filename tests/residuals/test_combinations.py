@@ -49,6 +49,21 @@ def test_sound_readings_are_all_kept() -> None:
     assert not len(found.wrong)
 
 
+def test_one_that_explains_by_chance_what_two_did_better() -> None:
+    """Two wrong readings leave nearly what a single other one would: nothing tells which, and all are named."""
+    rng = np.random.default_rng(3)
+    local = rng.normal(size=(12, 6))
+    # What the first two leave, as nearly as they can, of an error in the seventh, off by 3.8 times the scatter.
+    free = np.eye(12) - local @ np.linalg.pinv(local)
+    pair, single = free[:, [0, 1]], free[:, [6]]
+    residual = pair @ np.linalg.lstsq(pair, single[:, 0], rcond=None)[0]
+    residual *= 3.8 / np.linalg.norm(residual - single @ np.linalg.lstsq(single, residual, rcond=None)[0])
+    found = wrong_together(local, residual, 1)
+    assert found is not None
+    assert found.more
+    assert {0, 1, 6} <= set(found.doubtful.tolist())
+
+
 def test_more_than_may_be_wrong() -> None:
     residual = NOISE.copy()
     residual[[0, 1, 2]] += [170.0, -990.0, 105.0]

@@ -105,6 +105,41 @@ def test_a_step_within_a_run_is_no_gross_error() -> None:
     assert set_aside(stepped, lambda part: build_model(part)[0])[0] == []
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_several_at_an_angle_with_twice_as_many_readings_as_unknowns(seed: int) -> None:
+    """Measured one way only: they mirror each other, and the worst of them one by one are not the wrong ones."""
+    session = simulate(SimulationSpec(plan=PRESETS["rotary_axis_one_way"], seed=300 + seed)).session
+    readings = session.readings
+    angle = np.unique(readings.columns["c"], return_inverse=True)[1]
+    rng = np.random.default_rng(seed)
+    hit = np.concatenate([rng.choice(np.flatnonzero(angle == k), 2, replace=False) for k in (2, 9, 14)])
+    change = np.zeros(len(readings))
+    change[hit] = session.sigma * rng.uniform(20, 100, len(hit)) * rng.choice([-1.0, 1.0], len(hit))
+    wrong = session.with_readings(replace(readings, displacement=readings.displacement + change))
+    found, _ = find_outliers(wrong, lambda part: build_model(part)[0])
+    assert set(readings.row[hit].tolist()) <= {o.row for o in found}
+    assert all("nothing tells which is right" in o.reason for o in found if o.row not in readings.row[hit])
+
+
+def test_two_at_the_end_of_a_run_are_no_lasting_change() -> None:
+    session = simulate(SimulationSpec(plan=PRESETS["rotary_axis"], seed=12)).session
+    readings = session.readings
+    change = np.zeros(len(readings))
+    target = readings.labels["target"]
+    first = np.flatnonzero((readings.setup == 1) & (readings.repeat == 0) & (target == target[0]))[:3]
+    change[first[[0, 2]]] = -40 * session.sigma
+    wrong = session.with_readings(replace(readings, displacement=readings.displacement + change))
+    found, _ = find_outliers(wrong, lambda part: build_model(part)[0])
+    assert {o.row for o in found} == set(readings.row[first[[0, 2]]].tolist())
+
+
+def test_what_rounding_leaves_is_no_gross_error() -> None:
+    plan = TrackingPlan(dimension=2, pointing="tracking", station_uncertainty=1e-3)
+    for seed in range(5):
+        session = simulate(SimulationSpec(plan=plan, seed=seed, noise_factor=0.0)).session
+        assert find_outliers(session, lambda part: build_model(part)[0])[0] == []
+
+
 def test_two_readings_of_a_place_of_which_either_may_be_wrong() -> None:
     plan = PRESETS["straightness"].model_copy(update={"repeats": 2})
     session = simulate(SimulationSpec(plan=plan, seed=5)).session

@@ -5,7 +5,8 @@ A start that gross errors do not reach (`estimation/robust.py`) says which readi
 and each is compared with what all others predict of it: its deviation over that deviation's standard uncertainty, from
 the scatter of the others, follows Student's distribution if it is sound (Baarda 1968; Cook and Weisberg 1982). Of the
 suspected, the worst is set aside, the others are judged anew, and so on, all by small matrices of the suspected alone;
-what stands out no longer is put back. A few fits do for any number of gross errors.
+what stands out no longer is put back. A few fits do for any number of gross errors. Where few readings stand beside as
+many unknowns of their own, which of them agree is tried out (`residuals/combinations.py`).
 
 Where an effect is missing, all residuals are large, so is the scatter, and none stands out. What its neighbours in the
 run share is no gross error either, but something that lasts.
@@ -26,7 +27,8 @@ from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.estimation.robust import FAR, Reweighted, robust_start, scaled_residuals
 from machine_tool_calibration.estimation.solve import Solution, solve
 from machine_tool_calibration.model.model import MethodModel, assemble
-from machine_tool_calibration.residuals.combinations import wrong_together
+from machine_tool_calibration.residuals.bound import Bound, of_few, of_points, seen_by_few
+from machine_tool_calibration.residuals.combinations import fewest_wrong, wrong_together
 from machine_tool_calibration.residuals.leverage import Reach, reach, taken
 from machine_tool_calibration.residuals.neighbours import near_of, places_of, runs_of
 from machine_tool_calibration.residuals.tails import limit_of_tails
@@ -62,10 +64,14 @@ _ALIKE = 1e-3
 _NEARLY = 0.7
 _BEST = 3
 _SWAPS = 4
+# Readings that hang together of which so many may be wrong.
+_WRONG = 3
 # Products of readings and unknowns, and of readings and those set aside, up to which all readings are compared with
 # each that is set aside; beyond, those of its place.
 _COMPARED = 4e7
 _PAIRS = 1e6
+# Scatter over the declared uncertainty below which it is rounding, and what linear columns leave.
+_ROUNDING = 0.01
 # The scatter's root mean square counts up to this factor above what the median of the absolute residuals says.
 _TAILS = 1.5
 # Scatter over the declared uncertainty from which an effect may be missing, and the factor on the limit then.
@@ -181,6 +187,7 @@ class _Search:
         self.reads_machine = model.observations.session.spec.reads_machine
         self.run = runs_of(model)
         self.near = near_of(self.part, self.readings)
+        self.few: list[IntArray] | None = None
         self.start = np.zeros(self.problem.size), np.zeros((self.part.dimension, self.part.n_points))
 
     def outliers(self) -> list[Outlier]:
@@ -213,27 +220,32 @@ class _Search:
             The readings to be held out, and for each that may as well be sound all such of its point.
         """
         doubtful: dict[int, IntArray] = {}
-        if not self.part.dimension or not np.isfinite(seen.scale):
-            return held, doubtful
         out = np.zeros(self.n, dtype=bool)
         out[held] = True
-        theta, local = self.start
-        for group, chunk in seen.part.chunks():
-            where = seen.part.groups[group].rows[:, chunk]
-            several = np.flatnonzero(np.sum((where >= 0) & out[where], axis=0) > 1)
-            if not len(several):
+        for bound in self._bound(seen, out) if len(held) else ():
+            mine = bound.readings
+            count = int(out[mine].sum())
+            if not count:
                 continue
-            columns = seen.part.rows(group, chunk, theta, local).local / seen.scale
-            for at in several:
-                there = where[:, at] >= 0
-                mine = where[there, at]
-                residual = seen.residual[mine] / seen.scale
-                found = wrong_together(columns[:, there, at].T, residual, int(out[mine].sum()))
-                if found is not None:
-                    out[mine] = False
-                    out[mine[found.wrong]] = True
-                    doubtful |= {int(k): mine[found.doubtful] for k in mine[found.doubtful]}
+            found = wrong_together(bound.local, bound.residual / seen.scale, count, least=int(count == 1))
+            # A single one has been judged by all readings: it stays, unless more of them explain it better.
+            if found is not None and (count > 1 or found.more):
+                out[mine] = False
+                out[mine[found.wrong]] = True
+                doubtful |= {int(k): mine[found.doubtful] for k in mine[found.doubtful]}
         return np.flatnonzero(out), doubtful
+
+    def _bound(self, seen: _Judged, out: BoolArray) -> Iterator[Bound]:
+        """Readings of a point of which some are held out, or that hang together otherwise."""
+        if not np.isfinite(seen.scale):
+            return
+        if self.part.dimension:
+            yield from of_points(seen.part, self.start, seen.residual, out, 1 if out.sum() <= _TOGETHER else 2)
+        elif self.n * self.problem.size <= _COMPARED:
+            reached = reach(seen.part, seen.solution, 0, seen.weight, np.arange(self.n))
+            if self.few is None:
+                self.few = seen_by_few(reached.shared)
+            yield from of_few(self.few, reached, seen.solution.covariance, seen.residual, seen.weight)
 
     def _start(self) -> tuple[IntArray, _Judged]:
         """Readings that a robust fit suspects, and the fit without them."""
@@ -248,7 +260,26 @@ class _Search:
         if len(suspected) > most:
             suspected = np.argsort(-size)[:most]
         seen = self._fit(suspected)
+        if len(suspected) and not self.part.dimension:
+            # Few readings beside as many unknowns mirror each other's errors: which of them agree is tried out.
+            suspected, seen = self._agreeing(suspected, seen)
         return np.sort(suspected), seen
+
+    def _agreeing(self, held: IntArray, seen: _Judged) -> tuple[IntArray, _Judged]:
+        for _ in range(_SWAPS):
+            out = np.zeros(self.n, dtype=bool)
+            out[held] = True
+            for bound in self._bound(seen, out):
+                mine = bound.readings
+                wrong = fewest_wrong(bound.local, bound.residual / seen.scale, _WRONG)
+                if wrong is not None:
+                    out[mine] = False
+                    out[mine[wrong]] = True
+            again = np.flatnonzero(out)
+            if np.array_equal(again, held):
+                break
+            held, seen = again, self._fit(again)
+        return held, seen
 
     def _fit(self, held: IntArray) -> _Judged:
         weight = np.ones(self.n)
@@ -269,7 +300,7 @@ class _Search:
         if not judged.any():
             return _Judged(seen, solution, weight, residual, share, np.inf, np.inf)
         studentized = np.abs(residual[judged]) / np.sqrt(1.0 - share[judged])
-        bulk = max(float(np.median(studentized)) / 0.6745, 1e-9)
+        bulk = max(float(np.median(studentized)) / 0.6745, _ROUNDING)
         dof = max(float(np.sum(1.0 - np.clip(share[free], 0.0, 1.0))), 1.0)
         mean = float(np.sqrt(np.sum(residual[free] ** 2) / dof))
         scale = float(np.clip(mean, bulk, _TAILS * bulk))
@@ -327,25 +358,22 @@ class _Search:
         return np.sort(np.concatenate(out))
 
     def _lasting(self, suspected: IntArray, residual: Array) -> BoolArray:
-        """(k,) whether the neighbours on a side in the run share the deviation."""
+        """(k,) whether most of the neighbours on a side in the run share the deviation."""
         out = np.zeros(len(suspected), dtype=bool)
         order, place = self.run
         position = np.empty(self.n, dtype=np.int64)
         position[order] = np.arange(self.n)
-        at = position[suspected]
+        at, own = position[suspected], residual[suspected]
         for side in (-1, 1):
             near = at[:, None] + side * np.arange(1, _BESIDE + 1)
             inside = (near >= 0) & (near < self.n)
             near = np.clip(near, 0, self.n - 1)
             inside &= place[near] == place[at][:, None]
+            # The lower one of the middle two where an end of the run leaves two: one of them may be wrong as well.
+            alike = np.sort(np.where(inside, np.sign(own)[:, None] * residual[order[near]], np.inf), axis=1)
             count = inside.sum(axis=1)
-            values = np.sort(np.where(inside, residual[order[near]], np.inf), axis=1)
-            row = np.arange(len(at))
-            upper, lower = values[row, np.minimum(count // 2, _BESIDE - 1)], values[row, np.maximum(count - 1, 0) // 2]
-            told = count > 1
-            beside = np.where(told, 0.5 * (np.where(told, upper, 0.0) + np.where(told, lower, 0.0)), 0.0)
-            own = residual[suspected]
-            out |= told & (beside * own > 0) & (np.abs(beside) > _SHARED * np.abs(own))
+            beside = alike[np.arange(len(at)), np.maximum(count - 1, 0) // 2]
+            out |= (count > 1) & (beside > _SHARED * np.abs(own))
         return out
 
     def _alternatives(self, held: IntArray, seen: _Judged) -> Iterator[tuple[int, float, IntArray, Array]]:
