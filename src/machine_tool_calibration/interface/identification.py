@@ -251,9 +251,10 @@ class Fit(Shown):
 
     def compare(self) -> Comparison:
         """Hold the model against the readings of the fit: how well it fits, and where it fails."""
+        from machine_tool_calibration.diagnosis.compare import compare
         from machine_tool_calibration.interface.diagnosis import Comparison
 
-        return Comparison.of(self.result)
+        return Comparison(compare(self.result))
 
     def compare_map(self, other: Fit, labels: tuple[str, str] = ("first", "second"), *, seed: int = 1) -> MapComparison:
         """Hold the map against that of another measurement of the same machine, independent of this one.

@@ -44,20 +44,22 @@ _PANELS = 6
 _SAME = 0.97
 
 
-def draw(comparison: Comparison, folder: Path, against: Sequence[str] = ()) -> list[Path]:
-    """Write all pictures into a folder.
+def draw(comparison: Comparison | JointComparison, folder: Path, against: Sequence[str] = ()) -> list[Path]:
+    """Write all pictures into a folder; of several sessions those of each into one of its label there.
 
     Args:
         comparison: what to draw.
         folder: where; made if it is not there.
-        against: covariates for the residuals; the first of their ranking if empty.
+        against: covariates for the residuals, in the sessions that have them; the first of their ranking if empty.
 
     Returns:
         The files.
 
     Raises:
-        ModelError: an unknown covariate.
+        ModelError: a covariate that no session has.
     """
+    if isinstance(comparison, JointComparison):
+        return draw_joint(comparison, folder, against)
     return save(figures(comparison, against), folder, comparison.provenance)
 
 
@@ -73,19 +75,7 @@ def figures(comparison: Comparison, against: Sequence[str] = ()) -> dict[str, Fi
 
 
 def draw_joint(comparison: JointComparison, folder: Path, against: Sequence[str] = ()) -> list[Path]:
-    """Write the setups of all sessions into a folder, and the pictures of each session into one of its label there.
-
-    Args:
-        comparison: what to draw.
-        folder: where; made if it is not there.
-        against: covariates for the residuals, in the sessions that have them; the first of their ranking if empty.
-
-    Returns:
-        The files.
-
-    Raises:
-        ModelError: a covariate that no session has.
-    """
+    """The same of several sessions, with the setups of all of them in one picture; arguments as of `draw`."""
     for name in against:
         if all(name not in one.covariates for one in comparison.sessions):
             comparison.sessions[0].covariate(name)
@@ -229,7 +219,7 @@ def draw_setups(comparison: Comparison | JointComparison) -> Figure:
             mean = 1e6 * one.residual[own].mean()
             strip.plot([mean, mean], [at.min() - 0.03, at.max() + 0.03], color="black", lw=1.2)
         bars.barh(line, 1e6 * share.rms, height=0.5, color=color(number), alpha=0.8)
-        ratio = "" if share.reduced_chi_square is None else f"{rounded(share.reduced_chi_square**0.5)} ×"
+        ratio = "" if share.ratio is None else f"{rounded(share.ratio)} ×"
         bars.annotate(f" {ratio}", (1e6 * share.rms, line), va="center", fontsize=8)
         sigma = 2e6 * one.overall.noise.declared
         strip.fill_betweenx([line - 0.5, line + 0.5], -sigma, sigma, color="0.92", lw=0, zorder=0)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from machine_tool_calibration.diagnosis.comparison import Approach, Comparison, JointComparison, Share, Trend
-from machine_tool_calibration.reports.comparison import in_words, joint_in_words
+from machine_tool_calibration.reports.comparison import in_words
 from machine_tool_calibration.reports.quantities import (
     NOT_DETERMINED,
     micrometres,
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 __all__ = [
     "comparison_tables",
     "correlated_groups",
-    "joint_tables",
     "mark_not_determined",
     "show_comparison",
     "trends_table",
@@ -135,8 +134,11 @@ _HEADS = "× declared: scatter over the declared uncertainty; of all misfit: sha
 _UNITS = {"x": ("mm", 1e3), "y": ("mm", 1e3), "z": ("mm", 1e3), "c": ("°", 180.0 / np.pi)}
 
 
-def comparison_tables(comparison: Comparison) -> Iterator[TextTable]:
+def comparison_tables(comparison: Comparison | JointComparison) -> Iterator[TextTable]:
     """Where the model fails: the whole, setups, regions, approaches, trends, single readings."""
+    if isinstance(comparison, JointComparison):
+        yield from _joint_tables(comparison)
+        return
     yield _overall(comparison)
     setups = _parts("Setups, worst first", "setup", comparison.setups, _MOST_PARTS)
     yield replace(setups, note=f"{_HEADS}; {setups.note}".removesuffix("; "))
@@ -159,8 +161,8 @@ def _within(comparison: Comparison) -> Iterator[TextTable]:
     yield _worst(comparison)
 
 
-def joint_tables(comparison: JointComparison) -> Iterator[TextTable]:
-    """Where the model of several sessions fails: sessions, setups of all, and what else is in each session."""
+def _joint_tables(comparison: JointComparison) -> Iterator[TextTable]:
+    """Sessions, setups of all, and what else is in each session."""
     joint = comparison.joint
     rows = (
         ("RMS residual (measured − predicted)", quantity(comparison.rms, "m")),
@@ -209,7 +211,7 @@ def _parts(title: str, head: str, shares: Sequence[Share], most: int) -> TextTab
             share.name,
             str(share.readings),
             micrometres(share.rms),
-            _times(share),
+            rounded(share.ratio),
             f"{share.share:.0%}",
             plus_minus(share.mean, share.mean_u, _MICRO),
             plus_minus(share.slope, share.slope_u, _MICRO * _HOUR),
@@ -226,7 +228,7 @@ def _parts(title: str, head: str, shares: Sequence[Share], most: int) -> TextTab
 
 def _labels(name: str, shares: Sequence[Share]) -> TextTable:
     rows = tuple(
-        (s.name, str(s.readings), micrometres(s.rms), _times(s), f"{s.share:.0%}", str(s.worst_row))
+        (s.name, str(s.readings), micrometres(s.rms), rounded(s.ratio), f"{s.share:.0%}", str(s.worst_row))
         for s in shares[:_MOST_LABELS]
     )
     more = f"{len(shares) - _MOST_LABELS} more" if len(shares) > _MOST_LABELS else ""
@@ -250,7 +252,7 @@ def _regions(comparison: Comparison) -> TextTable:
                     f"{where} {unit}",
                     str(share.readings),
                     micrometres(share.rms),
-                    _times(share),
+                    rounded(share.ratio),
                     plus_minus(share.mean, share.mean_u, _MICRO),
                 )
             )
@@ -307,23 +309,18 @@ def _worst(comparison: Comparison) -> TextTable:
     return TextTable("Single readings, worst first", columns, rows, note)
 
 
-def _times(share: Share) -> str:
-    return "–" if share.reduced_chi_square is None else rounded(share.reduced_chi_square**0.5)
-
-
 def show_comparison(screen: Console, comparison: Comparison | JointComparison) -> None:
     """In words first, then the tables."""
     from rich.text import Text
 
-    if isinstance(comparison, Comparison):
-        words, tables = in_words(comparison), comparison_tables(comparison)
-        suspicious = suspicions([comparison.fit.model.observations.session])
-    else:
-        words, tables = joint_in_words(comparison), joint_tables(comparison)
+    if isinstance(comparison, JointComparison):
         suspicious = suspicions(comparison.measured_sessions, comparison.labels)
+    else:
+        suspicious = suspicions([comparison.fit.model.observations.session])
+    words = in_words(comparison)
     screen.print(Text(words[0].upper() + words[1:]))
     show_suspicions(screen, suspicious)
     if comparison.effects:
         screen.print(Text(f"In the model: {', '.join(comparison.effects)}."))
-    for table in tables:
+    for table in comparison_tables(comparison):
         show_table(screen, table)

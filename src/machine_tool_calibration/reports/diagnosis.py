@@ -7,8 +7,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.diagnosis.consequence import Consequence, before_and_after
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
@@ -16,10 +14,9 @@ from machine_tool_calibration.diagnosis.search.findings import Finding
 from machine_tool_calibration.diagnosis.search.look import Absorbed
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.model.model import POINTS
-from machine_tool_calibration.model.result import Estimate
 from machine_tool_calibration.planning.advice import Advice, alias_groups_of
 from machine_tool_calibration.planning.dominant import Dominant
-from machine_tool_calibration.reports.diagnosis_document import smallest_sizes
+from machine_tool_calibration.reports.diagnosis_document import screened_sizes, smallest_sizes
 from machine_tool_calibration.reports.quantities import (
     duration,
     micrometres,
@@ -250,14 +247,7 @@ def _held_out(diagnosis: Diagnosis, name: str) -> str:
 
 
 def _sizes(ranked: Finding, change: Consequence | None) -> str:
-    if change is not None and change.parameters:
-        return sizes_in_words(change.parameters)
-    name = ranked.name
-    sizes = [
-        Estimate(f"{name}.{s.coefficient.name}", s.value, s.standard_uncertainty, s.coefficient.unit)
-        for s in ranked.sizes
-    ]
-    return sizes_in_words(sizes)
+    return sizes_in_words((change.parameters if change is not None else ()) or screened_sizes(ranked))
 
 
 def _outliers(diagnosis: Diagnosis) -> TextTable:
@@ -349,18 +339,12 @@ def _excluded(diagnosis: Diagnosis) -> TextTable:
     by: dict[str, list[str]] = {}
     for name, why in diagnosis.excluded.items():
         by.setdefault(why, []).append(name)
-    rows = tuple((", ".join(names), why) for why, names in _longest_last(by))
+    longest_last = sorted(by.items(), key=lambda entry: len(entry[1]))
+    rows = tuple((", ".join(names), why) for why, names in longest_last)
     return TextTable("Effects that were not looked for", ("effect", "why"), rows)
 
 
-def _longest_last(by: Mapping[str, list[str]]) -> Iterator[tuple[str, list[str]]]:
-    lengths = np.argsort([len(names) for names in by.values()], kind="stable")
-    items = list(by.items())
-    for k in lengths:
-        yield items[int(k)]
-
-
-def show_diagnosis(screen: Console, found: Diagnosis, then: Conclusions, shown: int = 8) -> None:
+def show_diagnosis(screen: Console, found: Diagnosis, then: Conclusions, shown: int = _SHOWN) -> None:
     """In words first, then the tables.
 
     Args:

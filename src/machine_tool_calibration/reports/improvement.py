@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from machine_tool_calibration.diagnosis.improve import Improvement, Step
 from machine_tool_calibration.reports.quantities import (
-    NOT_DETERMINED,
     micrometres,
     probability,
     quantity,
@@ -104,7 +104,7 @@ def _steps(done: Improvement) -> TextTable:
                 sizes_in_words(own) if own else "",
                 probability(chance[step.change]) if step.change in chance else "",
                 micrometres(step.result.rms_residual),
-                _chi(step),
+                rounded(step.reduced_chi_square),
                 micrometres(step.map_change),
                 micrometres(step.map_rms),
                 micrometres(None if step.map_uncertainty is None else 2 * step.map_uncertainty),
@@ -131,24 +131,15 @@ def _steps(done: Improvement) -> TextTable:
 
 
 def _side_by_side(done: Improvement) -> TextTable:
-    def pair(name: str, values: list[str]) -> tuple[str, str, str]:
-        return (name, values[0], values[1])
-
+    figures: dict[str, Callable[[Step], str]] = {
+        "effects added": lambda step: ", ".join(step.result.effects) or "none",
+        "readings used": lambda step: str(step.result.joint.assembly.problem.n_readings),
+        "RMS residual, µm": lambda step: micrometres(step.result.rms_residual),
+        "reduced chi-square": lambda step: rounded(step.reduced_chi_square),
+        "p-value": lambda step: probability(step.result.joint.p_value),
+        "position error of the map, µm RMS": lambda step: micrometres(step.map_rms),
+        "residual volumetric error, µm RMS (k = 2)": lambda step: micrometres(done.residual_volumetric_error(step)),
+    }
     both = (done.steps[0], done.steps[-1])
-    rows = [
-        pair("effects added", [", ".join(s.result.effects) or "none" for s in both]),
-        pair("readings used", [str(s.result.joint.assembly.problem.n_readings) for s in both]),
-        pair("RMS residual, µm", [micrometres(s.result.rms_residual) for s in both]),
-        pair("reduced chi-square", [_chi(s) for s in both]),
-        pair("p-value", [probability(s.result.joint.p_value) for s in both]),
-        pair("position error of the map, µm RMS", [micrometres(s.map_rms) for s in both]),
-        pair(
-            "residual volumetric error, µm RMS (k = 2)",
-            [micrometres(done.residual_volumetric_error(s)) for s in both],
-        ),
-    ]
-    return TextTable("Before and after", ("", "before", "after"), tuple(rows))
-
-
-def _chi(step: Step) -> str:
-    return NOT_DETERMINED if step.reduced_chi_square is None else rounded(step.reduced_chi_square)
+    rows = tuple((name, *map(shown, both)) for name, shown in figures.items())
+    return TextTable("Before and after", ("", "before", "after"), rows)
