@@ -112,8 +112,7 @@ class Comparison(Shown):
         """The same for programs, as `mtcal compare --json` writes it (`mtcal-comparison/1`)."""
         from machine_tool_calibration.reports.documents import plain
 
-        copied: dict[str, Any] = plain(self._document)
-        return copied
+        return dict(plain(self._document))
 
     def plot(self, picture: str = "residuals", *, against: Sequence[str] = (), session: str | None = None) -> Figure:
         """One of the pictures of `mtcal compare`.
@@ -248,11 +247,8 @@ class Diagnosis(Shown):
     def document(self) -> dict[str, Any]:
         """The same for programs, as `mtcal diagnose --json` writes it (`mtcal-diagnosis/1`)."""
         from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
-        from machine_tool_calibration.reports.documents import plain
 
-        then = self.conclusions
-        made: dict[str, Any] = plain(diagnosis_document(self.found, then.advice, then.changes))
-        return made
+        return diagnosis_document(self.found, self.conclusions.advice, self.conclusions.changes)
 
     def plot(self) -> Figure:
         """The picture of `mtcal diagnose`: probabilities, what adding the effects does, what the residuals follow."""

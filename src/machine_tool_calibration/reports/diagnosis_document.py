@@ -14,8 +14,9 @@ from machine_tool_calibration.diagnosis.consequence import Consequence, before_a
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.findings import Finding
 from machine_tool_calibration.model.fit import JointFit
-from machine_tool_calibration.model.result import Estimate, plain
+from machine_tool_calibration.model.result import Estimate
 from machine_tool_calibration.planning.advice import Advice, Separation, Visibility, alias_groups_of
+from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.checks.suspicion import suspicions
 

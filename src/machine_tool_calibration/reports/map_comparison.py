@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -90,20 +91,21 @@ def show_map_comparison(screen: Console, comparison: MapComparison) -> None:
 
 def map_comparison_document(comparison: MapComparison) -> dict[str, Any]:
     """For programs: SI units, standard uncertainties; what is not compared is null."""
-    return {
+    document = {
         "format": "mtcal-map-comparison/1",
         "maps": list(comparison.labels),
         "agree": comparison.agree,
         "p_value": comparison.p_value,
         "compared": comparison.count,
         "beyond_1": comparison.beyond,
-        "motion": [plain({"name": m.name, "value": m.value, "u": m.u, "unit": m.unit}) for m in comparison.motion],
-        "points": plain(comparison.points),
-        "first": plain(comparison.first),
-        "first_u": plain(comparison.u_first),
-        "second": plain(comparison.second),
-        "second_u": plain(comparison.u_second),
-        "difference": plain(comparison.difference),
-        "difference_u": plain(comparison.u),
-        "normalised": plain(comparison.normalised),
+        "motion": [asdict(m) for m in comparison.motion],
+        "points": comparison.points,
+        "first": comparison.first,
+        "first_u": comparison.u_first,
+        "second": comparison.second,
+        "second_u": comparison.u_second,
+        "difference": comparison.difference,
+        "difference_u": comparison.u,
+        "normalised": comparison.normalised,
     }
+    return dict(plain(document))
