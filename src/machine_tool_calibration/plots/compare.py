@@ -21,7 +21,7 @@ from machine_tool_calibration.plots.residuals import (
     repeat_groups,
     sense_along,
 )
-from machine_tool_calibration.plots.style import COLORS, save
+from machine_tool_calibration.plots.style import COLORS, new_figure, save
 from machine_tool_calibration.reports.quantities import rounded
 
 if TYPE_CHECKING:
@@ -98,10 +98,9 @@ def chosen_covariates(comparison: Comparison, most: int = _PANELS) -> list[str]:
 
 def draw_fit(comparison: Comparison) -> Figure:
     """Measured against predicted, the residuals against predicted, and their distribution beside the expected one."""
-    from matplotlib.figure import Figure
     from scipy import special
 
-    figure = Figure(figsize=(13, 4.4), layout="constrained")
+    figure = new_figure(13, 4.4)
     left, middle, right = figure.subplots(1, 3)
     setup, ids = _setups(comparison)
     predicted, measured = 1e6 * comparison.predicted, 1e6 * comparison.measured
@@ -139,11 +138,9 @@ def draw_against(comparison: Comparison, names: Sequence[str]) -> Figure:
     Raises:
         ModelError: an unknown covariate.
     """
-    from matplotlib.figure import Figure
-
     columns = min(3, max(1, len(names)))
     rows = -(-len(names) // columns) or 1
-    figure = Figure(figsize=(4.4 * columns, 3.5 * rows), layout="constrained")
+    figure = new_figure(4.4 * columns, 3.5 * rows)
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     setup, ids = _setups(comparison)
     for panel, name in zip(panels, names, strict=False):
@@ -164,14 +161,12 @@ def draw_map(comparison: Comparison) -> Figure:
 
     Of readings along a line, in its direction, they stand up from it.
     """
-    from matplotlib.figure import Figure
-
     observations = comparison.fit.model.observations
     position, arrow = observations.position, comparison.residual[:, None] * observations.direction
     same = repeat_groups(observations)
     line, views = line_of(position, observations.direction), planes(position, observations.direction)
     if line is not None:
-        figure = Figure(figsize=(9.0, 3.6), layout="constrained")
+        figure = new_figure(9.0, 3.6)
         panel = figure.subplots()
         sign = sense_along(observations.direction, line)
         more = comparison.residual >= 0
@@ -182,7 +177,7 @@ def draw_map(comparison: Comparison) -> Figure:
         panel.axhline(0.0, color="0.6", lw=0.8)
         panel.set(xlabel=f"{'xyz'[line]}, mm", ylabel=f"residual along {'xyz'[line]}, µm")
     else:
-        figure = Figure(figsize=(6.4 * len(views), 6.0), layout="constrained")
+        figure = new_figure(6.4 * len(views), 6.0)
         for panel, (a, b) in zip(figure.subplots(1, len(views), squeeze=False).ravel(), views, strict=True):
             draw_arrows(panel, position[:, [a, b]], arrow[:, [a, b]], comparison.residual, same)
             panel.set(xlabel=f"{'xyz'[a]}, mm", ylabel=f"{'xyz'[b]}, mm")
@@ -193,8 +188,6 @@ def draw_map(comparison: Comparison) -> Figure:
 
 def draw_setups(comparison: Comparison | JointComparison) -> Figure:
     """Residuals of every setup in the order of the readings, worst first, with each repeat's mean; of all sessions."""
-    from matplotlib.figure import Figure
-
     if isinstance(comparison, Comparison):
         lines = [(share.name, comparison, share) for share in comparison.setups]
         every = [comparison]
@@ -203,7 +196,7 @@ def draw_setups(comparison: Comparison | JointComparison) -> Figure:
         lines = [(f"{label}/{share.name}", by_label[label], share) for label, share in comparison.setups]
         every = list(comparison.sessions)
     residuals = np.abs(np.concatenate([one.residual for one in every]))
-    figure = Figure(figsize=(11, max(3.2, 1.0 + 0.62 * len(lines))), layout="constrained")
+    figure = new_figure(11, max(3.2, 1.0 + 0.62 * len(lines)))
     strip, bars = figure.subplots(1, 2, sharey=True, width_ratios=(3, 1))
     spread = float(np.quantile(residuals, 0.98)) or 1e-12
     for line, (_, one, share) in enumerate(lines):

@@ -14,7 +14,7 @@ from machine_tool_calibration.arrays import Array, rms
 from machine_tool_calibration.diagnosis.consequence import Consequence, before_and_after
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.plots.residuals import axis_label, color, grids
-from machine_tool_calibration.plots.style import save
+from machine_tool_calibration.plots.style import new_figure, save
 from machine_tool_calibration.reports.documents import write_table
 from machine_tool_calibration.reports.quantities import probability, quantity
 from machine_tool_calibration.residuals.covariates import bins, covariates, rank_covariates
@@ -34,9 +34,7 @@ _MEANS = 16
 
 def draw_diagnosis(diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> Figure:
     """Three panels: the residual with each candidate, what the best explains, residuals over a covariate."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(15, 4.8), layout="constrained")
+    figure = new_figure(15, 4.8)
     ranking, added, over = figure.subplots(1, 3)
     figure.suptitle(_title(diagnosis))
     _ranking(ranking, diagnosis, changes)

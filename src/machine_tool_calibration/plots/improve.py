@@ -14,7 +14,7 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.improve import Improvement, Step, residual_volumetric_error
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.plots.residuals import axis_label, color, grids, line_of, planes
-from machine_tool_calibration.plots.style import save
+from machine_tool_calibration.plots.style import new_figure, save
 from machine_tool_calibration.reports.documents import write_table
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.residuals.pool import Pool
@@ -47,9 +47,7 @@ def draw_steps(steps: Sequence[Step], sessions: Sequence[Session], declared: flo
         sessions: that were fitted.
         declared: standard uncertainty of a reading, m.
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(15, 5.2), layout="constrained")
+    figure = new_figure(15, 5.2)
     fall, before, after = figure.subplots(1, 3, width_ratios=[1, 1.15, 1.15])
     _fall(fall, steps, declared)
     first, last = steps[0], steps[-1]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from machine_tool_calibration.methods.step_diagonal.compare import Comparison
+from machine_tool_calibration.plots.style import new_figure
 from machine_tool_calibration.reports.quantities import micrometres
 
 if TYPE_CHECKING:
@@ -43,12 +44,11 @@ def draw_comparison(comparison: Comparison) -> Figure:
     alone. The scale is that of the formulations that the mirrors' tilts do not disturb; where the conventional one
     leaves the panel, its largest value is written.
     """
-    from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
     moved = next(iter(comparison.profiles.values())).moved
     count = len(moved)
-    figure = Figure(figsize=(4.3 * count, 3.3 * count), layout="constrained")
+    figure = new_figure(4.3 * count, 3.3 * count)
     axes = figure.subplots(count, count)
     for row, motion in enumerate(moved):
         for column, component in enumerate(moved):
