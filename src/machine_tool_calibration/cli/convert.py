@@ -20,7 +20,7 @@ from machine_tool_calibration.cli.foreign_options import (
     mapping_from,
     only_form,
 )
-from machine_tool_calibration.cli.info import topic_names, topic_option
+from machine_tool_calibration.cli.info import topic_option
 from machine_tool_calibration.cli.output import RosName, console, json_option, note, progress_bar, write_json
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.reports.tables import TextTable, show_table
@@ -113,7 +113,7 @@ def command(
     start: int,
     namespace: str,
     description: Path | None,
-    topics: tuple[str, ...],
+    topics: dict[str, str],
     as_json: bool,
     setup_name: str | None,
     dry_run: bool,
@@ -158,7 +158,6 @@ def command(
     """
     from machine_tool_calibration.recording.open import is_session_folder
 
-    names = topic_names(topics)
     sources, target = _sources_and_target(paths, dry_run=dry_run)
     source = sources[0]
     for path in sources:
@@ -183,9 +182,9 @@ def command(
     elif own is not None:
         document = _written(_trusted(own, foreign), target, form, start, namespace)
     elif form in ("csv", "parquet"):
-        document = _tables(source, target, form, from_session, names)
+        document = _tables(source, target, form, from_session, topics)
     else:
-        document = _written(_trusted(_opened(source, names), foreign), target, form, start, namespace)
+        document = _written(_trusted(_opened(source, topics), foreign), target, form, start, namespace)
     if as_json:
         write_json({"format": "mtcal-converted/1", "source": source, "target": target, "to": form, **document})
     else:
@@ -263,11 +262,11 @@ def _own_table(
     return read_own_table(table, record, str(described), parse_form(form))
 
 
-def _opened(source: Path, names: dict[str, str]) -> Session:
+def _opened(source: Path, topics: dict[str, str]) -> Session:
     """The measurement, unchecked: what is converted need not be enough for its method."""
     from machine_tool_calibration.recording.open import open_measurement
 
-    return open_measurement(source, names, check=False)
+    return open_measurement(source, topics, check=False)
 
 
 def _trusted(session: Session, foreign: dict[str, Any]) -> Session:
@@ -306,7 +305,7 @@ def _check_ending(target: Path, form: str) -> None:
         raise click.UsageError(f"{target} does not end in .{form}")
 
 
-def _tables(source: Path, target: Path, form: str, from_session: bool, names: dict[str, str]) -> dict[str, Any]:
+def _tables(source: Path, target: Path, form: str, from_session: bool, topics: dict[str, str]) -> dict[str, Any]:
     from machine_tool_calibration.recording.reader import BagReader
     from machine_tool_calibration.recording.tables import save_tables
 
@@ -314,7 +313,7 @@ def _tables(source: Path, target: Path, form: str, from_session: bool, names: di
     if target.exists() and not target.is_dir():
         raise CalibrationError(f"{target}: is there already; choose another name")
     if from_session or target.suffix.lower() == f".{form}":
-        session = _opened(source, names)
+        session = _opened(source, topics)
         _save_readings(session, target, form)
         return {"readings": len(session.readings)}
     with progress_bar() as progress:

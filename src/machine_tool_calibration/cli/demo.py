@@ -269,9 +269,9 @@ def _hidden(method: str, seed: int, wanted: str | None) -> FlawSpec | None:
     """What the machine hides; the same seed hides the same."""
     rng = np.random.default_rng([seed, 1])
     sizes = _HIDDEN[method]
-    if wanted == "none" or (wanted is None and not sizes):
+    if wanted == "none":
         return None
-    name = str(rng.choice(sorted(sizes))) if sizes else ""
+    name = str(rng.choice(sorted(sizes)))
     share = float(rng.uniform())
     if wanted is not None and wanted not in sizes:
         raise click.BadParameter(f"{wanted!r} is none of {', '.join([*sizes, 'none'])}", param_hint="--hide")
@@ -281,7 +281,6 @@ def _hidden(method: str, seed: int, wanted: str | None) -> FlawSpec | None:
 
 def _story(seed: int, hidden: FlawSpec | None, measured: Measured, progress: Any) -> _Demonstration:
     from machine_tool_calibration.diagnosis.improve import improve
-    from machine_tool_calibration.model.result import Result
     from machine_tool_calibration.plots.improve import save_improvement
 
     improvement = improve(measured.session, seed=seed, progress=progress)

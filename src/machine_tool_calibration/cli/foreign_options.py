@@ -3,13 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from functools import partial
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
 import click
 
+from machine_tool_calibration.cli.output import options
 from machine_tool_calibration.errors import CalibrationError
 
 __all__ = ["SectionedCommand", "file_form", "foreign_options", "is_asked", "mapping_from", "only_form"]
@@ -35,11 +37,9 @@ class SectionedCommand(click.Command):
                 formatter.write_dl([row for row in rows if row is not None])
 
 
-def _option(*names: str, **settings: Any) -> Callable[[Any], Any]:
-    return click.option(*names, cls=_Option, **settings)
+_option = partial(click.option, cls=_Option)
 
-
-_OPTIONS: Sequence[Callable[[Any], Any]] = (
+foreign_options = options(
     _option(
         "--table",
         type=click.Choice(["points", "ranges", "iso230-2", "readings"]),
@@ -142,13 +142,6 @@ _OPTIONS: Sequence[Callable[[Any], Any]] = (
 )
 
 
-def foreign_options(function: Any) -> Any:
-    """Add the options to a verb, as the keyword arguments that `mapping_from` takes."""
-    for option in reversed(_OPTIONS):
-        function = option(function)
-    return function
-
-
 def is_asked(given: dict[str, Any]) -> bool:
     """Whether the command line is about a foreign table."""
     return given["table"] is not None or given["mapping"] is not None
@@ -248,9 +241,8 @@ def _pairs(option: str, texts: Sequence[str]) -> dict[str, str]:
 def _units(texts: Sequence[str]) -> dict[str, str]:
     from machine_tool_calibration.importing.units import dimension
 
-    return {(name.strip() if mark else dimension(unit)): unit for name, mark, unit in map(_unit, texts)}
-
-
-def _unit(text: str) -> tuple[str, str, str]:
-    name, mark, unit = text.rpartition("=")
-    return name, mark, unit.strip()
+    out = {}
+    for text in texts:
+        name, mark, unit = (part.strip() for part in text.rpartition("="))
+        out[name if mark else dimension(unit)] = unit
+    return out
