@@ -18,6 +18,7 @@ __all__ = [
     "group_ranges",
     "groups",
     "in_order_of_appearance",
+    "occurrence",
     "rms",
     "standard_draws",
     "unit_vectors",
@@ -75,6 +76,15 @@ def groups(*keys: npt.NDArray[Any]) -> IntArray:
 
 def _numbers(key: npt.NDArray[Any]) -> IntArray:
     return np.unique(key, return_inverse=True)[1].reshape(-1)
+
+
+def occurrence(group: IntArray) -> IntArray:
+    """(n,) how often the group of each entry was there before."""
+    order = np.argsort(group, kind="stable")
+    start = np.flatnonzero(np.diff(group[order], prepend=-1))
+    before = np.empty(len(group), dtype=np.int64)
+    before[order] = np.arange(len(group)) - np.repeat(start, np.diff(start, append=len(group)))
+    return before
 
 
 def in_order_of_appearance(values: IntArray) -> IntArray:

@@ -7,7 +7,7 @@ import re
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, groups, occurrence
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.importing.columns import Columns, Rows
 from machine_tool_calibration.importing.mapping import Run
@@ -168,15 +168,5 @@ def _long(columns: Columns) -> Series:
             raise SessionError(f"{table.where(int(wrong[0]))}: run is {run[wrong[0]]:g}, not a whole number")
         run = run - run.min()
     else:
-        run = _repetition(position, up)
+        run = occurrence(groups(np.round(position, 9), up)).astype(float)
     return position, run, up, deviation, np.arange(len(table))
-
-
-def _repetition(position: Array, up: np.ndarray) -> Array:
-    """How often the position was approached from that side before."""
-    seen: dict[tuple[float, bool], int] = {}
-    out = np.zeros(len(position))
-    for k, key in enumerate(zip(np.round(position, 9).tolist(), up.tolist(), strict=True)):
-        out[k] = seen.get(key, 0)
-        seen[key] = seen.get(key, 0) + 1
-    return out

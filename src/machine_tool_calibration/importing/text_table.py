@@ -24,7 +24,7 @@ from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.importing.units import si_values
 from machine_tool_calibration.session.defects import first_defect
-from machine_tool_calibration.session.text import reject_foreign_encoding
+from machine_tool_calibration.session.text import read_bytes, reject_foreign_encoding
 
 __all__ = ["FileForm", "TextTable", "parse_form", "read_text_table"]
 
@@ -297,15 +297,7 @@ def _is_row(text: str, count: int, form: FileForm) -> bool:
 
 
 def _lines(path: Path, form: FileForm) -> list[str]:
-    source = str(path)
-    try:
-        if not path.is_file():
-            raise SessionError(f"{source}: {'is not a file' if path.exists() else 'no such file'}")
-        if path.stat().st_size > _LARGEST:
-            raise SessionError(f"{source}: larger than the {_LARGEST >> 20} MiB that are accepted")
-        data = path.read_bytes()
-    except OSError as error:
-        raise SessionError(f"{source}: cannot be read: {error.strerror}") from None
+    source, data = str(path), read_bytes(path, _LARGEST)
     if data.startswith(_WORKBOOKS):
         raise SessionError(f"{source}: a spreadsheet's workbook; save its sheet as CSV, and convert that")
     encoding = form.encoding.lower().replace("_", "-")

@@ -91,17 +91,8 @@ def description_yaml(description: Description) -> str:
     """The text of `session.yaml`; numbers are written so that they come back to the last bit."""
     content = description.model_dump(mode="python", exclude_none=True)
     content = {"format": content.pop("format"), "method": content.pop("method"), **content}
-    plain = {key: _plain(value) for key, value in content.items() if value != {} and value != () and value is not False}
+    plain = {key: value for key, value in content.items() if value != {} and value != () and value is not False}
     # What is 0 and said of no setup needs not be said.
-    declared = description.standard_uncertainty.model_dump(exclude_defaults=True)
-    plain["standard_uncertainty"] = {key: _plain(value) for key, value in declared.items()}
+    plain["standard_uncertainty"] = description.standard_uncertainty.model_dump(exclude_defaults=True)
     plain["machine"] = {key: value for key, value in plain["machine"].items() if value != {}}
     return yaml.dump(plain, Dumper=PlainDumper, sort_keys=False, default_flow_style=None, width=120, allow_unicode=True)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(entry) for entry in value]
-    return value

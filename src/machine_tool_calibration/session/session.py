@@ -20,7 +20,15 @@ from machine_tool_calibration.session.method import MethodSpec
 if TYPE_CHECKING:
     from machine_tool_calibration.session.description import Description, Place
 
-__all__ = ["Readings", "Session", "assemble", "distinct_labels", "distinct_places", "refuse_repeated"]
+__all__ = [
+    "Readings",
+    "Session",
+    "assemble",
+    "distinct_labels",
+    "distinct_places",
+    "places_among",
+    "refuse_repeated",
+]
 
 
 @dataclass(frozen=True)
@@ -254,11 +262,11 @@ def assemble(
         SessionError: an unknown setup, target or point, or a repeat that is no whole number; with its row.
     """
     columns, texts = dict(numbers), dict(labels)
-    setup = _places(texts.pop("setup"), "setup", [entry.id for entry in description.setups], place)
+    setup = _known_places(texts.pop("setup"), "setup", [entry.id for entry in description.setups], place)
     for column, key in (("target", "targets"), ("point", "workpiece")):
         entries = getattr(description, key, None)
         if entries is not None and column in texts:
-            _places(texts[column], column, [entry.id for entry in entries], place)
+            _known_places(texts[column], column, [entry.id for entry in entries], place)
     count = len(setup)
     repeat = columns.pop("repeat", np.zeros(count))
     bad = np.flatnonzero(~((repeat >= 0) & (repeat == np.floor(repeat)) & (repeat < 1e9)))
@@ -274,11 +282,15 @@ def assemble(
     )
 
 
-def _places(labels: np.ndarray, column: str, ids: Sequence[str], place: Place) -> IntArray:
-    """Place of each label in the description's list."""
+def places_among(labels: np.ndarray, ids: Sequence[str]) -> IntArray:
+    """(n,) place of each label in a list of ids; -1 where it is none of them."""
     table = {name: index for index, name in enumerate(ids)}
     unique, inverse = np.unique(labels, return_inverse=True)
-    index = np.array([table.get(str(name), -1) for name in unique], dtype=np.int64)[inverse]
+    return np.array([table.get(str(name), -1) for name in unique], dtype=np.int64)[inverse]
+
+
+def _known_places(labels: np.ndarray, column: str, ids: Sequence[str], place: Place) -> IntArray:
+    index = places_among(labels, ids)
     bad = np.flatnonzero(index < 0)
     if len(bad):
         name = str(labels[bad[0]])

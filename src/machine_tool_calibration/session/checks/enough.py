@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray
+from machine_tool_calibration.arrays import Array, BoolArray, groups
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.description import (
     Place,
@@ -134,18 +134,10 @@ def _rotary(session: Session, description: RotaryAxis, measured: BoolArray, plac
     used = [i for i, name in enumerate(ids) if np.any(readings.labels["target"][measured] == name)]
     straight = on_a_line(np.array([description.targets[i].position for i in used]))
     angle = readings.columns[rotary_column(description)][measured]
-    angles = len(distinct_places(angle[:, None])[0])
+    first, at_angle = distinct_places(angle[:, None])
+    angles = len(first)
     count = len(np.unique(readings.setup[measured]))
-    pairs = np.unique(
-        np.column_stack(
-            [
-                np.unique(readings.labels["target"][measured], return_inverse=True)[1],
-                readings.setup[measured],
-                distinct_places(angle[:, None])[1],
-            ]
-        ),
-        axis=0,
-    )
+    different = len(np.unique(groups(readings.labels["target"][measured], readings.setup[measured], at_angle)))
     # the table moves as a rigid body; one or two targets show three or five of its six motions. At each angle but the
     # first that many unknowns, three per target and station, a path for each pair of them; minus the frame
     # (with one target: 3 n + 13, Zhang et al. 2015)
@@ -157,9 +149,9 @@ def _rotary(session: Session, description: RotaryAxis, measured: BoolArray, plac
             f"{place.readings}: {seen} from {count} stations leave the places of the stations open; "
             "measure a third target off the line, or from a fourth station"
         )
-    if len(pairs) < unknown:
+    if different < unknown:
         raise SessionError(
-            f"{place.readings}: too few readings: {len(pairs)} different ones at {angles} angles "
+            f"{place.readings}: too few readings: {different} different ones at {angles} angles "
             f"for {unknown} unknowns; measure more angles"
         )
 
