@@ -30,12 +30,7 @@ _CHANCE = 1e-3
 
 
 def bad_fit(fit: JointFit, content: Mapping[str, Any]) -> str | None:
-    """The words of `mtcal identify` if the readings scatter about the model beyond chance; None otherwise.
-
-    Args:
-        fit: of all sessions.
-        content: of the error map.
-    """
+    """The words of `mtcal identify` if the readings scatter about the model beyond chance; None otherwise."""
     from machine_tool_calibration.reports.identification import goodness_of_fit
 
     if not fit.p_value < _CHANCE:

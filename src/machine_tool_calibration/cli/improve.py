@@ -39,13 +39,7 @@ class HistoryUpdate:
 
 
 def keep_models(done: Improvement, sessions: Sequence[Session], path: Path) -> HistoryUpdate:
-    """Put the models into the history; a failure is returned, and loses nothing else.
-
-    Args:
-        done: what was done.
-        sessions: of which readings.
-        path: the history's file.
-    """
+    """Put the models into the history; a failure is returned, and loses nothing else."""
     from machine_tool_calibration.diagnosis.improve import entries
     from machine_tool_calibration.reports.history_file import fingerprint, update_history
 

@@ -131,10 +131,6 @@ def draw_fit(comparison: Comparison) -> Figure:
 def draw_against(comparison: Comparison, names: Sequence[str]) -> Figure:
     """Residuals against covariates, with their running mean and twice its standard uncertainty.
 
-    Args:
-        comparison: what to draw.
-        names: of covariates.
-
     Raises:
         ModelError: an unknown covariate.
     """

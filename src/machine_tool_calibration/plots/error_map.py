@@ -50,9 +50,6 @@ def read_tables(parameters: Iterable[Mapping[str, Any]]) -> dict[str, Array]:
 def draw_tables(parameters: Iterable[Mapping[str, Any]]) -> Figure | None:
     """One row of panels for each axis: positioning, straightness, angles; bands are U (k = 2).
 
-    Args:
-        parameters: of a result's document.
-
     Returns:
         The picture; None where no table is among the parameters.
     """

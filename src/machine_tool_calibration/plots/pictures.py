@@ -24,11 +24,6 @@ def draw(session: Session, result: Mapping[str, Any], folder: Path) -> list[Path
 
     A method without pictures of its own gets those of its map and of its tables of error motions.
 
-    Args:
-        session: the measurement.
-        result: the document of an identification.
-        folder: where the files go.
-
     Returns:
         The files.
     """

@@ -47,11 +47,7 @@ __all__ = [
 
 
 def dominant_words(found: Dominant) -> Iterator[str]:
-    """Sentences; where the scatter of the readings dominates, only more of them help, and nothing is proposed.
-
-    Args:
-        found: what dominates.
-    """
+    """Sentences; where the scatter of the readings dominates, only more of them help, and nothing is proposed."""
     if found.cause == "readings":
         yield (
             f"the readings' own scatter dominates the map's uncertainty, U = {quantity(2 * found.uncertainty, 'm')} "

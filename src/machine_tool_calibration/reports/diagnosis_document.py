@@ -40,11 +40,6 @@ def diagnosis_document(diagnosis: Diagnosis, advice: Advice, changes: Mapping[st
     `dominant` (what dominates the map's uncertainty, and what makes it smaller).
 
     With the verdict `unexplained` no effect is the cause: `accepted` is empty.
-
-    Args:
-        diagnosis: what was found.
-        advice: what to measure next.
-        changes: what candidates change, by id.
     """
     look, noise = diagnosis.look, diagnosis.noise
     document = {

@@ -37,12 +37,7 @@ def show_features(screen: Console, found: Features, drawn: MonteCarlo | None) ->
 
 
 def features_table(found: Features, drawn: MonteCarlo | None = None) -> TextTable:
-    """Nominal value and deviation of every quantity, with expanded uncertainty (k = 2).
-
-    Args:
-        found: the features.
-        drawn: what draws give of the same quantities.
-    """
+    """Nominal value and deviation of every quantity, with expanded uncertainty (k = 2)."""
     heads = ("feature", "quantity", "nominal", "actual − nominal")
     rows = []
     for k, (asked, deviation, u) in enumerate(zip(found.quantities, found.deviation, found.uncertainty, strict=True)):
@@ -66,12 +61,7 @@ def _nominal(asked: Quantity) -> str:
 
 
 def features_document(found: Features, drawn: MonteCarlo | None = None) -> dict[str, Any]:
-    """For programs, SI; what the touches do not determine is NaN.
-
-    Args:
-        found: the features.
-        drawn: what draws give of the same quantities.
-    """
+    """For programs, SI; what the touches do not determine is NaN."""
     quantities = []
     for k, (asked, deviation, u) in enumerate(zip(found.quantities, found.deviation, found.uncertainty, strict=True)):
         entry: dict[str, Any] = {
