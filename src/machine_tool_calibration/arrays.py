@@ -15,6 +15,7 @@ __all__ = [
     "BoolArray",
     "IntArray",
     "best_motion",
+    "first_true",
     "group_ranges",
     "groups",
     "in_order_of_appearance",
@@ -76,6 +77,11 @@ def groups(*keys: npt.NDArray[Any]) -> IntArray:
 
 def _numbers(key: npt.NDArray[Any]) -> IntArray:
     return np.unique(key, return_inverse=True)[1].reshape(-1)
+
+
+def first_true(holds: BoolArray) -> int | None:
+    """Number of the first entry that holds; None where none does."""
+    return int(np.argmax(holds)) if holds.any() else None
 
 
 def occurrence(group: IntArray) -> IntArray:

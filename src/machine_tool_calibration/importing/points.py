@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, best_motion
+from machine_tool_calibration.arrays import Array, best_motion, first_true
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.importing.columns import Columns, Rows
 
@@ -147,9 +147,9 @@ def point_rows(columns: Columns, name: str) -> Rows:
     sensed = [j for j in range(3) if how[j]]
     n, k = len(table), len(sensed)
     origin = np.array([columns.origin(axis) for axis in _AXES])
-    empty = np.flatnonzero(np.isnan(nominal[:, axes]).any(axis=1))
-    if len(empty):
-        raise SessionError(f"{table.where(int(empty[0]))}: the nominal coordinate is empty")
+    empty = first_true(np.asarray(np.isnan(nominal[:, axes]).any(axis=1)))
+    if empty is not None:
+        raise SessionError(f"{table.where(empty)}: the nominal coordinate is empty")
     row = np.repeat(np.arange(n), k)
     numbers: dict[str, Array] = {_AXES[j]: (nominal[:, j] + origin[j])[row] for j in axes}
     taken = (*_AXES, *_MEASURED, "range", "azimuth", "bearing", "elevation", "zenith")

@@ -20,7 +20,7 @@ import numpy as np
 import pandas as pd
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, first_true
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.importing.units import si_values
 from machine_tool_calibration.session.defects import first_defect
@@ -193,11 +193,10 @@ class TextTable:
             plain = plain.where(~plain.str.contains(".", regex=False), "?").str.replace(",", ".", regex=False)
         written = plain.str.fullmatch(_NUMBER).to_numpy(dtype=bool)
         values = si_values(plain.where(written, "nan").tolist(), unit)
-        bad = np.flatnonzero(~np.isfinite(values) & ~self._missing(cells))
-        if len(bad):
-            row = int(bad[0])
-            line = (self.lines if lines is None else lines)[row]
-            cell = str(text[row])
+        bad = first_true(~np.isfinite(values) & ~self._missing(cells))
+        if bad is not None:
+            line = (self.lines if lines is None else lines)[bad]
+            cell = str(text[bad])
             hint = "" if any(sign.isdigit() for sign in cell) else " (--missing, if it stands for no value)"
             raise SessionError(f"{self.source} line {line}: {what}: {self._shown(cell)} is not a number{hint}")
         return values
@@ -214,10 +213,10 @@ class TextTable:
         if self.form.time_format is None and not _are_stamps(cells):
             return None
         values = np.array([_stamp_seconds(cell, self.form.time_format) for cell in cells.tolist()])
-        bad = np.flatnonzero(~np.isfinite(values) & ~self._missing(cells))
-        if len(bad):
+        bad = first_true(~np.isfinite(values) & ~self._missing(cells))
+        if bad is not None:
             raise SessionError(
-                f"{self.where(int(bad[0]))}: column {column!r}: {str(cells[bad[0]])[:40]!r} is no time stamp such as "
+                f"{self.where(bad)}: column {column!r}: {str(cells[bad])[:40]!r} is no time stamp such as "
                 "2024-05-03 10:15:00; the form of others is said, as in --time-format '%m/%d/%Y %H:%M:%S'"
             )
         return _past_midnight(values)

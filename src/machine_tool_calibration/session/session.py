@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray, in_order_of_appearance
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, first_true, in_order_of_appearance
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.method import MethodSpec
@@ -269,9 +269,9 @@ def assemble(
             _known_places(texts[column], column, [entry.id for entry in entries], place)
     count = len(setup)
     repeat = columns.pop("repeat", np.zeros(count))
-    bad = np.flatnonzero(~((repeat >= 0) & (repeat == np.floor(repeat)) & (repeat < 1e9)))
-    if len(bad):
-        raise SessionError(f"{place.row(bad[0])}: repeat is {repeat[bad[0]]:g}, not 0, 1, 2 …")
+    bad = first_true(~((repeat >= 0) & (repeat == np.floor(repeat)) & (repeat < 1e9)))
+    if bad is not None:
+        raise SessionError(f"{place.row(bad)}: repeat is {repeat[bad]:g}, not 0, 1, 2 …")
     return Readings(
         setup=setup,
         repeat=repeat.astype(np.int64),
@@ -291,11 +291,11 @@ def places_among(labels: np.ndarray, ids: Sequence[str]) -> IntArray:
 
 def _known_places(labels: np.ndarray, column: str, ids: Sequence[str], place: Place) -> IntArray:
     index = places_among(labels, ids)
-    bad = np.flatnonzero(index < 0)
-    if len(bad):
-        name = str(labels[bad[0]])
+    bad = first_true(index < 0)
+    if bad is not None:
+        name = str(labels[bad])
         what = f"unknown {column} {name!r}" if name else f"{column} is empty"
-        raise SessionError(f"{place.row(bad[0])}: {what}; {PurePath(place.description).name} has {_listed(ids)}")
+        raise SessionError(f"{place.row(bad)}: {what}; {PurePath(place.description).name} has {_listed(ids)}")
     return index
 
 

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray, group_ranges, groups, unit_vectors
+from machine_tool_calibration.arrays import Array, IntArray, first_true, group_ranges, groups, unit_vectors
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.checks.mistakes import (
     LENGTHS,
@@ -305,10 +305,10 @@ def _check_index_angles(session: Session, place: Place) -> None:
         return np.abs(wrapped(session.readings.columns["c"] - expected))
 
     readings, setups, declared = session.readings, session.description.setups, _declared(session.description)
-    bad = np.flatnonzero(off(session) > _SAME_ANGLE)
-    if not len(bad):
+    bad = first_true(off(session) > _SAME_ANGLE)
+    if bad is None:
         return
-    row, setup, c = readings.row[bad[0]], readings.setup[bad[0]], readings.columns["c"][bad[0]]
+    row, setup, c = readings.row[bad], readings.setup[bad], readings.columns["c"][bad]
     radians = tuple(one.model_copy(update={"c": np.radians(c)}) for one, c in zip(setups, declared, strict=True))
     suppositions = (
         in_degrees(session, "the column c looks", "c"),

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
+from machine_tool_calibration.arrays import first_true
 from machine_tool_calibration.errors import SessionError, suspected
 from machine_tool_calibration.session.description import (
     LARGEST,
@@ -60,11 +61,11 @@ def check_sizes(session: Session, place: Place) -> None:
     for name, values in {**readings.columns, "displacement": readings.displacement}.items():
         size = np.abs(values)
         largest = LARGEST if name in NUMERIC_COLUMNS else _LARGEST_COVARIATE
-        bad = np.flatnonzero((size > largest) | ((size > 0.0) & (size < SMALLEST)))
-        if len(bad):
-            value = values[bad[0]]
-            what = "large" if abs(value) > 1.0 else "small"
-            raise SessionError(f"{place.row(readings.row[bad[0]])}: {name} is {value:g}, too {what} to have been read")
+        bad = first_true((size > largest) | ((size > 0.0) & (size < SMALLEST)))
+        if bad is not None:
+            what = "large" if size[bad] > 1.0 else "small"
+            where = place.row(readings.row[bad])
+            raise SessionError(f"{where}: {name} is {values[bad]:g}, too {what} to have been read")
 
 
 def _travel(session: Session, place: Place) -> None:
@@ -140,10 +141,10 @@ def direction_units(session: Session, place: Place) -> None:
     """Refuse directions gx, gy, gz that are not of length 1; errors as for `check_units`."""
     columns = session.readings.columns
     length = np.sqrt(columns["gx"] ** 2 + columns["gy"] ** 2 + columns["gz"] ** 2)
-    bad = np.flatnonzero(np.isfinite(session.readings.displacement) & ~(np.abs(length - 1.0) <= 0.05))
-    if len(bad):
-        where = place.row(session.readings.row[bad[0]])
-        raise SessionError(f"{where}: the direction (gx, gy, gz) has length {length[bad[0]]:g}, not 1")
+    bad = first_true(np.isfinite(session.readings.displacement) & ~(np.abs(length - 1.0) <= 0.05))
+    if bad is not None:
+        where = place.row(session.readings.row[bad])
+        raise SessionError(f"{where}: the direction (gx, gy, gz) has length {length[bad]:g}, not 1")
 
 
 def _angles(session: Session, place: Place) -> None:
