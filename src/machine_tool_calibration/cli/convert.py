@@ -16,7 +16,6 @@ from machine_tool_calibration.cli.foreign_options import (
     SectionedCommand,
     file_form,
     foreign_options,
-    is_asked,
     mapping_from,
     only_form,
 )
@@ -163,7 +162,8 @@ def command(
     for path in sources:
         if not path.exists():
             raise CalibrationError(f"{path}: no such file or folder")
-    imported = _imported(sources, setup_name, foreign, description) if is_asked(foreign) else None
+    is_foreign = foreign["table"] is not None or foreign["mapping"] is not None
+    imported = _imported(sources, setup_name, foreign, description) if is_foreign else None
     own = None if imported is not None else _own_table(sources, setup_name, foreign, description)
     from_session = imported is None and own is None and is_session_folder(source)
     if form is None:

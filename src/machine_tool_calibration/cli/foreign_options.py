@@ -14,7 +14,7 @@ import click
 from machine_tool_calibration.cli.output import options
 from machine_tool_calibration.errors import CalibrationError
 
-__all__ = ["SectionedCommand", "file_form", "foreign_options", "is_asked", "mapping_from", "only_form"]
+__all__ = ["SectionedCommand", "file_form", "foreign_options", "mapping_from", "only_form"]
 
 _FORM = ("separator", "encoding", "skip", "skip_after_header", "comment", "missing", "time_format")
 """Options of how the text of a table is written, but for those that are given in other words."""
@@ -97,9 +97,7 @@ foreign_options = options(
         type=click.Choice(["actual-minus-nominal", "nominal-minus-actual"]),
         help="Sign of deviations in the table; actual minus nominal by default.",
     ),
-    _option(
-        "--origin", "origins", multiple=True, metavar="AXIS=LENGTH", help="Of nominal coordinates in the machine's."
-    ),
+    _option("--origin", multiple=True, metavar="AXIS=LENGTH", help="Of nominal coordinates in the machine's."),
     _option(
         "--align",
         is_flag=True,
@@ -142,11 +140,6 @@ foreign_options = options(
 )
 
 
-def is_asked(given: dict[str, Any]) -> bool:
-    """Whether the command line is about a foreign table."""
-    return given["table"] is not None or given["mapping"] is not None
-
-
 def only_form(given: dict[str, Any]) -> bool:
     """Whether nothing is said of a foreign table but how its text is written, and that its sizes are right."""
     return not any(value for key, value in given.items() if key not in (*_FORM, "decimal", "no_header", "trust_units"))
@@ -177,22 +170,11 @@ def mapping_from(given: dict[str, Any], description: Path | None = None) -> tupl
     path = given["mapping"]
     content: dict[str, Any] = {} if path is None else dict(read_mapping(path))
     content.setdefault("format", FORMAT)
-    if given["table"]:
-        content["table"] = given["table"]
-    for option, key in (
-        ("columns", "columns"),
-        ("extras", "extras"),
-        ("values", "values"),
-        ("origins", "origin"),
-        ("stations", "stations"),
-        ("targets", "targets"),
-    ):
-        _update(content, key, _pairs(option, given[option]), path)
+    for key in ("columns", "extras", "values", "origin", "stations", "targets"):
+        _update(content, key, _pairs(key, given[key]), path)
     _update(content, "units", _units(given["units"]), path)
     _update(content, "file", file_form(given), path)
-    for key in ("sign", "axis", "senses"):
-        if given[key]:
-            content[key] = given[key]
+    content |= {key: given[key] for key in ("table", "sign", "axis", "senses") if given[key]}
     content |= {key: True for key in ("align", "transposed", "actual") if given[key]}
     if given["long"]:
         content["layout"] = "long"

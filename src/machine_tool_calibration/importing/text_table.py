@@ -18,12 +18,12 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, first_true
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.importing.units import si_values
-from machine_tool_calibration.session.defects import first_defect
+from machine_tool_calibration.session.defects import validated
 from machine_tool_calibration.session.text import read_bytes, reject_foreign_encoding
 
 __all__ = ["FileForm", "TextTable", "parse_form", "read_text_table"]
@@ -239,10 +239,7 @@ def parse_form(content: dict[str, Any]) -> FileForm:
     Raises:
         SessionError: a key or value that it does not have.
     """
-    try:
-        return FileForm.model_validate(content)
-    except ValidationError as error:
-        raise SessionError(first_defect(error, "", record=FileForm)) from None
+    return validated(FileForm, content, "")
 
 
 def read_text_table(path: Path, form: FileForm) -> TextTable:
