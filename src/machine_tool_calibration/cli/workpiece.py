@@ -36,16 +36,10 @@ __all__ = ["command"]
 @json_option
 def command(
     file: Path,
-    unit: str | None,
-    spacing: float | None,
-    material: str,
-    layer: str | None,
-    is_open: bool,
-    clearance: float,
-    stylus: float | None,
     into: Path | None,
     output: Path | None,
     as_json: bool,
+    **outline: Any,
 ) -> None:
     """Make the points of a workpiece to be probed, with their outward normals.
 
@@ -64,7 +58,7 @@ def command(
     if file.suffix.lower() in (".yaml", ".yml"):
         points = read_workpiece(file)
     else:
-        points = _outline(file, unit, spacing, material, layer, is_open, clearance, stylus)
+        points = _outline(file, **outline)
     if output is not None:
         _write(points, into, output)
     if as_json:

@@ -35,11 +35,6 @@ _DAY = 86400.0
 _NO_DATE = date(1900, 1, 1)  # of `datetime.strptime` where the text has none
 
 
-def _are_stamps(cells: np.ndarray) -> bool:
-    """Whether a column holds dates or times of day; numbers of seconds otherwise."""
-    return any(":" in cell for cell in cells[:1000])
-
-
 def _stamp_seconds(text: str, pattern: str | None) -> float:
     """A time stamp in seconds since 1970, or since midnight where it has no date; NaN where it is none.
 
@@ -210,7 +205,7 @@ class TextTable:
             SessionError: no such column, or a cell that is no time stamp, with its line.
         """
         cells = self.text(column, what)
-        if self.form.time_format is None and not _are_stamps(cells):
+        if self.form.time_format is None and not any(":" in cell for cell in cells[:1000]):
             return None
         values = np.array([_stamp_seconds(cell, self.form.time_format) for cell in cells.tolist()])
         bad = first_true(~np.isfinite(values) & ~self._missing(cells))

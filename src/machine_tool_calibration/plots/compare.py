@@ -134,6 +134,8 @@ def draw_against(comparison: Comparison, names: Sequence[str]) -> Figure:
     Raises:
         ModelError: an unknown covariate.
     """
+    from matplotlib.lines import Line2D
+
     columns = min(3, max(1, len(names)))
     rows = -(-len(names) // columns) or 1
     figure = new_figure(4.4 * columns, 3.5 * rows)
@@ -146,7 +148,7 @@ def draw_against(comparison: Comparison, names: Sequence[str]) -> Figure:
     for panel in panels[len(names) :]:
         panel.set_visible(False)
     if len(ids) <= 12:
-        handles = [_marker(k) for k in range(len(ids))]
+        handles = [Line2D([], [], ls="", marker="o", ms=5, color=color(k)) for k in range(len(ids))]
         figure.legend(handles, ids, loc="outside upper center", ncols=len(ids), frameon=False, title="setup")
     grids(figure)
     return figure
@@ -238,12 +240,6 @@ def _setups(comparison: Comparison) -> tuple[IntArray, list[str]]:
     session = comparison.fit.model.observations.session
     present, number = np.unique(comparison.fit.model.observations.readings.setup, return_inverse=True)
     return number.reshape(-1), [session.setup_ids[k] for k in present]
-
-
-def _marker(index: int) -> Any:
-    from matplotlib.lines import Line2D
-
-    return Line2D([], [], ls="", marker="o", ms=5, color=color(index))
 
 
 def _correlation(a: Array, b: Array) -> float:

@@ -55,7 +55,7 @@ def draw_steps(steps: Sequence[Step], sessions: Sequence[Session], declared: flo
     if len(steps) > 2 and any(last.set_aside):
         first = steps[1]
     along = _along(first) if len(sessions) == 1 else None
-    size = _size(first)
+    size = float(np.quantile(np.abs(Pool(first.result.joint).residuals), 0.98)) or 1e-9  # of the bulk, m
     for panel, step, title in ((before, first, "before"), (after, last, "after")):
         if along is not None:  # arrows would lie on each other
             _curves(panel, step, along, size)
@@ -87,11 +87,6 @@ def _fall(panel: Axes, steps: Sequence[Step], declared: float) -> None:
     panel.set_ylabel("µm")
     panel.set_title("The error falls", fontsize=10)
     panel.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.22), frameon=False)
-
-
-def _size(step: Step) -> float:
-    """Size of the bulk of the residuals, m."""
-    return float(np.quantile(np.abs(Pool(step.result.joint).residuals), 0.98)) or 1e-9
 
 
 def _arrows(panel: Axes, step: Step, size: float) -> None:

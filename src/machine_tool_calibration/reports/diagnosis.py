@@ -206,7 +206,7 @@ def _candidates(diagnosis: Diagnosis, changes: Mapping[str, Consequence], shown:
                 letters.get(name, ""),
                 probability(r.probability),
                 probability(r.family_p_value),
-                _sizes(r, change),
+                sizes_in_words((change.parameters if change is not None else ()) or screened_sizes(r)),
                 "" if r.plausible else "no",
                 _held_out(diagnosis, name),
                 micrometres(after),
@@ -240,10 +240,6 @@ def _held_out(diagnosis: Diagnosis, name: str) -> str:
     """How an effect does on readings that were left out; empty where that was not asked."""
     gains = [p.gain for p in diagnosis.predicted.get(name, ())]
     return f"{100 * min(gains):+.0f} %" if gains else ""
-
-
-def _sizes(ranked: Finding, change: Consequence | None) -> str:
-    return sizes_in_words((change.parameters if change is not None else ()) or screened_sizes(ranked))
 
 
 def _outliers(diagnosis: Diagnosis) -> TextTable:
