@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,10 +33,7 @@ def draw(session: Session, result: Mapping[str, Any], folder: Path) -> list[Path
 def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:
     """The same pictures by name, not written."""
     own = session.spec.pictures
-    method: Callable[[Session, Mapping[str, Any]], dict[str, Figure]] | None = (
-        None if own is None else getattr(load(own), "figures", None)
-    )
-    return common_figures(result) if method is None else method(session, result)
+    return common_figures(result) if own is None else dict(load(own).figures(session, result))
 
 
 def draw_common(result: Mapping[str, Any], folder: Path) -> list[Path]:
