@@ -206,17 +206,13 @@ def _deviation(columns: Columns, nominal: Array, setups: np.ndarray) -> tuple[Ar
             if not columns.has(role[-1]):
                 columns.need((role[-1],), f"the nominal coordinate that belongs to {role}")
             how[j] = role
-            measured[:, j] = columns.number(role) + (nominal[:, j] if role.startswith("deviation") else 0.0)
+            measured[:, j] = columns.number(role)
         if kinds == {"deviation"}:
             if align:
                 raise SessionError(f"{table.source}: deviations cannot be aligned; give the measured coordinates")
-            out = measured - nominal
-            for role in given:  # not through the sum, which would round
-                out[:, _AXES.index(role[-1])] = columns.number(role)
-                if columns.mapping.trusted:
-                    continue
-                check_deviations(out[:, _AXES.index(role[-1])], nominal, f"{table.source}, {role}")
-            return out, how
+            for role in () if columns.mapping.trusted else given:
+                check_deviations(measured[:, _AXES.index(role[-1])], nominal, f"{table.source}, {role}")
+            return measured, how
     if align:
         measured = _aligned(columns, measured, nominal, setups)
     for setup in () if columns.mapping.trusted else dict.fromkeys(setups.tolist()):

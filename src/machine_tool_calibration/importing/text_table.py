@@ -254,7 +254,7 @@ def read_text_table(path: Path, form: FileForm) -> TextTable:
     begin = 1 if form.header else 0
     left_out += numbered[begin : begin + form.skip_after_header]
     numbered = numbered[:begin] + numbered[begin + form.skip_after_header :]
-    if len(numbered) < (2 if form.header else 1):
+    if len(numbered) < begin + 1:
         raise SessionError(f"{source}: no rows{f' after the {form.skip} lines left out' if form.skip else ''}")
     cells, width = _split(source, [text for _, text in numbered], form)
     places = [number for number, _ in numbered]
@@ -263,20 +263,19 @@ def read_text_table(path: Path, form: FileForm) -> TextTable:
         if form.header
         else tuple(str(j + 1) for j in range(width.max()))
     )
-    first = 1 if form.header else 0
     count = len(names)
-    for row in range(first, len(cells)):
+    for row in range(begin, len(cells)):
         if width[row] < count or any(cells[row, count:]):
             raise SessionError(
-                f"{source} line {places[row]}: {width[row]} cells where {'the header' if first else 'another row'} has "
+                f"{source} line {places[row]}: {width[row]} cells where {'the header' if begin else 'another row'} has "
                 f"{count}" + ("; is the separator right?" if count == 1 else "")
             )
     notes = tuple(
         f"line {number} is left out (comment or skip_after_header) and looks like a row: {text.strip()[:60]}"
         for number, text in sorted(left_out)
-        if number > places[0] - first and _is_row(text, count, form)
+        if number > places[0] - begin and _is_row(text, count, form)
     )
-    return TextTable(source, names, cells[first:, :count], tuple(places[first:]), places[0], form, notes)
+    return TextTable(source, names, cells[begin:, :count], tuple(places[begin:]), places[0], form, notes)
 
 
 def _is_row(text: str, count: int, form: FileForm) -> bool:
