@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options, note_written
+from machine_tool_calibration.cli.diagnosing import (
+    Wanted,
+    history_option,
+    model_options,
+    note_written,
+    sessions_argument,
+)
 from machine_tool_calibration.cli.output import console, json_option, progress_bar, write_json
 from machine_tool_calibration.reports.documents import write_table
 
@@ -19,7 +25,7 @@ __all__ = ["command"]
 
 
 @click.command("compare")
-@click.argument("measurements", metavar="SESSION…", nargs=-1, required=True, type=click.Path(path_type=Path))
+@sessions_argument
 @model_options
 @history_option
 @click.option(

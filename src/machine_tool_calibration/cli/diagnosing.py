@@ -30,6 +30,7 @@ __all__ = [
     "no_model",
     "note_written",
     "search_options",
+    "sessions_argument",
     "unused_model",
 ]
 
@@ -187,6 +188,9 @@ def keeping(sessions: Sequence[Session], labels: Sequence[str], keep: Sequence[s
     return out
 
 
+sessions_argument = click.argument(
+    "measurements", metavar="SESSION…", nargs=-1, required=True, type=click.Path(path_type=Path)
+)
 model_option = click.option("--model", help="Variant of the model, such as free; `mtcal info SESSION` says when which.")
 effects_file_option = click.option(
     "--effects-file",

@@ -11,7 +11,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import Wanted, model_options, note_written, search_options
+from machine_tool_calibration.cli.diagnosing import (
+    Wanted,
+    model_options,
+    note_written,
+    search_options,
+    sessions_argument,
+)
 from machine_tool_calibration.cli.output import console, json_option, note, progress_bar, write_json
 from machine_tool_calibration.errors import CalibrationError, SessionError
 
@@ -81,7 +87,7 @@ def draw(done: Improvement, folder: Path) -> tuple[list[Path], str]:
 
 
 @click.command("improve")
-@click.argument("measurements", metavar="SESSION…", nargs=-1, required=True, type=click.Path(path_type=Path))
+@sessions_argument
 @model_options
 @search_options
 @click.option(

@@ -14,6 +14,7 @@ from machine_tool_calibration.cli.diagnosing import (
     model_options,
     note_written,
     search_options,
+    sessions_argument,
 )
 from machine_tool_calibration.cli.output import progress_bar
 
@@ -21,7 +22,7 @@ __all__ = ["command"]
 
 
 @click.command("report")
-@click.argument("measurements", metavar="SESSION…", nargs=-1, required=True, type=click.Path(path_type=Path))
+@sessions_argument
 @click.option(
     "-o",
     "--output",

@@ -16,6 +16,7 @@ from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.plots.residuals import axis_label, color, grids, line_of, planes
 from machine_tool_calibration.plots.style import new_figure, save
 from machine_tool_calibration.reports.documents import write_table
+from machine_tool_calibration.reports.improvement import step_document
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.residuals.pool import Pool
 
@@ -150,22 +151,10 @@ def _curves(panel: Axes, step: Step, name: str, size: float) -> None:
 
 def step_table(improvement: Improvement) -> pd.DataFrame:
     """One row for each step; SI units."""
-    return pd.DataFrame(
-        [
-            {
-                "change": step.change or "first model",
-                "effects": " ".join(step.result.effects),
-                "readings": step.result.joint.assembly.problem.n_readings,
-                "rms_residual": step.result.rms_residual,
-                "reduced_chi_square": step.reduced_chi_square,
-                "map_rms": step.map_rms,
-                "map_change_rms": step.map_change,
-                "map_uncertainty_rms": step.map_uncertainty,
-                "left_at_tool_rms": step.residual_volumetric_error,
-            }
-            for step in improvement.steps
-        ]
-    )
+    table = pd.DataFrame([step_document(step) for step in improvement.steps])
+    table["change"] = table["change"].replace("", "first model")
+    table["effects"] = table["effects"].map(" ".join)
+    return table.drop(columns=["p_value", "parameters"])
 
 
 def residual_table(improvement: Improvement) -> pd.DataFrame:

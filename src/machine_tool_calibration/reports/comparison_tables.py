@@ -140,8 +140,7 @@ def comparison_tables(comparison: Comparison | JointComparison) -> Iterator[Text
         yield from _joint_tables(comparison)
         return
     yield _overall(comparison)
-    setups = _parts("Setups, worst first", "setup", comparison.setups, _MOST_PARTS)
-    yield replace(setups, note=f"{_HEADS}; {setups.note}".removesuffix("; "))
+    yield _parts("Setups, worst first", "setup", comparison.setups, _MOST_PARTS, _HEADS)
     yield from _within(comparison)
 
 
@@ -176,8 +175,7 @@ def _joint_tables(comparison: JointComparison) -> Iterator[TextTable]:
     parts = [share for _, share in comparison.parts]
     yield _parts("Sessions, worst first", "session", parts, len(parts))
     named = [replace(share, name=f"{label}/{share.name}") for label, share in comparison.setups]
-    setups = _parts("Setups of all sessions, worst first", "setup", named, _MOST_PARTS)
-    yield replace(setups, note=f"{_HEADS}; {setups.note}".removesuffix("; "))
+    yield _parts("Setups of all sessions, worst first", "setup", named, _MOST_PARTS, _HEADS)
     for label, one in zip(comparison.labels, comparison.sessions, strict=True):
         for table in _within(one):
             yield replace(table, title=f"{label}: {table.title[0].lower()}{table.title[1:]}")
@@ -205,7 +203,7 @@ def _overall(comparison: Comparison) -> TextTable:
     return TextTable(f"All {overall.readings} readings", ("", ""), tuple(rows), note)
 
 
-def _parts(title: str, head: str, shares: Sequence[Share], most: int) -> TextTable:
+def _parts(title: str, head: str, shares: Sequence[Share], most: int, about: str = "") -> TextTable:
     rows = tuple(
         (
             share.name,
@@ -221,9 +219,8 @@ def _parts(title: str, head: str, shares: Sequence[Share], most: int) -> TextTab
     )
     columns = (head, "readings", "RMS / µm", "× declared", "of all misfit", "mean / µm", "drift / (µm/h)", "worst row")
     shown, note = mark_not_determined(columns, rows, (5, 6))
-    if len(shares) > most:
-        note = f"{len(shares) - most} more; {note}".removesuffix("; ")
-    return TextTable(title, columns, shown, note)
+    more = f"{len(shares) - most} more" if len(shares) > most else ""
+    return TextTable(title, columns, shown, "; ".join(filter(None, (about, more, note))))
 
 
 def _labels(name: str, shares: Sequence[Share]) -> TextTable:
@@ -274,11 +271,11 @@ def _approaches(comparison: Comparison) -> TextTable:
     )
     columns = ("axis", "readings after + / −", "residual after + minus after − / µm", "axis stands apart by", "p-value")
     shown, note = mark_not_determined(columns, rows, (2, 3))
-    note = (
+    apart = (
         "axis stands apart by: what the two directions would have to differ by on the axis (a backlash of half width b "
-        f"gives −2 b); {note}"
-    ).removesuffix("; ")
-    return TextTable("Direction of approach", columns, shown, note)
+        "gives −2 b)"
+    )
+    return TextTable("Direction of approach", columns, shown, "; ".join(filter(None, (apart, note))))
 
 
 def _apart(approach: Approach) -> str:

@@ -20,7 +20,7 @@ from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.checks.suspicion import suspicions
 
-__all__ = ["diagnosis_document", "screened_sizes", "smallest_sizes"]
+__all__ = ["candidate_document", "diagnosis_document", "screened_sizes", "smallest_sizes"]
 
 # Probability from which a set of effects is told.
 _TOLD = 0.01
@@ -68,7 +68,7 @@ def diagnosis_document(diagnosis: Diagnosis, advice: Advice, changes: Mapping[st
             "before": _fit(diagnosis.fits[0]),
             "after": _fit(diagnosis.fits[-1]),
         },
-        "candidates": [_candidate(diagnosis, f, changes) for f in diagnosis.ranked if f.rank],
+        "candidates": [candidate_document(diagnosis, f, changes) for f in diagnosis.ranked if f.rank],
         "alias_groups": [list(group) for group in alias_groups_of(diagnosis)],
         "separate_by": [_separation(s) for s in advice.separations],
         "absorbed": [{"effect": a.effect, "by": ", ".join(a.families) or "the model"} for a in look.absorbed],
@@ -92,7 +92,8 @@ def diagnosis_document(diagnosis: Diagnosis, advice: Advice, changes: Mapping[st
     return dict(plain(document))
 
 
-def _candidate(diagnosis: Diagnosis, found: Finding, changes: Mapping[str, Consequence]) -> dict[str, Any]:
+def candidate_document(diagnosis: Diagnosis, found: Finding, changes: Mapping[str, Consequence]) -> dict[str, Any]:
+    """One of the effects that were looked for, as an entry of the document."""
     change = changes.get(found.name)
     before, after = before_and_after(diagnosis, found, changes)
     predicted = diagnosis.predicted.get(found.name, ())

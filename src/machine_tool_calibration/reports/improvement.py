@@ -21,7 +21,7 @@ from machine_tool_calibration.session.checks.suspicion import suspicions
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["improvement_document", "show_improvement"]
+__all__ = ["improvement_document", "show_improvement", "step_document"]
 
 
 def improvement_document(done: Improvement) -> dict[str, Any]:
@@ -34,24 +34,26 @@ def improvement_document(done: Improvement) -> dict[str, Any]:
         "verdict": done.diagnosis.verdict,
         "accepted": done.diagnosis.accepted,
         "set_aside": [row for rows in done.steps[-1].set_aside for row in rows],
-        "steps": [
-            {
-                "change": step.change,
-                "effects": step.result.effects,
-                "readings": step.result.joint.assembly.problem.n_readings,
-                "rms_residual": step.result.rms_residual,
-                "reduced_chi_square": step.reduced_chi_square,
-                "p_value": step.result.joint.p_value,
-                "map_rms": step.map_rms,
-                "map_change_rms": step.map_change,
-                "map_uncertainty_rms": step.map_uncertainty,
-                "left_at_tool_rms": step.residual_volumetric_error,
-                "parameters": [estimate.document() for estimate in step.parameters],
-            }
-            for step in done.steps
-        ],
+        "steps": [step_document(step) for step in done.steps],
         "provenance": done.provenance.document(),
         "result": done.steps[-1].result.document(),
+    }
+
+
+def step_document(step: Step) -> dict[str, Any]:
+    """One of the models on the way, as an entry of the document."""
+    return {
+        "change": step.change,
+        "effects": step.result.effects,
+        "readings": step.result.joint.assembly.problem.n_readings,
+        "rms_residual": step.result.rms_residual,
+        "reduced_chi_square": step.reduced_chi_square,
+        "p_value": step.result.joint.p_value,
+        "map_rms": step.map_rms,
+        "map_change_rms": step.map_change,
+        "map_uncertainty_rms": step.map_uncertainty,
+        "left_at_tool_rms": step.residual_volumetric_error,
+        "parameters": [estimate.document() for estimate in step.parameters],
     }
 
 
