@@ -8,7 +8,6 @@ import numpy as np
 from machine_tool_calibration.arrays import first_true
 from machine_tool_calibration.errors import SessionError, suspected
 from machine_tool_calibration.session.catalogue import needed_columns
-from machine_tool_calibration.session.checks.enough import check_enough
 from machine_tool_calibration.session.checks.mistakes import check_consistency
 from machine_tool_calibration.session.checks.units import check_sizes, check_units
 from machine_tool_calibration.session.description import Place
@@ -25,7 +24,7 @@ def check_session(session: Session, place: Place | None = None) -> None:
 
     Checked are: values that are missing where a displacement was read; numbers beyond all measure (`check_sizes`);
     times that run backwards; a reading that stands there twice; units that must be wrong (`check_units`); stations,
-    targets and readings that the method needs (`check_enough`); and readings that contradict the nominal geometry while
+    targets and readings that the method needs (`enough`); and readings that contradict the nominal geometry while
     a common mistake would explain them (`check_consistency`).
 
     Args:
@@ -42,7 +41,7 @@ def check_session(session: Session, place: Place | None = None) -> None:
     _check_signs(session, place)
     _check_doubled(session, place)
     check_units(session, place)
-    check_enough(session, place)
+    session.spec.enough(session, np.isfinite(session.readings.displacement), place)
     if not session.description.trust_units:
         with suspected():
             check_consistency(session, place)
