@@ -28,13 +28,12 @@ if TYPE_CHECKING:
     from machine_tool_calibration.importing import Imported
     from machine_tool_calibration.session.session import Session
 
-__all__ = ["command", "foreign_document", "show_preview"]
+__all__ = ["command"]
+
+_FIRST = 6  # readings that are shown
 
 
-_FIRST = 6
-
-
-def foreign_document(imported: Imported) -> dict[str, Any]:
+def _preview_document(imported: Imported) -> dict[str, Any]:
     """The preview as a document: what was read from where, the first readings, and remarks."""
     from machine_tool_calibration.session.folder import readings_frame
 
@@ -48,13 +47,8 @@ def foreign_document(imported: Imported) -> dict[str, Any]:
     }
 
 
-def show_preview(imported: Imported, *, whole: bool) -> None:
-    """Print what was read.
-
-    Args:
-        imported: the table.
-        whole: also the first readings and the text of session.yaml; otherwise remarks only.
-    """
+def _show_preview(imported: Imported, *, whole: bool) -> None:
+    """Print remarks, and where the whole is wanted what was read, the first readings and the text of session.yaml."""
     from rich.markup import escape
 
     from machine_tool_calibration.session.folder import readings_frame
@@ -169,9 +163,9 @@ def command(
     if form is None:
         form = _form(target, "bag" if from_session else "session")
     if imported is not None:
-        preview = foreign_document(imported)
+        preview = _preview_document(imported)
         if not as_json:
-            show_preview(imported, whole=dry_run)
+            _show_preview(imported, whole=dry_run)
         if dry_run or target is None:
             if as_json:
                 write_json({"format": "mtcal-converted/1", "source": source, "to": None, **preview})

@@ -32,7 +32,6 @@ __all__ = [
     "chosen_covariates",
     "draw",
     "draw_against",
-    "draw_fit",
     "draw_joint",
     "draw_map",
     "draw_setups",
@@ -67,7 +66,7 @@ def figures(comparison: Comparison, against: Sequence[str] = ()) -> dict[str, Fi
     """The same pictures by name, not written."""
     names = list(against) or chosen_covariates(comparison)
     return {
-        "measured_predicted": draw_fit(comparison),
+        "measured_predicted": _draw_fit(comparison),
         "residuals": draw_against(comparison, names),
         "residual_map": draw_map(comparison),
         "setups": draw_setups(comparison),
@@ -96,7 +95,7 @@ def chosen_covariates(comparison: Comparison, most: int = _PANELS) -> list[str]:
     return out
 
 
-def draw_fit(comparison: Comparison) -> Figure:
+def _draw_fit(comparison: Comparison) -> Figure:
     """Measured against predicted, the residuals against predicted, and their distribution beside the expected one."""
     from scipy import special
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_axes", "draw_probing", "draw_table", "draw_workpiece", "figures"]
+__all__ = ["draw_probing", "figures"]
 
 # Share of the drawing's width that the largest error takes.
 _LENGTH = 0.08
@@ -43,14 +43,14 @@ def draw_probing(description: Probing, content: Mapping[str, Any]) -> Figure:
 
     figure = Figure(figsize=(13, 11), layout=ConstrainedLayoutEngine(w_pad=0.25))  # panels of equal scales move inside
     panels = figure.subplots(2, 2)
-    draw_workpiece(panels[0, 0], description, content)
+    _draw_workpiece(panels[0, 0], description, content)
     _draw_uncertainty(panels[0, 1], description, content)
-    draw_axes(panels[1, 0], content)
-    draw_table(panels[1, 1], content)
+    _draw_axes(panels[1, 0], content)
+    _draw_table(panels[1, 1], content)
     return figure
 
 
-def draw_workpiece(panel: Axes, description: Probing, content: Mapping[str, Any]) -> None:
+def _draw_workpiece(panel: Axes, description: Probing, content: Mapping[str, Any]) -> None:
     """The form along each point's normal, magnified (Fig. 9), with bars of expanded uncertainty (k = 2)."""
     place, normal = _points(description)
     form, u = numbers(content["workpiece_form"]), numbers(content["workpiece_form_u"])
@@ -83,7 +83,7 @@ def _draw_uncertainty(panel: Axes, description: Probing, content: Mapping[str, A
     _frame(panel, legend=False)
 
 
-def draw_axes(panel: Axes, content: Mapping[str, Any]) -> None:
+def _draw_axes(panel: Axes, content: Mapping[str, Any]) -> None:
     """The linear axes' position errors on their grid, magnified (Fig. 12); what is hardly determined is thin."""
     grid, error, u = (numbers(content[key]) for key in ("grid", "position_error", "position_error_u"))
     size = np.linalg.norm(error, axis=1)
@@ -108,7 +108,7 @@ def draw_axes(panel: Axes, content: Mapping[str, Any]) -> None:
     _frame(panel, legend=bool(poor.any() or not good.all()))
 
 
-def draw_table(panel: Axes, content: Mapping[str, Any]) -> None:
+def _draw_table(panel: Axes, content: Mapping[str, Any]) -> None:
     """EXC and EYC (left scale) and ECC (right scale) at the indices of C (Figs. 13 and 14), bars: U (k = 2)."""
     angle = np.degrees(numbers(content["c"]))
     for name, color in (("EXC", "tab:blue"), ("EYC", "tab:green")):

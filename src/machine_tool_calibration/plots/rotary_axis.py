@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_arrangement", "draw_motions", "figures"]
+__all__ = ["draw_motions", "figures"]
 
 
 def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:
@@ -26,7 +26,7 @@ def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:
     assert isinstance(description, RotaryAxis)
     axis = (description.machine.axis or "C").upper()
     content = result["error_map"]
-    return {"error_motions": draw_motions(content, axis), "arrangement": draw_arrangement(content, axis)}
+    return {"error_motions": draw_motions(content, axis), "arrangement": _draw_arrangement(content, axis)}
 
 
 def draw_motions(content: Mapping[str, Any], axis: str = "C") -> Figure:
@@ -69,13 +69,8 @@ def _curve(panel: Axes, angle: Array, value: Array, uncertainty: Array) -> None:
         panel.text(0.5, 0.5, "not determined", transform=panel.transAxes, ha="center", va="center", color="0.4")
 
 
-def draw_arrangement(content: Mapping[str, Any], axis: str = "C") -> Figure:
-    """Stations, targets and axis, seen along the axis and from the side.
-
-    Args:
-        content: `error_map` of the result.
-        axis: letter of the rotary axis.
-    """
+def _draw_arrangement(content: Mapping[str, Any], axis: str) -> Figure:
+    """Stations, targets and axis, seen along the axis and from the side."""
     along = "ABC".index(axis)
     first, second = (along + 1) % 3, (along + 2) % 3
     figure = new_figure(11, 5.5)

@@ -27,10 +27,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "comparison_tables",
-    "correlated_groups",
     "mark_not_determined",
     "show_comparison",
-    "trends_table",
 ]
 
 
@@ -69,10 +67,10 @@ _TOGETHER = 0.9
 _NOTHING, _LEAST = 0.05, 1
 
 
-def trends_table(comparison: Comparison) -> TextTable:
+def _trends_table(comparison: Comparison) -> TextTable:
     """Straight lines over time, temperature and every other covariate, the clearest first."""
     known = [t for t in comparison.trends if t.slope is not None and t.added is not None]
-    groups = correlated_groups(comparison, known)
+    groups = _correlated_groups(comparison, known)
     clear = [group for group in groups if (group[0].p_value or 0.0) < _NOTHING]
     shown = (clear or groups[:_LEAST])[:_MOST]
     rows = tuple(
@@ -91,7 +89,7 @@ def trends_table(comparison: Comparison) -> TextTable:
     )
 
 
-def correlated_groups(comparison: Comparison, trends: list[Trend]) -> list[list[Trend]]:
+def _correlated_groups(comparison: Comparison, trends: list[Trend]) -> list[list[Trend]]:
     """Trends whose covariates changed together, in the order of the clearest of each; that one leads its group."""
     groups: list[list[Trend]] = []
     for trend in trends:
@@ -156,7 +154,7 @@ def _within(comparison: Comparison) -> Iterator[TextTable]:
     if comparison.approaches:
         yield _approaches(comparison)
     if comparison.trends:
-        yield trends_table(comparison)
+        yield _trends_table(comparison)
     yield _worst(comparison)
 
 

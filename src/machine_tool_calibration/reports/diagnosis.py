@@ -37,11 +37,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Report",
-    "coefficients_table",
     "diagnosis_report",
     "dominant_words",
-    "hidden_table",
-    "in_map_table",
     "show_diagnosis",
 ]
 
@@ -75,7 +72,7 @@ def dominant_words(found: Dominant) -> Iterator[str]:
 _NOT_THE_MACHINES = ("workpiece_thermal", "table_thermal_growth")
 
 
-def coefficients_table(diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> TextTable:
+def _coefficients_table(diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> TextTable:
     """Every coefficient of the effects found: what it is, and its size."""
     observations = diagnosis.fits[0].fits[0].model.observations
     known = _effects(diagnosis)
@@ -90,13 +87,13 @@ def coefficients_table(diagnosis: Diagnosis, changes: Mapping[str, Consequence])
     return TextTable("What was found, coefficient by coefficient", heads, tuple(rows))
 
 
-def in_map_table(diagnosis: Diagnosis) -> TextTable:
+def _in_map_table(diagnosis: Diagnosis) -> TextTable:
     """Errors of the machine that are part of the map already: whatever their size, nothing needs to be added."""
     title = "Errors that the map holds already, whatever their size: nothing needs to be added for them"
     return TextTable(title, ("errors", "they are part of"), _rows(diagnosis, True))
 
 
-def hidden_table(diagnosis: Diagnosis) -> TextTable:
+def _hidden_table(diagnosis: Diagnosis) -> TextTable:
     """Effects that would not show, because they are fully correlated with unknowns of the setups or the map."""
     title = "Effects that would not show here: fully correlated with unknowns of the model"
     rows = _rows(diagnosis, False)
@@ -172,13 +169,13 @@ def diagnosis_report(
     """
     tables = [
         _candidates(diagnosis, changes, shown),
-        coefficients_table(diagnosis, changes),
+        _coefficients_table(diagnosis, changes),
         _outliers(diagnosis),
         _structure(diagnosis),
         _confounded(diagnosis, advice),
         _next(advice),
-        hidden_table(diagnosis),
-        in_map_table(diagnosis),
+        _hidden_table(diagnosis),
+        _in_map_table(diagnosis),
         _detectable(diagnosis),
         _excluded(diagnosis),
     ]

@@ -16,7 +16,7 @@ from machine_tool_calibration.reports.tables import TextTable, show_table
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["comparison_words", "map_comparison_document", "map_comparison_table", "show_map_comparison"]
+__all__ = ["map_comparison_document", "show_map_comparison"]
 
 # Points of a table for people: of more, those of which the maps differ most.
 _MOST = 25
@@ -24,7 +24,7 @@ _MOST = 25
 _NOTHING = 1e-12
 
 
-def comparison_words(comparison: MapComparison) -> str:
+def _comparison_words(comparison: MapComparison) -> str:
     """Whether the maps agree, and where they differ most."""
     size = np.abs(comparison.normalised)
     k, j = np.unravel_index(int(np.nanargmax(size)), size.shape)
@@ -42,7 +42,7 @@ def comparison_words(comparison: MapComparison) -> str:
     )
 
 
-def map_comparison_table(comparison: MapComparison) -> TextTable:
+def _map_comparison_table(comparison: MapComparison) -> TextTable:
     """The differences point by point; of many points those with the largest normalised ones."""
     told = np.isfinite(comparison.difference)
     axes = np.flatnonzero(told.any(axis=0))
@@ -74,7 +74,7 @@ def map_comparison_table(comparison: MapComparison) -> TextTable:
 
 def show_map_comparison(screen: Console, comparison: MapComparison) -> None:
     """Print the verdict, the motion between the datums and the table."""
-    show_table(screen, map_comparison_table(comparison))
+    show_table(screen, _map_comparison_table(comparison))
     moved = [
         f"{m.name} {quantity(m.value, m.unit, m.u)}"
         for m in comparison.motion
@@ -86,7 +86,7 @@ def show_map_comparison(screen: Console, comparison: MapComparison) -> None:
         if moved
         else "Both maps have the same datum at these points: there is no common motion to take out."
     )
-    screen.print(comparison_words(comparison))
+    screen.print(_comparison_words(comparison))
 
 
 def map_comparison_document(comparison: MapComparison) -> dict[str, Any]:
