@@ -15,9 +15,11 @@ __all__ = [
     "BoolArray",
     "IntArray",
     "best_motion",
+    "first_true",
     "group_ranges",
     "groups",
     "in_order_of_appearance",
+    "occurrence",
     "rms",
     "standard_draws",
     "unit_vectors",
@@ -75,6 +77,20 @@ def groups(*keys: npt.NDArray[Any]) -> IntArray:
 
 def _numbers(key: npt.NDArray[Any]) -> IntArray:
     return np.unique(key, return_inverse=True)[1].reshape(-1)
+
+
+def first_true(holds: BoolArray) -> int | None:
+    """Number of the first entry that holds; None where none does."""
+    return int(np.argmax(holds)) if holds.any() else None
+
+
+def occurrence(group: IntArray) -> IntArray:
+    """(n,) how often the group of each entry was there before."""
+    order = np.argsort(group, kind="stable")
+    start = np.flatnonzero(np.diff(group[order], prepend=-1))
+    before = np.empty(len(group), dtype=np.int64)
+    before[order] = np.arange(len(group)) - np.repeat(start, np.diff(start, append=len(group)))
+    return before
 
 
 def in_order_of_appearance(values: IntArray) -> IntArray:

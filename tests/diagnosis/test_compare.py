@@ -20,7 +20,6 @@ from machine_tool_calibration.reports.comparison import (
     comparison_columns,
     comparison_document,
     in_words,
-    joint_in_words,
 )
 from machine_tool_calibration.residuals.covariates import bins, covariates
 from machine_tool_calibration.session.session import Session
@@ -242,4 +241,4 @@ def test_readings_that_stand_out_are_counted_over_several_sessions() -> None:
     found = compare(Chosen(sessions, ("first", "second")))
     count = sum(len(one.outliers) for one in found.sessions)
     assert count > 1
-    assert f" {count} readings do not belong to the rest" in joint_in_words(found)
+    assert f" {count} readings do not belong to the rest" in in_words(found)

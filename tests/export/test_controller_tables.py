@@ -118,7 +118,7 @@ def test_linuxcnc_corrects_a_machine(tables: AxisTables) -> None:
 
 def test_linuxcnc_trims_are_what_is_added(tables: AxisTables) -> None:
     made = one_axis(tables, np.array([-0.1, 0.0, 0.2]), np.array([4e-6, 0.0, -7e-6]), half=1e-6)
-    files = linuxcnc.write_trims(made, "cell 1")
+    files = linuxcnc.write(made, "cell 1", kind=1)
     assert files["x.comp"].splitlines() == [
         "-100.000000 -0.0030000 -0.0050000",
         "0.000000 0.0010000 -0.0010000",
@@ -129,7 +129,7 @@ def test_linuxcnc_trims_are_what_is_added(tables: AxisTables) -> None:
     of_positions = np.loadtxt(linuxcnc.write(made, "cell 1")["x.comp"].splitlines())
     of_trims = np.loadtxt(files["x.comp"].splitlines())
     assert np.abs(of_positions[:, :1] - of_positions[:, 1:] - of_trims[:, 1:]).max() < 1e-9
-    one, other = linuxcnc.read(linuxcnc.write(made, "cell 1"), made), linuxcnc.read_trims(files, made)
+    one, other = linuxcnc.read(linuxcnc.write(made, "cell 1"), made), linuxcnc.read(files, made, kind=1)
     assert one.tables[0].value == pytest.approx(other.tables[0].value, abs=1e-12)
     assert one.backlash["X"][0] == pytest.approx(other.backlash["X"][0], abs=1e-12)
 

@@ -165,7 +165,7 @@ def test_the_loop(folder: Path, fit: mtcal.Fit) -> None:
 def test_diagnose_and_improve_say_what_the_commands_say(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("machine_tool_calibration.cli.improve.draw", lambda done, folder: ([], ""))
+    monkeypatch.setattr("machine_tool_calibration.plots.improve.save_improvement", lambda done, folder: [])
     mtcal.simulate(seed=3, **SESSIONS["direct"]).save(tmp_path / "run")
     session = str(tmp_path / "run")
     improvement = mtcal.improve(session)

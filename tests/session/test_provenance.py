@@ -13,7 +13,8 @@ import pytest
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.recording.session_bag import session_from_bag, session_to_bag
-from machine_tool_calibration.session.folder import description_yaml, parse_description, read_session, write_session
+from machine_tool_calibration.session.folder import read_session, write_session
+from machine_tool_calibration.session.parse import description_yaml, parse_description
 from machine_tool_calibration.session.provenance import Provenance, data_hash, provenance
 from machine_tool_calibration.simulation.simulate import simulate
 from machine_tool_calibration.simulation.spec import SimulationSpec

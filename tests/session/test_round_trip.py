@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.session.folder import description_yaml, read_session, write_session
-from machine_tool_calibration.session.parse import parse_description
+from machine_tool_calibration.session.folder import read_session, write_session
+from machine_tool_calibration.session.parse import description_yaml, parse_description
 from machine_tool_calibration.session.session import Session
 
 DATA = Path(__file__).parents[1] / "data"

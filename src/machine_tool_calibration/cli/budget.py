@@ -5,12 +5,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from machine_tool_calibration.cli.diagnosing import (
-    Command,
     Wanted,
     history_option,
     model_options,
@@ -37,7 +36,7 @@ if TYPE_CHECKING:
 __all__ = ["budget_option", "command", "contributors_of", "fitted"]
 
 
-def budget_option(text: str) -> Callable[[Command], Command]:
+def budget_option(text: str) -> Callable[[Any], Any]:
     """Add `--budget`, which may be repeated, as the keyword argument `budgets`."""
     return click.option("--budget", "budgets", type=click.Path(path_type=Path), multiple=True, help=text)
 

@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options, note_written
+from machine_tool_calibration.cli.diagnosing import (
+    Wanted,
+    history_option,
+    model_options,
+    note_written,
+    sessions_argument,
+)
 from machine_tool_calibration.cli.output import console, json_option, progress_bar, write_json
 from machine_tool_calibration.reports.documents import write_table
 
@@ -19,7 +25,7 @@ __all__ = ["command"]
 
 
 @click.command("compare")
-@click.argument("measurements", metavar="SESSION…", nargs=-1, required=True, type=click.Path(path_type=Path))
+@sessions_argument
 @model_options
 @history_option
 @click.option(
@@ -55,7 +61,7 @@ def command(
     """
     from machine_tool_calibration.diagnosis.compare import compare
     from machine_tool_calibration.diagnosis.comparison import Comparison
-    from machine_tool_calibration.reports import comparison as documents
+    from machine_tool_calibration.reports.comparison import comparison_document
     from machine_tool_calibration.reports.comparison_tables import show_comparison
 
     chosen = wanted.open(measurements).chosen
@@ -67,26 +73,22 @@ def command(
                 comparison.covariate(name)
     if output is not None or against:
         note_written(_write(comparison, output or Path(), against))
-    if not as_json:
-        show_comparison(console(), comparison)
-    elif isinstance(comparison, Comparison):
-        write_json(documents.comparison_document(comparison))
+    if as_json:
+        write_json(comparison_document(comparison))
     else:
-        write_json(documents.joint_document(comparison))
+        show_comparison(console(), comparison)
 
 
 def _write(comparison: Comparison | JointComparison, folder: Path, against: tuple[str, ...]) -> list[Path]:
     import pandas as pd
 
-    from machine_tool_calibration.diagnosis.comparison import Comparison
-    from machine_tool_calibration.plots.compare import draw, draw_joint
-    from machine_tool_calibration.reports.comparison import comparison_columns, joint_columns
+    from machine_tool_calibration.plots.compare import draw
+    from machine_tool_calibration.reports.comparison import comparison_columns
 
     with progress_bar() as progress:
         progress("drawing")
-        if isinstance(comparison, Comparison):
-            pictures, columns = draw(comparison, folder, against), comparison_columns(comparison)
-        else:
-            pictures, columns = draw_joint(comparison, folder, against), joint_columns(comparison)
-        table = write_table(pd.DataFrame(dict(columns)), folder / "comparison.csv", comparison.provenance)
+        pictures = draw(comparison, folder, against)
+        table = write_table(
+            pd.DataFrame(comparison_columns(comparison)), folder / "comparison.csv", comparison.provenance
+        )
     return [*pictures, table]

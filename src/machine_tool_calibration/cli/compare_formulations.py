@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["command"]
 
-_KINDS = {"positioning": ("µm", 1e6), "straightness": ("µm", 1e6), "squareness": ("µrad", 1e6)}
+_UNITS = {"positioning": "µm", "straightness": "µm", "squareness": "µrad"}
 _HEADS = {
     "conventional": "conventional\nEq. (2)",
     "new": "new\nEqs. (6)-(19)",
@@ -94,7 +94,7 @@ def _document(comparison: Comparison) -> Mapping[str, Any]:
                         if figure.kind == kind
                         for key, value in ((figure.name, figure.value), (f"{figure.name}_u", figure.uncertainty))
                     }
-                    for kind in _KINDS
+                    for kind in _UNITS
                 },
             }
             for name, profiles in comparison.profiles.items()
@@ -134,7 +134,7 @@ def _show(comparison: Comparison) -> None:
 
 
 def _label(kind: str, name: str, profiles: Profiles) -> str:
-    unit, _ = _KINDS[kind]
+    unit = _UNITS[kind]
     if kind == "positioning":
         span = 1e3 * float(np.ptp(profiles.blocks["XYZ".index(name[2])]))
         return f"{name} over {span:g} mm / {unit}"
@@ -147,7 +147,6 @@ def _label(kind: str, name: str, profiles: Profiles) -> str:
 def _cell(figure: Figure) -> str:
     if not np.isfinite(figure.value):
         return "not determined"
-    factor = _KINDS[figure.kind][1]
     if not np.isfinite(figure.uncertainty):
-        return rounded(factor * figure.value)
-    return plus_minus(figure.value, figure.uncertainty, factor)
+        return rounded(1e6 * figure.value)
+    return plus_minus(figure.value, figure.uncertainty, 1e6)

@@ -9,14 +9,14 @@ import click
 
 from machine_tool_calibration.budget.conformity import RULES, conformity
 from machine_tool_calibration.cli.budget import budget_option, contributors_of, fitted
-from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options
+from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options, sessions_argument
 from machine_tool_calibration.cli.output import console, json_option, progress_bar, write_json
 
 __all__ = ["command"]
 
 
 @click.command("conformity")
-@click.argument("measurements", metavar="SESSION…", nargs=-1, required=True, type=click.Path(path_type=Path))
+@sessions_argument
 @click.option(
     "--tolerance", "texts", metavar="NAME=VALUE", multiple=True, help="A tolerance, such as EXX=10um; repeatable."
 )

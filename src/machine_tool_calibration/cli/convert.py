@@ -16,11 +16,10 @@ from machine_tool_calibration.cli.foreign_options import (
     SectionedCommand,
     file_form,
     foreign_options,
-    is_asked,
     mapping_from,
     only_form,
 )
-from machine_tool_calibration.cli.info import topic_names, topic_option
+from machine_tool_calibration.cli.info import topic_option
 from machine_tool_calibration.cli.output import RosName, console, json_option, note, progress_bar, write_json
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.reports.tables import TextTable, show_table
@@ -29,13 +28,12 @@ if TYPE_CHECKING:
     from machine_tool_calibration.importing import Imported
     from machine_tool_calibration.session.session import Session
 
-__all__ = ["command", "foreign_document", "show_preview"]
+__all__ = ["command"]
+
+_FIRST = 6  # readings that are shown
 
 
-_FIRST = 6
-
-
-def foreign_document(imported: Imported) -> dict[str, Any]:
+def _preview_document(imported: Imported) -> dict[str, Any]:
     """The preview as a document: what was read from where, the first readings, and remarks."""
     from machine_tool_calibration.session.folder import readings_frame
 
@@ -49,13 +47,8 @@ def foreign_document(imported: Imported) -> dict[str, Any]:
     }
 
 
-def show_preview(imported: Imported, *, whole: bool) -> None:
-    """Print what was read.
-
-    Args:
-        imported: the table.
-        whole: also the first readings and the text of session.yaml; otherwise remarks only.
-    """
+def _show_preview(imported: Imported, *, whole: bool) -> None:
+    """Print remarks, and where the whole is wanted what was read, the first readings and the text of session.yaml."""
     from rich.markup import escape
 
     from machine_tool_calibration.session.folder import readings_frame
@@ -113,7 +106,7 @@ def command(
     start: int,
     namespace: str,
     description: Path | None,
-    topics: tuple[str, ...],
+    topics: dict[str, str],
     as_json: bool,
     setup_name: str | None,
     dry_run: bool,
@@ -158,21 +151,21 @@ def command(
     """
     from machine_tool_calibration.recording.open import is_session_folder
 
-    names = topic_names(topics)
     sources, target = _sources_and_target(paths, dry_run=dry_run)
     source = sources[0]
     for path in sources:
         if not path.exists():
             raise CalibrationError(f"{path}: no such file or folder")
-    imported = _imported(sources, setup_name, foreign, description) if is_asked(foreign) else None
+    is_foreign = foreign["table"] is not None or foreign["mapping"] is not None
+    imported = _imported(sources, setup_name, foreign, description) if is_foreign else None
     own = None if imported is not None else _own_table(sources, setup_name, foreign, description)
     from_session = imported is None and own is None and is_session_folder(source)
     if form is None:
         form = _form(target, "bag" if from_session else "session")
     if imported is not None:
-        preview = foreign_document(imported)
+        preview = _preview_document(imported)
         if not as_json:
-            show_preview(imported, whole=dry_run)
+            _show_preview(imported, whole=dry_run)
         if dry_run or target is None:
             if as_json:
                 write_json({"format": "mtcal-converted/1", "source": source, "to": None, **preview})
@@ -183,9 +176,9 @@ def command(
     elif own is not None:
         document = _written(_trusted(own, foreign), target, form, start, namespace)
     elif form in ("csv", "parquet"):
-        document = _tables(source, target, form, from_session, names)
+        document = _tables(source, target, form, from_session, topics)
     else:
-        document = _written(_trusted(_opened(source, names), foreign), target, form, start, namespace)
+        document = _written(_trusted(_opened(source, topics), foreign), target, form, start, namespace)
     if as_json:
         write_json({"format": "mtcal-converted/1", "source": source, "target": target, "to": form, **document})
     else:
@@ -263,11 +256,11 @@ def _own_table(
     return read_own_table(table, record, str(described), parse_form(form))
 
 
-def _opened(source: Path, names: dict[str, str]) -> Session:
+def _opened(source: Path, topics: dict[str, str]) -> Session:
     """The measurement, unchecked: what is converted need not be enough for its method."""
     from machine_tool_calibration.recording.open import open_measurement
 
-    return open_measurement(source, names, check=False)
+    return open_measurement(source, topics, check=False)
 
 
 def _trusted(session: Session, foreign: dict[str, Any]) -> Session:
@@ -306,7 +299,7 @@ def _check_ending(target: Path, form: str) -> None:
         raise click.UsageError(f"{target} does not end in .{form}")
 
 
-def _tables(source: Path, target: Path, form: str, from_session: bool, names: dict[str, str]) -> dict[str, Any]:
+def _tables(source: Path, target: Path, form: str, from_session: bool, topics: dict[str, str]) -> dict[str, Any]:
     from machine_tool_calibration.recording.reader import BagReader
     from machine_tool_calibration.recording.tables import save_tables
 
@@ -314,7 +307,7 @@ def _tables(source: Path, target: Path, form: str, from_session: bool, names: di
     if target.exists() and not target.is_dir():
         raise CalibrationError(f"{target}: is there already; choose another name")
     if from_session or target.suffix.lower() == f".{form}":
-        session = _opened(source, names)
+        session = _opened(source, topics)
         _save_readings(session, target, form)
         return {"readings": len(session.readings)}
     with progress_bar() as progress:

@@ -269,9 +269,9 @@ def _hidden(method: str, seed: int, wanted: str | None) -> FlawSpec | None:
     """What the machine hides; the same seed hides the same."""
     rng = np.random.default_rng([seed, 1])
     sizes = _HIDDEN[method]
-    if wanted == "none" or (wanted is None and not sizes):
+    if wanted == "none":
         return None
-    name = str(rng.choice(sorted(sizes))) if sizes else ""
+    name = str(rng.choice(sorted(sizes)))
     share = float(rng.uniform())
     if wanted is not None and wanted not in sizes:
         raise click.BadParameter(f"{wanted!r} is none of {', '.join([*sizes, 'none'])}", param_hint="--hide")
@@ -281,7 +281,6 @@ def _hidden(method: str, seed: int, wanted: str | None) -> FlawSpec | None:
 
 def _story(seed: int, hidden: FlawSpec | None, measured: Measured, progress: Any) -> _Demonstration:
     from machine_tool_calibration.diagnosis.improve import improve
-    from machine_tool_calibration.model.result import Result
     from machine_tool_calibration.plots.improve import save_improvement
 
     improvement = improve(measured.session, seed=seed, progress=progress)
@@ -331,20 +330,14 @@ def _truth_in_words(story: _Demonstration) -> str:
     found = story.improvement.diagnosis.accepted
     if story.hidden is None:
         return "Nothing was hidden." + ("" if not found else " What was added is a false alarm.")
-    said = f"Hidden was {story.hidden.id}, of size {_hidden_size(story.hidden)}."
-    alike = {story.hidden.id}
-    groups = story.improvement.diagnosis.look.groups
-    alike |= {name for group in groups if story.hidden.id in group for name in group}
-    if story.hidden.id in found:
+    hidden, groups = story.hidden, story.improvement.diagnosis.look.groups
+    size = "as it usually is" if hidden.size is None else quantity(hidden.size, find_flaw(hidden.id).unit)
+    said = f"Hidden was {hidden.id}, of size {size}."
+    if hidden.id in found:
         return f"{said} It was found."
-    if alike & set(found):
+    if any(hidden.id in group and set(group) & set(found) for group in groups):
         return f"{said} Found was {', '.join(found)}, which this measurement cannot distinguish from it."
     return f"{said} It was not found."
-
-
-def _hidden_size(hidden: FlawSpec) -> str:
-    """The size of what was hidden, in the units that people use."""
-    return "as it usually is" if hidden.size is None else quantity(hidden.size, find_flaw(hidden.id).unit)
 
 
 def _document(story: _Demonstration) -> dict[str, Any]:

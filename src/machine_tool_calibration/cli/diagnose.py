@@ -13,6 +13,7 @@ from machine_tool_calibration.cli.diagnosing import (
     model_options,
     note_written,
     search_options,
+    sessions_argument,
 )
 from machine_tool_calibration.cli.output import console, json_option, progress_bar, write_json
 
@@ -20,7 +21,7 @@ __all__ = ["command"]
 
 
 @click.command("diagnose")
-@click.argument("measurements", metavar="SESSION…", nargs=-1, required=True, type=click.Path(path_type=Path))
+@sessions_argument
 @model_options
 @history_option
 @search_options

@@ -7,11 +7,11 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from machine_tool_calibration.cli.output import note, session_labels
+from machine_tool_calibration.cli.output import note, options, session_labels
 from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.interface.arguments import MOST_DRAWS
 
@@ -30,6 +30,7 @@ __all__ = [
     "no_model",
     "note_written",
     "search_options",
+    "sessions_argument",
     "unused_model",
 ]
 
@@ -165,18 +166,6 @@ def no_model(paths: Sequence[Path]) -> CalibrationError:
     return CalibrationError(f"{named}: no model was tried yet; `mtcal improve {named}` begins")
 
 
-Command = TypeVar("Command", bound=Callable[..., Any])
-
-
-def history_option(function: Command) -> Command:
-    """Add `--from-history`."""
-    return click.option(
-        "--from-history",
-        is_flag=True,
-        help="Model, effects and outliers as in the session's current model (`mtcal improve`, `mtcal history`).",
-    )(function)
-
-
 def keeping(sessions: Sequence[Session], labels: Sequence[str], keep: Sequence[str]) -> list[Session]:
     """The sessions, with the readings that `--keep` names known to be sound.
 
@@ -199,6 +188,9 @@ def keeping(sessions: Sequence[Session], labels: Sequence[str], keep: Sequence[s
     return out
 
 
+sessions_argument = click.argument(
+    "measurements", metavar="SESSION…", nargs=-1, required=True, type=click.Path(path_type=Path)
+)
 model_option = click.option("--model", help="Variant of the model, such as free; `mtcal info SESSION` says when which.")
 effects_file_option = click.option(
     "--effects-file",
@@ -207,17 +199,21 @@ effects_file_option = click.option(
     multiple=True,
     help="YAML file with effects of your own; they are looked for like the built-in ones.",
 )
-_MODEL_OPTIONS = (
-    model_option,
-    effects_file_option,
-    click.option("-e", "--effect", "effects", multiple=True, metavar="ID", help="Effect to have in the model."),
+_model_options = options(
     click.option(
         "--keep",
-        "keep",
         metavar="[SESSION:]ROW",
         multiple=True,
         help="Reading that is not to be set aside, as the table of those set aside names it; repeatable.",
     ),
+    click.option("-e", "--effect", "effects", multiple=True, metavar="ID", help="Effect to have in the model."),
+    effects_file_option,
+    model_option,
+)
+history_option = click.option(
+    "--from-history",
+    is_flag=True,
+    help="Model, effects and outliers as in the session's current model (`mtcal improve`, `mtcal history`).",
 )
 
 
@@ -239,27 +235,21 @@ def model_options(function: Callable[..., Any]) -> Callable[..., Any]:
     ) -> Any:
         return function(wanted=Wanted(effects, files, model, keep, from_history), **more)
 
-    for option in _MODEL_OPTIONS:
-        option(collected)
-    return collected
+    return _model_options(collected)
 
 
-def search_options(function: Command) -> Command:
-    """Add `--seed` and `--sets`."""
-    for option in (
-        click.option(
-            "--sets",
-            type=click.IntRange(199, MOST_DRAWS),
-            default=199,
-            show_default=True,
-            help="Simulated data sets in which nothing is missing: they give the p-values.",
-        ),
-        click.option(
-            "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of the simulated data sets."
-        ),
-    ):
-        function = option(function)
-    return function
+search_options = options(
+    click.option(
+        "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of the simulated data sets."
+    ),
+    click.option(
+        "--sets",
+        type=click.IntRange(199, MOST_DRAWS),
+        default=199,
+        show_default=True,
+        help="Simulated data sets in which nothing is missing: they give the p-values.",
+    ),
+)
 
 
 def note_written(paths: Sequence[Path]) -> None:

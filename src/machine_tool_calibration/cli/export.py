@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options, unused_model
-from machine_tool_calibration.cli.info import topic_names, topic_option
+from machine_tool_calibration.cli.info import topic_option
 from machine_tool_calibration.cli.output import console, json_option, note, progress_bar, write_json
 from machine_tool_calibration.errors import CalibrationError
 
@@ -30,12 +30,7 @@ _CHANCE = 1e-3
 
 
 def bad_fit(fit: JointFit, content: Mapping[str, Any]) -> str | None:
-    """The words of `mtcal identify` if the readings scatter about the model beyond chance; None otherwise.
-
-    Args:
-        fit: of all sessions.
-        content: of the error map.
-    """
+    """The words of `mtcal identify` if the readings scatter about the model beyond chance; None otherwise."""
     from machine_tool_calibration.reports.identification import goodness_of_fit
 
     if not fit.p_value < _CHANCE:
@@ -71,7 +66,7 @@ def command(
     output: Path | None,
     wanted: Wanted,
     plot: bool,
-    topics: tuple[str, ...],
+    topics: dict[str, str],
     as_json: bool,
 ) -> None:
     """Write compensation tables for a controller, and show what would be left of the errors.
@@ -99,7 +94,7 @@ def command(
         raise click.UsageError("--from-history is for one session, without --effect.")
     with progress_bar() as progress:
         progress("identifying")
-        found = _identified(measurements, wanted, topic_names(topics))
+        found = _identified(measurements, wanted, topics)
         progress("writing and reading tables")
         made = found.compensation.exported(form)
     origin, tables = found.compensation.origin, found.compensation.tables

@@ -3,16 +3,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from functools import partial
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
 import click
 
+from machine_tool_calibration.cli.output import options
 from machine_tool_calibration.errors import CalibrationError
 
-__all__ = ["SectionedCommand", "file_form", "foreign_options", "is_asked", "mapping_from", "only_form"]
+__all__ = ["SectionedCommand", "file_form", "foreign_options", "mapping_from", "only_form"]
 
 _FORM = ("separator", "encoding", "skip", "skip_after_header", "comment", "missing", "time_format")
 """Options of how the text of a table is written, but for those that are given in other words."""
@@ -35,11 +37,9 @@ class SectionedCommand(click.Command):
                 formatter.write_dl([row for row in rows if row is not None])
 
 
-def _option(*names: str, **settings: Any) -> Callable[[Any], Any]:
-    return click.option(*names, cls=_Option, **settings)
+_option = partial(click.option, cls=_Option)
 
-
-_OPTIONS: Sequence[Callable[[Any], Any]] = (
+foreign_options = options(
     _option(
         "--table",
         type=click.Choice(["points", "ranges", "iso230-2", "readings"]),
@@ -97,9 +97,7 @@ _OPTIONS: Sequence[Callable[[Any], Any]] = (
         type=click.Choice(["actual-minus-nominal", "nominal-minus-actual"]),
         help="Sign of deviations in the table; actual minus nominal by default.",
     ),
-    _option(
-        "--origin", "origins", multiple=True, metavar="AXIS=LENGTH", help="Of nominal coordinates in the machine's."
-    ),
+    _option("--origin", multiple=True, metavar="AXIS=LENGTH", help="Of nominal coordinates in the machine's."),
     _option(
         "--align",
         is_flag=True,
@@ -142,18 +140,6 @@ _OPTIONS: Sequence[Callable[[Any], Any]] = (
 )
 
 
-def foreign_options(function: Any) -> Any:
-    """Add the options to a verb, as the keyword arguments that `mapping_from` takes."""
-    for option in reversed(_OPTIONS):
-        function = option(function)
-    return function
-
-
-def is_asked(given: dict[str, Any]) -> bool:
-    """Whether the command line is about a foreign table."""
-    return given["table"] is not None or given["mapping"] is not None
-
-
 def only_form(given: dict[str, Any]) -> bool:
     """Whether nothing is said of a foreign table but how its text is written, and that its sizes are right."""
     return not any(value for key, value in given.items() if key not in (*_FORM, "decimal", "no_header", "trust_units"))
@@ -184,22 +170,11 @@ def mapping_from(given: dict[str, Any], description: Path | None = None) -> tupl
     path = given["mapping"]
     content: dict[str, Any] = {} if path is None else dict(read_mapping(path))
     content.setdefault("format", FORMAT)
-    if given["table"]:
-        content["table"] = given["table"]
-    for option, key in (
-        ("columns", "columns"),
-        ("extras", "extras"),
-        ("values", "values"),
-        ("origins", "origin"),
-        ("stations", "stations"),
-        ("targets", "targets"),
-    ):
-        _update(content, key, _pairs(option, given[option]), path)
+    for key in ("columns", "extras", "values", "origin", "stations", "targets"):
+        _update(content, key, _pairs(key, given[key]), path)
     _update(content, "units", _units(given["units"]), path)
     _update(content, "file", file_form(given), path)
-    for key in ("sign", "axis", "senses"):
-        if given[key]:
-            content[key] = given[key]
+    content |= {key: given[key] for key in ("table", "sign", "axis", "senses") if given[key]}
     content |= {key: True for key in ("align", "transposed", "actual") if given[key]}
     if given["long"]:
         content["layout"] = "long"
@@ -248,9 +223,8 @@ def _pairs(option: str, texts: Sequence[str]) -> dict[str, str]:
 def _units(texts: Sequence[str]) -> dict[str, str]:
     from machine_tool_calibration.importing.units import dimension
 
-    return {(name.strip() if mark else dimension(unit)): unit for name, mark, unit in map(_unit, texts)}
-
-
-def _unit(text: str) -> tuple[str, str, str]:
-    name, mark, unit = text.rpartition("=")
-    return name, mark, unit.strip()
+    out = {}
+    for text in texts:
+        name, mark, unit = (part.strip() for part in text.rpartition("="))
+        out[name if mark else dimension(unit)] = unit
+    return out

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import no_model
+from machine_tool_calibration.cli.diagnosing import no_model, sessions_argument
 from machine_tool_calibration.cli.output import console, json_option, note, write_json
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.reports.tables import show_table
@@ -16,7 +16,7 @@ __all__ = ["command"]
 
 
 @click.command("history")
-@click.argument("measurements", metavar="SESSION…", nargs=-1, required=True, type=click.Path(path_type=Path))
+@sessions_argument
 @click.option("--undo", is_flag=True, help="Go back to the model that the current one was made from.")
 @click.option("--use", type=int, metavar="N", help="Make model N the current one.")
 @click.option("--compare", nargs=2, type=int, metavar="N M", help="Show two models side by side.")

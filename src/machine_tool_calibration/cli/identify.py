@@ -13,7 +13,7 @@ import click
 from machine_tool_calibration.cli.diagnosing import Wanted, history_option, model_options
 from machine_tool_calibration.cli.output import console, json_option, note, progress_bar, write_json
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.reports.documents import plain, to_json
+from machine_tool_calibration.reports.documents import plain, to_json, write_table
 from machine_tool_calibration.reports.identification import show_profiles, show_result
 
 if TYPE_CHECKING:
@@ -83,7 +83,6 @@ def command(
             progress("drawing")
             written = _write(document, result, recorded, folder, result_file=output is not None)
         if table and result is not None:
-            from machine_tool_calibration.reports.documents import write_table
             from machine_tool_calibration.reports.result_tables import tidy
 
             try:

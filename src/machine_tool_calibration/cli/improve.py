@@ -4,14 +4,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.diagnosing import Wanted, model_options, note_written, search_options
+from machine_tool_calibration.cli.diagnosing import (
+    Wanted,
+    model_options,
+    note_written,
+    search_options,
+    sessions_argument,
+)
 from machine_tool_calibration.cli.output import console, json_option, note, progress_bar, write_json
 from machine_tool_calibration.errors import CalibrationError, SessionError
 
@@ -20,31 +25,14 @@ if TYPE_CHECKING:
     from machine_tool_calibration.diagnosis.improve import Improvement
     from machine_tool_calibration.session.session import Session
 
-__all__ = ["HistoryUpdate", "command", "draw", "keep_models"]
+__all__ = ["command"]
 
 
-@dataclass(frozen=True)
-class HistoryUpdate:
-    """What became of the history.
+def _keep_models(done: Improvement, sessions: Sequence[Session], path: Path) -> tuple[list[Path], str]:
+    """Put the models into the history: the file, if it was changed, and a remark.
 
-    Attributes:
-        written: the file, if it was changed.
-        words: a remark.
-        failure: why it could not be written.
-    """
-
-    written: tuple[Path, ...] = ()
-    words: str = ""
-    failure: str = ""
-
-
-def keep_models(done: Improvement, sessions: Sequence[Session], path: Path) -> HistoryUpdate:
-    """Put the models into the history; a failure is returned, and loses nothing else.
-
-    Args:
-        done: what was done.
-        sessions: of which readings.
-        path: the history's file.
+    Raises:
+        SessionError: it cannot be written.
     """
     from machine_tool_calibration.diagnosis.improve import entries
     from machine_tool_calibration.reports.history_file import fingerprint, update_history
@@ -58,36 +46,17 @@ def keep_models(done: Improvement, sessions: Sequence[Session], path: Path) -> H
         before.append(old)
         return old.grown(made)
 
-    try:
-        new = update_history(path, grown)
-    except SessionError as error:
-        return HistoryUpdate(failure=f"{error}; the models are not kept (--no-history does without)")
+    new = update_history(path, grown)
     old = before[-1]
     if new == old:
-        return HistoryUpdate(
-            words=f"{path} holds these models already: unchanged, model {new.current} is the current one"
-        )
+        return [], f"{path} holds these models already: unchanged, model {new.current} is the current one"
     if len(new.models) == len(old.models):
-        return HistoryUpdate((path,), f"no new model in the history; model {new.current} is the current one now")
-    return HistoryUpdate((path,))
-
-
-def draw(done: Improvement, folder: Path) -> tuple[list[Path], str]:
-    """Write pictures and numbers.
-
-    Returns:
-        The files, or why they could not be written.
-    """
-    from machine_tool_calibration.plots.improve import save_improvement
-
-    try:
-        return save_improvement(done, folder), ""
-    except OSError as error:
-        return [], f"{error.filename or folder}: cannot be written: {error.strerror}; -o names another folder"
+        return [path], f"no new model in the history; model {new.current} is the current one now"
+    return [path], ""
 
 
 @click.command("improve")
-@click.argument("measurements", metavar="SESSION…", nargs=-1, required=True, type=click.Path(path_type=Path))
+@sessions_argument
 @model_options
 @search_options
 @click.option(
@@ -120,6 +89,7 @@ def command(
     mtcal improve measurements/cube measurements/cube_again
     """
     from machine_tool_calibration.diagnosis.improve import improve
+    from machine_tool_calibration.plots.improve import save_improvement
     from machine_tool_calibration.reports.history_file import history_path, read_history
     from machine_tool_calibration.reports.improvement import improvement_document, show_improvement
 
@@ -129,23 +99,33 @@ def command(
         read_history(kept)
     with progress_bar() as progress:
         done = improve(chosen, seed=seed, sets=sets, progress=progress)
-    # What is to be kept is written before anything is printed: the reader of the output may go away.
-    update = keep_models(done, chosen.sessions, kept) if history else HistoryUpdate()
+    # What is to be kept is written before anything is printed: the reader of the output may go away. What cannot be
+    # written is said at the end, and loses nothing else.
+    written: list[Path] = []
+    words, failed = "", list[str]()
+    if history:
+        try:
+            written, words = _keep_models(done, chosen.sessions, kept)
+        except SessionError as error:
+            failed.append(f"{error}; the models are not kept (--no-history does without)")
     if output is None:
         names = "+".join(path.absolute().name for path in measurements)
         output = Path("mtcal_output") / f"improve_{names}"
     with progress_bar() as progress:
         progress("drawing")
-        drawn, why = draw(done, output)
+        try:
+            written = [*save_improvement(done, output), *written]
+        except OSError as error:
+            why = f"{error.filename or output}: cannot be written: {error.strerror}; -o names another folder"
+            failed.insert(0, why)
     try:
         if as_json:
             write_json(improvement_document(done))
         else:
             show_improvement(console(), done)
     finally:
-        note_written([*drawn, *update.written])
-        if update.words:
-            note(update.words)
-    failed = [text for text in (why, update.failure) if text]
+        note_written(written)
+        if words:
+            note(words)
     if failed:
         raise CalibrationError("; ".join(failed))

@@ -14,11 +14,23 @@ from machine_tool_calibration.errors import CalibrationError
 if TYPE_CHECKING:
     from machine_tool_calibration.recording.reader import BagReader
 
-__all__ = ["command", "topic_names", "topic_option"]
+__all__ = ["command", "topic_option"]
+
+
+def _topic_names(_: click.Context, __: click.Parameter, said: tuple[str, ...]) -> dict[str, str]:
+    names = {}
+    for option in said:
+        role, equals, name = option.partition("=")
+        if not equals or not name:
+            raise click.UsageError(f"--topic {option}: write ROLE=NAME, such as reading=/cell/reading")
+        names[role] = name
+    return names
+
 
 topic_option = click.option(
     "--topic",
     "topics",
+    callback=_topic_names,
     multiple=True,
     metavar="ROLE=NAME",
     help="Topic in a recording that holds the role `session` or `reading`, where it has another name.",
@@ -29,7 +41,7 @@ topic_option = click.option(
 @click.argument("measurement", type=click.Path(path_type=Path))
 @topic_option
 @json_option
-def command(measurement: Path, topics: tuple[str, ...], as_json: bool) -> None:
+def command(measurement: Path, topics: dict[str, str], as_json: bool) -> None:
     """Show what was measured: setups, readings, columns; and the topics of a recording.
 
     MEASUREMENT is a session folder, a recording (rosbag2 folder) or a single .mcap file. A measurement that can be read
@@ -44,12 +56,11 @@ def command(measurement: Path, topics: tuple[str, ...], as_json: bool) -> None:
     from machine_tool_calibration.reports.information import measurement_document, show_recording, show_session
     from machine_tool_calibration.session.summary import summarize
 
-    names = topic_names(topics)
     bag, session, absent = None, None, ""
     if not is_session_folder(measurement):
-        bag, absent = _recording(measurement, names)
+        bag, absent = _recording(measurement, topics)
     if not absent:
-        session = open_measurement(measurement, names, check=False)
+        session = open_measurement(measurement, topics, check=False)
     summary = summarize(session) if session is not None else None
     if as_json:
         write_json(measurement_document(measurement, bag, session, summary, absent))
@@ -63,7 +74,7 @@ def command(measurement: Path, topics: tuple[str, ...], as_json: bool) -> None:
         raise CalibrationError(summary.problem)
 
 
-def _recording(measurement: Path, names: dict[str, str]) -> tuple[BagReader | None, str]:
+def _recording(measurement: Path, topics: dict[str, str]) -> tuple[BagReader | None, str]:
     """The recording, None if it is none, and why no session can be read from it."""
     # here, because a session folder needs none of the recording's libraries
     from machine_tool_calibration.errors import RecordingError
@@ -74,24 +85,9 @@ def _recording(measurement: Path, names: dict[str, str]) -> tuple[BagReader | No
         return None, ""
     bag = BagReader(measurement)
     try:
-        find_topics(measurement, bag.topics, names)
+        find_topics(measurement, bag.topics, topics)
     except RecordingError as error:
-        if names:
+        if topics:
             raise
         return bag, str(error)
     return bag, ""
-
-
-def topic_names(options: tuple[str, ...]) -> dict[str, str]:
-    """`--topic ROLE=NAME` options as a mapping.
-
-    Raises:
-        click.UsageError: an option without `=`.
-    """
-    names = {}
-    for option in options:
-        role, equals, name = option.partition("=")
-        if not equals or not name:
-            raise click.UsageError(f"--topic {option}: write ROLE=NAME, such as reading=/cell/reading")
-        names[role] = name
-    return names

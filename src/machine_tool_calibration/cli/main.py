@@ -17,7 +17,6 @@ import re
 import sys
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -48,14 +47,6 @@ _LIGHT = ("effects", "history", "info")
 
 class OutputClosedError(Exception):
     """Whatever read the standard output has gone."""
-
-
-@dataclass(frozen=True)
-class _BuiltIn:
-    """A verb of this package: its module and the first paragraph of its help."""
-
-    module: str
-    summary: str
 
 
 class Verbs(click.Group):
@@ -89,9 +80,8 @@ class Verbs(click.Group):
         Raises:
             CalibrationError: the verb is there but cannot be loaded.
         """
-        verb = _built_in(cmd_name).get(cmd_name)
-        if verb is not None:
-            return _load(cmd_name, verb.module)
+        if cmd_name in _built_in(cmd_name):
+            return _load(cmd_name)
         if cmd_name in self._entry_points():
             return _load_plugin(self._entry_points()[cmd_name])
         return None
@@ -112,7 +102,7 @@ class Verbs(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the verbs by what they are for, without importing those of this package."""
-        summaries = {name: verb.summary for name, verb in _built_in().items()}
+        summaries = _built_in()
         known = [name for names in SECTIONS.values() for name in names]
         sections = SECTIONS | {"More": tuple(sorted(set(summaries) - set(known)))}
         for title, names in sections.items():
@@ -135,8 +125,8 @@ class Verbs(click.Group):
         return self._plugins
 
 
-def _built_in(only: str | None = None) -> dict[str, _BuiltIn]:
-    """The verbs among the modules of this package, by name; with `only` that one alone, if it is a verb."""
+def _built_in(only: str | None = None) -> dict[str, str]:
+    """Verbs among the modules of this package with the first paragraph of their help; with `only` that one alone."""
     verbs = {}
     for path in cli.__path__:
         for module in pkgutil.iter_modules([path]):
@@ -146,7 +136,7 @@ def _built_in(only: str | None = None) -> dict[str, _BuiltIn]:
             file = f"{module.name}/__init__.py" if module.ispkg else f"{module.name}.py"
             summary = _summary(Path(path) / file)
             if summary is not None:
-                verbs[name] = _BuiltIn(f"{cli.__name__}.{module.name}", summary)
+                verbs[name] = summary
     return verbs
 
 
@@ -176,7 +166,8 @@ def _first_sentence(text: str) -> str:
     return re.split(r"(?<!\bal)\. ", text)[0].rstrip(".")
 
 
-def _load(name: str, module: str) -> click.Command:
+def _load(name: str) -> click.Command:
+    module = f"{cli.__name__}.{name.replace('-', '_')}"
     try:
         command = importlib.import_module(module).command
     except ModuleNotFoundError as error:

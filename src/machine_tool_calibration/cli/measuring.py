@@ -3,14 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING
 
 import click
 
-from machine_tool_calibration.cli.output import RosName, error_console
+from machine_tool_calibration.cli.output import RosName, console, options
 from machine_tool_calibration.reports.identification import summary_rows
 from machine_tool_calibration.reports.tables import TextTable, show_table
 
@@ -21,42 +21,33 @@ if TYPE_CHECKING:
 
 __all__ = ["graph_options", "graph_place", "readings_bar", "show_files", "show_result"]
 
-Command = TypeVar("Command", bound=Callable[..., Any])
-
 _DOMAIN = click.IntRange(0, 232)
 _namespace = click.option(
     "--namespace", type=RosName(space=True), default="", help="Namespace of all nodes, such as cell_1."
 )
 
 
-def graph_place(function: Command) -> Command:
-    """Add `--domain-id` and `--namespace` of a graph that runs already to a verb."""
-    for option in (
-        _namespace,
-        click.option("--domain-id", type=_DOMAIN, help="ROS domain id of the graph; by default ROS_DOMAIN_ID, else 0."),
-    ):
-        function = option(function)
-    return function
+graph_place = options(
+    click.option("--domain-id", type=_DOMAIN, help="ROS domain id of the graph; by default ROS_DOMAIN_ID, else 0."),
+    _namespace,
+)
+"""Of a graph that runs already."""
 
-
-def graph_options(function: Command) -> Command:
-    """Add `--output`, `--domain-id` and `--namespace` of a graph that is started to a verb."""
-    for option in (
-        _namespace,
-        click.option(
-            "--domain-id",
-            type=_DOMAIN,
-            help="ROS domain id; by default ROS_DOMAIN_ID, else the first that no other measurement here uses.",
-        ),
-        click.option(
-            "-o",
-            "--output",
-            type=click.Path(path_type=Path),
-            help="New folder for everything that is written; by default in ./mtcal_output.",
-        ),
-    ):
-        function = option(function)
-    return function
+graph_options = options(
+    click.option(
+        "-o",
+        "--output",
+        type=click.Path(path_type=Path),
+        help="New folder for everything that is written; by default in ./mtcal_output.",
+    ),
+    click.option(
+        "--domain-id",
+        type=_DOMAIN,
+        help="ROS domain id; by default ROS_DOMAIN_ID, else the first that no other measurement here uses.",
+    ),
+    _namespace,
+)
+"""Of a graph that is started."""
 
 
 @contextmanager
@@ -64,9 +55,9 @@ def readings_bar() -> Iterator[Progress]:
     """A progress bar of the readings on standard error; plain lines where that is not a terminal."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    console = error_console()
-    if not console.is_terminal:
-        yield _lines(console)
+    screen = console(stderr=True)
+    if not screen.is_terminal:
+        yield _lines(screen)
         return
     columns = (
         SpinnerColumn(),
@@ -75,12 +66,12 @@ def readings_bar() -> Iterator[Progress]:
         MofNCompleteColumn(),
         TimeElapsedColumn(),
     )
-    with Progress(*columns, console=console, transient=True) as shown:
+    with Progress(*columns, console=screen, transient=True) as shown:
         task = shown.add_task("starting", total=None)
         yield lambda text, done, total: shown.update(task, description=text, completed=done, total=total)
 
 
-def _lines(console: Console) -> Progress:
+def _lines(screen: Console) -> Progress:
     last, counted = "", 0
 
     def show(text: str, done: int, total: int) -> None:
@@ -88,13 +79,13 @@ def _lines(console: Console) -> Progress:
         if text != last:
             last = text
             # The count once for every change of it: what is done before and after the readings has none.
-            console.print(f"{text} ({done} of {total} readings)" if done != counted else text)
+            screen.print(f"{text} ({done} of {total} readings)" if done != counted else text)
             counted = done
 
     return show
 
 
-def show_result(console: Console, measured: Measured) -> None:
+def show_result(screen: Console, measured: Measured) -> None:
     """The measurement's figures as a table."""
     rows = [("measured", f"{len(measured.session.readings)} readings in {measured.seconds[1]:.1f} s")]
     for name in ("unstable", "recoveries", "restarts"):
@@ -102,10 +93,10 @@ def show_result(console: Console, measured: Measured) -> None:
             rows.append((name, str(number)))
     if measured.result is not None:
         rows += summary_rows(measured.result)
-    show_table(console, TextTable("", ("", ""), tuple(rows)))
+    show_table(screen, TextTable("", ("", ""), tuple(rows)))
 
 
-def show_files(console: Console, measured: Measured, more: list[tuple[str, Path]] | None = None) -> None:
+def show_files(screen: Console, measured: Measured, more: list[tuple[str, Path]] | None = None) -> None:
     """Where everything is."""
     rows: list[tuple[str, Path | None]] = [
         ("recording", measured.bag),
@@ -115,4 +106,4 @@ def show_files(console: Console, measured: Measured, more: list[tuple[str, Path]
         ("logs of the nodes", measured.output / "log"),
     ]
     found = tuple((name, str(path)) for name, path in rows if path is not None)
-    show_table(console, TextTable("", ("", ""), found))
+    show_table(screen, TextTable("", ("", ""), found))

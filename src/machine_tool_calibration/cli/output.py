@@ -2,7 +2,7 @@
 """What every verb of `mtcal` shares: JSON for programs, text for people, one line for an error.
 
 A verb prints for people through `console()`; with `--json` it writes one document with `write_json` and nothing else to
-standard output. Progress and notes go to standard error (`error_console`, `note`). A wrong input raises a
+standard output. Progress and notes go to standard error (`console(stderr=True)`, `note`). A wrong input raises a
 `CalibrationError`, which `mtcal` turns into one line and exit status 1.
 """
 
@@ -27,10 +27,10 @@ __all__ = [
     "PictureFile",
     "RosName",
     "console",
-    "error_console",
     "json_option",
     "note",
     "one_line",
+    "options",
     "progress_bar",
     "session_labels",
     "write_json",
@@ -39,11 +39,20 @@ __all__ = [
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
-def json_option(function: Command) -> Command:
-    """Add `--json` to a verb, as the keyword argument `as_json`."""
-    return click.option(
-        "--json", "as_json", is_flag=True, help="Write one JSON document to standard output, for programs."
-    )(function)
+def options(*several: Callable[[Any], Any]) -> Callable[[Command], Command]:
+    """Several options as one decorator of a verb; `--help` lists them in this order."""
+
+    def add(function: Command) -> Command:
+        for option in reversed(several):
+            function = option(function)
+        return function
+
+    return add
+
+
+json_option = click.option(
+    "--json", "as_json", is_flag=True, help="Write one JSON document to standard output, for programs."
+)
 
 
 class PictureFile(click.Path):
@@ -94,17 +103,8 @@ def write_json(document: Any) -> None:
     click.echo(to_json(document))
 
 
-def console() -> Console:
-    """Where text for people goes: standard output; plain text when that is not a terminal."""
-    return _console(stderr=False)
-
-
-def error_console() -> Console:
-    """Where progress bars and notes go: standard error."""
-    return _console(stderr=True)
-
-
-def _console(*, stderr: bool) -> Console:
+def console(*, stderr: bool = False) -> Console:
+    """Where text for people goes; plain text when that is not a terminal."""
     from rich.console import Console  # here, because the import costs 0.1 s that `--help` does not need
 
     class Screen(Console):
@@ -127,7 +127,7 @@ class Report(Protocol):
 @contextmanager
 def progress_bar() -> Iterator[Report]:
     """A progress bar on standard error; nothing where that is not a terminal."""
-    screen = error_console()
+    screen = console(stderr=True)
     if not screen.is_terminal:
         yield lambda what, share=None: None
         return

@@ -14,6 +14,7 @@ from machine_tool_calibration.cli.diagnosing import (
     model_options,
     note_written,
     search_options,
+    sessions_argument,
 )
 from machine_tool_calibration.cli.output import progress_bar
 
@@ -21,7 +22,7 @@ __all__ = ["command"]
 
 
 @click.command("report")
-@click.argument("measurements", metavar="SESSION…", nargs=-1, required=True, type=click.Path(path_type=Path))
+@sessions_argument
 @click.option(
     "-o",
     "--output",
@@ -64,6 +65,8 @@ def command(
     mtcal report session -o report.html -o report.pdf --language de
     mtcal report session --from-history --budget mine.yaml --tolerances tolerances.yaml
     """
+    from machine_tool_calibration.budget.contributor import read_budget
+    from machine_tool_calibration.budget.tolerances import read_tolerances
     from machine_tool_calibration.report.evaluation import evaluate
     from machine_tool_calibration.report.page import check_endings, write_report
     from machine_tool_calibration.report.words import words
@@ -71,15 +74,8 @@ def command(
     outputs = outputs or (Path("report.html"),)
     check_endings(outputs)
     spoken = words(language)
-    contributors, limits = [], {}
-    if budgets:
-        from machine_tool_calibration.budget.contributor import read_budget
-
-        contributors = [one for file in budgets for one in read_budget(file)]
-    if tolerances:
-        from machine_tool_calibration.budget.tolerances import read_tolerances
-
-        limits = read_tolerances(tolerances)
+    contributors = [one for file in budgets for one in read_budget(file)]
+    limits = read_tolerances(tolerances) if tolerances else {}
     with progress_bar() as progress:
         found = evaluate(
             wanted.open(measurements),

@@ -12,14 +12,13 @@ from machine_tool_calibration.cli.output import console, json_option, write_json
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.reports.documents import to_json
 from machine_tool_calibration.reports.quantities import quantity
-from machine_tool_calibration.reports.tables import show_table
+from machine_tool_calibration.reports.tables import TextTable, show_table
+from machine_tool_calibration.session.catalogue import METHODS
 
 if TYPE_CHECKING:
     from machine_tool_calibration.simulation import Simulated, SimulationSpec
 
 __all__ = ["command"]
-
-METHODS = ("step_diagonal", "tracking_interferometer", "rotary_axis", "probing", "direct")
 
 HELP = """Simulate a measurement on a virtual machine.
 
@@ -39,7 +38,7 @@ A SPEC.yaml holds `plan` (with its `method`), `seed`, `machine`, `effects` and s
 
 @click.command("simulate", help=HELP, no_args_is_help=True)
 @click.argument("paths", nargs=-1, metavar="[SPEC.yaml] FOLDER", type=click.Path(path_type=Path))
-@click.option("--method", type=click.Choice(METHODS), help="Measuring method, with its usual plan.")
+@click.option("--method", type=click.Choice(list(METHODS)), help="Measuring method, with its usual plan.")
 @click.option("--preset", metavar="NAME", help="A named plan; --list shows them.")
 @click.option("--dimension", type=click.Choice(["2", "3"]), help="Tracking interferometer in the plane or in space.")
 @click.option(
@@ -189,7 +188,6 @@ def _short(value: Any) -> str:
 
 
 def _list(as_json: bool) -> None:
-    from machine_tool_calibration.reports.tables import TextTable
     from machine_tool_calibration.simulation import FLAWS, PRESETS
 
     if as_json:

@@ -36,16 +36,10 @@ __all__ = ["command"]
 @json_option
 def command(
     file: Path,
-    unit: str | None,
-    spacing: float | None,
-    material: str,
-    layer: str | None,
-    is_open: bool,
-    clearance: float,
-    stylus: float | None,
     into: Path | None,
     output: Path | None,
     as_json: bool,
+    **outline: Any,
 ) -> None:
     """Make the points of a workpiece to be probed, with their outward normals.
 
@@ -64,7 +58,7 @@ def command(
     if file.suffix.lower() in (".yaml", ".yml"):
         points = read_workpiece(file)
     else:
-        points = _outline(file, unit, spacing, material, layer, is_open, clearance, stylus)
+        points = _outline(file, **outline)
     if output is not None:
         _write(points, into, output)
     if as_json:
@@ -87,10 +81,8 @@ def _outline(
     clearance: float,
     stylus: float | None,
 ) -> tuple[WorkpiecePoint, ...]:
-    from pydantic import ValidationError
-
     from machine_tool_calibration.procedure.workpiece import Workpiece, workpiece_points
-    from machine_tool_calibration.session.defects import first_defect
+    from machine_tool_calibration.session.defects import validated
 
     if spacing is None:
         raise click.UsageError("An outline needs --spacing: how far its points are apart.")
@@ -102,11 +94,7 @@ def _outline(
         "format": "mtcal-workpiece/1", "unit": unit or "mm", "stylus_diameter": stylus,
         "features": [{key: value for key, value in feature.items() if value is not None}],
     }  # fmt: skip
-    try:
-        workpiece = Workpiece.model_validate(content)
-    except ValidationError as error:
-        raise CalibrationError(first_defect(error, str(file))) from None
-    return workpiece_points(workpiece, file.parent)
+    return workpiece_points(validated(Workpiece, content, str(file)), file.parent)
 
 
 def _write(points: tuple[WorkpiecePoint, ...], into: Path | None, output: Path) -> None:

@@ -70,6 +70,11 @@ class Share:
     slope_u: float | None = None
     worst_row: int | None = None
 
+    @property
+    def ratio(self) -> float | None:
+        """Scatter of these residuals over the declared uncertainty."""
+        return None if self.reduced_chi_square is None else self.reduced_chi_square**0.5
+
 
 @dataclass(frozen=True)
 class Region:

@@ -20,14 +20,14 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import pint
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape, axis_unit
 from machine_tool_calibration.effects.expression import parse, registry
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.model.observations import Observations
-from machine_tool_calibration.session.defects import first_defect
+from machine_tool_calibration.session.defects import validated
 from machine_tool_calibration.session.description import Finite
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
@@ -221,10 +221,7 @@ def checked_definition(definition: dict[str, Any], source: str) -> _Definition:
     Raises:
         ModelError: a key is missing, unknown or of a wrong kind.
     """
-    try:
-        return _Definition.model_validate(definition)
-    except ValidationError as error:
-        raise ModelError(first_defect(error, source, record=_Definition)) from None
+    return validated(_Definition, definition, source, refusal=ModelError)
 
 
 def read_effects(path: Path) -> list[Effect]:

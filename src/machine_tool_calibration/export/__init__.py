@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.export import etalon, fanuc, isg, linuxcnc, siemens, table_csv, table_json
@@ -16,7 +17,7 @@ _Reader = Callable[[Mapping[str, str], AxisTables], AxisTables]
 
 _FORMATS: Mapping[str, tuple[_Writer, _Reader]] = {
     "linuxcnc": (linuxcnc.write, linuxcnc.read),
-    "linuxcnc-trims": (linuxcnc.write_trims, linuxcnc.read_trims),
+    "linuxcnc-trims": (partial(linuxcnc.write, kind=1), partial(linuxcnc.read, kind=1)),
     "siemens": (siemens.write, siemens.read),
     "fanuc": (fanuc.write, fanuc.read),
     "isg": (isg.write, isg.read),

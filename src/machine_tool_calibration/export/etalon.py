@@ -14,9 +14,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.export.head import SIGN, head, number, rebuilt
+from machine_tool_calibration.export.head import SIGN, as_read, head, number, rebuilt
 from machine_tool_calibration.export.isg import NEGATE, UNITS
-from machine_tool_calibration.methods.axis_tables import AxisTable, AxisTables
+from machine_tool_calibration.methods.axis_tables import AxisTables
 
 __all__ = ["read", "write"]
 
@@ -58,5 +58,5 @@ def read(files: Mapping[str, str], tables: AxisTables) -> AxisTables:
             continue
         values = np.array([number(word, _FILE, 0) for word in points.split()]).reshape(-1, 2)
         scale = 1e-3 if name[1] in "XYZ" else 1.0
-        found.append(AxisTable(name, 1e-3 * values[:, 0], scale * values[:, 1], np.full(len(values), np.nan)))
+        found.append(as_read(name, 1e-3 * values[:, 0], scale * values[:, 1]))
     return rebuilt(tables, found, squareness)

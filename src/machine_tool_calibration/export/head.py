@@ -11,7 +11,7 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError, ModelError
 from machine_tool_calibration.methods.axis_tables import AxisTable, AxisTables
 
-__all__ = ["head", "held_beyond", "middle_line", "number", "positioning", "rebuilt"]
+__all__ = ["as_read", "head", "held_beyond", "middle_line", "number", "positioning", "rebuilt"]
 
 SIGN = (
     "deviations, actual minus commanded position of the tool in the workpiece frame (ISO 230-1); the compensation is "
@@ -111,5 +111,9 @@ def middle_line(tables: AxisTables) -> str:
 def held_beyond(name: str, nodes: Array, value: Array) -> AxisTable:
     """A table of which the controller holds the first and the last value beyond its ends."""
     nodes = np.concatenate([[nodes[0] - _FAR], nodes, [nodes[-1] + _FAR]])
-    value = np.concatenate([value[:1], value, value[-1:]])
+    return as_read(name, nodes, np.concatenate([value[:1], value, value[-1:]]))
+
+
+def as_read(name: str, nodes: Array, value: Array) -> AxisTable:
+    """A table from a file that says nothing of uncertainty."""
     return AxisTable(name, nodes, value, np.full(len(nodes), np.nan))

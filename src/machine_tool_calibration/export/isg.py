@@ -13,7 +13,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.export.head import SIGN, head, number, rebuilt
+from machine_tool_calibration.export.head import SIGN, as_read, head, number, rebuilt
 from machine_tool_calibration.methods.axis_tables import AxisTable, AxisTables
 
 __all__ = ["NEGATE", "UNITS", "read", "write"]
@@ -74,7 +74,7 @@ def read(files: Mapping[str, str], tables: AxisTables) -> AxisTables:
             return
         for j, name in enumerate(names[1:], start=1):
             scale = 1e-3 if name[1] in "XYZ" else 1.0
-            found.append(AxisTable(name, 1e-3 * values[:, 0], scale * values[:, j], np.full(len(values), np.nan)))
+            found.append(as_read(name, 1e-3 * values[:, 0], scale * values[:, j]))
 
     for k, line in enumerate(files[_FILE].splitlines(), start=1):
         words = line.split("//")[0].split()

@@ -16,51 +16,37 @@ and the last one their trims. A line of type 1 is thus the compensation itself: 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Literal
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.export.head import head, middle_line, number, positioning, rebuilt
+from machine_tool_calibration.export.head import as_read, head, middle_line, number, positioning, rebuilt
 from machine_tool_calibration.methods.axis_tables import AxisTable, AxisTables
 
-__all__ = ["MOST_LINES", "read", "read_trims", "write", "write_trims"]
+__all__ = ["MOST_LINES", "read", "write"]
 
 MOST_LINES = 256
 _JOINTS = {"X": 0, "Y": 1, "Z": 2}
 _INI = "compensation.ini"
+_SIGN = (
+    "COMP_FILE_TYPE 0: commanded position, actual position moving forward, actual position moving in reverse; the "
+    "controller adds commanded minus actual, which is minus the deviation",
+    "COMP_FILE_TYPE 1: commanded position, trim moving forward, trim moving in reverse; the controller adds the "
+    "trim to the commanded position, so it is minus the deviation",
+)
 
 
-def write(tables: AxisTables, source: str) -> dict[str, str]:
-    """One `.comp` of type 0 for each positioning error, and the INI lines.
-
-    Raises:
-        ModelError: no positioning error is determined.
-    """
-    sign = (
-        "COMP_FILE_TYPE 0: commanded position, actual position moving forward, actual position moving in reverse; the "
-        "controller adds commanded minus actual, which is minus the deviation"
-    )
-    return _written(tables, source, 0, sign)
-
-
-def write_trims(tables: AxisTables, source: str) -> dict[str, str]:
-    """The same as files of type 1, whose numbers the controller adds.
+def write(tables: AxisTables, source: str, kind: Literal[0, 1] = 0) -> dict[str, str]:
+    """One `.comp` of that type for each positioning error, and the INI lines.
 
     Raises:
         ModelError: no positioning error is determined.
     """
-    sign = (
-        "COMP_FILE_TYPE 1: commanded position, trim moving forward, trim moving in reverse; the controller adds the "
-        "trim to the commanded position, so it is minus the deviation"
-    )
-    return _written(tables, source, 1, sign)
-
-
-def _written(tables: AxisTables, source: str, kind: int, sign: str) -> dict[str, str]:
     own = positioning(tables, source)
     absent = [t.name for t in tables.tables if not t.is_positioning] + list(tables.squareness)
-    lines = head(tables, source, sign, "mm: [TRAJ]LINEAR_UNITS or [JOINT_n]UNITS must be mm", absent)
+    lines = head(tables, source, _SIGN[kind], "mm: [TRAJ]LINEAR_UNITS or [JOINT_n]UNITS must be mm", absent)
     lines.append(middle_line(tables))
     lines.append("joints: as trivkins has them, X = 0, Y = 1, Z = 2; change the sections if yours differ")
     lines.append("BACKLASH of a joint with a COMP_FILE is not used by LinuxCNC")
@@ -94,21 +80,12 @@ def _thinned(table: AxisTable) -> tuple[Array, Array]:
     return nodes, np.interp(nodes, table.nodes, table.value)
 
 
-def read(files: Mapping[str, str], tables: AxisTables) -> AxisTables:
-    """Deviations as LinuxCNC takes them from files of type 0.
+def read(files: Mapping[str, str], tables: AxisTables, kind: Literal[0, 1] = 0) -> AxisTables:
+    """Deviations as LinuxCNC takes them from files of that type.
 
     Raises:
         CalibrationError: lines that are no triplets, not ascending, or too many.
     """
-    return _read(files, tables, 0)
-
-
-def read_trims(files: Mapping[str, str], tables: AxisTables) -> AxisTables:
-    """Deviations as LinuxCNC takes them from files of type 1; errors as for `read`."""
-    return _read(files, tables, 1)
-
-
-def _read(files: Mapping[str, str], tables: AxisTables, kind: int) -> AxisTables:
     found, backlash = [], {}
     for file, text in files.items():
         if not file.endswith(".comp"):
@@ -125,6 +102,6 @@ def _read(files: Mapping[str, str], tables: AxisTables, kind: int) -> AxisTables
             raise CalibrationError(f"{file}: the nominal positions must ascend")
         forward, reverse = (values[:, j] - nominal if kind == 0 else -values[:, j] for j in (1, 2))
         mean = (forward + reverse) / 2
-        found.append(AxisTable(f"E{axis}{axis}", nominal, mean, np.full(len(mean), np.nan)))
+        found.append(as_read(f"E{axis}{axis}", nominal, mean))
         backlash[axis] = float(np.mean(reverse - forward)) / 2
     return rebuilt(tables, found, backlash=backlash)

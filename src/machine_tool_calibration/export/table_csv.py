@@ -10,8 +10,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.export.head import SIGN, head, number, rebuilt
-from machine_tool_calibration.methods.axis_tables import AxisTable, AxisTables
+from machine_tool_calibration.export.head import SIGN, as_read, head, number, rebuilt
+from machine_tool_calibration.methods.axis_tables import AxisTables
 
 __all__ = ["COLUMNS", "read", "write"]
 
@@ -62,8 +62,5 @@ def read(files: Mapping[str, str], tables: AxisTables) -> AxisTables:
             squareness[name] = -number(compensation, _FILE, k)
         else:
             values.setdefault(name, []).append((number(position, _FILE, k), -number(compensation, _FILE, k)))
-    found = []
-    for name, pairs in values.items():
-        table = np.array(pairs)
-        found.append(AxisTable(name, table[:, 0], table[:, 1], np.full(len(table), np.nan)))
+    found = [as_read(name, *np.array(pairs).T) for name, pairs in values.items()]
     return rebuilt(tables, found, squareness, backlash)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, first_true
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.importing.mapping import ROLES, ColumnRule
 from machine_tool_calibration.importing.mapping import Mapping as TableMapping
@@ -131,9 +131,7 @@ class Columns:
         Raises:
             SessionError: a cell is empty.
         """
-        bad = np.flatnonzero(~np.isfinite(values))
-        if len(bad):
-            raise SessionError(f"{self.table.where(int(bad[0]))}: {role} is empty")
+        self._refuse_empty(role, ~np.isfinite(values))
         return values
 
     def setups(self, default: str) -> np.ndarray:
@@ -141,10 +139,12 @@ class Columns:
         if not self.has("setup"):
             return np.full(len(self.table), default)
         ids = self.text("setup")
-        bad = np.flatnonzero(ids == "")
-        if len(bad):
-            raise SessionError(f"{self.table.where(int(bad[0]))}: setup is empty")
+        self._refuse_empty("setup", ids == "")
         return ids
+
+    def _refuse_empty(self, what: str, empty: BoolArray) -> None:
+        if (row := first_true(empty)) is not None:
+            raise SessionError(f"{self.table.where(row)}: {what} is empty")
 
     def origin(self, axis: str) -> float:
         """Where the table's zero of an axis is in the machine, m; 0 where that is not said."""

@@ -6,12 +6,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, field_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, field_validator
 
 from machine_tool_calibration.errors import SessionError, did_you_mean
 from machine_tool_calibration.importing.text_table import FileForm
 from machine_tool_calibration.importing.units import UNITS, spelled
-from machine_tool_calibration.session.defects import first_defect
+from machine_tool_calibration.session.defects import validated
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
 
@@ -76,12 +76,7 @@ class ColumnRule(Rule):
     """
 
     column: str
-    unit: str | None = None
-
-    @field_validator("unit")
-    @classmethod
-    def _known(cls, unit: str | None) -> str | None:
-        return None if unit is None else _known_unit(unit)
+    unit: Annotated[str, AfterValidator(spelled)] | None = None
 
 
 class Run(Rule):
@@ -157,7 +152,7 @@ class Mapping(Rule):
     @field_validator("units")
     @classmethod
     def _units(cls, units: dict[str, str]) -> dict[str, str]:
-        return {name: _known_unit(unit) for name, unit in units.items()}
+        return {name: spelled(unit) for name, unit in units.items()}
 
 
 def read_mapping(path: Path) -> dict[str, Any]:
@@ -184,10 +179,7 @@ def parse_mapping(content: dict[str, Any], source: str) -> Mapping:
     Raises:
         SessionError: one line that names the key that is wrong.
     """
-    try:
-        mapping = Mapping.model_validate(content)
-    except ValidationError as error:
-        raise SessionError(first_defect(error, source, record=Mapping, unnamed=("[key]",))) from None
+    mapping = validated(Mapping, content, source, unnamed=("[key]",))
     roles = ROLES[mapping.table]
     for kind in ("columns", "values"):
         for role in getattr(mapping, kind):
@@ -204,10 +196,3 @@ def parse_mapping(content: dict[str, Any], source: str) -> Mapping:
             hint = did_you_mean(name, (*roles, *dimensions))
             raise SessionError(f"{source}: units names {name!r}, which is neither a quantity nor a dimension{hint}")
     return mapping
-
-
-def _known_unit(unit: str) -> str:
-    try:
-        return spelled(unit)
-    except SessionError as error:
-        raise ValueError(str(error)) from None

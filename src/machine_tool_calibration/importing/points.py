@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, best_motion
+from machine_tool_calibration.arrays import Array, best_motion, first_true
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.importing.columns import Columns, Rows
 
@@ -147,9 +147,9 @@ def point_rows(columns: Columns, name: str) -> Rows:
     sensed = [j for j in range(3) if how[j]]
     n, k = len(table), len(sensed)
     origin = np.array([columns.origin(axis) for axis in _AXES])
-    empty = np.flatnonzero(np.isnan(nominal[:, axes]).any(axis=1))
-    if len(empty):
-        raise SessionError(f"{table.where(int(empty[0]))}: the nominal coordinate is empty")
+    empty = first_true(np.asarray(np.isnan(nominal[:, axes]).any(axis=1)))
+    if empty is not None:
+        raise SessionError(f"{table.where(empty)}: the nominal coordinate is empty")
     row = np.repeat(np.arange(n), k)
     numbers: dict[str, Array] = {_AXES[j]: (nominal[:, j] + origin[j])[row] for j in axes}
     taken = (*_AXES, *_MEASURED, "range", "azimuth", "bearing", "elevation", "zenith")
@@ -206,17 +206,13 @@ def _deviation(columns: Columns, nominal: Array, setups: np.ndarray) -> tuple[Ar
             if not columns.has(role[-1]):
                 columns.need((role[-1],), f"the nominal coordinate that belongs to {role}")
             how[j] = role
-            measured[:, j] = columns.number(role) + (nominal[:, j] if role.startswith("deviation") else 0.0)
+            measured[:, j] = columns.number(role)
         if kinds == {"deviation"}:
             if align:
                 raise SessionError(f"{table.source}: deviations cannot be aligned; give the measured coordinates")
-            out = measured - nominal
-            for role in given:  # not through the sum, which would round
-                out[:, _AXES.index(role[-1])] = columns.number(role)
-                if columns.mapping.trusted:
-                    continue
-                check_deviations(out[:, _AXES.index(role[-1])], nominal, f"{table.source}, {role}")
-            return out, how
+            for role in () if columns.mapping.trusted else given:
+                check_deviations(measured[:, _AXES.index(role[-1])], nominal, f"{table.source}, {role}")
+            return measured, how
     if align:
         measured = _aligned(columns, measured, nominal, setups)
     for setup in () if columns.mapping.trusted else dict.fromkeys(setups.tolist()):

@@ -7,7 +7,7 @@ import re
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, first_true, groups, occurrence
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.importing.columns import Columns, Rows
 from machine_tool_calibration.importing.mapping import Run
@@ -158,25 +158,15 @@ def _long(columns: Columns) -> Series:
         deviation = columns.number("deviation")
     words = np.char.lower(columns.text("direction"))
     up, down = np.isin(words, _UP), np.isin(words, _DOWN)
-    bad = np.flatnonzero(~(up | down))
-    if len(bad):
-        raise SessionError(f"{table.where(int(bad[0]))}: direction is {str(words[bad[0]])!r}, neither up nor down")
+    bad = first_true(~(up | down))
+    if bad is not None:
+        raise SessionError(f"{table.where(bad)}: direction is {str(words[bad])!r}, neither up nor down")
     if columns.has("run"):
         run = columns.filled("run", columns.number("run"))
-        wrong = np.flatnonzero(run != np.floor(run))
-        if len(wrong):
-            raise SessionError(f"{table.where(int(wrong[0]))}: run is {run[wrong[0]]:g}, not a whole number")
+        wrong = first_true(run != np.floor(run))
+        if wrong is not None:
+            raise SessionError(f"{table.where(wrong)}: run is {run[wrong]:g}, not a whole number")
         run = run - run.min()
     else:
-        run = _repetition(position, up)
+        run = occurrence(groups(np.round(position, 9), up)).astype(float)
     return position, run, up, deviation, np.arange(len(table))
-
-
-def _repetition(position: Array, up: np.ndarray) -> Array:
-    """How often the position was approached from that side before."""
-    seen: dict[tuple[float, bool], int] = {}
-    out = np.zeros(len(position))
-    for k, key in enumerate(zip(np.round(position, 9).tolist(), up.tolist(), strict=True)):
-        out[k] = seen.get(key, 0)
-        seen[key] = seen.get(key, 0) + 1
-    return out

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray, best_motion, groups
+from machine_tool_calibration.arrays import Array, IntArray, best_motion, groups, occurrence
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.importing.columns import Columns, Rows
 from machine_tool_calibration.importing.points import check_size, has_angles, station_points
@@ -55,7 +55,7 @@ def range_rows(columns: Columns) -> Rows:
     if not columns.has("time"):
         notes.append("no column of time: readings count as taken in the order of the file, one second apart")
     place = _groups(stations, *(labels[key] for key in labels if key == "target"), *(numbers[a] for a in moved))
-    numbers["repeat"] = columns.number("repeat") if columns.has("repeat") else _occurrence(place)
+    numbers["repeat"] = columns.number("repeat") if columns.has("repeat") else occurrence(place).astype(float)
     numbers |= columns.others((*_NOT_KEPT, *_AXES, *"abc"))
     if rotary:
         block = _groups(stations, labels["target"], numbers["repeat"])
@@ -84,17 +84,6 @@ def range_rows(columns: Columns) -> Rows:
 def _groups(*keys: np.ndarray) -> IntArray:
     """(n,) number of the combination of keys, numbers equal to the nanometre."""
     return groups(*(np.round(key, 9) if key.dtype.kind == "f" else key for key in keys))
-
-
-def _occurrence(group: IntArray) -> Array:
-    """(n,) how often the group was there before."""
-    order = np.argsort(group, kind="stable")
-    ordered = group[order]
-    start = np.flatnonzero(np.r_[True, ordered[1:] != ordered[:-1]])
-    before = np.arange(len(group)) - np.repeat(start, np.diff(np.r_[start, len(group)]))
-    out = np.empty(len(group))
-    out[order] = before
-    return out
 
 
 def _first(group: IntArray, values: Array) -> Array:

@@ -18,13 +18,13 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, first_true
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.importing.units import si_values
-from machine_tool_calibration.session.defects import first_defect
-from machine_tool_calibration.session.text import reject_foreign_encoding
+from machine_tool_calibration.session.defects import validated
+from machine_tool_calibration.session.text import read_bytes, reject_foreign_encoding
 
 __all__ = ["FileForm", "TextTable", "parse_form", "read_text_table"]
 
@@ -33,11 +33,6 @@ _CLOCK = re.compile(r"\d?\d:\d\d(:\d\d([.,]\d+)?)?")
 _GERMAN = re.compile(r"(\d?\d)\.(\d?\d)\.(\d{4})[ T](.*)")
 _DAY = 86400.0
 _NO_DATE = date(1900, 1, 1)  # of `datetime.strptime` where the text has none
-
-
-def _are_stamps(cells: np.ndarray) -> bool:
-    """Whether a column holds dates or times of day; numbers of seconds otherwise."""
-    return any(":" in cell for cell in cells[:1000])
 
 
 def _stamp_seconds(text: str, pattern: str | None) -> float:
@@ -193,11 +188,10 @@ class TextTable:
             plain = plain.where(~plain.str.contains(".", regex=False), "?").str.replace(",", ".", regex=False)
         written = plain.str.fullmatch(_NUMBER).to_numpy(dtype=bool)
         values = si_values(plain.where(written, "nan").tolist(), unit)
-        bad = np.flatnonzero(~np.isfinite(values) & ~self._missing(cells))
-        if len(bad):
-            row = int(bad[0])
-            line = (self.lines if lines is None else lines)[row]
-            cell = str(text[row])
+        bad = first_true(~np.isfinite(values) & ~self._missing(cells))
+        if bad is not None:
+            line = (self.lines if lines is None else lines)[bad]
+            cell = str(text[bad])
             hint = "" if any(sign.isdigit() for sign in cell) else " (--missing, if it stands for no value)"
             raise SessionError(f"{self.source} line {line}: {what}: {self._shown(cell)} is not a number{hint}")
         return values
@@ -211,13 +205,13 @@ class TextTable:
             SessionError: no such column, or a cell that is no time stamp, with its line.
         """
         cells = self.text(column, what)
-        if self.form.time_format is None and not _are_stamps(cells):
+        if self.form.time_format is None and not any(":" in cell for cell in cells[:1000]):
             return None
         values = np.array([_stamp_seconds(cell, self.form.time_format) for cell in cells.tolist()])
-        bad = np.flatnonzero(~np.isfinite(values) & ~self._missing(cells))
-        if len(bad):
+        bad = first_true(~np.isfinite(values) & ~self._missing(cells))
+        if bad is not None:
             raise SessionError(
-                f"{self.where(int(bad[0]))}: column {column!r}: {str(cells[bad[0]])[:40]!r} is no time stamp such as "
+                f"{self.where(bad)}: column {column!r}: {str(cells[bad])[:40]!r} is no time stamp such as "
                 "2024-05-03 10:15:00; the form of others is said, as in --time-format '%m/%d/%Y %H:%M:%S'"
             )
         return _past_midnight(values)
@@ -240,10 +234,7 @@ def parse_form(content: dict[str, Any]) -> FileForm:
     Raises:
         SessionError: a key or value that it does not have.
     """
-    try:
-        return FileForm.model_validate(content)
-    except ValidationError as error:
-        raise SessionError(first_defect(error, "", record=FileForm)) from None
+    return validated(FileForm, content, "")
 
 
 def read_text_table(path: Path, form: FileForm) -> TextTable:
@@ -263,7 +254,7 @@ def read_text_table(path: Path, form: FileForm) -> TextTable:
     begin = 1 if form.header else 0
     left_out += numbered[begin : begin + form.skip_after_header]
     numbered = numbered[:begin] + numbered[begin + form.skip_after_header :]
-    if len(numbered) < (2 if form.header else 1):
+    if len(numbered) < begin + 1:
         raise SessionError(f"{source}: no rows{f' after the {form.skip} lines left out' if form.skip else ''}")
     cells, width = _split(source, [text for _, text in numbered], form)
     places = [number for number, _ in numbered]
@@ -272,20 +263,19 @@ def read_text_table(path: Path, form: FileForm) -> TextTable:
         if form.header
         else tuple(str(j + 1) for j in range(width.max()))
     )
-    first = 1 if form.header else 0
     count = len(names)
-    for row in range(first, len(cells)):
+    for row in range(begin, len(cells)):
         if width[row] < count or any(cells[row, count:]):
             raise SessionError(
-                f"{source} line {places[row]}: {width[row]} cells where {'the header' if first else 'another row'} has "
+                f"{source} line {places[row]}: {width[row]} cells where {'the header' if begin else 'another row'} has "
                 f"{count}" + ("; is the separator right?" if count == 1 else "")
             )
     notes = tuple(
         f"line {number} is left out (comment or skip_after_header) and looks like a row: {text.strip()[:60]}"
         for number, text in sorted(left_out)
-        if number > places[0] - first and _is_row(text, count, form)
+        if number > places[0] - begin and _is_row(text, count, form)
     )
-    return TextTable(source, names, cells[first:, :count], tuple(places[first:]), places[0], form, notes)
+    return TextTable(source, names, cells[begin:, :count], tuple(places[begin:]), places[0], form, notes)
 
 
 def _is_row(text: str, count: int, form: FileForm) -> bool:
@@ -297,15 +287,7 @@ def _is_row(text: str, count: int, form: FileForm) -> bool:
 
 
 def _lines(path: Path, form: FileForm) -> list[str]:
-    source = str(path)
-    try:
-        if not path.is_file():
-            raise SessionError(f"{source}: {'is not a file' if path.exists() else 'no such file'}")
-        if path.stat().st_size > _LARGEST:
-            raise SessionError(f"{source}: larger than the {_LARGEST >> 20} MiB that are accepted")
-        data = path.read_bytes()
-    except OSError as error:
-        raise SessionError(f"{source}: cannot be read: {error.strerror}") from None
+    source, data = str(path), read_bytes(path, _LARGEST)
     if data.startswith(_WORKBOOKS):
         raise SessionError(f"{source}: a spreadsheet's workbook; save its sheet as CSV, and convert that")
     encoding = form.encoding.lower().replace("_", "-")

@@ -13,15 +13,10 @@ import pandas as pd
 from pydantic import ValidationError
 
 from machine_tool_calibration.budget.conformity import Conformity as Verdicts
-from machine_tool_calibration.budget.conformity import conformity
 from machine_tool_calibration.budget.contributor import Contributor, default_budget, read_budget
 from machine_tool_calibration.budget.propagate import Budget as Propagated
-from machine_tool_calibration.budget.propagate import propagate
-from machine_tool_calibration.budget.published import check_names
-from machine_tool_calibration.budget.tolerances import tolerance
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.interface.show import Shown, notebook, printed
-from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.reports.budget import budget_document, show_budget
 from machine_tool_calibration.reports.conformity import conformity_document, show_conformity
 from machine_tool_calibration.reports.quantities import quantity
@@ -31,7 +26,7 @@ from machine_tool_calibration.session.session import Session
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Budget", "Conformity"]
+__all__ = ["Budget", "Conformity", "contributors_of"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -45,22 +40,6 @@ class Budget(Shown):
 
     propagated: Propagated
     names: tuple[str, ...] = ()
-
-    @classmethod
-    def of(
-        cls,
-        fitted: FittedSessions,
-        sessions: Sequence[Session],
-        contributors: str | Path | Sequence[Contributor | Mapping[str, Any]] | None,
-        quantities: str | Sequence[str],
-        draws: int,
-        seed: int,
-    ) -> Budget:
-        """Propagate contributors through a fit; arguments as of `Fit.budget`."""
-        lines = _contributors(contributors, sessions)
-        names = (quantities,) if isinstance(quantities, str) else tuple(quantities)
-        check_names(fitted, names)
-        return cls(propagate(fitted, lines, draws=draws, seed=seed), names)
 
     @cached_property
     def contributors(self) -> pd.DataFrame:
@@ -163,21 +142,6 @@ class Conformity(Shown):
 
     found: Verdicts
 
-    @classmethod
-    def of(
-        cls,
-        fitted: FittedSessions,
-        tolerances: Mapping[str, float | str],
-        rule: str,
-        level: float,
-        budget: Budget | None,
-        seed: int,
-    ) -> Conformity:
-        """Hold a fit against tolerances; arguments as of `Fit.conformity`."""
-        sizes = {name: tolerance(name, size) for name, size in tolerances.items()}
-        propagated = None if budget is None else budget.propagated
-        return cls(conformity(fitted, sizes, rule=rule, level=level, budget=propagated, seed=seed))
-
     @property
     def decision(self) -> str:
         """Of all tolerances together: pass, fail, undecided or not determined."""
@@ -209,9 +173,14 @@ class Conformity(Shown):
         return conformity_document(self.found)
 
 
-def _contributors(
+def contributors_of(
     given: str | Path | Sequence[Contributor | Mapping[str, Any]] | None, sessions: Sequence[Session]
 ) -> tuple[Contributor, ...]:
+    """The contributors as `Fit.budget` takes them.
+
+    Raises:
+        CalibrationError: the file or a line is wrong, or the instrument has no budget to begin with.
+    """
     if given is None:
         return default_budget([session.instrument for session in sessions])
     if isinstance(given, str | Path):

@@ -11,13 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from machine_tool_calibration.diagnosis.compare import compare
 from machine_tool_calibration.diagnosis.comparison import Comparison as OneComparison
 from machine_tool_calibration.diagnosis.comparison import JointComparison
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis as Found
 from machine_tool_calibration.interface.show import Shown, chosen, notebook, printed
-from machine_tool_calibration.methods.identify import JointResult
-from machine_tool_calibration.model.result import Result
 from machine_tool_calibration.planning.what_to_measure import Conclusions, conclude
 from machine_tool_calibration.reports.quantities import probability
 
@@ -43,11 +40,6 @@ class Comparison(Shown):
 
     found: OneComparison | JointComparison
 
-    @classmethod
-    def of(cls, result: Result | JointResult) -> Comparison:
-        """That of a result with its own readings."""
-        return cls(compare(result))
-
     @cached_property
     def residuals(self) -> pd.DataFrame:
         """Every reading with what was predicted and every covariate, as `comparison.csv` of `mtcal compare`; SI.
@@ -55,11 +47,9 @@ class Comparison(Shown):
         Columns: `row` (from 0), `setup`, `repeat`, `measured`, `predicted`, `residual` (m), `studentized` (residual
         over its own standard uncertainty; NaN where the model has a reading for itself), and all that was recorded.
         """
-        from machine_tool_calibration.reports.comparison import comparison_columns, joint_columns
+        from machine_tool_calibration.reports.comparison import comparison_columns
 
-        found = self.found
-        columns = comparison_columns(found) if isinstance(found, OneComparison) else joint_columns(found)
-        return pd.DataFrame(dict(columns))
+        return pd.DataFrame(comparison_columns(self.found))
 
     @property
     def setups(self) -> pd.DataFrame:
@@ -122,8 +112,7 @@ class Comparison(Shown):
         """The same for programs, as `mtcal compare --json` writes it (`mtcal-comparison/1`)."""
         from machine_tool_calibration.reports.documents import plain
 
-        copied: dict[str, Any] = plain(self._document)
-        return copied
+        return dict(plain(self._document))
 
     def plot(self, picture: str = "residuals", *, against: Sequence[str] = (), session: str | None = None) -> Figure:
         """One of the pictures of `mtcal compare`.
@@ -153,10 +142,9 @@ class Comparison(Shown):
 
     @cached_property
     def _document(self) -> dict[str, Any]:
-        from machine_tool_calibration.reports.comparison import comparison_document, joint_document
+        from machine_tool_calibration.reports.comparison import comparison_document
 
-        found = self.found
-        return comparison_document(found) if isinstance(found, OneComparison) else joint_document(found)
+        return comparison_document(self.found)
 
     def _of_each(self, key: str) -> pd.DataFrame:
         """A list of the document as a table, of several sessions one below the other."""
@@ -259,11 +247,8 @@ class Diagnosis(Shown):
     def document(self) -> dict[str, Any]:
         """The same for programs, as `mtcal diagnose --json` writes it (`mtcal-diagnosis/1`)."""
         from machine_tool_calibration.reports.diagnosis_document import diagnosis_document
-        from machine_tool_calibration.reports.documents import plain
 
-        then = self.conclusions
-        made: dict[str, Any] = plain(diagnosis_document(self.found, then.advice, then.changes))
-        return made
+        return diagnosis_document(self.found, self.conclusions.advice, self.conclusions.changes)
 
     def plot(self) -> Figure:
         """The picture of `mtcal diagnose`: probabilities, what adding the effects does, what the residuals follow."""

@@ -77,8 +77,7 @@ class Features(Shown):
         from machine_tool_calibration.reports.documents import plain
         from machine_tool_calibration.reports.features import features_document
 
-        made: dict[str, Any] = plain(features_document(self.found, self.drawn))
-        return made
+        return dict(plain(features_document(self.found, self.drawn)))
 
     def plot(self) -> Figure:
         """Where the features are, deviations magnified, with ellipses of their uncertainty."""

@@ -187,8 +187,7 @@ class Fit(Shown):
         """The same for programs, as `mtcal identify --json` writes it (`mtcal-result/1`); None is not determined."""
         from machine_tool_calibration.reports.documents import plain
 
-        copied: dict[str, Any] = plain(self._document)
-        return copied
+        return dict(plain(self._document))
 
     @property
     def pictures(self) -> tuple[str, ...]:
@@ -251,9 +250,10 @@ class Fit(Shown):
 
     def compare(self) -> Comparison:
         """Hold the model against the readings of the fit: how well it fits, and where it fails."""
+        from machine_tool_calibration.diagnosis.compare import compare
         from machine_tool_calibration.interface.diagnosis import Comparison
 
-        return Comparison.of(self.result)
+        return Comparison(compare(self.result))
 
     def compare_map(self, other: Fit, labels: tuple[str, str] = ("first", "second"), *, seed: int = 1) -> MapComparison:
         """Hold the map against that of another measurement of the same machine, independent of this one.
@@ -322,11 +322,16 @@ class Fit(Shown):
             CalibrationError: the file or a line is wrong, the instrument has no budget to begin with, or a quantity is
                 not published.
         """
-        from machine_tool_calibration.interface.budget import Budget
+        from machine_tool_calibration.budget.propagate import propagate
+        from machine_tool_calibration.budget.published import check_names
+        from machine_tool_calibration.interface.budget import Budget, contributors_of
 
         require_whole(draws=draws, seed=seed)
         fitted = fitted_sessions(self.result)
-        return Budget.of(fitted, self.measurement.sessions, contributors, quantities, draws, seed)
+        lines = contributors_of(contributors, self.measurement.sessions)
+        names = (quantities,) if isinstance(quantities, str) else tuple(quantities)
+        check_names(fitted, names)
+        return Budget(propagate(fitted, lines, draws=draws, seed=seed), names)
 
     def conformity(
         self,
@@ -350,13 +355,18 @@ class Fit(Shown):
         Raises:
             CalibrationError: nothing of that name has a tolerance, a wrong unit, or no such rule.
         """
+        from machine_tool_calibration.budget.conformity import conformity
+        from machine_tool_calibration.budget.tolerances import tolerance
         from machine_tool_calibration.interface.budget import Budget, Conformity
 
         require_whole(seed=seed)
         require_kind(tolerances, Mapping, "tolerances must be a mapping from figures to their tolerances")
         if budget is not None:
             require_kind(budget, Budget, "budget must be one, as Fit.budget gives it")
-        return Conformity.of(fitted_sessions(self.result), tolerances, rule, level, budget, seed)
+        sizes = {name: tolerance(name, size) for name, size in tolerances.items()}
+        held = None if budget is None else budget.propagated
+        found = conformity(fitted_sessions(self.result), sizes, rule=rule, level=level, budget=held, seed=seed)
+        return Conformity(found)
 
     @cached_property
     def _document(self) -> dict[str, Any]:

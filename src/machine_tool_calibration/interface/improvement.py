@@ -101,8 +101,7 @@ class Improvement(Shown):
         from machine_tool_calibration.reports.documents import plain
         from machine_tool_calibration.reports.improvement import improvement_document
 
-        made: dict[str, Any] = plain(improvement_document(self.done))
-        return made
+        return dict(plain(improvement_document(self.done)))
 
     def plot(self) -> Figure:
         """The picture of `mtcal improve`: the error falling, and the residuals before and after."""

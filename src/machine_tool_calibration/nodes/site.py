@@ -16,12 +16,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.machine.chain import Chain
-from machine_tool_calibration.session.defects import first_defect
+from machine_tool_calibration.session.defects import validated
 from machine_tool_calibration.session.description import Description, StationSetup, Target
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
@@ -298,7 +298,5 @@ def read_site(path: str) -> SiteSpec:
     if not path:
         return SiteSpec()
     document = load_yaml(read_text(Path(path)), path)
-    try:
-        return SiteSpec.model_validate(document.value if document.value is not None else {})
-    except ValidationError as error:
-        raise CalibrationError(first_defect(error, path, document, SiteSpec)) from None
+    content = document.value if document.value is not None else {}
+    return validated(SiteSpec, content, path, document, refusal=CalibrationError)

@@ -21,7 +21,7 @@ from machine_tool_calibration.plots.residuals import (
     repeat_groups,
     sense_along,
 )
-from machine_tool_calibration.plots.style import COLORS, save
+from machine_tool_calibration.plots.style import COLORS, new_figure, save
 from machine_tool_calibration.reports.quantities import rounded
 
 if TYPE_CHECKING:
@@ -32,7 +32,6 @@ __all__ = [
     "chosen_covariates",
     "draw",
     "draw_against",
-    "draw_fit",
     "draw_joint",
     "draw_map",
     "draw_setups",
@@ -44,36 +43,8 @@ _PANELS = 6
 _SAME = 0.97
 
 
-def draw(comparison: Comparison, folder: Path, against: Sequence[str] = ()) -> list[Path]:
-    """Write all pictures into a folder.
-
-    Args:
-        comparison: what to draw.
-        folder: where; made if it is not there.
-        against: covariates for the residuals; the first of their ranking if empty.
-
-    Returns:
-        The files.
-
-    Raises:
-        ModelError: an unknown covariate.
-    """
-    return save(figures(comparison, against), folder, comparison.provenance)
-
-
-def figures(comparison: Comparison, against: Sequence[str] = ()) -> dict[str, Figure]:
-    """The same pictures by name, not written."""
-    names = list(against) or chosen_covariates(comparison)
-    return {
-        "measured_predicted": draw_fit(comparison),
-        "residuals": draw_against(comparison, names),
-        "residual_map": draw_map(comparison),
-        "setups": draw_setups(comparison),
-    }
-
-
-def draw_joint(comparison: JointComparison, folder: Path, against: Sequence[str] = ()) -> list[Path]:
-    """Write the setups of all sessions into a folder, and the pictures of each session into one of its label there.
+def draw(comparison: Comparison | JointComparison, folder: Path, against: Sequence[str] = ()) -> list[Path]:
+    """Write all pictures into a folder; of several sessions those of each into one of its label there.
 
     Args:
         comparison: what to draw.
@@ -86,6 +57,24 @@ def draw_joint(comparison: JointComparison, folder: Path, against: Sequence[str]
     Raises:
         ModelError: a covariate that no session has.
     """
+    if isinstance(comparison, JointComparison):
+        return draw_joint(comparison, folder, against)
+    return save(figures(comparison, against), folder, comparison.provenance)
+
+
+def figures(comparison: Comparison, against: Sequence[str] = ()) -> dict[str, Figure]:
+    """The same pictures by name, not written."""
+    names = list(against) or chosen_covariates(comparison)
+    return {
+        "measured_predicted": _draw_fit(comparison),
+        "residuals": draw_against(comparison, names),
+        "residual_map": draw_map(comparison),
+        "setups": draw_setups(comparison),
+    }
+
+
+def draw_joint(comparison: JointComparison, folder: Path, against: Sequence[str] = ()) -> list[Path]:
+    """The same of several sessions, with the setups of all of them in one picture; arguments as of `draw`."""
     for name in against:
         if all(name not in one.covariates for one in comparison.sessions):
             comparison.sessions[0].covariate(name)
@@ -106,12 +95,11 @@ def chosen_covariates(comparison: Comparison, most: int = _PANELS) -> list[str]:
     return out
 
 
-def draw_fit(comparison: Comparison) -> Figure:
+def _draw_fit(comparison: Comparison) -> Figure:
     """Measured against predicted, the residuals against predicted, and their distribution beside the expected one."""
-    from matplotlib.figure import Figure
     from scipy import special
 
-    figure = Figure(figsize=(13, 4.4), layout="constrained")
+    figure = new_figure(13, 4.4)
     left, middle, right = figure.subplots(1, 3)
     setup, ids = _setups(comparison)
     predicted, measured = 1e6 * comparison.predicted, 1e6 * comparison.measured
@@ -142,18 +130,14 @@ def draw_fit(comparison: Comparison) -> Figure:
 def draw_against(comparison: Comparison, names: Sequence[str]) -> Figure:
     """Residuals against covariates, with their running mean and twice its standard uncertainty.
 
-    Args:
-        comparison: what to draw.
-        names: of covariates.
-
     Raises:
         ModelError: an unknown covariate.
     """
-    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
 
     columns = min(3, max(1, len(names)))
     rows = -(-len(names) // columns) or 1
-    figure = Figure(figsize=(4.4 * columns, 3.5 * rows), layout="constrained")
+    figure = new_figure(4.4 * columns, 3.5 * rows)
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     setup, ids = _setups(comparison)
     for panel, name in zip(panels, names, strict=False):
@@ -163,7 +147,7 @@ def draw_against(comparison: Comparison, names: Sequence[str]) -> Figure:
     for panel in panels[len(names) :]:
         panel.set_visible(False)
     if len(ids) <= 12:
-        handles = [_marker(k) for k in range(len(ids))]
+        handles = [Line2D([], [], ls="", marker="o", ms=5, color=color(k)) for k in range(len(ids))]
         figure.legend(handles, ids, loc="outside upper center", ncols=len(ids), frameon=False, title="setup")
     grids(figure)
     return figure
@@ -174,14 +158,12 @@ def draw_map(comparison: Comparison) -> Figure:
 
     Of readings along a line, in its direction, they stand up from it.
     """
-    from matplotlib.figure import Figure
-
     observations = comparison.fit.model.observations
     position, arrow = observations.position, comparison.residual[:, None] * observations.direction
     same = repeat_groups(observations)
     line, views = line_of(position, observations.direction), planes(position, observations.direction)
     if line is not None:
-        figure = Figure(figsize=(9.0, 3.6), layout="constrained")
+        figure = new_figure(9.0, 3.6)
         panel = figure.subplots()
         sign = sense_along(observations.direction, line)
         more = comparison.residual >= 0
@@ -192,7 +174,7 @@ def draw_map(comparison: Comparison) -> Figure:
         panel.axhline(0.0, color="0.6", lw=0.8)
         panel.set(xlabel=f"{'xyz'[line]}, mm", ylabel=f"residual along {'xyz'[line]}, µm")
     else:
-        figure = Figure(figsize=(6.4 * len(views), 6.0), layout="constrained")
+        figure = new_figure(6.4 * len(views), 6.0)
         for panel, (a, b) in zip(figure.subplots(1, len(views), squeeze=False).ravel(), views, strict=True):
             draw_arrows(panel, position[:, [a, b]], arrow[:, [a, b]], comparison.residual, same)
             panel.set(xlabel=f"{'xyz'[a]}, mm", ylabel=f"{'xyz'[b]}, mm")
@@ -203,8 +185,6 @@ def draw_map(comparison: Comparison) -> Figure:
 
 def draw_setups(comparison: Comparison | JointComparison) -> Figure:
     """Residuals of every setup in the order of the readings, worst first, with each repeat's mean; of all sessions."""
-    from matplotlib.figure import Figure
-
     if isinstance(comparison, Comparison):
         lines = [(share.name, comparison, share) for share in comparison.setups]
         every = [comparison]
@@ -213,7 +193,7 @@ def draw_setups(comparison: Comparison | JointComparison) -> Figure:
         lines = [(f"{label}/{share.name}", by_label[label], share) for label, share in comparison.setups]
         every = list(comparison.sessions)
     residuals = np.abs(np.concatenate([one.residual for one in every]))
-    figure = Figure(figsize=(11, max(3.2, 1.0 + 0.62 * len(lines))), layout="constrained")
+    figure = new_figure(11, max(3.2, 1.0 + 0.62 * len(lines)))
     strip, bars = figure.subplots(1, 2, sharey=True, width_ratios=(3, 1))
     spread = float(np.quantile(residuals, 0.98)) or 1e-12
     for line, (_, one, share) in enumerate(lines):
@@ -229,7 +209,7 @@ def draw_setups(comparison: Comparison | JointComparison) -> Figure:
             mean = 1e6 * one.residual[own].mean()
             strip.plot([mean, mean], [at.min() - 0.03, at.max() + 0.03], color="black", lw=1.2)
         bars.barh(line, 1e6 * share.rms, height=0.5, color=color(number), alpha=0.8)
-        ratio = "" if share.reduced_chi_square is None else f"{rounded(share.reduced_chi_square**0.5)} ×"
+        ratio = "" if share.ratio is None else f"{rounded(share.ratio)} ×"
         bars.annotate(f" {ratio}", (1e6 * share.rms, line), va="center", fontsize=8)
         sigma = 2e6 * one.overall.noise.declared
         strip.fill_betweenx([line - 0.5, line + 0.5], -sigma, sigma, color="0.92", lw=0, zorder=0)
@@ -259,12 +239,6 @@ def _setups(comparison: Comparison) -> tuple[IntArray, list[str]]:
     session = comparison.fit.model.observations.session
     present, number = np.unique(comparison.fit.model.observations.readings.setup, return_inverse=True)
     return number.reshape(-1), [session.setup_ids[k] for k in present]
-
-
-def _marker(index: int) -> Any:
-    from matplotlib.lines import Line2D
-
-    return Line2D([], [], ls="", marker="o", ms=5, color=color(index))
 
 
 def _correlation(a: Array, b: Array) -> float:

@@ -11,10 +11,11 @@ import numpy as np
 import pandas as pd
 
 from machine_tool_calibration.arrays import Array, rms
-from machine_tool_calibration.diagnosis.consequence import Consequence, before_and_after
+from machine_tool_calibration.diagnosis.consequence import Consequence
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.plots.residuals import axis_label, color, grids
-from machine_tool_calibration.plots.style import save
+from machine_tool_calibration.plots.style import new_figure, save
+from machine_tool_calibration.reports.diagnosis_document import candidate_document
 from machine_tool_calibration.reports.documents import write_table
 from machine_tool_calibration.reports.quantities import probability, quantity
 from machine_tool_calibration.residuals.covariates import bins, covariates, rank_covariates
@@ -30,13 +31,15 @@ __all__ = ["candidate_table", "draw_diagnosis", "save_diagnosis"]
 _SHOWN = 8
 _LISTED = 8
 _MEANS = 16
+_COLUMNS = (
+    *("effect", "probability", "p_value", "delta_bic", "plausible"),
+    *("rms_before", "rms_after", "map_change_rms"),
+)
 
 
 def draw_diagnosis(diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> Figure:
     """Three panels: the residual with each candidate, what the best explains, residuals over a covariate."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(15, 4.8), layout="constrained")
+    figure = new_figure(15, 4.8)
     ranking, added, over = figure.subplots(1, 3)
     figure.suptitle(_title(diagnosis))
     _ranking(ranking, diagnosis, changes)
@@ -161,25 +164,8 @@ def _acts_through(diagnosis: Diagnosis, known: Collection[str]) -> list[str]:
 
 def candidate_table(diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> pd.DataFrame:
     """One row for each candidate, best first; SI units."""
-    rows = []
-    for r in diagnosis.ranked:
-        if not r.rank:
-            continue
-        change = changes.get(r.name)
-        before, after = before_and_after(diagnosis, r, changes)
-        rows.append(
-            {
-                "effect": r.name,
-                "probability": r.probability,
-                "p_value": r.family_p_value,
-                "delta_bic": -r.bic_gain,
-                "plausible": r.plausible,
-                "rms_before": before,
-                "rms_after": after,
-                "map_change_rms": None if change is None else change.map_change_rms,
-            }
-        )
-    return pd.DataFrame(rows)
+    rows = [candidate_document(diagnosis, found, changes) for found in diagnosis.ranked if found.rank]
+    return pd.DataFrame(rows, columns=_COLUMNS)
 
 
 def save_diagnosis(diagnosis: Diagnosis, changes: Mapping[str, Consequence], folder: Path) -> list[Path]:

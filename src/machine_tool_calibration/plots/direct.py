@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, rms
-from machine_tool_calibration.plots.style import round_down
+from machine_tool_calibration.arrays import rms
+from machine_tool_calibration.plots.style import new_figure, numbers, round_down
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.session.session import Session
 
@@ -21,6 +21,8 @@ __all__ = ["draw_map", "draw_positioning", "draw_tables", "figures"]
 
 # Share of the drawing's width that the largest error takes.
 _LENGTH = 0.08
+# Of figures of ISO 230-2 whose name in the document is not what people call them.
+_SYMBOLS = {"B_mean": "mean B", "R_up": "R↑", "R_down": "R↓"}
 
 
 def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:
@@ -29,7 +31,7 @@ def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:
     out = {f"iso230_2_{run['setup']}": draw_positioning(run) for run in content.get("iso230_2", ())}
     if any("nodes" in table for table in content["tables"].values()):
         out["error_motions"] = draw_tables(content["tables"])
-    points = _numbers(content["points"]).reshape(-1, 3)
+    points = numbers(content["points"]).reshape(-1, 3)
     if len(points) and (np.ptp(points, axis=0) > 1e-6).sum() >= 2:
         out["map"] = draw_map(content)
     return out
@@ -41,13 +43,11 @@ def draw_positioning(run: Mapping[str, Any]) -> Figure:
     Args:
         run: one entry of `iso230_2` in the error map.
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10, 5.5), layout="constrained")
+    figure = new_figure(10, 5.5)
     panel = figure.subplots()
-    position = 1e3 * _numbers(run["position"])
+    position = 1e3 * numbers(run["position"])
     for name, color, arrow in (("up", "tab:blue", "↑"), ("down", "tab:red", "↓")):
-        mean, s = 1e6 * _numbers(run[f"mean_{name}"]), 1e6 * _numbers(run[f"s_{name}"])
+        mean, s = 1e6 * numbers(run[f"mean_{name}"]), 1e6 * numbers(run[f"s_{name}"])
         if np.isfinite(mean).any():
             panel.fill_between(position, mean - 2 * s, mean + 2 * s, color=color, alpha=0.15, linewidth=0)
             panel.plot(position, mean, "o-", color=color, markersize=4, label=f"mean {arrow} (band: 2 s)")
@@ -55,14 +55,10 @@ def draw_positioning(run: Mapping[str, Any]) -> Figure:
     panel.set_xlabel(f"{run['axis']}, mm")
     panel.set_ylabel("deviation, µm")
     figures = [(name, run[name]) for name in ("A", "E", "M", "R", "R_up", "R_down", "B", "B_mean")]
-    text = "   ".join(f"{_symbol(name)} {1e6 * value:.2f}" for name, value in figures if _known(value))
+    text = "   ".join(f"{_SYMBOLS.get(name, name)} {1e6 * value:.2f}" for name, value in figures if _known(value))
     figure.suptitle(f"ISO 230-2:2014, axis {run['axis']}, setup {run['setup']}\n{text} µm")
     panel.legend(frameon=False)
     return figure
-
-
-def _symbol(name: str) -> str:
-    return {"B_mean": "mean B", "R_up": "R↑", "R_down": "R↓"}.get(name, name)
 
 
 def _known(value: Any) -> bool:
@@ -71,14 +67,12 @@ def _known(value: Any) -> bool:
 
 def draw_tables(tables: Mapping[str, Any]) -> Figure:
     """Each error motion against its axis, with expanded uncertainty (k = 2); squareness in the title."""
-    from matplotlib.figure import Figure
-
     curves = {name: table for name, table in tables.items() if "nodes" in table}
     columns = min(3, len(curves))
     rows = -(-len(curves) // columns)
     # Wide enough for the title in every language.
-    figure = Figure(figsize=(max(4 * columns + 1, 7), 2.8 * rows + 1), layout="constrained")
-    panels = np.atleast_1d(np.array(figure.subplots(rows, columns, squeeze=False))).ravel()
+    figure = new_figure(max(4 * columns + 1, 7), 2.8 * rows + 1)
+    panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for panel, (name, table) in zip(panels, curves.items(), strict=False):
         _curve(panel, name, table)
     for panel in panels[len(curves) :]:
@@ -93,7 +87,7 @@ def draw_tables(tables: Mapping[str, Any]) -> Figure:
 
 
 def _curve(panel: Axes, name: str, table: Mapping[str, Any]) -> None:
-    node, value, u = 1e3 * _numbers(table["nodes"]), 1e6 * _numbers(table["value"]), 1e6 * _numbers(table["value_u"])
+    node, value, u = 1e3 * numbers(table["nodes"]), 1e6 * numbers(table["value"]), 1e6 * numbers(table["value_u"])
     panel.axhline(0.0, color="0.8", linewidth=0.8)
     panel.fill_between(node, value - 2 * u, value + 2 * u, color="tab:blue", alpha=0.2, linewidth=0)
     panel.plot(node, value, "o-", color="tab:blue", markersize=3, linewidth=1)
@@ -110,11 +104,9 @@ def draw_map(content: Mapping[str, Any]) -> Figure:
     Args:
         content: `error_map` of the result.
     """
-    from matplotlib.figure import Figure
-
-    points, error = _numbers(content["points"]), _numbers(content["position_error"])
+    points, error = numbers(content["points"]), numbers(content["position_error"])
     i, j = sorted(np.argsort(-np.ptp(points, axis=0))[:2].tolist())
-    figure = Figure(figsize=(8, 7.5), layout="constrained")
+    figure = new_figure(8, 7.5)
     panel = figure.subplots()
     lost = np.asarray(~np.isfinite(error).any(axis=0))
     if not lost.all():
@@ -146,8 +138,3 @@ def draw_map(content: Mapping[str, Any]) -> Figure:
     words = f"\nnot determined along {nowhere}" if nowhere else ""
     panel.set_title(f"Position error: {quantity(rms(known), 'm')} RMS, {longest} at most{words}")
     return figure
-
-
-def _numbers(values: Any) -> Array:
-    """Numbers of a document; null is NaN."""
-    return np.array(values, dtype=np.float64)

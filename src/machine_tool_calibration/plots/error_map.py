@@ -19,6 +19,7 @@ from machine_tool_calibration.plots.style import (
     MARKERS,
     NOMINAL,
     new_figure,
+    numbers,
     round_down,
     scale_bar,
     spaced,
@@ -49,9 +50,6 @@ def read_tables(parameters: Iterable[Mapping[str, Any]]) -> dict[str, Array]:
 def draw_tables(parameters: Iterable[Mapping[str, Any]]) -> Figure | None:
     """One row of panels for each axis: positioning, straightness, angles; bands are U (k = 2).
 
-    Args:
-        parameters: of a result's document.
-
     Returns:
         The picture; None where no table is among the parameters.
     """
@@ -60,25 +58,18 @@ def draw_tables(parameters: Iterable[Mapping[str, Any]]) -> Figure | None:
     if not tables:
         return None
     axes = [axis for axis in "XYZABC" if any(name[2] == axis for name in tables)]
-    kinds = [kind for kind in (_positioning, _straightness, _angles) if any(kind(name) for name in tables)]
+    kinds = sorted(set(map(_kind, tables)))
     figure = new_figure(4.6 * len(kinds), 3.0 * len(axes) + 0.7, _headed(entries))
     panels = figure.subplots(len(axes), len(kinds), squeeze=False)
     for row, axis in zip(panels, axes, strict=True):
         for panel, kind in zip(row, kinds, strict=True):
-            _panel(panel, axis, {n: t for n, t in tables.items() if n[2] == axis and kind(n)})
+            _panel(panel, axis, {n: t for n, t in tables.items() if n[2] == axis and _kind(n) == kind})
     return figure
 
 
-def _positioning(name: str) -> bool:
-    return name[1] == name[2] and name[1] in "XYZ"
-
-
-def _straightness(name: str) -> bool:
-    return name[1] in "XYZ" and name[1] != name[2]
-
-
-def _angles(name: str) -> bool:
-    return name[1] in "ABC"
+def _kind(name: str) -> int:
+    """Whether an error motion is positioning (0), straightness (1) or an angle (2)."""
+    return 2 if name[1] in "ABC" else int(name[1] != name[2])
 
 
 def _panel(panel: Axes, axis: str, tables: Mapping[str, Array]) -> None:
@@ -150,8 +141,7 @@ def draw_map(content: Mapping[str, Any]) -> Figure:
     Args:
         content: `points`, `position_error` and `position_error_u` of a result's error map (document or arrays).
     """
-    whole = _Map(*(np.array(content[key], dtype=float) for key in ("points", "position_error", "position_error_u")))
-    whole, unknown = _known(whole)
+    whole, unknown = _known(_Map(*(numbers(content[key]) for key in ("points", "position_error", "position_error_u"))))
     flat = whole.error.shape[1] == 2
     layers = [("", whole)] if flat else _layers(whole)
     scale = _magnification(layers[0][1], whole)

@@ -30,7 +30,7 @@ from machine_tool_calibration.simulation.environment import COLUMNS
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["draw_gallery", "draw_injected"]
+__all__ = ["draw_gallery"]
 
 # Advantage, in share of the residuals' variance, of each column on which the effect depends by its formula.
 _OWN = 0.2
@@ -65,13 +65,13 @@ def draw_gallery(
         found[effect.id] = injected = inject(effect)
         if injected is not None:
             files.append(folder / f"{effect.id}.png")
-            _save(draw_injected(injected), files[-1])
+            _save(_draw_injected(injected), files[-1])
     page = folder / "README.md"
     page.write_text(gallery_page(effects, found), encoding="utf-8")
     return [*files, page]
 
 
-def draw_injected(injected: Injected) -> Figure:
+def _draw_injected(injected: Injected) -> Figure:
     """Residuals against the first two covariates of their ranking, over the effect itself, and as a map."""
     comparison = injected.comparison
     observations = comparison.fit.model.observations

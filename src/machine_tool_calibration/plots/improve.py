@@ -14,8 +14,9 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.improve import Improvement, Step, residual_volumetric_error
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.plots.residuals import axis_label, color, grids, line_of, planes
-from machine_tool_calibration.plots.style import save
+from machine_tool_calibration.plots.style import new_figure, save
 from machine_tool_calibration.reports.documents import write_table
+from machine_tool_calibration.reports.improvement import step_document
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.residuals.pool import Pool
 
@@ -47,9 +48,7 @@ def draw_steps(steps: Sequence[Step], sessions: Sequence[Session], declared: flo
         sessions: that were fitted.
         declared: standard uncertainty of a reading, m.
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(15, 5.2), layout="constrained")
+    figure = new_figure(15, 5.2)
     fall, before, after = figure.subplots(1, 3, width_ratios=[1, 1.15, 1.15])
     _fall(fall, steps, declared)
     first, last = steps[0], steps[-1]
@@ -57,7 +56,7 @@ def draw_steps(steps: Sequence[Step], sessions: Sequence[Session], declared: flo
     if len(steps) > 2 and any(last.set_aside):
         first = steps[1]
     along = _along(first) if len(sessions) == 1 else None
-    size = _size(first)
+    size = float(np.quantile(np.abs(Pool(first.result.joint).residuals), 0.98)) or 1e-9  # of the bulk, m
     for panel, step, title in ((before, first, "before"), (after, last, "after")):
         if along is not None:  # arrows would lie on each other
             _curves(panel, step, along, size)
@@ -89,11 +88,6 @@ def _fall(panel: Axes, steps: Sequence[Step], declared: float) -> None:
     panel.set_ylabel("µm")
     panel.set_title("The error falls", fontsize=10)
     panel.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.22), frameon=False)
-
-
-def _size(step: Step) -> float:
-    """Size of the bulk of the residuals, m."""
-    return float(np.quantile(np.abs(Pool(step.result.joint).residuals), 0.98)) or 1e-9
 
 
 def _arrows(panel: Axes, step: Step, size: float) -> None:
@@ -157,22 +151,10 @@ def _curves(panel: Axes, step: Step, name: str, size: float) -> None:
 
 def step_table(improvement: Improvement) -> pd.DataFrame:
     """One row for each step; SI units."""
-    return pd.DataFrame(
-        [
-            {
-                "change": step.change or "first model",
-                "effects": " ".join(step.result.effects),
-                "readings": step.result.joint.assembly.problem.n_readings,
-                "rms_residual": step.result.rms_residual,
-                "reduced_chi_square": step.reduced_chi_square,
-                "map_rms": step.map_rms,
-                "map_change_rms": step.map_change,
-                "map_uncertainty_rms": step.map_uncertainty,
-                "left_at_tool_rms": step.residual_volumetric_error,
-            }
-            for step in improvement.steps
-        ]
-    )
+    table = pd.DataFrame([step_document(step) for step in improvement.steps])
+    table["change"] = table["change"].replace("", "first model")
+    table["effects"] = table["effects"].map(" ".join)
+    return table.drop(columns=["p_value", "parameters"])
 
 
 def residual_table(improvement: Improvement) -> pd.DataFrame:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,11 +24,6 @@ def draw(session: Session, result: Mapping[str, Any], folder: Path) -> list[Path
 
     A method without pictures of its own gets those of its map and of its tables of error motions.
 
-    Args:
-        session: the measurement.
-        result: the document of an identification.
-        folder: where the files go.
-
     Returns:
         The files.
     """
@@ -38,10 +33,7 @@ def draw(session: Session, result: Mapping[str, Any], folder: Path) -> list[Path
 def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:
     """The same pictures by name, not written."""
     own = session.spec.pictures
-    method: Callable[[Session, Mapping[str, Any]], dict[str, Figure]] | None = (
-        None if own is None else getattr(load(own), "figures", None)
-    )
-    return common_figures(result) if method is None else method(session, result)
+    return common_figures(result) if own is None else dict(load(own).figures(session, result))
 
 
 def draw_common(result: Mapping[str, Any], folder: Path) -> list[Path]:

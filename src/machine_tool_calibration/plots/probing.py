@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.plots.style import numbers, round_down, spaced
 from machine_tool_calibration.reports.quantities import quantity
 from machine_tool_calibration.session.description import Probing
 from machine_tool_calibration.session.session import Session
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_axes", "draw_probing", "draw_table", "draw_workpiece", "figures"]
+__all__ = ["draw_probing", "figures"]
 
 # Share of the drawing's width that the largest error takes.
 _LENGTH = 0.08
@@ -42,17 +43,17 @@ def draw_probing(description: Probing, content: Mapping[str, Any]) -> Figure:
 
     figure = Figure(figsize=(13, 11), layout=ConstrainedLayoutEngine(w_pad=0.25))  # panels of equal scales move inside
     panels = figure.subplots(2, 2)
-    draw_workpiece(panels[0, 0], description, content)
+    _draw_workpiece(panels[0, 0], description, content)
     _draw_uncertainty(panels[0, 1], description, content)
-    draw_axes(panels[1, 0], content)
-    draw_table(panels[1, 1], content)
+    _draw_axes(panels[1, 0], content)
+    _draw_table(panels[1, 1], content)
     return figure
 
 
-def draw_workpiece(panel: Axes, description: Probing, content: Mapping[str, Any]) -> None:
+def _draw_workpiece(panel: Axes, description: Probing, content: Mapping[str, Any]) -> None:
     """The form along each point's normal, magnified (Fig. 9), with bars of expanded uncertainty (k = 2)."""
     place, normal = _points(description)
-    form, u = _array(content, "workpiece_form"), _array(content, "workpiece_form_u")
+    form, u = numbers(content["workpiece_form"]), numbers(content["workpiece_form_u"])
     scale = _magnification(place, np.abs(form) + 2 * np.nan_to_num(u))
     panel.plot(*place.T * 1e3, ls="", marker=".", ms=3, color=_GRAY, label="nominal")
     ends = [place + (form + sign * 2 * u)[:, None] * scale * normal for sign in (-1, 1)]
@@ -63,14 +64,14 @@ def draw_workpiece(panel: Axes, description: Probing, content: Mapping[str, Any]
     missing = ~np.isfinite(form)
     if missing.any():
         panel.plot(*place[missing].T * 1e3, ls="", marker="x", ms=5, color="black", label="not determined")
-    panel.set_title(f"Form of the workpiece, errors × {_times(scale)}")
+    panel.set_title(f"Form of the workpiece, errors × {spaced(scale)}")
     _frame(panel)
 
 
 def _draw_uncertainty(panel: Axes, description: Probing, content: Mapping[str, Any]) -> None:
     """Expanded uncertainty of the form by colour (Fig. 18)."""
     place, _ = _points(description)
-    u = 2e6 * _array(content, "workpiece_form_u")
+    u = 2e6 * numbers(content["workpiece_form_u"])
     good = np.isfinite(u)
     if good.any():
         x, y = place[good].T * 1e3
@@ -82,9 +83,9 @@ def _draw_uncertainty(panel: Axes, description: Probing, content: Mapping[str, A
     _frame(panel, legend=False)
 
 
-def draw_axes(panel: Axes, content: Mapping[str, Any]) -> None:
+def _draw_axes(panel: Axes, content: Mapping[str, Any]) -> None:
     """The linear axes' position errors on their grid, magnified (Fig. 12); what is hardly determined is thin."""
-    grid, error, u = (_array(content, key) for key in ("grid", "position_error", "position_error_u"))
+    grid, error, u = (numbers(content[key]) for key in ("grid", "position_error", "position_error_u"))
     size = np.linalg.norm(error, axis=1)
     good = np.isfinite(size)
     poor = good & (2 * np.linalg.norm(u, axis=1) > np.maximum(3 * np.nanmedian(2 * np.linalg.norm(u, axis=1)), 1e-5))
@@ -103,20 +104,20 @@ def draw_axes(panel: Axes, content: Mapping[str, Any]) -> None:
     if not good.all():
         panel.plot(*1e3 * grid[~good].T, ls="", marker="x", ms=4, color="black", label="not determined")
     known = f"; median U (k = 2) {quantity(2 * float(np.nanmedian(u)), 'm')}" if good.any() else ""
-    panel.set_title(f"X and Y, errors × {_times(scale)}{known}")
+    panel.set_title(f"X and Y, errors × {spaced(scale)}{known}")
     _frame(panel, legend=bool(poor.any() or not good.all()))
 
 
-def draw_table(panel: Axes, content: Mapping[str, Any]) -> None:
+def _draw_table(panel: Axes, content: Mapping[str, Any]) -> None:
     """EXC and EYC (left scale) and ECC (right scale) at the indices of C (Figs. 13 and 14), bars: U (k = 2)."""
-    angle = np.degrees(_array(content, "c"))
+    angle = np.degrees(numbers(content["c"]))
     for name, color in (("EXC", "tab:blue"), ("EYC", "tab:green")):
-        bars: Any = 2e6 * _array(content, f"{name}_u")
-        value = 1e6 * _array(content, name)
+        bars: Any = 2e6 * numbers(content[f"{name}_u"])
+        value = 1e6 * numbers(content[name])
         panel.errorbar(angle, value, bars, marker="o", ms=4, lw=0.8, color=color, capsize=3, label=name)
     turned = panel.twinx()
-    bars = 2e6 * _array(content, "ECC_u")
-    ecc = 1e6 * _array(content, "ECC")
+    bars = 2e6 * numbers(content["ECC_u"])
+    ecc = 1e6 * numbers(content["ECC"])
     turned.errorbar(angle, ecc, bars, marker="s", ms=4, lw=0.8, color="tab:red", capsize=3, label="ECC")
     turned.set_ylabel("ECC, µrad, positive counter-clockwise", color="tab:red")
     panel.set_xlabel("C, °")
@@ -132,27 +133,11 @@ def _points(description: Probing) -> tuple[Array, Array]:
     return np.array([p.position for p in points]), np.array([p.normal for p in points])
 
 
-def _array(content: Mapping[str, Any], key: str) -> Array:
-    """Null as NaN."""
-    return np.array(content[key], dtype=float)
-
-
 def _magnification(place: Array, size: Array) -> float:
     """How often errors are magnified, so that the largest stays small beside the drawing."""
     largest = float(np.nanmax(size, initial=0.0)) if np.isfinite(size).any() else 0.0
     extent = float(np.ptp(place, axis=0).max()) or 1.0
-    return _round(_LENGTH * extent / largest) if largest > 0 else 1.0
-
-
-def _round(value: float) -> float:
-    """Down to 1, 2 or 5 times a power of ten."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(power * max(step for step in (1, 2, 5) if step <= value / power * (1 + 1e-9)))
-
-
-def _times(scale: float) -> str:
-    """A magnification with its thousands apart."""
-    return f"{scale:,.0f}".replace(",", " ")
+    return round_down(_LENGTH * extent / largest) if largest > 0 else 1.0
 
 
 def _frame(panel: Axes, *, legend: bool = True) -> None:

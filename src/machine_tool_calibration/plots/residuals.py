@@ -36,6 +36,17 @@ _ARROWS, _LENGTH = 700, 0.10
 _WIDE = 0.3
 # The same share up to which readings lie on a line.
 _THIN = 0.01
+_DEGREES = 180.0 / np.pi
+# Covariates for people, and the factor from SI.
+_LABELS = {
+    **{name: (f"{name}, mm", 1e3) for name in ("x", "y", "z", "path", "displacement")},
+    **{name: (f"{name} of the beam, °", _DEGREES) for name in ("azimuth", "elevation")},
+    "normal": ("direction of the surface's normal, °", _DEGREES),
+    "c": ("c, °", _DEGREES),
+    "order": ("row, in the order of time", 1.0),
+    "time": ("time, min", 1.0 / 60.0),
+    "air_pressure": ("air pressure, hPa", 1e-2),
+}
 
 
 def draw_residuals(panel: Axes, name: str, values: Array, residual: Array, setup: IntArray, most: int = _BINS) -> None:
@@ -110,25 +121,11 @@ def draw_arrows(panel: Axes, place: Array, arrow: Array, sign: Array, same: IntA
 
 def axis_label(name: str) -> tuple[str, float]:
     """Label of a covariate for people, and the factor from SI."""
-    if name in ("x", "y", "z", "path", "displacement"):
-        return f"{name}, mm", 1e3
-    if name in ("azimuth", "elevation"):
-        return f"{name} of the beam, °", 180.0 / np.pi
-    if name == "normal":
-        return "direction of the surface's normal, °", 180.0 / np.pi
-    if name == "c":
-        return "c, °", 180.0 / np.pi
-    if name == "order":
-        return "row, in the order of time", 1.0
-    if name == "time":
-        return "time, min", 1.0 / 60.0
     if name.startswith("temperature_"):
         return f"temperature, {name.removeprefix('temperature_')}, °C", 1.0
-    if name == "air_pressure":
-        return "air pressure, hPa", 1e-2
     if name.startswith("dir_"):
         return _approach_label(name)
-    return name, 1.0
+    return _LABELS.get(name, (name, 1.0))
 
 
 def _approach_label(name: str) -> tuple[str, float]:

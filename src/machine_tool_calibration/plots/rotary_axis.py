@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.plots.style import new_figure, numbers
 from machine_tool_calibration.session.description import RotaryAxis
 from machine_tool_calibration.session.session import Session
 
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_arrangement", "draw_motions", "figures"]
+__all__ = ["draw_motions", "figures"]
 
 
 def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:
@@ -25,7 +26,7 @@ def figures(session: Session, result: Mapping[str, Any]) -> dict[str, Figure]:
     assert isinstance(description, RotaryAxis)
     axis = (description.machine.axis or "C").upper()
     content = result["error_map"]
-    return {"error_motions": draw_motions(content, axis), "arrangement": draw_arrangement(content, axis)}
+    return {"error_motions": draw_motions(content, axis), "arrangement": _draw_arrangement(content, axis)}
 
 
 def draw_motions(content: Mapping[str, Any], axis: str = "C") -> Figure:
@@ -35,15 +36,13 @@ def draw_motions(content: Mapping[str, Any], axis: str = "C") -> Figure:
         content: `error_map` of the result.
         axis: letter of the rotary axis.
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(12, 7), layout="constrained")
+    figure = new_figure(12, 7)
     figure.suptitle(f"Error motions of {axis} relative to its axis average line, with expanded uncertainty (k = 2)")
     panels = figure.subplots(2, 3, sharex=True)
-    angle = np.degrees(_numbers(content[axis.lower()]))
+    angle = np.degrees(numbers(content[axis.lower()]))
     for panel, component in zip(panels.flat, "XYZABC", strict=True):
         name = f"E{component}{axis}"
-        _curve(panel, angle, 1e6 * _numbers(content[name]), 1e6 * _numbers(content[f"{name}_u"]))
+        _curve(panel, angle, 1e6 * numbers(content[name]), 1e6 * numbers(content[f"{name}_u"]))
         panel.set_title(name + _meaning(component, axis))
         panel.set_ylabel("µm" if component in "XYZ" else "µrad")
     for panel in panels[1]:
@@ -70,21 +69,14 @@ def _curve(panel: Axes, angle: Array, value: Array, uncertainty: Array) -> None:
         panel.text(0.5, 0.5, "not determined", transform=panel.transAxes, ha="center", va="center", color="0.4")
 
 
-def draw_arrangement(content: Mapping[str, Any], axis: str = "C") -> Figure:
-    """Stations, targets and axis, seen along the axis and from the side.
-
-    Args:
-        content: `error_map` of the result.
-        axis: letter of the rotary axis.
-    """
-    from matplotlib.figure import Figure
-
+def _draw_arrangement(content: Mapping[str, Any], axis: str) -> Figure:
+    """Stations, targets and axis, seen along the axis and from the side."""
     along = "ABC".index(axis)
     first, second = (along + 1) % 3, (along + 2) % 3
-    figure = Figure(figsize=(11, 5.5), layout="constrained")
+    figure = new_figure(11, 5.5)
     figure.suptitle("Where stations and targets were found, frame of the axis average line")
     for panel, (i, j) in zip(figure.subplots(1, 2), ((first, second), (first, along)), strict=True):
-        stations, targets = 1e3 * _numbers(content["stations"]), 1e3 * _numbers(content["targets"])
+        stations, targets = 1e3 * numbers(content["stations"]), 1e3 * numbers(content["targets"])
         _marks(panel, stations[:, [i, j]], content["station_ids"], "^", "tab:red")
         _marks(panel, targets[:, [i, j]], content["target_ids"], "o", "tab:blue")
         if j != along:
@@ -106,8 +98,3 @@ def _marks(panel: Axes, place: Array, names: Sequence[str], marker: str, color: 
     for (x, y), name in zip(place, names, strict=True):
         if np.isfinite([x, y]).all():
             panel.annotate(name, (x, y), xytext=(5, 5), textcoords="offset points", color=color)
-
-
-def _numbers(values: Any) -> Array:
-    """Numbers of a document; null is NaN."""
-    return np.array(values, dtype=np.float64)

@@ -8,15 +8,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from machine_tool_calibration.methods.step_diagonal.compare import Comparison
+from machine_tool_calibration.plots.style import new_figure
 from machine_tool_calibration.reports.quantities import micrometres
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["LABELS", "draw_comparison"]
+__all__ = ["draw_comparison"]
 
-LABELS = {
+_LABELS = {
     "conventional": "conventional, Eq. (2)",
     "new": "new, Eqs. (6)-(19)",
     "alternative": "alternative, Eq. (20)",
@@ -30,8 +31,6 @@ _STYLE = {
     "least_squares": ("tab:green", "^"),
     "small_angles": ("black", "v"),
 }
-# Formulations by which the scale is chosen; the conventional one may be a hundred times larger.
-_SCALED = ("new", "alternative", "least_squares", "small_angles")
 _MARGIN = 0.2
 _ASIDE = 0.006
 
@@ -43,12 +42,11 @@ def draw_comparison(comparison: Comparison) -> Figure:
     alone. The scale is that of the formulations that the mirrors' tilts do not disturb; where the conventional one
     leaves the panel, its largest value is written.
     """
-    from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
     moved = next(iter(comparison.profiles.values())).moved
     count = len(moved)
-    figure = Figure(figsize=(4.3 * count, 3.3 * count), layout="constrained")
+    figure = new_figure(4.3 * count, 3.3 * count)
     axes = figure.subplots(count, count)
     for row, motion in enumerate(moved):
         for column, component in enumerate(moved):
@@ -78,12 +76,12 @@ def _panel(panel: Axes, comparison: Comparison, motion: int, component: int) -> 
         # Side by side, so that equal values do not hide each other.
         at = at + _ASIDE * (number - 2) * (at[-1] - at[0])
         bar = 2e6 * np.nan_to_num(profiles.uncertainty[motion][:, component])
-        panel.errorbar(at, value, bar, color=color, marker=mark, ms=4, lw=0.8, capsize=0, label=LABELS[name])
+        panel.errorbar(at, value, bar, color=color, marker=mark, ms=4, lw=0.8, capsize=0, label=_LABELS[name])
         for single in comparison.by_repeat.get(name, ()):
             each = 1e6 * single.error[motion][:, component]
             if len(each) == len(at):
                 panel.plot(at, each, ls="", marker="_", ms=6, color=color, alpha=0.6)
-        if name in _SCALED:
+        if name != "conventional":  # which may be a hundred times larger
             low, high = min(low, float(np.nanmin(value - bar))), max(high, float(np.nanmax(value + bar)))
     panel.set_title(f"$e_{along}({letter.lower()})$: error in {along.upper()}, motion of {letter}", fontsize=10)
     panel.set_xlabel(f"{letter}, mm")

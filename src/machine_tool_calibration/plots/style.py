@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 from textwrap import fill
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -29,6 +29,7 @@ __all__ = [
     "NOMINAL",
     "add_footer",
     "new_figure",
+    "numbers",
     "round_down",
     "save",
     "save_as",
@@ -116,6 +117,11 @@ def save_as(figure: Figure, path: Path, origin: Provenance | None = None) -> Non
         told = {"Description": "\n".join(f"{name}: {value}" for name, value in origin.lines())}
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=_DPI, format=ending, metadata=told, bbox_inches=area)
+
+
+def numbers(values: Any) -> Array:
+    """Numbers of a document, or arrays; null is NaN."""
+    return np.array(values, dtype=np.float64)
 
 
 def round_down(value: float) -> float:

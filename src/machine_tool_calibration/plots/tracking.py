@@ -10,7 +10,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray, rms
 from machine_tool_calibration.plots.error_map import draw_map, draw_tables
-from machine_tool_calibration.plots.style import BAND, COLORS, NOMINAL, new_figure
+from machine_tool_calibration.plots.style import BAND, COLORS, NOMINAL, new_figure, numbers
 from machine_tool_calibration.reports.quantities import quantity, rounded
 from machine_tool_calibration.session.session import Readings, Session
 
@@ -36,9 +36,8 @@ def draw_stations(content: Mapping[str, Any]) -> Figure:
     Args:
         content: the error map of a result, in its document or with arrays.
     """
-    points = np.array(content["points"], dtype=float) * 1e3
-    stations = np.array(content["stations"], dtype=float) * 1e3
-    uncertainty = np.array(content["stations_u"], dtype=float) * 1e6
+    points, stations = numbers(content["points"]) * 1e3, numbers(content["stations"]) * 1e3
+    uncertainty = numbers(content["stations_u"]) * 1e6
     flat = np.array(content["position_error"]).shape[1] == 2
     views = [(0, 1)] if flat else [(0, 1), (0, 2)]
     figure = new_figure(

@@ -27,10 +27,10 @@ from machine_tool_calibration.validation.study_tracking import Profiles, TargetU
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["draw", "draw_profiles", "draw_target_uncertainty", "save_pictures"]
+__all__ = ["draw", "save_pictures"]
 
 
-def draw_profiles(profiles: Profiles) -> Figure:
+def _draw_profiles(profiles: Profiles) -> Figure:
     """Positioning errors estimated with U (k = 2), beside measured ones (Fig. 13)."""
     figure = new_figure(10.4, 4.4, "Estimated by the open-loop tracking interferometer, and measured; bars: U (k = 2)")
     panels = np.atleast_1d(figure.subplots(1, len(profiles.parts), sharey=True))
@@ -47,7 +47,7 @@ def draw_profiles(profiles: Profiles) -> Figure:
     return figure
 
 
-def draw_target_uncertainty(shown: TargetUncertainty) -> Figure:
+def _draw_target_uncertainty(shown: TargetUncertainty) -> Figure:
     """Targets coloured by U (k = 2) of their position, and where the stations stand (Fig. 14)."""
     largest = quantity(float(shown.expanded.max()), "m")
     figure = new_figure(7.4, 6.4, f"Expanded uncertainty (k = 2) of each target's position: at most {largest}")
@@ -78,8 +78,8 @@ def draw(record: Any) -> Figure:
 draw.register(Comparison, draw_comparison)
 draw.register(Budget, draw_budget)
 draw.register(MapComparison, draw_map_comparison)
-draw.register(Profiles, draw_profiles)
-draw.register(TargetUncertainty, draw_target_uncertainty)
+draw.register(Profiles, _draw_profiles)
+draw.register(TargetUncertainty, _draw_target_uncertainty)
 
 
 @draw.register(Repeated)

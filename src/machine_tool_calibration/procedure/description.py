@@ -6,11 +6,11 @@ from __future__ import annotations
 from pathlib import Path as FilePath
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.catalogue import method_spec
-from machine_tool_calibration.session.defects import first_defect
+from machine_tool_calibration.session.defects import validated
 from machine_tool_calibration.session.description import Description
 from machine_tool_calibration.session.parse import describe
 from machine_tool_calibration.session.text import read_text
@@ -158,10 +158,7 @@ def parse_procedure(text: str, source: str) -> Procedure:
     document = load_yaml(text, source)
     if not isinstance(document.value, dict):
         raise SessionError(f"{source}: must be a mapping with the keys format, session, path and motion")
-    try:
-        content = _File.model_validate(document.value)
-    except ValidationError as error:
-        raise SessionError(first_defect(error, source, document, _File, _UNNAMED)) from None
+    content = validated(_File, document.value, source, document, unnamed=_UNNAMED)
     lines = {path[1:]: line for path, line in document.lines.items() if path[:1] == ("session",)}
     inner = Document({"format": "mtcal-session/1", **content.session}, lines)
     session = describe(inner.value, source, inner)

@@ -15,6 +15,7 @@ from machine_tool_calibration.diagnosis.compare import compare
 from machine_tool_calibration.diagnosis.comparison import Comparison
 from machine_tool_calibration.diagnosis.history import Measured
 from machine_tool_calibration.diagnosis.improve import Improvement, improve
+from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.methods.identify import JointResult, fitted_sessions, identify_sessions
 from machine_tool_calibration.model.result import Result
 
@@ -45,6 +46,11 @@ class Evaluation:
     def document(self) -> dict[str, Any]:
         """The result as `mtcal identify --json` writes it, with the readings that the history's model set aside."""
         return self.measured.document(self.result)
+
+    @cached_property
+    def titles(self) -> dict[str, str]:
+        """What each effect is called, by its id: of the catalogue and the user's own."""
+        return {name: effect.title for name, effect in catalogue(self.measured.chosen.own).items()}
 
 
 def evaluate(

@@ -13,9 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from machine_tool_calibration.plots.budget import draw_budget
 from machine_tool_calibration.plots.compare import chosen_covariates, draw_against, draw_map, draw_setups
-from machine_tool_calibration.plots.improve import draw_improvement
 from machine_tool_calibration.plots.pictures import common_figures, figures
 from machine_tool_calibration.plots.style import COLORS, NOMINAL, new_figure
 from machine_tool_calibration.report.evaluation import Evaluation
@@ -26,7 +24,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-__all__ = ["Picture", "budget_pictures", "improvement_pictures", "map_pictures", "motion_pictures", "residual_pictures"]
+__all__ = ["Picture", "map_pictures", "motion_pictures", "residual_pictures", "translated"]
 
 # Width of a picture, inches, of which two stand side by side.
 _NARROW = 5.0
@@ -86,7 +84,8 @@ class Picture:
         return out.getvalue()
 
 
-def _picture(name: str, caption: str, figure: Figure, words: Words) -> Picture:
+def translated(name: str, caption: str, figure: Figure, words: Words) -> Picture:
+    """A picture of the report from a figure in English, as wide as can be read on a page."""
     if words.phrases:
         _translate(figure, words)
     wide, high = (float(size) for size in figure.get_size_inches())
@@ -127,11 +126,10 @@ def map_pictures(found: Evaluation, words: Words) -> Iterator[Picture]:
         if name == "error_motions":  # one by one in motion_pictures
             continue
         if name.startswith("iso230_2_"):
-            yield _picture(name, words("figure_iso230_2", setup=name.removeprefix("iso230_2_")), figure, words)
+            caption = words("figure_iso230_2", setup=name.removeprefix("iso230_2_"))
         else:
-            yield _picture(
-                name, words(f"figure_{name}" if f"figure_{name}" in words.texts else "figure"), figure, words
-            )
+            caption = words(f"figure_{name}" if f"figure_{name}" in words.texts else "figure")
+        yield translated(name, caption, figure, words)
 
 
 def motion_pictures(found: Evaluation, words: Words) -> Iterator[Picture]:
@@ -139,7 +137,7 @@ def motion_pictures(found: Evaluation, words: Words) -> Iterator[Picture]:
     table = error_motions(found.result)
     for name, rows in table[table["position"].notna()].groupby("motion", sort=False):
         caption = words("figure_motion", motion=name)
-        yield _picture(f"motion_{name}", caption, _draw_motion(str(name), rows, words), words)
+        yield translated(f"motion_{name}", caption, _draw_motion(str(name), rows, words), words)
 
 
 def _draw_motion(name: str, rows: pd.DataFrame, words: Words) -> Figure:
@@ -167,21 +165,9 @@ def residual_pictures(found: Evaluation, words: Words) -> Iterator[Picture]:
     for label, comparison in zip(labels, found.comparisons, strict=True):
         begin = f"{label}: " if label else ""
         named = f"{label}_" if label else ""
-        yield _picture(f"{named}setups", begin + words("figure_setups"), draw_setups(comparison), words)
-        yield _picture(f"{named}residual_map", begin + words("figure_residual_map"), draw_map(comparison), words)
+        yield translated(f"{named}setups", begin + words("figure_setups"), draw_setups(comparison), words)
+        yield translated(f"{named}residual_map", begin + words("figure_residual_map"), draw_map(comparison), words)
         chosen = chosen_covariates(comparison, _PANELS)
         for names in (chosen[k : k + 2] for k in range(0, len(chosen), 2)):
             drawn = draw_against(comparison, names)
-            yield _picture(f"{named}residuals_{'_'.join(names)}", begin + words("figure_residuals"), drawn, words)
-
-
-def improvement_pictures(found: Evaluation, words: Words) -> Iterator[Picture]:
-    """How the error falls with what the diagnosis finds."""
-    if found.improvement is not None and len(found.improvement.steps) > 1:
-        yield _picture("improve", words("figure_improve"), draw_improvement(found.improvement), words)
-
-
-def budget_pictures(found: Evaluation, words: Words) -> Iterator[Picture]:
-    """Who contributes what to the uncertainty."""
-    if found.budget is not None:
-        yield _picture("budget", words("figure_budget"), draw_budget(found.budget), words)
+            yield translated(f"{named}residuals_{'_'.join(names)}", begin + words("figure_residuals"), drawn, words)

@@ -63,14 +63,7 @@ def check_endings(files: Sequence[Path]) -> None:
 
 
 def html(found: Evaluation, content: Sequence[Section], words: Words, *, for_paper: bool = False) -> str:
-    """The page.
-
-    Args:
-        found: what it tells.
-        content: its sections.
-        words: of its language.
-        for_paper: whether nothing in it can be turned.
-    """
+    """The page; on paper nothing in it can be turned."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(

@@ -12,22 +12,21 @@ from typing import Any
 import numpy as np
 
 from machine_tool_calibration.diagnosis.consequence import effect_estimates
-from machine_tool_calibration.diagnosis.search.findings import Finding
-from machine_tool_calibration.effects.catalogue import catalogue
-from machine_tool_calibration.model.result import Estimate
+from machine_tool_calibration.plots.budget import draw_budget
+from machine_tool_calibration.plots.improve import draw_improvement
 from machine_tool_calibration.report.evaluation import Evaluation
 from machine_tool_calibration.report.figures import (
     Picture,
-    budget_pictures,
-    improvement_pictures,
     map_pictures,
     motion_pictures,
     residual_pictures,
+    translated,
 )
 from machine_tool_calibration.report.turnable import turnable
 from machine_tool_calibration.report.words import Words
 from machine_tool_calibration.reports.budget import budget_tables
 from machine_tool_calibration.reports.conformity import conformity_table
+from machine_tool_calibration.reports.diagnosis_document import screened_sizes
 from machine_tool_calibration.reports.direct_deviations import direct_tables
 from machine_tool_calibration.reports.identification import (
     datum_words,
@@ -38,7 +37,6 @@ from machine_tool_calibration.reports.identification import (
 )
 from machine_tool_calibration.reports.information import setup_place
 from machine_tool_calibration.reports.quantities import (
-    NOT_DETERMINED,
     micrometres,
     p_value,
     probability,
@@ -233,8 +231,7 @@ def _effects(found: Evaluation, words: Words) -> TextTable:
 
 
 def _title(name: str, found: Evaluation, words: Words) -> str:
-    known = catalogue(found.measured.chosen.own)
-    return words.phrase(known[name].title) if name in known else name
+    return words.phrase(found.titles[name]) if name in found.titles else name
 
 
 def _motions(found: Evaluation, words: Words) -> Iterator[str | TextTable | Picture]:
@@ -282,7 +279,7 @@ def _residuals(found: Evaluation, words: Words) -> Iterator[str | TextTable | Pi
     labels = found.measured.chosen.labels or ("",)
     rows = [
         (label, one.name, str(one.readings), micrometres(one.rms),
-         NOT_DETERMINED if one.reduced_chi_square is None else rounded(one.reduced_chi_square**0.5))
+         rounded(one.ratio))
         for label, comparison in zip(labels, found.comparisons, strict=True) for one in comparison.setups
     ]  # fmt: skip
     heads = (words("session"), words("setup"), words("readings"), words("residual_um"), words("over_declared"))
@@ -298,7 +295,15 @@ def _diagnosis(found: Evaluation, words: Words) -> Iterator[str | TextTable]:
     named = ", ".join(f"{_title(name, found, words)} ({name})" for name in diagnosis.accepted)
     yield words(f"verdict_{diagnosis.verdict}", effects=named, count=len(diagnosis.outliers))
     ranked = [one for one in diagnosis.ranked if one.rank][:_CANDIDATES]
-    rows = tuple((_title(one.name, found, words), one.name, probability(one.probability), _size(one)) for one in ranked)
+    rows = tuple(
+        (
+            _title(one.name, found, words),
+            one.name,
+            probability(one.probability),
+            sizes_in_words(screened_sizes(one)),
+        )
+        for one in ranked
+    )
     heads = (words("effect"), "id", words("probability"), words("size_u"))
     yield TextTable(words("candidates"), heads, rows, words("candidates_note"))
     left = tuple(
@@ -308,15 +313,6 @@ def _diagnosis(found: Evaluation, words: Words) -> Iterator[str | TextTable]:
     heads = (words("covariate"), words("shape"), words("p_value"), words("share"))
     if left:
         yield TextTable(words("still_depends"), heads, left)
-
-
-def _size(one: Finding) -> str:
-    return sizes_in_words(
-        [
-            Estimate(f"{one.name}.{s.coefficient.name}", s.value, s.standard_uncertainty, s.coefficient.unit)
-            for s in one.sizes
-        ]
-    )
 
 
 def _improvement(found: Evaluation, words: Words) -> Iterator[str | TextTable | Picture]:
@@ -336,7 +332,7 @@ def _improvement(found: Evaluation, words: Words) -> Iterator[str | TextTable | 
             for step in done.steps
         ]  # fmt: skip
         yield TextTable(words("steps"), heads, tuple(map(_step, rows)))
-        yield from improvement_pictures(found, words)
+        yield translated("improve", words("figure_improve"), draw_improvement(done), words)
 
 
 def _change(change: str, words: Words) -> str:
@@ -348,7 +344,7 @@ def _step(row: tuple[str, float, float | None, float | None, float | None]) -> t
     return (
         name,
         micrometres(residual),
-        NOT_DETERMINED if chi is None else rounded(chi),
+        rounded(chi),
         micrometres(size),
         micrometres(None if u is None else 2 * u),
     )
@@ -358,7 +354,7 @@ def _budget(found: Evaluation, words: Words) -> Iterator[str | TextTable | Pictu
     if found.budget is not None:
         for part in budget_tables(found.budget):
             yield words.phrase(part) if isinstance(part, str) else part
-        yield from budget_pictures(found, words)
+        yield translated("budget", words("figure_budget"), draw_budget(found.budget), words)
 
 
 def _conformity(found: Evaluation, words: Words) -> Iterator[str | TextTable]:

@@ -36,10 +36,6 @@ def library() -> str:
 def turnable(result: Result | JointResult, words: Words) -> dict[str, Any] | None:
     """The nominal grid and the found one with its errors magnified; None where the map has no extent to be turned.
 
-    Args:
-        result: with the map.
-        words: of the language.
-
     Returns:
         `data` and `layout` of plotly.js.
     """

@@ -29,15 +29,7 @@ _ENTERS = {
     "air_pressure": "air's pressure",
     "air_humidity": "air's humidity",
 }
-_VARIES = {
-    "reading": "reading",
-    "place": "place",
-    "angle": "beam direction",
-    "run": "run",
-    "setup": "setup",
-    "session": "session",
-    "never": "none",
-}
+_VARIES = {"angle": "beam direction", "never": "none"}
 _LEAST_NAMED = 1.0  # %
 # Degrees of freedom above which k is 2 to three figures.
 _MANY = 1000
@@ -128,7 +120,7 @@ def _contributors(budget: Budget) -> TextTable:
                 quantity(c.u, c.unit) if c.unit != "1" or c.enters == "length" else rounded(c.u),
                 freedom,
                 _ENTERS[c.enters],
-                _VARIES[c.varies],
+                _VARIES.get(c.varies, c.varies),
                 micrometres(line.reading) if line.reading >= _LEAST_READING else "< 0.001",
             )
         )

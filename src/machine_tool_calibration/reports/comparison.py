@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -13,7 +12,7 @@ from machine_tool_calibration.diagnosis.comparison import Comparison, JointCompa
 from machine_tool_calibration.reports.quantities import p_value, quantity, rounded
 from machine_tool_calibration.session.checks.suspicion import suspicions
 
-__all__ = ["comparison_columns", "comparison_document", "in_words", "joint_columns", "joint_document", "joint_in_words"]
+__all__ = ["comparison_columns", "comparison_document", "in_words"]
 
 
 # p-values at which the fit is called worse, or better, than declared, and repeats speak against the model.
@@ -26,8 +25,12 @@ _NOISE = 0.7
 _WORSE = 1.15
 
 
-def in_words(comparison: Comparison) -> str:
+def in_words(comparison: Comparison | JointComparison) -> str:
     """What a person wants to know first: does the model fit, and if not, where not; lengths in micrometres."""
+    return _joint_in_words(comparison) if isinstance(comparison, JointComparison) else _own_in_words(comparison)
+
+
+def _own_in_words(comparison: Comparison) -> str:
     overall = comparison.overall
     ratio, p, declared = overall.ratio, overall.p_value, quantity(overall.noise.declared, "m")
     if p > _TOO_GOOD:
@@ -42,7 +45,7 @@ def in_words(comparison: Comparison) -> str:
     return f"{first}.{apart} {_repeats(overall, bool(apart))}{cause}"
 
 
-def joint_in_words(comparison: JointComparison) -> str:
+def _joint_in_words(comparison: JointComparison) -> str:
     """Whether the common model fits all sessions, and if not, which it fits worst."""
     joint = comparison.joint
     ratio, p = joint.reduced_chi_square**0.5, joint.p_value
@@ -55,8 +58,7 @@ def joint_in_words(comparison: JointComparison) -> str:
     label, worst = comparison.parts[0]
     where = "the same in all sessions"
     if worst.reduced_chi_square is not None and worst.reduced_chi_square >= _WORSE**2 * joint.reduced_chi_square:
-        times = rounded(worst.reduced_chi_square**0.5)
-        where = f"worst is session {label} ({times} times, {worst.share:.0%} of all misfit)"
+        where = f"worst is session {label} ({rounded(worst.ratio)} times, {worst.share:.0%} of all misfit)"
     return (
         f"the readings scatter {rounded(ratio)} times the declared uncertainty; {where}.{apart} Whether the sessions "
         "contradict each other, `mtcal identify` says."
@@ -71,8 +73,7 @@ def _where(comparison: Comparison) -> str:
     assert worst.reduced_chi_square is not None
     if worst.reduced_chi_square < _WORSE**2 * comparison.overall.reduced_chi_square:
         return "the same in all setups"
-    times = worst.reduced_chi_square**0.5
-    return f"worst is setup {worst.name} ({rounded(times)} times, {worst.share:.0%} of all misfit)"
+    return f"worst is setup {worst.name} ({rounded(worst.ratio)} times, {worst.share:.0%} of all misfit)"
 
 
 def _repeats(overall: Overall, apart: bool) -> str:
@@ -102,14 +103,21 @@ def _stand_out(count: int) -> str:
     return f" {count} reading{'s do' if count > 1 else ' does'} not belong to the rest: `mtcal identify` names them."
 
 
-def comparison_document(comparison: Comparison) -> dict[str, Any]:
-    """The comparison as `mtcal-comparison/1`: SI units, None where the model takes a figure up."""
+def comparison_document(comparison: Comparison | JointComparison) -> dict[str, Any]:
+    """The comparison as `mtcal-comparison/1`: SI units, None where the model takes a figure up.
+
+    Of several sessions the same keys for all of them together, and under `sessions` those of each.
+    """
+    return _joint_document(comparison) if isinstance(comparison, JointComparison) else _own_document(comparison)
+
+
+def _own_document(comparison: Comparison) -> dict[str, Any]:
     overall, session = comparison.overall, comparison.fit.model.observations.session
     return {
         "format": "mtcal-comparison/1",
         "method": session.method,
         "effects": list(comparison.effects),
-        "summary": in_words(comparison),
+        "summary": _own_in_words(comparison),
         "suspicious": suspicions([session]),
         "provenance": comparison.provenance.document(),
         "readings": overall.readings,
@@ -142,8 +150,15 @@ def _reading(comparison: Comparison, k: int) -> dict[str, Any]:
     }
 
 
-def comparison_columns(comparison: Comparison) -> Mapping[str, np.ndarray]:
-    """Every reading with what was predicted: columns of equal length, SI, in the order of the recording."""
+def comparison_columns(comparison: Comparison | JointComparison) -> dict[str, np.ndarray]:
+    """Every reading with what was predicted: columns of equal length, SI, in the order of the recording.
+
+    Of several sessions with the session's label; what one of them did not record is empty (NaN, or no text).
+    """
+    return _joint_columns(comparison) if isinstance(comparison, JointComparison) else _own_columns(comparison)
+
+
+def _own_columns(comparison: Comparison) -> dict[str, np.ndarray]:
     observations = comparison.fit.model.observations
     readings = observations.readings
     ids = np.asarray(observations.session.setup_ids)
@@ -163,14 +178,13 @@ def comparison_columns(comparison: Comparison) -> Mapping[str, np.ndarray]:
     return out | {name.replace(" ", "_"): values for name, values in known.items() if name not in (*out, "order")}
 
 
-def joint_document(comparison: JointComparison) -> dict[str, Any]:
-    """That of several sessions: the same keys for all of them together, and under `sessions` those of each."""
+def _joint_document(comparison: JointComparison) -> dict[str, Any]:
     joint = comparison.joint
     return {
         "format": "mtcal-comparison/1",
         "method": "joint",
         "effects": list(comparison.effects),
-        "summary": joint_in_words(comparison),
+        "summary": _joint_in_words(comparison),
         "suspicious": suspicions(comparison.measured_sessions, comparison.labels),
         "provenance": comparison.provenance.document(),
         "readings": comparison.readings,
@@ -179,7 +193,7 @@ def joint_document(comparison: JointComparison) -> dict[str, Any]:
         "degrees_of_freedom": joint.solution.degrees_of_freedom,
         "p_value": joint.p_value,
         "sessions": [
-            {"label": label, **comparison_document(one)}
+            {"label": label, **_own_document(one)}
             for label, one in zip(comparison.labels, comparison.sessions, strict=True)
         ],
         "setups": [{"session": label, **asdict(share)} for label, share in comparison.setups],
@@ -187,9 +201,8 @@ def joint_document(comparison: JointComparison) -> dict[str, Any]:
     }
 
 
-def joint_columns(comparison: JointComparison) -> Mapping[str, np.ndarray]:
-    """Every reading of every session with its label; what a session did not record is empty (NaN, or no text)."""
-    every = [comparison_columns(one) for one in comparison.sessions]
+def _joint_columns(comparison: JointComparison) -> dict[str, np.ndarray]:
+    every = [_own_columns(one) for one in comparison.sessions]
     count = [one.overall.readings for one in comparison.sessions]
     out = {"session": np.repeat(np.asarray(comparison.labels), count)}
     for name in dict.fromkeys(name for columns in every for name in columns):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from machine_tool_calibration.diagnosis.comparison import Approach, Comparison, JointComparison, Share, Trend
-from machine_tool_calibration.reports.comparison import in_words, joint_in_words
+from machine_tool_calibration.reports.comparison import in_words
 from machine_tool_calibration.reports.quantities import (
     NOT_DETERMINED,
     micrometres,
@@ -27,11 +27,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "comparison_tables",
-    "correlated_groups",
-    "joint_tables",
     "mark_not_determined",
     "show_comparison",
-    "trends_table",
 ]
 
 
@@ -70,10 +67,10 @@ _TOGETHER = 0.9
 _NOTHING, _LEAST = 0.05, 1
 
 
-def trends_table(comparison: Comparison) -> TextTable:
+def _trends_table(comparison: Comparison) -> TextTable:
     """Straight lines over time, temperature and every other covariate, the clearest first."""
     known = [t for t in comparison.trends if t.slope is not None and t.added is not None]
-    groups = correlated_groups(comparison, known)
+    groups = _correlated_groups(comparison, known)
     clear = [group for group in groups if (group[0].p_value or 0.0) < _NOTHING]
     shown = (clear or groups[:_LEAST])[:_MOST]
     rows = tuple(
@@ -92,7 +89,7 @@ def trends_table(comparison: Comparison) -> TextTable:
     )
 
 
-def correlated_groups(comparison: Comparison, trends: list[Trend]) -> list[list[Trend]]:
+def _correlated_groups(comparison: Comparison, trends: list[Trend]) -> list[list[Trend]]:
     """Trends whose covariates changed together, in the order of the clearest of each; that one leads its group."""
     groups: list[list[Trend]] = []
     for trend in trends:
@@ -135,11 +132,13 @@ _HEADS = "× declared: scatter over the declared uncertainty; of all misfit: sha
 _UNITS = {"x": ("mm", 1e3), "y": ("mm", 1e3), "z": ("mm", 1e3), "c": ("°", 180.0 / np.pi)}
 
 
-def comparison_tables(comparison: Comparison) -> Iterator[TextTable]:
+def comparison_tables(comparison: Comparison | JointComparison) -> Iterator[TextTable]:
     """Where the model fails: the whole, setups, regions, approaches, trends, single readings."""
+    if isinstance(comparison, JointComparison):
+        yield from _joint_tables(comparison)
+        return
     yield _overall(comparison)
-    setups = _parts("Setups, worst first", "setup", comparison.setups, _MOST_PARTS)
-    yield replace(setups, note=f"{_HEADS}; {setups.note}".removesuffix("; "))
+    yield _parts("Setups, worst first", "setup", comparison.setups, _MOST_PARTS, _HEADS)
     yield from _within(comparison)
 
 
@@ -155,12 +154,12 @@ def _within(comparison: Comparison) -> Iterator[TextTable]:
     if comparison.approaches:
         yield _approaches(comparison)
     if comparison.trends:
-        yield trends_table(comparison)
+        yield _trends_table(comparison)
     yield _worst(comparison)
 
 
-def joint_tables(comparison: JointComparison) -> Iterator[TextTable]:
-    """Where the model of several sessions fails: sessions, setups of all, and what else is in each session."""
+def _joint_tables(comparison: JointComparison) -> Iterator[TextTable]:
+    """Sessions, setups of all, and what else is in each session."""
     joint = comparison.joint
     rows = (
         ("RMS residual (measured − predicted)", quantity(comparison.rms, "m")),
@@ -174,8 +173,7 @@ def joint_tables(comparison: JointComparison) -> Iterator[TextTable]:
     parts = [share for _, share in comparison.parts]
     yield _parts("Sessions, worst first", "session", parts, len(parts))
     named = [replace(share, name=f"{label}/{share.name}") for label, share in comparison.setups]
-    setups = _parts("Setups of all sessions, worst first", "setup", named, _MOST_PARTS)
-    yield replace(setups, note=f"{_HEADS}; {setups.note}".removesuffix("; "))
+    yield _parts("Setups of all sessions, worst first", "setup", named, _MOST_PARTS, _HEADS)
     for label, one in zip(comparison.labels, comparison.sessions, strict=True):
         for table in _within(one):
             yield replace(table, title=f"{label}: {table.title[0].lower()}{table.title[1:]}")
@@ -203,13 +201,13 @@ def _overall(comparison: Comparison) -> TextTable:
     return TextTable(f"All {overall.readings} readings", ("", ""), tuple(rows), note)
 
 
-def _parts(title: str, head: str, shares: Sequence[Share], most: int) -> TextTable:
+def _parts(title: str, head: str, shares: Sequence[Share], most: int, about: str = "") -> TextTable:
     rows = tuple(
         (
             share.name,
             str(share.readings),
             micrometres(share.rms),
-            _times(share),
+            rounded(share.ratio),
             f"{share.share:.0%}",
             plus_minus(share.mean, share.mean_u, _MICRO),
             plus_minus(share.slope, share.slope_u, _MICRO * _HOUR),
@@ -219,14 +217,13 @@ def _parts(title: str, head: str, shares: Sequence[Share], most: int) -> TextTab
     )
     columns = (head, "readings", "RMS / µm", "× declared", "of all misfit", "mean / µm", "drift / (µm/h)", "worst row")
     shown, note = mark_not_determined(columns, rows, (5, 6))
-    if len(shares) > most:
-        note = f"{len(shares) - most} more; {note}".removesuffix("; ")
-    return TextTable(title, columns, shown, note)
+    more = f"{len(shares) - most} more" if len(shares) > most else ""
+    return TextTable(title, columns, shown, "; ".join(filter(None, (about, more, note))))
 
 
 def _labels(name: str, shares: Sequence[Share]) -> TextTable:
     rows = tuple(
-        (s.name, str(s.readings), micrometres(s.rms), _times(s), f"{s.share:.0%}", str(s.worst_row))
+        (s.name, str(s.readings), micrometres(s.rms), rounded(s.ratio), f"{s.share:.0%}", str(s.worst_row))
         for s in shares[:_MOST_LABELS]
     )
     more = f"{len(shares) - _MOST_LABELS} more" if len(shares) > _MOST_LABELS else ""
@@ -250,7 +247,7 @@ def _regions(comparison: Comparison) -> TextTable:
                     f"{where} {unit}",
                     str(share.readings),
                     micrometres(share.rms),
-                    _times(share),
+                    rounded(share.ratio),
                     plus_minus(share.mean, share.mean_u, _MICRO),
                 )
             )
@@ -272,11 +269,11 @@ def _approaches(comparison: Comparison) -> TextTable:
     )
     columns = ("axis", "readings after + / −", "residual after + minus after − / µm", "axis stands apart by", "p-value")
     shown, note = mark_not_determined(columns, rows, (2, 3))
-    note = (
+    apart = (
         "axis stands apart by: what the two directions would have to differ by on the axis (a backlash of half width b "
-        f"gives −2 b); {note}"
-    ).removesuffix("; ")
-    return TextTable("Direction of approach", columns, shown, note)
+        "gives −2 b)"
+    )
+    return TextTable("Direction of approach", columns, shown, "; ".join(filter(None, (apart, note))))
 
 
 def _apart(approach: Approach) -> str:
@@ -307,23 +304,18 @@ def _worst(comparison: Comparison) -> TextTable:
     return TextTable("Single readings, worst first", columns, rows, note)
 
 
-def _times(share: Share) -> str:
-    return "–" if share.reduced_chi_square is None else rounded(share.reduced_chi_square**0.5)
-
-
 def show_comparison(screen: Console, comparison: Comparison | JointComparison) -> None:
     """In words first, then the tables."""
     from rich.text import Text
 
-    if isinstance(comparison, Comparison):
-        words, tables = in_words(comparison), comparison_tables(comparison)
-        suspicious = suspicions([comparison.fit.model.observations.session])
-    else:
-        words, tables = joint_in_words(comparison), joint_tables(comparison)
+    if isinstance(comparison, JointComparison):
         suspicious = suspicions(comparison.measured_sessions, comparison.labels)
+    else:
+        suspicious = suspicions([comparison.fit.model.observations.session])
+    words = in_words(comparison)
     screen.print(Text(words[0].upper() + words[1:]))
     show_suspicions(screen, suspicious)
     if comparison.effects:
         screen.print(Text(f"In the model: {', '.join(comparison.effects)}."))
-    for table in tables:
+    for table in comparison_tables(comparison):
         show_table(screen, table)

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from machine_tool_calibration.export.compensation import Exported
-from machine_tool_calibration.export.preview import ResidualError
 from machine_tool_calibration.reports.quantities import micrometres
 from machine_tool_calibration.reports.tables import TextTable
 
@@ -13,14 +12,14 @@ __all__ = ["absent_words", "left_table"]
 
 def left_table(found: Exported) -> TextTable:
     """Errors before and after in each direction, and their length."""
-    rows = tuple(
-        (row.name, *map(micrometres, (row.rms_before, row.rms_after, *_largest(row), 2 * row.uncertainty)))
-        for row in found.left
-    )
+    rows = []
+    for row in found.left:
+        lengths = (row.rms_before, row.rms_after, row.largest_before, row.largest_after, 2 * row.uncertainty)
+        rows.append((row.name, *map(micrometres, lengths)))
     return TextTable(
         "Position error over the measured points, µm, without shift and turn of the whole",
         ("direction", "RMS now", "RMS compensated", "largest now", "largest compensated", "U (k = 2), RMS"),
-        rows,
+        tuple(rows),
         "compensated: what the tables leave of the errors that were identified. What was not identified comes on top: "
         "U, and what the machine does not repeat",
     )
@@ -34,7 +33,3 @@ def absent_words(found: Exported) -> str:
         f"In the model and not in these files: {', '.join(found.absent)}. What they do to the position is in the "
         "errors above, before and after."
     )
-
-
-def _largest(row: ResidualError) -> tuple[float, float]:
-    return row.largest_before, row.largest_after

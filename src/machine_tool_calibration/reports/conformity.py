@@ -66,27 +66,25 @@ def _percent(probability: float) -> str:
 
 def conformity_document(found: Conformity) -> dict[str, Any]:
     """The verdicts for programs, SI; what is not determined is None."""
-    document: dict[str, Any] = plain(
-        {
-            "format": "mtcal-conformity/1",
-            "provenance": found.origin.document(),
-            "rule": found.rule,
-            "conformance_probability": found.level,
-            "uncertainty": found.uncertainty,
-            "decision": found.decision,
-            "figures": [
-                {
-                    "name": verdict.name,
-                    "unit": verdict.unit,
-                    "tolerance": verdict.tolerance,
-                    "value": verdict.value,
-                    "standard_uncertainty": verdict.u,
-                    "probability": verdict.probability,
-                    "decision": verdict.decision,
-                    "why": verdict.why,
-                }
-                for verdict in found.verdicts
-            ],
-        }
-    )
-    return document
+    document = {
+        "format": "mtcal-conformity/1",
+        "provenance": found.origin.document(),
+        "rule": found.rule,
+        "conformance_probability": found.level,
+        "uncertainty": found.uncertainty,
+        "decision": found.decision,
+        "figures": [
+            {
+                "name": verdict.name,
+                "unit": verdict.unit,
+                "tolerance": verdict.tolerance,
+                "value": verdict.value,
+                "standard_uncertainty": verdict.u,
+                "probability": verdict.probability,
+                "decision": verdict.decision,
+                "why": verdict.why,
+            }
+            for verdict in found.verdicts
+        ],
+    }
+    return dict(plain(document))

@@ -7,8 +7,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from machine_tool_calibration.arrays import rms
 from machine_tool_calibration.diagnosis.consequence import Consequence, before_and_after
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
@@ -16,10 +14,9 @@ from machine_tool_calibration.diagnosis.search.findings import Finding
 from machine_tool_calibration.diagnosis.search.look import Absorbed
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.model.model import POINTS
-from machine_tool_calibration.model.result import Estimate
 from machine_tool_calibration.planning.advice import Advice, alias_groups_of
 from machine_tool_calibration.planning.dominant import Dominant
-from machine_tool_calibration.reports.diagnosis_document import smallest_sizes
+from machine_tool_calibration.reports.diagnosis_document import screened_sizes, smallest_sizes
 from machine_tool_calibration.reports.quantities import (
     duration,
     micrometres,
@@ -40,21 +37,14 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Report",
-    "coefficients_table",
     "diagnosis_report",
     "dominant_words",
-    "hidden_table",
-    "in_map_table",
     "show_diagnosis",
 ]
 
 
 def dominant_words(found: Dominant) -> Iterator[str]:
-    """Sentences; where the scatter of the readings dominates, only more of them help, and nothing is proposed.
-
-    Args:
-        found: what dominates.
-    """
+    """Sentences; where the scatter of the readings dominates, only more of them help, and nothing is proposed."""
     if found.cause == "readings":
         yield (
             f"the readings' own scatter dominates the map's uncertainty, U = {quantity(2 * found.uncertainty, 'm')} "
@@ -82,7 +72,7 @@ def dominant_words(found: Dominant) -> Iterator[str]:
 _NOT_THE_MACHINES = ("workpiece_thermal", "table_thermal_growth")
 
 
-def coefficients_table(diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> TextTable:
+def _coefficients_table(diagnosis: Diagnosis, changes: Mapping[str, Consequence]) -> TextTable:
     """Every coefficient of the effects found: what it is, and its size."""
     observations = diagnosis.fits[0].fits[0].model.observations
     known = _effects(diagnosis)
@@ -97,13 +87,13 @@ def coefficients_table(diagnosis: Diagnosis, changes: Mapping[str, Consequence])
     return TextTable("What was found, coefficient by coefficient", heads, tuple(rows))
 
 
-def in_map_table(diagnosis: Diagnosis) -> TextTable:
+def _in_map_table(diagnosis: Diagnosis) -> TextTable:
     """Errors of the machine that are part of the map already: whatever their size, nothing needs to be added."""
     title = "Errors that the map holds already, whatever their size: nothing needs to be added for them"
     return TextTable(title, ("errors", "they are part of"), _rows(diagnosis, True))
 
 
-def hidden_table(diagnosis: Diagnosis) -> TextTable:
+def _hidden_table(diagnosis: Diagnosis) -> TextTable:
     """Effects that would not show, because they are fully correlated with unknowns of the setups or the map."""
     title = "Effects that would not show here: fully correlated with unknowns of the model"
     rows = _rows(diagnosis, False)
@@ -179,13 +169,13 @@ def diagnosis_report(
     """
     tables = [
         _candidates(diagnosis, changes, shown),
-        coefficients_table(diagnosis, changes),
+        _coefficients_table(diagnosis, changes),
         _outliers(diagnosis),
         _structure(diagnosis),
         _confounded(diagnosis, advice),
         _next(advice),
-        hidden_table(diagnosis),
-        in_map_table(diagnosis),
+        _hidden_table(diagnosis),
+        _in_map_table(diagnosis),
         _detectable(diagnosis),
         _excluded(diagnosis),
     ]
@@ -213,7 +203,7 @@ def _candidates(diagnosis: Diagnosis, changes: Mapping[str, Consequence], shown:
                 letters.get(name, ""),
                 probability(r.probability),
                 probability(r.family_p_value),
-                _sizes(r, change),
+                sizes_in_words((change.parameters if change is not None else ()) or screened_sizes(r)),
                 "" if r.plausible else "no",
                 _held_out(diagnosis, name),
                 micrometres(after),
@@ -247,17 +237,6 @@ def _held_out(diagnosis: Diagnosis, name: str) -> str:
     """How an effect does on readings that were left out; empty where that was not asked."""
     gains = [p.gain for p in diagnosis.predicted.get(name, ())]
     return f"{100 * min(gains):+.0f} %" if gains else ""
-
-
-def _sizes(ranked: Finding, change: Consequence | None) -> str:
-    if change is not None and change.parameters:
-        return sizes_in_words(change.parameters)
-    name = ranked.name
-    sizes = [
-        Estimate(f"{name}.{s.coefficient.name}", s.value, s.standard_uncertainty, s.coefficient.unit)
-        for s in ranked.sizes
-    ]
-    return sizes_in_words(sizes)
 
 
 def _outliers(diagnosis: Diagnosis) -> TextTable:
@@ -349,18 +328,12 @@ def _excluded(diagnosis: Diagnosis) -> TextTable:
     by: dict[str, list[str]] = {}
     for name, why in diagnosis.excluded.items():
         by.setdefault(why, []).append(name)
-    rows = tuple((", ".join(names), why) for why, names in _longest_last(by))
+    longest_last = sorted(by.items(), key=lambda entry: len(entry[1]))
+    rows = tuple((", ".join(names), why) for why, names in longest_last)
     return TextTable("Effects that were not looked for", ("effect", "why"), rows)
 
 
-def _longest_last(by: Mapping[str, list[str]]) -> Iterator[tuple[str, list[str]]]:
-    lengths = np.argsort([len(names) for names in by.values()], kind="stable")
-    items = list(by.items())
-    for k in lengths:
-        yield items[int(k)]
-
-
-def show_diagnosis(screen: Console, found: Diagnosis, then: Conclusions, shown: int = 8) -> None:
+def show_diagnosis(screen: Console, found: Diagnosis, then: Conclusions, shown: int = _SHOWN) -> None:
     """In words first, then the tables.
 
     Args:

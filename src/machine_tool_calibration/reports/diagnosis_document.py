@@ -14,12 +14,13 @@ from machine_tool_calibration.diagnosis.consequence import Consequence, before_a
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.findings import Finding
 from machine_tool_calibration.model.fit import JointFit
-from machine_tool_calibration.model.result import plain
+from machine_tool_calibration.model.result import Estimate
 from machine_tool_calibration.planning.advice import Advice, Separation, Visibility, alias_groups_of
+from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.checks.suspicion import suspicions
 
-__all__ = ["diagnosis_document", "smallest_sizes"]
+__all__ = ["candidate_document", "diagnosis_document", "screened_sizes", "smallest_sizes"]
 
 # Probability from which a set of effects is told.
 _TOLD = 0.01
@@ -39,11 +40,6 @@ def diagnosis_document(diagnosis: Diagnosis, advice: Advice, changes: Mapping[st
     `dominant` (what dominates the map's uncertainty, and what makes it smaller).
 
     With the verdict `unexplained` no effect is the cause: `accepted` is empty.
-
-    Args:
-        diagnosis: what was found.
-        advice: what to measure next.
-        changes: what candidates change, by id.
     """
     look, noise = diagnosis.look, diagnosis.noise
     document = {
@@ -72,14 +68,19 @@ def diagnosis_document(diagnosis: Diagnosis, advice: Advice, changes: Mapping[st
             "before": _fit(diagnosis.fits[0]),
             "after": _fit(diagnosis.fits[-1]),
         },
-        "candidates": [_candidate(diagnosis, f, changes) for f in diagnosis.ranked if f.rank],
+        "candidates": [candidate_document(diagnosis, f, changes) for f in diagnosis.ranked if f.rank],
         "alias_groups": [list(group) for group in alias_groups_of(diagnosis)],
         "separate_by": [_separation(s) for s in advice.separations],
         "absorbed": [{"effect": a.effect, "by": ", ".join(a.families) or "the model"} for a in look.absorbed],
         "structure": [asdict(s) for s in look.structure],
         "structure_left": [asdict(s) for s in look.left],
         "outliers": [
-            {**_named(label), "row": o.row, "studentized": o.studentized, "deviation": o.deviation}
+            {
+                **({"session": label} if label else {}),
+                "row": o.row,
+                "studentized": o.studentized,
+                "deviation": o.deviation,
+            }
             for label, own in zip(diagnosis.labels or ("",), diagnosis.set_aside, strict=True)
             for o in sorted(own, key=lambda o: o.row)
         ],
@@ -91,12 +92,8 @@ def diagnosis_document(diagnosis: Diagnosis, advice: Advice, changes: Mapping[st
     return dict(plain(document))
 
 
-def _named(label: str) -> dict[str, str]:
-    """The session, where there are several."""
-    return {"session": label} if label else {}
-
-
-def _candidate(diagnosis: Diagnosis, found: Finding, changes: Mapping[str, Consequence]) -> dict[str, Any]:
+def candidate_document(diagnosis: Diagnosis, found: Finding, changes: Mapping[str, Consequence]) -> dict[str, Any]:
+    """One of the effects that were looked for, as an entry of the document."""
     change = changes.get(found.name)
     before, after = before_and_after(diagnosis, found, changes)
     predicted = diagnosis.predicted.get(found.name, ())
@@ -122,24 +119,22 @@ def _candidate(diagnosis: Diagnosis, found: Finding, changes: Mapping[str, Conse
 
 def _parameters(ranked: Finding, change: Consequence | None) -> list[dict[str, Any]]:
     """The coefficients of a full fit where there is one, otherwise those of the screening."""
-    name = ranked.name
     if change is not None:
         return [estimate.document() for estimate in change.parameters]
-    out: list[dict[str, Any]] = [
-        {
-            "name": f"{name}.{size.coefficient.name}",
-            "value": size.value,
-            "standard_uncertainty": size.standard_uncertainty,
-            "unit": size.coefficient.unit,
-        }
-        for size in ranked.sizes
-    ]
-    out += [
-        {"name": f"{name}.{shape.name}", "value": value, "standard_uncertainty": None, "unit": shape.unit}
+    nonlinear = [
+        {"name": f"{ranked.name}.{shape.name}", "value": value, "standard_uncertainty": None, "unit": shape.unit}
         for shape, value in zip(ranked.candidate.nonlinear, ranked.shape, strict=False)
         if not shape.discrete
     ]
-    return out
+    return [*(estimate.document() for estimate in screened_sizes(ranked)), *nonlinear]
+
+
+def screened_sizes(found: Finding) -> list[Estimate]:
+    """The linear coefficients of an effect by what the model leaves, without a full fit."""
+    return [
+        Estimate(f"{found.name}.{s.coefficient.name}", s.value, s.standard_uncertainty, s.coefficient.unit)
+        for s in found.sizes
+    ]
 
 
 def _fit(joint: JointFit) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from machine_tool_calibration.reports.tables import TextTable, show_table
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["features_document", "features_table", "kind_of", "show_features"]
+__all__ = ["features_document", "kind_of", "show_features"]
 
 # Standard uncertainty of what the datum lays down, m and rad: rounding alone.
 _NOTHING = 1e-12
@@ -31,18 +31,13 @@ def kind_of(one: Element) -> str:
 
 def show_features(screen: Console, found: Features, drawn: MonteCarlo | None) -> None:
     """Print the features, their frame, and what gives none."""
-    show_table(screen, features_table(found, drawn))
+    show_table(screen, _features_table(found, drawn))
     for name, why in found.left_out.items():
         screen.print(f"Not a feature: {name}: {why}.", markup=False)
 
 
-def features_table(found: Features, drawn: MonteCarlo | None = None) -> TextTable:
-    """Nominal value and deviation of every quantity, with expanded uncertainty (k = 2).
-
-    Args:
-        found: the features.
-        drawn: what draws give of the same quantities.
-    """
+def _features_table(found: Features, drawn: MonteCarlo | None) -> TextTable:
+    """Nominal value and deviation of every quantity, with expanded uncertainty (k = 2)."""
     heads = ("feature", "quantity", "nominal", "actual − nominal")
     rows = []
     for k, (asked, deviation, u) in enumerate(zip(found.quantities, found.deviation, found.uncertainty, strict=True)):
@@ -66,12 +61,7 @@ def _nominal(asked: Quantity) -> str:
 
 
 def features_document(found: Features, drawn: MonteCarlo | None = None) -> dict[str, Any]:
-    """For programs, SI; what the touches do not determine is NaN.
-
-    Args:
-        found: the features.
-        drawn: what draws give of the same quantities.
-    """
+    """For programs, SI; what the touches do not determine is NaN."""
     quantities = []
     for k, (asked, deviation, u) in enumerate(zip(found.quantities, found.deviation, found.uncertainty, strict=True)):
         entry: dict[str, Any] = {

@@ -55,7 +55,7 @@ def _row(name: str, values: Any) -> tuple[str, str, str, str] | None:
     """RMS and largest expanded uncertainty of an entry of the map."""
     if not isinstance(values, list):
         return None
-    found = np.array(_flat(values), dtype=float)
+    found = np.array(values, dtype=float).ravel()
     good = np.isfinite(found)
     if not len(found):
         return None
@@ -65,9 +65,3 @@ def _row(name: str, values: Any) -> tuple[str, str, str, str] | None:
     unit = "rad" if name in ERROR_MOTIONS and parse_motion(name).is_rotation else "m"
     typical, most = 2 * float(np.sqrt(np.mean(found[good] ** 2))), 2 * float(found[good].max())
     return name.replace("_", " "), quantity(typical, unit), quantity(most, unit), lost
-
-
-def _flat(values: Any) -> list[float]:
-    if isinstance(values, list):
-        return [number for entry in values for number in _flat(entry)]
-    return [float("nan") if values is None else float(values)]

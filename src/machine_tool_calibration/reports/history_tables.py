@@ -3,14 +3,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from machine_tool_calibration.diagnosis.history import Entry, History
-from machine_tool_calibration.reports.quantities import NOT_DETERMINED, micrometres, quantity, rounded
+from machine_tool_calibration.reports.quantities import micrometres, quantity, rounded
 from machine_tool_calibration.reports.tables import TextTable
 
 __all__ = ["compared_models", "tried_models"]
 
-# Rows of a comparison before the coefficients.
-_FIGURES = 9
+_FIGURES: dict[str, Callable[[Entry], str]] = {
+    "variant": lambda one: one.model,
+    "effects": lambda one: ", ".join(one.effects) or "–",
+    "readings used": lambda one: str(one.used),
+    "set aside": lambda one: str(one.readings_aside),
+    "RMS residual, µm": lambda one: micrometres(one.rms_residual),
+    "reduced chi-square": lambda one: rounded(one.reduced_chi_square),
+    "degrees of freedom": lambda one: str(one.degrees_of_freedom),
+    "position error of the map, µm RMS": lambda one: micrometres(one.map_rms),
+    "its uncertainty U, µm RMS (k = 2)": lambda one: micrometres(
+        None if one.map_uncertainty_rms is None else 2 * one.map_uncertainty_rms
+    ),
+}
+"""What is told of a model beside its coefficients."""
 
 
 def tried_models(history: History) -> TextTable:
@@ -25,7 +39,7 @@ def tried_models(history: History) -> TextTable:
             entry.change or "first model",
             str(entry.used),
             micrometres(entry.rms_residual),
-            _chi_square(entry),
+            rounded(entry.reduced_chi_square),
             micrometres(entry.map_change_rms),
         )
         for entry in history.models
@@ -39,38 +53,17 @@ def tried_models(history: History) -> TextTable:
 
 def compared_models(one: Entry, other: Entry) -> TextTable:
     """Two models side by side: figures first, then each coefficient with its expanded uncertainty."""
-
-    def row(name: str, first: str, second: str) -> tuple[str, str, str]:
-        return (name, first, second)
-
     both = (one, other)
-    rows = [
-        row("variant", one.model, other.model),
-        row("effects", ", ".join(one.effects) or "–", ", ".join(other.effects) or "–"),
-        row("readings used", str(one.used), str(other.used)),
-        row("set aside", str(one.readings_aside), str(other.readings_aside)),
-        row("RMS residual, µm", micrometres(one.rms_residual), micrometres(other.rms_residual)),
-        row("reduced chi-square", _chi_square(one), _chi_square(other)),
-        row("degrees of freedom", str(one.degrees_of_freedom), str(other.degrees_of_freedom)),
-        row("position error of the map, µm RMS", micrometres(one.map_rms), micrometres(other.map_rms)),
-        row(
-            "its uncertainty U, µm RMS (k = 2)",
-            *(micrometres(None if e.map_uncertainty_rms is None else 2 * e.map_uncertainty_rms) for e in both),
-        ),
-    ]
+    rows = [(name, *map(shown, both)) for name, shown in _FIGURES.items()]
     known = [{p.name: p for p in entry.estimates()} for entry in both]
     for name in dict.fromkeys([*known[0], *known[1]]):
         texts = [
             quantity(k[name].value, k[name].unit, k[name].standard_uncertainty) if name in k else "–" for k in known
         ]
-        rows.append(row(name, *texts))
+        rows.append((name, *texts))
     return TextTable(
         "Side by side",
         ("", f"model {one.number}", f"model {other.number}"),
         tuple(rows),
-        "coefficients ± U (k = 2)" if len(rows) > _FIGURES else "",
+        "coefficients ± U (k = 2)" if len(rows) > len(_FIGURES) else "",
     )
-
-
-def _chi_square(entry: Entry) -> str:
-    return NOT_DETERMINED if entry.reduced_chi_square is None else rounded(entry.reduced_chi_square)

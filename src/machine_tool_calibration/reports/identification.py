@@ -155,14 +155,7 @@ _MOST_NAMES = 8
 
 
 def show_result(screen: Console, document: Mapping[str, Any], opened: Sequence[Session], fit: JointFit) -> None:
-    """Print a result document.
-
-    Args:
-        screen: where.
-        document: of the result.
-        opened: the sessions that were identified.
-        fit: behind it.
-    """
+    """Print a result document."""
     for session in opened:
         screen.print(session_headline(session))
     if document["effects"]:

@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from machine_tool_calibration.diagnosis.improve import Improvement, Step
 from machine_tool_calibration.reports.quantities import (
-    NOT_DETERMINED,
     micrometres,
     probability,
     quantity,
@@ -21,7 +21,7 @@ from machine_tool_calibration.session.checks.suspicion import suspicions
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["improvement_document", "show_improvement"]
+__all__ = ["improvement_document", "show_improvement", "step_document"]
 
 
 def improvement_document(done: Improvement) -> dict[str, Any]:
@@ -34,24 +34,26 @@ def improvement_document(done: Improvement) -> dict[str, Any]:
         "verdict": done.diagnosis.verdict,
         "accepted": done.diagnosis.accepted,
         "set_aside": [row for rows in done.steps[-1].set_aside for row in rows],
-        "steps": [
-            {
-                "change": step.change,
-                "effects": step.result.effects,
-                "readings": step.result.joint.assembly.problem.n_readings,
-                "rms_residual": step.result.rms_residual,
-                "reduced_chi_square": step.reduced_chi_square,
-                "p_value": step.result.joint.p_value,
-                "map_rms": step.map_rms,
-                "map_change_rms": step.map_change,
-                "map_uncertainty_rms": step.map_uncertainty,
-                "left_at_tool_rms": step.residual_volumetric_error,
-                "parameters": [estimate.document() for estimate in step.parameters],
-            }
-            for step in done.steps
-        ],
+        "steps": [step_document(step) for step in done.steps],
         "provenance": done.provenance.document(),
         "result": done.steps[-1].result.document(),
+    }
+
+
+def step_document(step: Step) -> dict[str, Any]:
+    """One of the models on the way, as an entry of the document."""
+    return {
+        "change": step.change,
+        "effects": step.result.effects,
+        "readings": step.result.joint.assembly.problem.n_readings,
+        "rms_residual": step.result.rms_residual,
+        "reduced_chi_square": step.reduced_chi_square,
+        "p_value": step.result.joint.p_value,
+        "map_rms": step.map_rms,
+        "map_change_rms": step.map_change,
+        "map_uncertainty_rms": step.map_uncertainty,
+        "left_at_tool_rms": step.residual_volumetric_error,
+        "parameters": [estimate.document() for estimate in step.parameters],
     }
 
 
@@ -104,7 +106,7 @@ def _steps(done: Improvement) -> TextTable:
                 sizes_in_words(own) if own else "",
                 probability(chance[step.change]) if step.change in chance else "",
                 micrometres(step.result.rms_residual),
-                _chi(step),
+                rounded(step.reduced_chi_square),
                 micrometres(step.map_change),
                 micrometres(step.map_rms),
                 micrometres(None if step.map_uncertainty is None else 2 * step.map_uncertainty),
@@ -131,24 +133,15 @@ def _steps(done: Improvement) -> TextTable:
 
 
 def _side_by_side(done: Improvement) -> TextTable:
-    def pair(name: str, values: list[str]) -> tuple[str, str, str]:
-        return (name, values[0], values[1])
-
+    figures: dict[str, Callable[[Step], str]] = {
+        "effects added": lambda step: ", ".join(step.result.effects) or "none",
+        "readings used": lambda step: str(step.result.joint.assembly.problem.n_readings),
+        "RMS residual, µm": lambda step: micrometres(step.result.rms_residual),
+        "reduced chi-square": lambda step: rounded(step.reduced_chi_square),
+        "p-value": lambda step: probability(step.result.joint.p_value),
+        "position error of the map, µm RMS": lambda step: micrometres(step.map_rms),
+        "residual volumetric error, µm RMS (k = 2)": lambda step: micrometres(done.residual_volumetric_error(step)),
+    }
     both = (done.steps[0], done.steps[-1])
-    rows = [
-        pair("effects added", [", ".join(s.result.effects) or "none" for s in both]),
-        pair("readings used", [str(s.result.joint.assembly.problem.n_readings) for s in both]),
-        pair("RMS residual, µm", [micrometres(s.result.rms_residual) for s in both]),
-        pair("reduced chi-square", [_chi(s) for s in both]),
-        pair("p-value", [probability(s.result.joint.p_value) for s in both]),
-        pair("position error of the map, µm RMS", [micrometres(s.map_rms) for s in both]),
-        pair(
-            "residual volumetric error, µm RMS (k = 2)",
-            [micrometres(done.residual_volumetric_error(s)) for s in both],
-        ),
-    ]
-    return TextTable("Before and after", ("", "before", "after"), tuple(rows))
-
-
-def _chi(step: Step) -> str:
-    return NOT_DETERMINED if step.reduced_chi_square is None else rounded(step.reduced_chi_square)
+    rows = tuple((name, *map(shown, both)) for name, shown in figures.items())
+    return TextTable("Before and after", ("", "before", "after"), rows)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -149,14 +150,14 @@ def setup_place(setup: Any) -> str:
         signs = "".join("+" if value > 0 else "-" if value < 0 else "0" for value in setup.direction)
         return f"{setup.kind} {signs}"
     if hasattr(setup, "c"):
-        return f"c = {setup.c * 57.29577951308232:.2f}°"
+        return f"c = {math.degrees(setup.c):.2f}°"
     return ""
 
 
 def _column(column: ColumnSummary) -> tuple[str, str, str, str, str]:
     unit, factor = _UNITS.get(column.name, ("", 1.0))
     if column.name in _ANGLES:
-        unit, factor = "°", 57.29577951308232
+        unit, factor = "°", math.degrees(1.0)
     elif column.name.startswith("temperature_"):
         unit = "°C"
     elif column.name == "air_pressure":

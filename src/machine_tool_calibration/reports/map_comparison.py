@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from machine_tool_calibration.reports.tables import TextTable, show_table
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["comparison_words", "map_comparison_document", "map_comparison_table", "show_map_comparison"]
+__all__ = ["map_comparison_document", "show_map_comparison"]
 
 # Points of a table for people: of more, those of which the maps differ most.
 _MOST = 25
@@ -23,7 +24,7 @@ _MOST = 25
 _NOTHING = 1e-12
 
 
-def comparison_words(comparison: MapComparison) -> str:
+def _comparison_words(comparison: MapComparison) -> str:
     """Whether the maps agree, and where they differ most."""
     size = np.abs(comparison.normalised)
     k, j = np.unravel_index(int(np.nanargmax(size)), size.shape)
@@ -41,7 +42,7 @@ def comparison_words(comparison: MapComparison) -> str:
     )
 
 
-def map_comparison_table(comparison: MapComparison) -> TextTable:
+def _map_comparison_table(comparison: MapComparison) -> TextTable:
     """The differences point by point; of many points those with the largest normalised ones."""
     told = np.isfinite(comparison.difference)
     axes = np.flatnonzero(told.any(axis=0))
@@ -73,7 +74,7 @@ def map_comparison_table(comparison: MapComparison) -> TextTable:
 
 def show_map_comparison(screen: Console, comparison: MapComparison) -> None:
     """Print the verdict, the motion between the datums and the table."""
-    show_table(screen, map_comparison_table(comparison))
+    show_table(screen, _map_comparison_table(comparison))
     moved = [
         f"{m.name} {quantity(m.value, m.unit, m.u)}"
         for m in comparison.motion
@@ -85,25 +86,26 @@ def show_map_comparison(screen: Console, comparison: MapComparison) -> None:
         if moved
         else "Both maps have the same datum at these points: there is no common motion to take out."
     )
-    screen.print(comparison_words(comparison))
+    screen.print(_comparison_words(comparison))
 
 
 def map_comparison_document(comparison: MapComparison) -> dict[str, Any]:
     """For programs: SI units, standard uncertainties; what is not compared is null."""
-    return {
+    document = {
         "format": "mtcal-map-comparison/1",
         "maps": list(comparison.labels),
         "agree": comparison.agree,
         "p_value": comparison.p_value,
         "compared": comparison.count,
         "beyond_1": comparison.beyond,
-        "motion": [plain({"name": m.name, "value": m.value, "u": m.u, "unit": m.unit}) for m in comparison.motion],
-        "points": plain(comparison.points),
-        "first": plain(comparison.first),
-        "first_u": plain(comparison.u_first),
-        "second": plain(comparison.second),
-        "second_u": plain(comparison.u_second),
-        "difference": plain(comparison.difference),
-        "difference_u": plain(comparison.u),
-        "normalised": plain(comparison.normalised),
+        "motion": [asdict(m) for m in comparison.motion],
+        "points": comparison.points,
+        "first": comparison.first,
+        "first_u": comparison.u_first,
+        "second": comparison.second,
+        "second_u": comparison.u_second,
+        "difference": comparison.difference,
+        "difference_u": comparison.u,
+        "normalised": comparison.normalised,
     }
+    return dict(plain(document))

@@ -15,7 +15,7 @@ from machine_tool_calibration.reports.tables import TextTable, show_table
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["alignment_document", "alignment_lines", "show_alignment"]
+__all__ = ["alignment_document", "show_alignment"]
 
 
 def show_alignment(screen: Console, centre: Centre | None, zero: ZeroAngle | None, setup: str) -> None:
@@ -37,7 +37,7 @@ def show_alignment(screen: Console, centre: Centre | None, zero: ZeroAngle | Non
             f"towards +Y than commanded; scatter of a reading: {quantity(zero.scatter, 'm')}."
         )
     screen.print()
-    for line in alignment_lines(centre, zero, setup):
+    for line in _alignment_lines(centre, zero, setup):
         screen.print(line, markup=False, soft_wrap=True)
 
 
@@ -49,14 +49,8 @@ def _centre_table(centre: Centre) -> TextTable:
     return TextTable("Rotation centre of the pointer", ("", "x", "y", ""), tuple(rows))
 
 
-def alignment_lines(centre: Centre | None, zero: ZeroAngle | None, setup: str) -> Iterator[str]:
-    """YAML for the session's setup, and for the pointer of a simulated workshop.
-
-    Args:
-        centre: None where it was not looked for.
-        zero: likewise.
-        setup: id of the station.
-    """
+def _alignment_lines(centre: Centre | None, zero: ZeroAngle | None, setup: str) -> Iterator[str]:
+    """YAML for the session's setup, and for the pointer of a simulated workshop."""
     if centre is not None:
         x, y = (float(v) for v in centre.centre)
         yield "# session.yaml, or session of a procedure; z is not determined: the height of the beam"

@@ -83,8 +83,10 @@ def _scale(unit: str, size: float) -> tuple[float, str]:
     return factor, "" if shown == "1" else shown
 
 
-def rounded(value: float) -> str:
-    """Three figures, without an exponent where that is readable."""
+def rounded(value: float | None) -> str:
+    """Three figures, without an exponent where that is readable; a dash if it is not known."""
+    if value is None:
+        return NOT_DETERMINED
     if value == 0.0 or not math.isfinite(value):
         return f"{value:g}"
     digits = 2 - math.floor(math.log10(abs(value)))

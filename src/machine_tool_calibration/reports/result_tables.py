@@ -159,10 +159,6 @@ def _unknowns(result: Result) -> Iterator[_Value]:
 def parameters(result: Result | JointResult, document: Mapping[str, Any]) -> pd.DataFrame:
     """Every unknown of the model, by name.
 
-    Args:
-        result: of the identification.
-        document: its document.
-
     Returns:
         `value` and standard uncertainty `u` in `unit`, `determined`, `meaning` in words, and `why_not` the data
         determines it.

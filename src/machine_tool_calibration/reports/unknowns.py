@@ -50,10 +50,6 @@ def unknowns_in_words(unknowns: Iterable[Parameter]) -> str:
 def named_in_words(fit: JointFit, effects: Iterable[str]) -> dict[str, str]:
     """What stands behind each name in a result: an unknown, a whole table or effect, or what was left out.
 
-    Args:
-        fit: behind the result.
-        effects: ids of the effects in the model.
-
     Returns:
         In words, by the name; nothing for names that say all that is known.
     """

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, first_true
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.catalogue import require_columns
 from machine_tool_calibration.session.checks import check_session
@@ -134,10 +134,9 @@ class Collector:
 
     def _labels(self, column: str, values: Array, ids: list[str]) -> np.ndarray:
         whole = np.isfinite(values) & (values == np.floor(values)) & (values >= 0) & (values < len(ids))
-        bad = np.flatnonzero(~whole & ~np.isnan(values))
-        if len(bad):
-            where = self._place.row(bad[0])
-            raise SessionError(f"{where}: {column} is {values[bad[0]]:g}, not 0 to {len(ids) - 1}")
+        bad = first_true(~whole & ~np.isnan(values))
+        if bad is not None:
+            raise SessionError(f"{self._place.row(bad)}: {column} is {values[bad]:g}, not 0 to {len(ids) - 1}")
         table = np.array([*ids, ""], dtype=np.str_)
         return table[np.where(whole, np.nan_to_num(values), len(ids)).astype(np.int64)]
 

@@ -4,14 +4,16 @@
 from __future__ import annotations
 
 from collections.abc import Container, Sequence
-from typing import Any, get_args
+from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from machine_tool_calibration.errors import did_you_mean
+from machine_tool_calibration.errors import CalibrationError, SessionError, did_you_mean
 from machine_tool_calibration.session.yaml_text import Document
 
-__all__ = ["either", "first_defect", "kind_of", "place_in", "shown"]
+__all__ = ["either", "first_defect", "kind_of", "place_in", "shown", "validated"]
+
+AnyRecord = TypeVar("AnyRecord", bound=BaseModel)
 
 # Kinds of defects of a number that is too small or too large: where pydantic has the bound, and what it is.
 _BOUNDS = {
@@ -20,6 +22,26 @@ _BOUNDS = {
     "less_than": ("lt", "less than"),
     "less_than_equal": ("le", "at most"),
 }
+
+
+def validated(
+    record: type[AnyRecord],
+    content: Any,
+    source: str,
+    document: Document | None = None,
+    *,
+    unnamed: Container[object] = (),
+    refusal: type[CalibrationError] = SessionError,
+) -> AnyRecord:
+    """The record that a content is; arguments as of `first_defect`.
+
+    Raises:
+        CalibrationError: a `refusal` that says the first defect in one line.
+    """
+    try:
+        return record.model_validate(content)
+    except ValidationError as error:
+        raise refusal(first_defect(error, source, document, record, unnamed)) from None
 
 
 def first_defect(

@@ -21,13 +21,7 @@ from machine_tool_calibration.session.text import read_text
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = [
-    "description_yaml",
-    "parse_description",
-    "read_session",
-    "readings_frame",
-    "write_session",
-]
+__all__ = ["read_session", "readings_frame", "write_session"]
 
 
 def read_session(path: Path, *, check: bool = True) -> Session:

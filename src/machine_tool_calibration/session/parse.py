@@ -4,21 +4,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, TypeVar
+from typing import Any
 
 import yaml
-from pydantic import BaseModel, ValidationError
 
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.catalogue import METHODS, method_names, method_spec
-from machine_tool_calibration.session.defects import either, first_defect, kind_of, place_in, shown
+from machine_tool_calibration.session.defects import AnyRecord, either, kind_of, place_in, shown, validated
 from machine_tool_calibration.session.description import Description
 from machine_tool_calibration.session.yaml_text import Document, PlainDumper, load_yaml
 
 __all__ = ["describe", "description_yaml", "parse_description", "parse_record"]
 
 FORMAT = "mtcal-session/1"
-AnyRecord = TypeVar("AnyRecord", bound=BaseModel)
 
 
 def parse_description(text: str, source: str) -> Description:
@@ -48,10 +46,7 @@ def parse_record(text: str, source: str, record: type[AnyRecord], form: str) -> 
         SessionError: one line with file, line and key of the first defect.
     """
     document = _mapping(text, source, form)
-    try:
-        return record.model_validate(document.value)
-    except ValidationError as error:
-        raise SessionError(first_defect(error, source, document, record)) from None
+    return validated(record, document.value, source, document)
 
 
 def _mapping(text: str, source: str, form: str) -> Document:
@@ -71,11 +66,7 @@ def describe(value: Any, source: str, document: Document | None = None) -> Descr
     # Installed packages are searched for methods only where the name is none of ours.
     ours = tuple(METHODS)
     _check_key("method", ours if value.get("method") in ours else method_names(), source, document)
-    record = method_spec(value["method"]).description
-    try:
-        return record.model_validate(value)
-    except ValidationError as error:
-        raise SessionError(first_defect(error, source, document, record)) from None
+    return validated(method_spec(value["method"]).description, value, source, document)
 
 
 def _check_key(key: str, allowed: Sequence[str], source: str, document: Document) -> None:
@@ -91,17 +82,8 @@ def description_yaml(description: Description) -> str:
     """The text of `session.yaml`; numbers are written so that they come back to the last bit."""
     content = description.model_dump(mode="python", exclude_none=True)
     content = {"format": content.pop("format"), "method": content.pop("method"), **content}
-    plain = {key: _plain(value) for key, value in content.items() if value != {} and value != () and value is not False}
+    plain = {key: value for key, value in content.items() if value != {} and value != () and value is not False}
     # What is 0 and said of no setup needs not be said.
-    declared = description.standard_uncertainty.model_dump(exclude_defaults=True)
-    plain["standard_uncertainty"] = {key: _plain(value) for key, value in declared.items()}
+    plain["standard_uncertainty"] = description.standard_uncertainty.model_dump(exclude_defaults=True)
     plain["machine"] = {key: value for key, value in plain["machine"].items() if value != {}}
     return yaml.dump(plain, Dumper=PlainDumper, sort_keys=False, default_flow_style=None, width=120, allow_unicode=True)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(entry) for entry in value]
-    return value

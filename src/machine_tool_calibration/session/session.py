@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray, in_order_of_appearance
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, first_true, in_order_of_appearance
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.method import MethodSpec
@@ -20,7 +20,15 @@ from machine_tool_calibration.session.method import MethodSpec
 if TYPE_CHECKING:
     from machine_tool_calibration.session.description import Description, Place
 
-__all__ = ["Readings", "Session", "assemble", "distinct_labels", "distinct_places", "refuse_repeated"]
+__all__ = [
+    "Readings",
+    "Session",
+    "assemble",
+    "distinct_labels",
+    "distinct_places",
+    "places_among",
+    "refuse_repeated",
+]
 
 
 @dataclass(frozen=True)
@@ -254,16 +262,16 @@ def assemble(
         SessionError: an unknown setup, target or point, or a repeat that is no whole number; with its row.
     """
     columns, texts = dict(numbers), dict(labels)
-    setup = _places(texts.pop("setup"), "setup", [entry.id for entry in description.setups], place)
+    setup = _known_places(texts.pop("setup"), "setup", [entry.id for entry in description.setups], place)
     for column, key in (("target", "targets"), ("point", "workpiece")):
         entries = getattr(description, key, None)
         if entries is not None and column in texts:
-            _places(texts[column], column, [entry.id for entry in entries], place)
+            _known_places(texts[column], column, [entry.id for entry in entries], place)
     count = len(setup)
     repeat = columns.pop("repeat", np.zeros(count))
-    bad = np.flatnonzero(~((repeat >= 0) & (repeat == np.floor(repeat)) & (repeat < 1e9)))
-    if len(bad):
-        raise SessionError(f"{place.row(bad[0])}: repeat is {repeat[bad[0]]:g}, not 0, 1, 2 …")
+    bad = first_true(~((repeat >= 0) & (repeat == np.floor(repeat)) & (repeat < 1e9)))
+    if bad is not None:
+        raise SessionError(f"{place.row(bad)}: repeat is {repeat[bad]:g}, not 0, 1, 2 …")
     return Readings(
         setup=setup,
         repeat=repeat.astype(np.int64),
@@ -274,16 +282,20 @@ def assemble(
     )
 
 
-def _places(labels: np.ndarray, column: str, ids: Sequence[str], place: Place) -> IntArray:
-    """Place of each label in the description's list."""
+def places_among(labels: np.ndarray, ids: Sequence[str]) -> IntArray:
+    """(n,) place of each label in a list of ids; -1 where it is none of them."""
     table = {name: index for index, name in enumerate(ids)}
     unique, inverse = np.unique(labels, return_inverse=True)
-    index = np.array([table.get(str(name), -1) for name in unique], dtype=np.int64)[inverse]
-    bad = np.flatnonzero(index < 0)
-    if len(bad):
-        name = str(labels[bad[0]])
+    return np.array([table.get(str(name), -1) for name in unique], dtype=np.int64)[inverse]
+
+
+def _known_places(labels: np.ndarray, column: str, ids: Sequence[str], place: Place) -> IntArray:
+    index = places_among(labels, ids)
+    bad = first_true(index < 0)
+    if bad is not None:
+        name = str(labels[bad])
         what = f"unknown {column} {name!r}" if name else f"{column} is empty"
-        raise SessionError(f"{place.row(bad[0])}: {what}; {PurePath(place.description).name} has {_listed(ids)}")
+        raise SessionError(f"{place.row(bad)}: {what}; {PurePath(place.description).name} has {_listed(ids)}")
     return index
 
 

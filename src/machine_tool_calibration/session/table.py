@@ -12,7 +12,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, IntArray, first_true
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.text import reject_foreign_encoding
 
@@ -110,9 +110,8 @@ def _scan(source: str, blocks: Iterator[bytes]) -> Layout:
         if columns is None or not block:
             continue
         fields = _fields_per_line(block)
-        wrong = np.flatnonzero((fields != len(columns)) & (fields != 0))
-        if len(wrong):
-            first = int(wrong[0])
+        first = first_true((fields != len(columns)) & (fields != 0))
+        if first is not None:
             row = rows + first - int(np.count_nonzero(fields[:first] == 0))
             where = f"{source} row {row} (line {line + first + 1})"
             if fields[first] < 0:
@@ -308,9 +307,9 @@ def _numeric(layout: Layout, name: str, column: list[str] | Array) -> Array | No
             return None
         if bad:
             raise SessionError(f"{layout.where(bad[0])}: {name} is {_shown(column[bad[0]])}, not a number")
-    infinite = np.flatnonzero(np.isinf(values))
-    if len(infinite):
-        raise SessionError(f"{layout.where(int(infinite[0]))}: {name} is infinite")
+    infinite = first_true(np.isinf(values))
+    if infinite is not None:
+        raise SessionError(f"{layout.where(infinite)}: {name} is infinite")
     return values
 
 
@@ -324,9 +323,9 @@ def _number(text: str) -> float:
 
 def _label(layout: Layout, name: str, column: list[str] | Array) -> np.ndarray:
     texts = np.asarray(column, dtype=np.str_)
-    long = np.flatnonzero(np.char.str_len(texts) > _LONGEST_LABEL)
-    if len(long):
-        raise SessionError(f"{layout.where(int(long[0]))}: {name} is longer than {_LONGEST_LABEL} characters")
+    long = first_true(np.char.str_len(texts) > _LONGEST_LABEL)
+    if long is not None:
+        raise SessionError(f"{layout.where(long)}: {name} is longer than {_LONGEST_LABEL} characters")
     return texts
 
 

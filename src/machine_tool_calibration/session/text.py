@@ -8,7 +8,7 @@ from pathlib import Path
 
 from machine_tool_calibration.errors import SessionError
 
-__all__ = ["LARGEST", "read_text", "reject_foreign_encoding"]
+__all__ = ["LARGEST", "read_bytes", "read_text", "reject_foreign_encoding"]
 
 LARGEST = 16 << 20
 """Bytes of a description that are accepted."""
@@ -28,6 +28,24 @@ def reject_foreign_encoding(head: bytes, source: str) -> None:
             raise SessionError(f"{source}: the text is {name}; save the file as UTF-8")
 
 
+def read_bytes(path: Path, limit: int) -> bytes:
+    """The content of a file of at most so many bytes.
+
+    Raises:
+        SessionError: not there, not a file, or too large.
+    """
+    try:
+        if not path.is_file():
+            raise SessionError(f"{path}: {'is not a file' if path.exists() else 'no such file'}")
+        with path.open("rb") as stream:
+            data = stream.read(limit + 1)
+    except OSError as error:
+        raise SessionError(f"{path}: cannot be read: {error.strerror}") from None
+    if len(data) > limit:
+        raise SessionError(f"{path}: larger than the {limit >> 20} MiB that are accepted")
+    return data
+
+
 def read_text(path: Path, limit: int = LARGEST) -> str:
     """The text of a small file, without a byte order mark.
 
@@ -38,16 +56,7 @@ def read_text(path: Path, limit: int = LARGEST) -> str:
     Raises:
         SessionError: not there, not a file, too large, not UTF-8, or with NUL bytes.
     """
-    source = str(path)
-    try:
-        if not path.is_file():
-            raise SessionError(f"{source}: {'is not a file' if path.exists() else 'no such file'}")
-        with path.open("rb") as stream:
-            data = stream.read(limit + 1)
-    except OSError as error:
-        raise SessionError(f"{source}: cannot be read: {error.strerror}") from None
-    if len(data) > limit:
-        raise SessionError(f"{source}: larger than the {limit >> 20} MiB that are accepted")
+    source, data = str(path), read_bytes(path, limit)
     reject_foreign_encoding(data, source)
     if b"\0" in data:
         line = data[: data.index(b"\0")].count(b"\n") + 1

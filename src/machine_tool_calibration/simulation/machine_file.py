@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from machine_tool_calibration.errors import CalibrationError, ModelError
 from machine_tool_calibration.machine.chain import Chain
-from machine_tool_calibration.session.defects import first_defect
+from machine_tool_calibration.session.defects import validated
 from machine_tool_calibration.session.description import Finite
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
@@ -146,10 +146,8 @@ def read_record(path: Path, record: type[R]) -> R:
         CalibrationError: the file cannot be read, or a key or value is wrong; one line names file, line and key.
     """
     document = load_yaml(read_text(path), str(path))
-    try:
-        return record.model_validate(document.value if document.value is not None else {})
-    except ValidationError as error:
-        raise CalibrationError(first_defect(error, str(path), document, record, ALL_METHODS)) from None
+    content = document.value if document.value is not None else {}
+    return validated(record, content, str(path), document, unnamed=ALL_METHODS, refusal=CalibrationError)
 
 
 def machine_document(machine: VirtualMachine) -> dict[str, Any]:

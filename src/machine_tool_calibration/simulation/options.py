@@ -8,10 +8,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.session.defects import first_defect
+from machine_tool_calibration.session.defects import validated
 from machine_tool_calibration.session.yaml_text import load_yaml
 from machine_tool_calibration.simulation.flaw import ALL_METHODS
 from machine_tool_calibration.simulation.flaws import find_flaw
@@ -148,9 +146,6 @@ def spec_from(
         content["machine"] = read_machine(machine)
     if effects:
         content["effects"] = [*content.get("effects", ()), *effects]
-    try:
-        spec = SimulationSpec.model_validate(content)
-    except ValidationError as error:
-        raise CalibrationError(first_defect(error, "", record=SimulationSpec, unnamed=ALL_METHODS)) from None
+    spec = validated(SimulationSpec, content, "", unnamed=ALL_METHODS, refusal=CalibrationError)
     refuse_implausible(spec)
     return spec

@@ -35,7 +35,7 @@ class Printed:
     paper: float | None
     ours: float | None
     unit: str
-    within: float
+    within: float = 0.0
     why: str = ""
     at_most: bool = False
 

@@ -271,8 +271,8 @@ def _of_axes(case: _Expanded, bare: _Expanded) -> list[Printed]:
             "largest U of X and Y, at Y = ±110 mm", "Fig. 20(a)", _EDGE, float(case.axes[edge].max()), "m",
             _WITHIN * _EDGE, elsewhere,
         ),
-        Printed("share of the grid with U below 10 µm", "Fig. 20(a)", None, share, "1", 0.0, '"a large portion"'),
-        Printed("largest U of X and Y without spheres", "Fig. 20(b)", None, float(bare.axes.max()), "m", 0.0, "larger"),
+        Printed("share of the grid with U below 10 µm", "Fig. 20(a)", None, share, "1", why='"a large portion"'),
+        Printed("largest U of X and Y without spheres", "Fig. 20(b)", None, float(bare.axes.max()), "m", why="larger"),
     ]  # fmt: skip
 
 
@@ -327,7 +327,7 @@ def _second_case() -> tuple[list[Printed], PinPositions]:
         ("U of a coordinate of a pin, with a length", "Eq. (17)", float(2.0 * with_length),
          "EXX(400 mm) is known exactly, at a node that few touches reach"),
     )  # fmt: skip
-    printed = [Printed(f"largest {what}", where, None, ours, "m", 0.0, why) for what, where, ours, why in rows]
+    printed = [Printed(f"largest {what}", where, None, ours, "m", why=why) for what, where, ours, why in rows]
     return printed, PinPositions(errors, of_raw)
 
 

@@ -162,8 +162,7 @@ def study(progress: Callable[[str, float], None]) -> Study:
                 None,
                 found.inner,
                 "m",
-                0.0,
-                "the datum of our maps, which hinges on no single target",
+                why="the datum of our maps, which hinges on no single target",
             ),
             Printed(
                 "largest U of a target from the budget's contributors, without a common shift and turn",
@@ -171,8 +170,8 @@ def study(progress: Callable[[str, float], None]) -> Study:
                 None,
                 _K * float(np.linalg.norm(spread.reshape(-1, 3)[:, :2], axis=1).max()),
                 "m",
-                0.0,
-                "dead path and drift of a run are one value of a setup: the dead path that is identified takes them up",
+                why="dead path and drift of a run are one value of a setup: the dead path that is identified takes "
+                "them up",
             ),
             *_expansion(),
             *_differences(warm, corrected, profiles),
@@ -214,8 +213,7 @@ def _counts(flat: FittedSessions) -> tuple[Printed, ...]:
             None,
             _unknowns(flat),
             "1",
-            0.0,
-            "2 N_i + 3 N_j - 3, of 60 readings: in the plane three stations do, N_j >= 4 is for space",
+            why="2 N_i + 3 N_j - 3, of 60 readings: in the plane three stations do, N_j >= 4 is for space",
         ),
     )
 
@@ -263,8 +261,7 @@ def _table(fitted: FittedSessions) -> tuple[Printed, ...]:
             None,
             _squares(length),
             "m",
-            0.0,
-            "what it is of independent contributors (GUM 5.1.2)",
+            why="what it is of independent contributors (GUM 5.1.2)",
         ),
         Printed(
             "all, root sum of squares of the printed u_1 and u_2",
@@ -284,8 +281,7 @@ def _table(fitted: FittedSessions) -> tuple[Printed, ...]:
             None,
             _squares(list(ours.values())),
             "m",
-            0.0,
-            "`mtcal budget --template tracking_interferometer`",
+            why="`mtcal budget --template tracking_interferometer`",
         ),
     )
 
@@ -430,8 +426,7 @@ def _differences(warm: MapComparison, corrected: MapComparison, profiles: Sequen
                 None,
                 float(np.nanmax(np.abs(one.normalised))),
                 "1",
-                0.0,
-                why,
+                why=why,
             )
             for what, one, why in (
                 ("left in", warm, f"each point by itself is within 1{together}"),

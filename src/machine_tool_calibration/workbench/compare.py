@@ -14,8 +14,8 @@ from bokeh.models import FactorRange, Span
 
 from machine_tool_calibration.diagnosis.comparison import Comparison
 from machine_tool_calibration.plots.style import spaced
-from machine_tool_calibration.reports.comparison import in_words, joint_in_words
-from machine_tool_calibration.reports.comparison_tables import comparison_tables, joint_tables
+from machine_tool_calibration.reports.comparison import in_words
+from machine_tool_calibration.reports.comparison_tables import comparison_tables
 from machine_tool_calibration.reports.tables import TextTable
 from machine_tool_calibration.workbench.look import (
     bar_button,
@@ -102,11 +102,10 @@ class ComparePage:
         """Show the model in use."""
         model = self._state.model
         found = model.comparison
+        words, every = in_words(found), list(comparison_tables(found))
         if isinstance(found, Comparison):
-            words, every = in_words(found), list(comparison_tables(found))
             setups = [share.name for share in found.setups]
         else:
-            words, every = joint_in_words(found), list(joint_tables(found))
             setups = [f"{label}/{share.name}" for label, share in found.setups]
         self._words.object = paragraphs([words[:1].upper() + words[1:]])
         self._choices()

@@ -9,7 +9,6 @@ from tempfile import TemporaryDirectory
 
 import pandas as pd
 
-from machine_tool_calibration.diagnosis.comparison import Comparison
 from machine_tool_calibration.diagnosis.history import Entry, Measured
 from machine_tool_calibration.export.compensation import Exported, compensation
 from machine_tool_calibration.methods.identify import identify
@@ -18,7 +17,7 @@ from machine_tool_calibration.plots.style import save_as
 from machine_tool_calibration.report.evaluation import evaluate
 from machine_tool_calibration.report.page import write_report
 from machine_tool_calibration.report.words import words
-from machine_tool_calibration.reports.comparison import comparison_columns, joint_columns
+from machine_tool_calibration.reports.comparison import comparison_columns
 from machine_tool_calibration.reports.documents import to_json, write_table
 from machine_tool_calibration.reports.result_tables import tidy
 from machine_tool_calibration.workbench.models import Model, Progress, Subject
@@ -71,10 +70,9 @@ def written_tables(model: Model, folder: Path, progress: Progress) -> list[Path]
         The files.
     """
     result, origin, held = model.fit.result, model.fit.result.provenance, model.comparison
-    columns = comparison_columns(held) if isinstance(held, Comparison) else joint_columns(held)
     errors = write_table(tidy(result), folder / TABLES[0], origin)
     progress("readings", 0.5)
-    readings = write_table(pd.DataFrame(dict(columns)), folder / TABLES[1], origin)
+    readings = write_table(pd.DataFrame(comparison_columns(held)), folder / TABLES[1], origin)
     document = folder / TABLES[2]
     document.write_text(to_json(result.document()) + "\n", encoding="utf-8")
     return [errors, readings, document]

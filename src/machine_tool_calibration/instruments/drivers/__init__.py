@@ -7,12 +7,10 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
 from machine_tool_calibration.instruments.drivers.ascii_line import AsciiLineDriver
 from machine_tool_calibration.instruments.drivers.driver import Driver, Health, InstrumentError, Sample
 from machine_tool_calibration.instruments.drivers.settings import AsciiLineSettings
-from machine_tool_calibration.session.defects import first_defect
+from machine_tool_calibration.session.defects import validated
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import Document, load_yaml
 
@@ -50,10 +48,7 @@ def parse_ascii_line(document: Document, source: str) -> AsciiLineSettings:
     Raises:
         InstrumentError: one line with the file, the line and the key of the first defect.
     """
-    try:
-        return AsciiLineSettings.model_validate(document.value)
-    except ValidationError as error:
-        raise InstrumentError(first_defect(error, source, document, AsciiLineSettings)) from None
+    return validated(AsciiLineSettings, document.value, source, document, refusal=InstrumentError)
 
 
 def _from_plugin(load: Any, content: dict[str, Any], source: str) -> Driver:

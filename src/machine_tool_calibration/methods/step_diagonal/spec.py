@@ -42,6 +42,5 @@ SPEC = MethodSpec(
     further_places="machine_tool_calibration.planning.diagonals:further_runs",
     planned="machine_tool_calibration.planning.forecast:along_diagonals",
     optics="machine_tool_calibration.nodes.optics:FlatMirror",
-    pictures="machine_tool_calibration.plots.step_diagonal",
     unneeded=("rotary_pointer", "probe"),
 )

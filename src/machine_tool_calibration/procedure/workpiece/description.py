@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from machine_tool_calibration.arrays import BoolArray
 from machine_tool_calibration.errors import SessionError
@@ -34,7 +34,7 @@ from machine_tool_calibration.procedure.workpiece.outline import (
     reachable,
 )
 from machine_tool_calibration.procedure.workpiece.outline_files import read_csv_outline, read_dxf_outline
-from machine_tool_calibration.session.defects import first_defect
+from machine_tool_calibration.session.defects import validated
 from machine_tool_calibration.session.description import WorkpiecePoint
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
@@ -68,10 +68,7 @@ def read_workpiece(file: Path) -> tuple[WorkpiecePoint, ...]:
         SessionError: one line with file, line and key of the first defect; or as `workpiece_points`.
     """
     document = load_yaml(read_text(file), str(file))
-    try:
-        workpiece = Workpiece.model_validate(document.value)
-    except ValidationError as error:
-        raise SessionError(first_defect(error, str(file), document, Workpiece, _KINDS)) from None
+    workpiece = validated(Workpiece, document.value, str(file), document, unnamed=_KINDS)
     return workpiece_points(workpiece, file.parent)
 
 

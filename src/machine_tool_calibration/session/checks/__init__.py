@@ -5,15 +5,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from machine_tool_calibration.arrays import first_true
 from machine_tool_calibration.errors import SessionError, suspected
 from machine_tool_calibration.session.catalogue import needed_columns
-from machine_tool_calibration.session.checks.enough import check_enough
 from machine_tool_calibration.session.checks.mistakes import check_consistency
 from machine_tool_calibration.session.checks.units import check_sizes, check_units
 from machine_tool_calibration.session.description import Place
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["Place", "check_session"]
+__all__ = ["check_session"]
 
 # Share of different times among the readings from which the time distinguishes readings.
 _TOLD_BY_TIME = 0.4
@@ -24,7 +24,7 @@ def check_session(session: Session, place: Place | None = None) -> None:
 
     Checked are: values that are missing where a displacement was read; numbers beyond all measure (`check_sizes`);
     times that run backwards; a reading that stands there twice; units that must be wrong (`check_units`); stations,
-    targets and readings that the method needs (`check_enough`); and readings that contradict the nominal geometry while
+    targets and readings that the method needs (`enough`); and readings that contradict the nominal geometry while
     a common mistake would explain them (`check_consistency`).
 
     Args:
@@ -41,7 +41,7 @@ def check_session(session: Session, place: Place | None = None) -> None:
     _check_signs(session, place)
     _check_doubled(session, place)
     check_units(session, place)
-    check_enough(session, place)
+    session.spec.enough(session, np.isfinite(session.readings.displacement), place)
     if not session.description.trust_units:
         with suspected():
             check_consistency(session, place)
@@ -54,13 +54,13 @@ def _check_missing(session: Session, place: Place) -> None:
         raise SessionError(f"{place.readings}: no reading: every displacement is missing")
     for name in needed_columns(session.description):
         if name in readings.columns:
-            bad = np.flatnonzero(measured & ~np.isfinite(readings.columns[name]))
+            bad = first_true(measured & ~np.isfinite(readings.columns[name]))
         elif name in readings.labels:
-            bad = np.flatnonzero(measured & (readings.labels[name] == ""))
+            bad = first_true(measured & (readings.labels[name] == ""))
         else:
             continue
-        if len(bad):
-            raise SessionError(f"{place.row(readings.row[bad[0]])}: {name} is missing where a displacement was read")
+        if bad is not None:
+            raise SessionError(f"{place.row(readings.row[bad])}: {name} is missing where a displacement was read")
 
 
 def _check_time(session: Session, place: Place) -> None:
@@ -68,9 +68,9 @@ def _check_time(session: Session, place: Place) -> None:
     if time is None:
         return
     known = np.flatnonzero(np.isfinite(time))
-    back = np.flatnonzero(np.diff(time[known]) < 0)
-    if len(back):
-        before, at = known[back[0]], known[back[0] + 1]
+    back = first_true(np.diff(time[known]) < 0)
+    if back is not None:
+        before, at = known[back : back + 2]
         where = place.row(session.readings.row[at])
         raise SessionError(f"{where}: time runs backwards, from {time[before]:.9g} s to {time[at]:.9g} s")
 
@@ -108,7 +108,7 @@ def _check_signs(session: Session, place: Place) -> None:
     for name, values in session.readings.columns.items():
         if not name.startswith("dir_"):
             continue
-        bad = np.flatnonzero(np.isfinite(values) & ~np.isin(values, (-1.0, 0.0, 1.0)))
-        if len(bad):
-            where = place.row(session.readings.row[bad[0]])
-            raise SessionError(f"{where}: {name} is {values[bad[0]]:g}, not +1 or -1")
+        bad = first_true(np.isfinite(values) & ~np.isin(values, (-1.0, 0.0, 1.0)))
+        if bad is not None:
+            where = place.row(session.readings.row[bad])
+            raise SessionError(f"{where}: {name} is {values[bad]:g}, not +1 or -1")

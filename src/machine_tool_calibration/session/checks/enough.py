@@ -1,11 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stations, targets and readings that a method cannot do without."""
+"""Stations, targets and readings that a method cannot do without: what no model of it can make anything of.
+
+The papers ask for 3 stations in the plane and 4 in space (Ibaraki et al. 2014, Section 2; Zhang et al. 2015, Section
+2). With fewer, a machine of rigid bodies can still be identified, and three stations see all of a rotary axis with
+three targets. What a session leaves undetermined is the estimator's to find and name.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray
+from machine_tool_calibration.arrays import Array, BoolArray, groups
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.description import (
     Place,
@@ -17,7 +22,6 @@ from machine_tool_calibration.session.description import (
 from machine_tool_calibration.session.session import Session, distinct_places
 
 __all__ = [
-    "check_enough",
     "enough_in_a_setup",
     "enough_probing",
     "enough_rotary",
@@ -29,21 +33,12 @@ _SAME_PLACE = 1e-6  # m: below any remounting, so a copied entry
 _LINE = 1e-3  # second extent over the first
 
 
-def check_enough(session: Session, place: Place) -> None:
-    """Refuse what no model of the method can make anything of.
-
-    The papers ask for 3 stations in the plane and 4 in space (Ibaraki et al. 2014, Section 2; Zhang et al. 2015,
-    Section 2). With fewer, a machine of rigid bodies can still be identified, and three stations see all of a rotary
-    axis with three targets. What a session leaves undetermined is the estimator's to find and name.
+def enough_tracking(session: Session, measured: BoolArray, place: Place) -> None:
+    """Stations and targets of a tracking interferometer.
 
     Raises:
         SessionError: two stations at one place, too few stations, targets or readings, all targets on a line.
     """
-    session.spec.enough(session, np.isfinite(session.readings.displacement), place)
-
-
-def enough_tracking(session: Session, measured: BoolArray, place: Place) -> None:
-    """Stations and targets of a tracking interferometer; errors as for `check_enough`."""
     description = session.description
     assert isinstance(description, TrackingInterferometer)
     _stations(session, description.setups, 2, measured, place)
@@ -53,7 +48,7 @@ def enough_tracking(session: Session, measured: BoolArray, place: Place) -> None
 
 
 def enough_rotary(session: Session, measured: BoolArray, place: Place) -> None:
-    """Stations, targets and angles of a rotary axis; errors as for `check_enough`."""
+    """Stations, targets and angles of a rotary axis; errors as for `enough_tracking`."""
     description = session.description
     assert isinstance(description, RotaryAxis)
     _stations(session, description.setups, 3, measured, place)
@@ -134,18 +129,10 @@ def _rotary(session: Session, description: RotaryAxis, measured: BoolArray, plac
     used = [i for i, name in enumerate(ids) if np.any(readings.labels["target"][measured] == name)]
     straight = on_a_line(np.array([description.targets[i].position for i in used]))
     angle = readings.columns[rotary_column(description)][measured]
-    angles = len(distinct_places(angle[:, None])[0])
+    first, at_angle = distinct_places(angle[:, None])
+    angles = len(first)
     count = len(np.unique(readings.setup[measured]))
-    pairs = np.unique(
-        np.column_stack(
-            [
-                np.unique(readings.labels["target"][measured], return_inverse=True)[1],
-                readings.setup[measured],
-                distinct_places(angle[:, None])[1],
-            ]
-        ),
-        axis=0,
-    )
+    different = len(np.unique(groups(readings.labels["target"][measured], readings.setup[measured], at_angle)))
     # the table moves as a rigid body; one or two targets show three or five of its six motions. At each angle but the
     # first that many unknowns, three per target and station, a path for each pair of them; minus the frame
     # (with one target: 3 n + 13, Zhang et al. 2015)
@@ -157,15 +144,15 @@ def _rotary(session: Session, description: RotaryAxis, measured: BoolArray, plac
             f"{place.readings}: {seen} from {count} stations leave the places of the stations open; "
             "measure a third target off the line, or from a fourth station"
         )
-    if len(pairs) < unknown:
+    if different < unknown:
         raise SessionError(
-            f"{place.readings}: too few readings: {len(pairs)} different ones at {angles} angles "
+            f"{place.readings}: too few readings: {different} different ones at {angles} angles "
             f"for {unknown} unknowns; measure more angles"
         )
 
 
 def enough_probing(session: Session, measured: BoolArray, place: Place) -> None:
-    """Angles of C and touches of a probing; errors as for `check_enough`."""
+    """Angles of C and touches of a probing; errors as for `enough_in_a_setup`."""
     used = np.unique(session.readings.setup[measured])
     if len(used) < 2:
         raise SessionError(

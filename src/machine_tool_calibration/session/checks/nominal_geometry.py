@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray, group_ranges, groups, unit_vectors
+from machine_tool_calibration.arrays import Array, IntArray, first_true, group_ranges, groups, unit_vectors
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.checks.mistakes import (
     LENGTHS,
@@ -39,7 +39,7 @@ from machine_tool_calibration.session.description import (
     TrackingInterferometer,
     rotary_column,
 )
-from machine_tool_calibration.session.session import Readings, Session
+from machine_tool_calibration.session.session import Readings, Session, places_among
 
 __all__ = [
     "nominal_diagonal",
@@ -49,13 +49,6 @@ __all__ = [
     "on_table",
     "turning_mistakes",
 ]
-
-
-def places(labels: np.ndarray, ids: list[str]) -> IntArray:
-    """(n,) place of each label in a list of ids."""
-    table = {name: index for index, name in enumerate(ids)}
-    unique, inverse = np.unique(labels, return_inverse=True)
-    return np.array([table[str(name)] for name in unique], dtype=np.int64)[inverse]
 
 
 def turned(points: Array, angle: Array) -> Array:
@@ -74,7 +67,7 @@ def on_table(session: Session, readings: Readings) -> Array:
     description = session.description
     assert isinstance(description, RotaryAxis)
     column = rotary_column(description)
-    target = places(readings.labels["target"], [entry.id for entry in description.targets])
+    target = places_among(readings.labels["target"], [entry.id for entry in description.targets])
     points = np.array([entry.position for entry in description.targets])[target]
     # the two coordinates that turn, in the order that makes a positive turn counter-clockwise seen from the axis's end
     first, second = {"a": (1, 2), "b": (2, 0), "c": (0, 1)}[column]
@@ -115,7 +108,7 @@ def _by(session: Session, off: Off, kind: str) -> tuple[list[str], Array]:
     """Ids of the setups, targets or points, and for each how far its readings are off in the middle; NaN for none."""
     readings, key = session.readings, {"target": "targets", "point": "workpiece"}.get(kind, "setups")
     ids = [entry.id for entry in getattr(session.description, key)]
-    which = readings.setup if kind == "setup" else places(readings.labels[kind], ids)
+    which = readings.setup if kind == "setup" else places_among(readings.labels[kind], ids)
     return ids, group_ranges(off(session), which, len(ids))[1]
 
 
@@ -288,7 +281,7 @@ def _off_workpiece(session: Session) -> Array:
     description, readings = session.description, session.readings
     assert isinstance(description, Probing)
     points = np.array([point.position for point in description.workpiece])
-    index = places(readings.labels["point"], [point.id for point in description.workpiece])
+    index = places_among(readings.labels["point"], [point.id for point in description.workpiece])
     angle = session.rotation_sign * _declared(description)[readings.setup]
     off = np.linalg.norm(readings.position()[:, :2] - turned(points[index], angle), axis=1)
     return np.asarray(off / np.max(np.linalg.norm(points, axis=1), initial=0.0))
@@ -312,10 +305,10 @@ def _check_index_angles(session: Session, place: Place) -> None:
         return np.abs(wrapped(session.readings.columns["c"] - expected))
 
     readings, setups, declared = session.readings, session.description.setups, _declared(session.description)
-    bad = np.flatnonzero(off(session) > _SAME_ANGLE)
-    if not len(bad):
+    bad = first_true(off(session) > _SAME_ANGLE)
+    if bad is None:
         return
-    row, setup, c = readings.row[bad[0]], readings.setup[bad[0]], readings.columns["c"][bad[0]]
+    row, setup, c = readings.row[bad], readings.setup[bad], readings.columns["c"][bad]
     radians = tuple(one.model_copy(update={"c": np.radians(c)}) for one, c in zip(setups, declared, strict=True))
     suppositions = (
         in_degrees(session, "the column c looks", "c"),

@@ -21,10 +21,6 @@ def suspicions(sessions: Sequence[Session], labels: Sequence[str] | None = None)
 
     Readings that are all the same, or differ by less than their own uncertainty makes them differ: not read, or in
     another unit. Places off the machine's travel.
-
-    Args:
-        sessions: the measurements.
-        labels: their names, where there are several.
     """
     named = [""] * len(sessions) if labels is None else [f"{label}: " for label in labels]
     pairs = zip(named, sessions, strict=True)

@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import first_true
 from machine_tool_calibration.errors import SessionError, suspected
 from machine_tool_calibration.session.description import (
     LARGEST,
@@ -59,11 +61,11 @@ def check_sizes(session: Session, place: Place) -> None:
     for name, values in {**readings.columns, "displacement": readings.displacement}.items():
         size = np.abs(values)
         largest = LARGEST if name in NUMERIC_COLUMNS else _LARGEST_COVARIATE
-        bad = np.flatnonzero((size > largest) | ((size > 0.0) & (size < SMALLEST)))
-        if len(bad):
-            value = values[bad[0]]
-            what = "large" if abs(value) > 1.0 else "small"
-            raise SessionError(f"{place.row(readings.row[bad[0]])}: {name} is {value:g}, too {what} to have been read")
+        bad = first_true((size > largest) | ((size > 0.0) & (size < SMALLEST)))
+        if bad is not None:
+            what = "large" if size[bad] > 1.0 else "small"
+            where = place.row(readings.row[bad])
+            raise SessionError(f"{where}: {name} is {values[bad]:g}, too {what} to have been read")
 
 
 def _travel(session: Session, place: Place) -> None:
@@ -74,19 +76,12 @@ def _travel(session: Session, place: Place) -> None:
 
 
 def _positions(session: Session, place: Place) -> None:
-    for axis in "xyz":
-        values = session.readings.columns.get(axis)
-        if values is None or not np.isfinite(values).any():
-            continue
-        row, reach = _largest(values)
-        where = place.row(session.readings.row[row])
-        travel = _reach(session, axis)
+    for axis, value, where in _largest(session, place, "xyz"):
+        travel, reach = _reach(session, axis), abs(value)
         if travel is not None and reach > _THOUSAND * travel:
-            raise SessionError(
-                f"{where}: {axis} is {values[row]:g} m and the travel ends at {travel:g} m; {_MILLIMETRES}"
-            )
+            raise SessionError(f"{where}: {axis} is {value:g} m and the travel ends at {travel:g} m; {_MILLIMETRES}")
         if reach > (_LARGEST_MACHINE if travel is None else max(_LARGEST_MACHINE, 2 * travel)):
-            raise SessionError(f"{where}: {axis} is {values[row]:g} m; {_MILLIMETRES}")
+            raise SessionError(f"{where}: {axis} is {value:g} m; {_MILLIMETRES}")
 
 
 def _instrument(session: Session, place: Place) -> None:
@@ -146,23 +141,18 @@ def direction_units(session: Session, place: Place) -> None:
     """Refuse directions gx, gy, gz that are not of length 1; errors as for `check_units`."""
     columns = session.readings.columns
     length = np.sqrt(columns["gx"] ** 2 + columns["gy"] ** 2 + columns["gz"] ** 2)
-    bad = np.flatnonzero(np.isfinite(session.readings.displacement) & ~(np.abs(length - 1.0) <= 0.05))
-    if len(bad):
-        where = place.row(session.readings.row[bad[0]])
-        raise SessionError(f"{where}: the direction (gx, gy, gz) has length {length[bad[0]]:g}, not 1")
+    bad = first_true(np.isfinite(session.readings.displacement) & ~(np.abs(length - 1.0) <= 0.05))
+    if bad is not None:
+        where = place.row(session.readings.row[bad])
+        raise SessionError(f"{where}: the direction (gx, gy, gz) has length {length[bad]:g}, not 1")
 
 
 def _angles(session: Session, place: Place) -> None:
     # several turns are plausible for a rotary axis, not for a beam
     limits = {"azimuth": 2 * np.pi, "elevation": np.pi / 2, "a": 4 * np.pi, "b": 4 * np.pi, "c": 4 * np.pi}
-    for name, limit in limits.items():
-        values = session.readings.columns.get(name)
-        if values is None or not np.isfinite(values).any():
-            continue
-        row, reach = _largest(values)
-        if reach > limit + 0.1:
-            where = place.row(session.readings.row[row])
-            raise SessionError(f"{where}: {name} is {values[row]:g} rad; {_DEGREES}")
+    for name, value, where in _largest(session, place, limits):
+        if abs(value) > limits[name] + 0.1:
+            raise SessionError(f"{where}: {name} is {value:g} rad; {_DEGREES}")
     for index, setup in enumerate(session.description.setups):
         angle = getattr(setup, "c", 0.0)
         if abs(angle) > 4 * np.pi + 0.1:
@@ -179,7 +169,8 @@ def _displacement(session: Session, place: Place) -> None:
                 "these look like millimetres or micrometres; deviations are in metres"
             )
         return
-    row, reach = _largest(values)
+    row = int(np.nanargmax(np.abs(values)))
+    reach = abs(values[row])
     if reach > _FARTHEST_STATION:
         where = place.row(session.readings.row[row])
         unit = _MILLIMETRES if reach < _MICROMETRES_FROM else _MILLIMETRES.replace("milli", "micro")
@@ -187,20 +178,14 @@ def _displacement(session: Session, place: Place) -> None:
 
 
 def _environment(session: Session, place: Place) -> None:
-    for name, values in session.readings.columns.items():
-        if not np.isfinite(values).any():
-            continue
-        row, reach = _largest(values)
-        where = place.row(session.readings.row[row])
-        if name.startswith("temperature_") and reach > 150.0:
-            raise SessionError(f"{where}: {name} is {values[row]:g} degrees Celsius; these look like kelvin")
-        if name == "air_pressure" and reach < 2000.0:
-            unit = "hectopascals" if reach > 200 else "kilopascals"
-            raise SessionError(f"{where}: air_pressure is {values[row]:g} Pa; these look like {unit}")
-        if name == "relative_humidity" and reach > _SATURATED:
-            raise SessionError(
-                f"{where}: relative_humidity is {values[row]:g}; these look like percent; it is from 0 to 1"
-            )
+    for name, value, where in _largest(session, place, session.readings.columns):
+        if name.startswith("temperature_") and abs(value) > 150.0:
+            raise SessionError(f"{where}: {name} is {value:g} degrees Celsius; these look like kelvin")
+        if name == "air_pressure" and abs(value) < 2000.0:
+            unit = "hectopascals" if abs(value) > 200 else "kilopascals"
+            raise SessionError(f"{where}: air_pressure is {value:g} Pa; these look like {unit}")
+        if name == "relative_humidity" and abs(value) > _SATURATED:
+            raise SessionError(f"{where}: relative_humidity is {value:g}; these look like percent; it is from 0 to 1")
 
 
 def _reach(session: Session, axis: str) -> float | None:
@@ -209,6 +194,10 @@ def _reach(session: Session, axis: str) -> float | None:
     return None if bounds is None else max(abs(bounds[0]), abs(bounds[1]))
 
 
-def _largest(values: Array) -> tuple[int, float]:
-    row = int(np.nanargmax(np.abs(values)))
-    return row, float(abs(values[row]))
+def _largest(session: Session, place: Place, names: Iterable[str]) -> Iterator[tuple[str, float, str]]:
+    """Of those of the columns that hold any value: its name, the value farthest from 0, and where it stands."""
+    for name in names:
+        values = session.readings.columns.get(name)
+        if values is not None and np.isfinite(values).any():
+            row = int(np.nanargmax(np.abs(values)))
+            yield name, float(values[row]), place.row(session.readings.row[row])
