@@ -88,6 +88,22 @@ def test_a_history_that_cannot_be_written_leaves_the_window_working(hidden: Path
     assert history_path(hidden).read_text(encoding="utf-8") == "- damaged\n"
 
 
+def test_a_history_that_was_moved_away_is_begun_anew(hidden: Path) -> None:
+    state = opened(hidden)
+    for name in ("backlash_x", "backlash_y", "warmup_y"):
+        state.changed(add=[name])()
+    history_path(hidden).unlink()
+    state.undo()
+    kept = read_history(history_path(hidden))
+    assert [entry.effects for entry in kept.models] == [(), ("backlash_x",), ("backlash_x", "backlash_y")]
+    assert kept.current == 3 == state.model.number and state.model.fit.effects == ("backlash_x", "backlash_y")
+    going = state.used(1)
+    history_path(hidden).unlink()
+    with pytest.raises(ModelError, match="the history has no model 1"):
+        going()
+    assert state.model.number == 3, "what cannot be kept is not in use"
+
+
 def test_an_unknown_effect_changes_nothing(hidden: Path) -> None:
     state = opened(hidden)
     with pytest.raises(ModelError, match="backlash_q"):
@@ -143,6 +159,24 @@ def test_arrows_of_a_line_stand_up_from_it(tmp_path: Path) -> None:
     up = 1e-3 * readings.magnification * np.array(data["residual"])
     np.testing.assert_allclose(np.array(data["xy:v"]) - np.array(data["y"]), up, atol=1e-9)
     assert np.ptp(up) > 10.0, "mm: they are seen"
+
+
+def test_arrows_of_sessions_along_different_lines_stand_up_from_each(tmp_path: Path) -> None:
+    from machine_tool_calibration.workbench.readings import Readings
+
+    for seed, axis in enumerate("xyz"):
+        simulate("iso230_2", seed=seed, axis=axis).save(tmp_path / axis)
+    readings = Readings(opened(*(tmp_path / axis for axis in "xyz")))
+    readings.refresh()
+    assert readings.arrows == "Residuals along x and y and z, standing up from the lines"
+    data, larger = readings.data, 1e-3 * readings.magnification * np.array(readings.data["residual"])
+    for axis, view, along, up in (("x", "xy", "u", "v"), ("y", "xy", "v", "u"), ("z", "xz", "v", "u")):
+        mine = np.array([name.startswith(f"{axis}:") for name in data["row"]])
+        across = view.replace(axis, "")
+        np.testing.assert_array_equal(data[f"{view}:{along}"][mine], data[axis][mine])
+        standing = data[f"{view}:{up}"][mine] - data[across][mine]
+        np.testing.assert_allclose(standing, larger[mine], atol=1e-9)
+        assert np.ptp(standing) > 1.0, "mm: they are seen"
 
 
 def test_measurements_are_found_in_a_folder(hidden: Path) -> None:
