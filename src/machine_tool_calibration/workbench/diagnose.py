@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from html import escape
 
 import numpy as np
@@ -154,7 +155,8 @@ class DiagnosePage:
     def _look_at(self, name: str) -> None:
         self._forget()
         if name:
-            self._work.run(f"fitting with {name}", self._state.tried(name, self._laid_over))
+            job = self._state.tried(name, self._laid_over)
+            self._work.run(f"fitting with {name}", job, partial(self._effect.param.update, value=""))
 
     def _forget(self) -> None:
         self._trial, self._add.disabled, self._said.object = None, True, ""
@@ -183,7 +185,7 @@ class DiagnosePage:
 
     def _use(self) -> None:
         if self._trial is not None:
-            self._state.use(self._trial)
+            self._work.alone(partial(self._state.use, self._trial))
 
     def _new_effect(self, name: str) -> None:
         """Another effect of the user's own is known."""

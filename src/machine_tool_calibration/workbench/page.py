@@ -142,7 +142,13 @@ class _Window:
 
     def _open(self) -> None:
         paths = self._choice.value
-        self._work.run(f"reading {', '.join(path.name for path in paths)}", self._state.opened(*paths))
+        if paths != self._state.paths:
+            names = ", ".join(path.name for path in paths)
+            self._work.run(f"reading {names}", self._state.opened(*paths), self._choose_what_is_open)
+
+    def _choose_what_is_open(self) -> None:
+        if self._state.paths in self._choice.options.values():
+            self._choice.value = self._state.paths
 
     def _changed(self) -> None:
         """Another model is in use, or another measurement."""
