@@ -2,6 +2,7 @@
 """One window's work: models that are added, taken away and undone, and kept with the session."""
 
 import pickle
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.effects.formula import formula_effect
-from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.interface.session import simulate
 from machine_tool_calibration.reports.history_file import history_path, read_history
 from machine_tool_calibration.session.folder import write_session
@@ -168,7 +169,7 @@ def test_arrows_of_sessions_along_different_lines_stand_up_from_each(tmp_path: P
         simulate("iso230_2", seed=seed, axis=axis).save(tmp_path / axis)
     readings = Readings(opened(*(tmp_path / axis for axis in "xyz")))
     readings.refresh()
-    assert readings.arrows == "Residuals along x and y and z, standing up from the lines"
+    assert readings.arrows == "Residuals along x, y, z, standing up from the lines"
     data, larger = readings.data, 1e-3 * readings.magnification * np.array(readings.data["residual"])
     for axis, view, along, up in (("x", "xy", "u", "v"), ("y", "xy", "v", "u"), ("z", "xz", "v", "u")):
         mine = np.array([name.startswith(f"{axis}:") for name in data["row"]])
@@ -177,6 +178,15 @@ def test_arrows_of_sessions_along_different_lines_stand_up_from_each(tmp_path: P
         standing = data[f"{view}:{up}"][mine] - data[across][mine]
         np.testing.assert_allclose(standing, larger[mine], atol=1e-9)
         assert np.ptp(standing) > 1.0, "mm: they are seen"
+        (end_on,) = {"xy", "xz", "yz"} - {view for view in readings.planes if axis in view}
+        for end, name in zip("uv", end_on, strict=True):
+            np.testing.assert_array_equal(data[f"{end_on}:{end}"][mine], data[name][mine])
+
+
+def test_the_same_readings_are_not_fitted_twice(hidden: Path) -> None:
+    shutil.copytree(hidden, hidden.with_name("again"))
+    with pytest.raises(SessionError, match="cube and again are the same readings"):
+        opened(hidden, hidden.with_name("again"))
 
 
 def test_measurements_are_found_in_a_folder(hidden: Path) -> None:

@@ -59,7 +59,8 @@ class Readings:
         self._state = state
         self._measurement: object = None
         self._number = np.zeros(0, dtype=np.int64)
-        self._place = self._arrow = np.zeros((0, 3))
+        self._place = np.zeros((0, 3))
+        self._arrow: dict[str, Array] = {}
         self.planes: list[str] = ["xy"]
         self.arrows = "Residuals"
         self._sources: dict[str, ColumnDataSource] = {}
@@ -158,18 +159,20 @@ class Readings:
         place, direction = (np.concatenate([getattr(o, what) for o in seen]) for what in ("position", "direction"))
         self.planes = ["xyz"[a] + "xyz"[b] for a, b in planes(place, direction)]
         self._place = np.column_stack([self._of(first, f"position.{k}") for k in range(3)])
-        self._arrow = np.column_stack([self._of(first, f"direction.{k}") for k in range(3)])
+        sensed = np.column_stack([self._of(first, f"direction.{k}") for k in range(3)])
+        self._arrow = {view: sensed[:, VIEWS[view]] for view in self.planes}
         self.arrows = "Residuals"
         lines = [line_of(one.position, one.direction) for one in seen]
         of_session = np.searchsorted(subject.first, self._number, side="right") - 1
         for k, line in enumerate(lines):
-            if line is not None:  # arrows would lie on each other
-                mine = of_session == k
-                self._arrow[mine] = (np.arange(3) != line) * sense_along(self._arrow[mine], line)[:, None]
+            for view, arrow in self._arrow.items():
+                if line is not None:  # arrows would lie on each other; of one that is seen end-on all at one place
+                    up = [line in VIEWS[view] and axis != line for axis in VIEWS[view]]
+                    arrow[of_session == k] = sense_along(sensed[of_session == k], line)[:, None] * up
         along = ["xyz"[line] for line in sorted({line for line in lines if line is not None})]
         if along:
             self.arrows += ", those along " if None in lines else " along "
-            self.arrows += " and ".join(along) + f", standing up from the line{'s' if len(along) > 1 else ''}"
+            self.arrows += ", ".join(along) + f", standing up from the line{'s' if len(along) > 1 else ''}"
         self.labels = {f"c:{name}": axis_label(name)[0] for one in first.each for name in one.covariates}
         share: dict[str, float] = {}
         for one in first.each:
@@ -253,8 +256,11 @@ class Readings:
 
     def _arrows(self, residual: Array, factor: float) -> dict[str, Array]:
         """Ends of the magnified arrows of residuals (m) in every plane, mm."""
-        tip = 1e3 * (self._place + factor * residual[:, None] * self._arrow)
-        return {f"{view}:{end}": tip[:, k] for view in self.planes for end, k in zip("uv", VIEWS[view], strict=True)}
+        return {
+            f"{view}:{end}": 1e3 * (self._place[:, axis] + factor * residual * along)
+            for view, arrow in self._arrow.items()
+            for end, axis, along in zip("uv", VIEWS[view], arrow.T, strict=True)
+        }
 
     def _before(self, residual: Array) -> Array:
         """(n,) residual of the readings that are set aside in the last model that had them, µm; NaN of all others."""
