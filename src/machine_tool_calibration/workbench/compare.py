@@ -57,7 +57,7 @@ class ComparePage:
         )  # fmt: skip
         self._words, self._setups, self._more = text(), text(), text()
         self._count = text("", min_width=150)
-        self._against = [pn.widgets.Select(name=f"Plot {k}: residuals against", width=330) for k in (1, 2)]
+        self._against = [pn.widgets.Select(name=f"Plot {k}: residuals against", width=400) for k in (1, 2)]
         self._plane = pn.widgets.Select(name="Map in the plane", width=120)
         self._plots = [new_figure("Residuals", "", "residual, µm", hover=_HOVER) for _ in (1, 2)]
         for k, plot in enumerate(self._plots):

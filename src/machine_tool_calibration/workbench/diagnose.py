@@ -83,7 +83,7 @@ class DiagnosePage:
         legend_above(self._over)
         for plot in (self._over, self._added):
             plot.add_layout(Span(location=0.0, dimension="width", line_color="#999999", line_width=1))
-        self._against = pn.widgets.Select(name="Residuals against", width=330)
+        self._against = pn.widgets.Select(name="Residuals against", width=400)
         when_changed(self._against, lambda _: self._draw_against())
         self._effect = pn.widgets.Select(name="Effect", width=230, options=[""])
         when_changed(self._effect, self._look_at)

@@ -130,7 +130,8 @@ class _Window:
         options: dict[str, tuple[Path, ...]] = {name: (path,) for name, path in zip(names, found, strict=True)}
         if len(targets) > 1:
             options = {" + ".join(options): tuple(found), **options}
-        self._choice = pn.widgets.Select(name="Measurement", options=options, width=260, visible=len(found) > 1)
+        width = min(60 + 8 * max(map(len, options), default=0), 640)  # pixels
+        self._choice = pn.widgets.Select(name="Measurement", options=options, width=width, visible=len(found) > 1)
         when_changed(self._choice, lambda _: self._open())
         bar = controls(*self._buttons.values(), self._choice, self._work.view)
         self.roots = [bar, self._head, *(place for places in self._places.values() for place in places)]
