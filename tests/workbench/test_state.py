@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.effects.formula import formula_effect
-from machine_tool_calibration.errors import ModelError, SessionError
+from machine_tool_calibration.errors import CalibrationError, ModelError, SessionError
 from machine_tool_calibration.interface.session import simulate
 from machine_tool_calibration.reports.history_file import history_path, read_history
 from machine_tool_calibration.session.folder import write_session
@@ -128,6 +128,25 @@ def test_readings_set_aside_stay_in_the_source_and_come_back(hidden: Path) -> No
     assert readings.selected == [5, 6], "a selection outlives another model"
     state.changed(aside=[])()
     np.testing.assert_allclose(readings.data["residual"], before, atol=1e-9)
+
+
+def test_readings_are_selected_by_their_rows(hidden: Path, struck: Path) -> None:
+    from machine_tool_calibration.workbench.readings import Readings
+
+    readings = Readings(opened(hidden))
+    readings.refresh()
+    readings.select_rows("7, 20-22,280-999")
+    assert readings.selected == [7, 20, 21, 22, *range(280, 288)]
+    for wrong in ("288", "a", "5-", "7,", "cube:7", "-1"):
+        with pytest.raises(CalibrationError, match=r"say rows as 264, 470-476$"):
+            readings.select_rows(wrong)
+    assert len(readings.selected) == 12, "as it was"
+    readings = Readings(opened(hidden, struck))
+    readings.refresh()
+    readings.select_rows("cube:5, struck:0-1")
+    assert readings.selected == [5, 288, 289]
+    with pytest.raises(CalibrationError, match=r"or cube:264$"):
+        readings.select_rows("7")
 
 
 def test_arrows_point_along_what_is_sensed(hidden: Path) -> None:

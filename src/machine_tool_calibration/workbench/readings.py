@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
@@ -12,6 +13,7 @@ from bokeh.models import ColumnDataSource
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.comparison import Comparison
+from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.plots.residuals import axis_label, line_of, planes, sense_along
 from machine_tool_calibration.plots.style import round_down
 from machine_tool_calibration.workbench.look import packed, setup_color
@@ -139,6 +141,25 @@ class Readings:
         self._chosen = np.flatnonzero(np.isin(self._number, sorted(numbers))).tolist()
         if self._page in self._sources:
             self._sources[self._page].selected.indices = self._chosen
+
+    def select_rows(self, words: str) -> None:
+        """Light up readings by their rows, such as `264, 470-476`, of several sessions `cube:264, cube:470-476`.
+
+        Raises:
+            CalibrationError: no reading is in one of these.
+        """
+        rows = [name.rpartition(":") for name in self.data.get("row", ())]
+        chosen: set[int] = set()
+        for part in map(str.strip, words.split(",")):
+            found = re.fullmatch(r"(?:(.*):)?(\d{1,9})(?:-(\d{1,9}))?", part)
+            label, first, last = found.groups(default="") if found else ("", "-1", "")
+            ends = int(first), int(last or first)
+            mine = {k for k, (of, _, row) in enumerate(rows) if of == label and ends[0] <= int(row) <= ends[1]}
+            if not mine:
+                such = f"264, 470-476{f' or {rows[0][0]}:264' if rows and rows[0][0] else ''}"
+                raise CalibrationError(f"{part!r}: no reading is there; say rows as {such}")
+            chosen |= mine
+        self.select(self._number[sorted(chosen)].tolist())
 
     def _empty(self, name: str) -> Array:
         count = len(self._number)
