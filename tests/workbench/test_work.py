@@ -5,6 +5,7 @@ import threading
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import panel as pn
@@ -85,6 +86,16 @@ def test_without_a_measurement_every_button_says_so(document: Document, tmp_path
             window._work.say("")
             press(document, window._pages[title], name)
             assert 'role="alert"' in window._work._words.object, name
+
+
+def test_what_cannot_be_written_is_said_by_its_name(window: Any, document: Document, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    window._show("Export")
+    page = window._pages["Export"]
+    page._saved.folder.value = str(tmp_path / "file")
+    page._left = "csv", SimpleNamespace(files={"errors.csv": ""}), b""
+    press(document, page, "Save the files")
+    assert f">{tmp_path / 'file' / 'csv'}: Not a directory<" in window._work._words.object
 
 
 def test_the_model_stays_while_something_is_calculated_of_it(window: Any, document: Document, hidden: Path) -> None:

@@ -172,7 +172,7 @@ class PlanPage:
         """The measurement that is chosen, beside what is known now."""
         k, plane = self._choice.value, self._plane.value
         there = bool(self._every) and bool(k)
-        self._save.disabled = not there
+        self._save.disabled, self._map.visible = not there, there
         if not plane:
             return
         a, b = plane

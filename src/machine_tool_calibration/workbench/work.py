@@ -44,7 +44,9 @@ class Work:
 
     def fail(self, error: BaseException) -> None:
         """Say what went wrong, in one line."""
-        if isinstance(error, CalibrationError | OSError):
+        if isinstance(error, OSError) and error.filename:
+            said = f"{error.filename}: {error.strerror}"
+        elif isinstance(error, CalibrationError | OSError):
             said = str(error)
         else:
             said = f"unexpected {error} (a fault of mtcal itself; the terminal shows where it comes from)"
