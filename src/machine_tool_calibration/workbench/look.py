@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from functools import partial
 from html import escape
 from typing import Any
-from weakref import WeakKeyDictionary
+from weakref import WeakKeyDictionary, WeakMethod
 
 import panel as pn
 from bokeh.document.callbacks import invoke_with_curdoc
@@ -178,13 +178,13 @@ def when_changed(widget: Any, act: Callable[[Any], object], what: str = "value")
     widget.param.watch(lambda event: _locked(partial(act, event.new)), what)
 
 
-# Of each window, by its document.
-_TELLERS: WeakKeyDictionary[Any, Callable[[Exception], object]] = WeakKeyDictionary()
+# Of each window, by its document; neither is kept alive.
+_TELLERS: WeakKeyDictionary[Any, WeakMethod[Callable[[Exception], object]]] = WeakKeyDictionary()
 
 
 def tell_faults(document: Any, tell: Callable[[Exception], object]) -> None:
-    """Have the errors of all buttons and fields of a window told on its page."""
-    _TELLERS[document] = tell
+    """Have the errors of all buttons and fields of a window told on its page, by a method."""
+    _TELLERS[document] = WeakMethod(tell)
 
 
 def _locked(act: Callable[[], object]) -> None:
@@ -195,9 +195,10 @@ def _locked(act: Callable[[], object]) -> None:
         try:
             act()
         except Exception as error:
-            if document not in _TELLERS:
+            tell = _TELLERS[document]() if document in _TELLERS else None
+            if tell is None:
                 raise
-            _TELLERS[document](error)
+            tell(error)
 
     document.add_next_tick_callback(partial(in_order, document, told))
 
