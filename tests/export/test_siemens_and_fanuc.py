@@ -191,8 +191,11 @@ def test_fanuc_refuses_what_does_not_fit(machine: AxisTables, nodes: Array, slop
 
 def test_tables_that_no_axis_alone_decides_are_refused_or_named(machine: AxisTables) -> None:
     angle = motion("ECX", np.linspace(-0.2, 0.4, 13), np.linspace(0.0, 2e-5, 13))
-    with pytest.raises(ModelError, match="neither a positioning nor a straightness error is determined"):
-        write_tables("siemens", replace(machine, tables=(angle,), squareness={}), "cell 1")
+    alone = replace(machine, tables=(angle,), squareness={})
+    with pytest.raises(ModelError, match=r"^cell 1: neither a positioning nor a straightness error is determined"):
+        write_tables("siemens", alone, "cell 1\nevaluated: today")
+    with pytest.raises(ModelError, match=r"^cell 1: no positioning error"):
+        write_tables("fanuc", alone, "cell 1\nevaluated: today")
     text = write_tables("siemens", replace(machine, tables=(*machine.tables, angle), backlash={"X": (1e-6, 1e-8)}), "s")
     assert all("; not in this format: ECX, backlash of X\n" in content for content in text.values())
 

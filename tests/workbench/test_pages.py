@@ -11,6 +11,8 @@ import pytest
 from bokeh.document import Document
 from bokeh.models import ColumnDataSource, Div
 from bokeh.protocol import Protocol
+from bokeh.server.connection import ServerConnection
+from bokeh.server.protocol_handler import ProtocolHandler
 from bokeh.server.session import ServerSession
 from panel.io.state import set_curdoc
 
@@ -23,6 +25,7 @@ from machine_tool_calibration.workbench.look import in_order
 from machine_tool_calibration.workbench.measurement import MeasurementPage
 from machine_tool_calibration.workbench.page import _Window
 from machine_tool_calibration.workbench.readings import Readings
+from machine_tool_calibration.workbench.server import quieten
 from machine_tool_calibration.workbench.state import State
 from machine_tool_calibration.workbench.work import Work
 
@@ -145,6 +148,24 @@ def test_a_browser_is_told_of_all_changes_in_one_message(document: Document) -> 
     asyncio.run(session.with_document_locked(words.update, text="later"))
     assert browsers[0].sent[1:] == [[("text", "later")]], "what changes otherwise is sent as ever"
     in_order(Document(), lambda: None)
+
+
+def test_a_click_at_a_page_that_was_closed_meanwhile_is_no_fault(
+    document: Document, caplog: pytest.LogCaptureFixture
+) -> None:
+    def handled(closed: bool) -> None:
+        """A message with which nothing can be done."""
+        page = ServerConnection(Protocol(), Any, Any, ServerSession("a window", document))
+        if closed:
+            page.detach_session()
+        message = SimpleNamespace(msgtype="PATCH-DOC", header={"msgid": "1"})
+        asyncio.run(ProtocolHandler().handle(message, page))
+
+    quieten()
+    handled(closed=True)
+    assert not caplog.records
+    handled(closed=False)
+    assert "error handling message" in caplog.text
 
 
 def test_what_was_changed_before_a_fault_is_told_all_the_same(document: Document) -> None:

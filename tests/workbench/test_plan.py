@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from machine_tool_calibration.errors import SessionError
+from machine_tool_calibration.errors import CalibrationError, SessionError
 from machine_tool_calibration.nodes.shared import procedure_file
 from machine_tool_calibration.procedure import parse_procedure
 from machine_tool_calibration.session.yaml_text import load_yaml
@@ -98,3 +98,14 @@ def test_the_buttons_ask_for_the_report_in_their_format(
                 button.clicks += 1
     assert [job.work.func for job in asked] == [reported, reported]
     assert [job.work.args[4] for job in asked] == [[tmp_path / "report.html"], [tmp_path / "report.pdf"]]
+
+
+def test_what_a_window_began_to_write_it_may_write_again_and_nothing_else(tmp_path: Path) -> None:
+    from machine_tool_calibration.workbench.saved import Saved
+
+    here, there = Saved("folder"), Saved("folder")
+    here.claim([tmp_path / "report.html"])
+    (tmp_path / "report.html").write_text("half, as it was stopped", encoding="utf-8")
+    here.claim([tmp_path / "report.html"])
+    with pytest.raises(CalibrationError, match=r"report\.html: is there already"):
+        there.claim([tmp_path / "report.html"])

@@ -2,6 +2,7 @@
 """One window's work: models that are added, taken away and undone, and kept with the session."""
 
 import pickle
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.effects.formula import formula_effect
-from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.errors import CalibrationError, ModelError, SessionError
 from machine_tool_calibration.interface.session import simulate
 from machine_tool_calibration.reports.history_file import history_path, read_history
 from machine_tool_calibration.session.folder import write_session
@@ -88,6 +89,22 @@ def test_a_history_that_cannot_be_written_leaves_the_window_working(hidden: Path
     assert history_path(hidden).read_text(encoding="utf-8") == "- damaged\n"
 
 
+def test_a_history_that_was_moved_away_is_begun_anew(hidden: Path) -> None:
+    state = opened(hidden)
+    for name in ("backlash_x", "backlash_y", "warmup_y"):
+        state.changed(add=[name])()
+    history_path(hidden).unlink()
+    state.undo()
+    kept = read_history(history_path(hidden))
+    assert [entry.effects for entry in kept.models] == [(), ("backlash_x",), ("backlash_x", "backlash_y")]
+    assert kept.current == 3 == state.model.number and state.model.fit.effects == ("backlash_x", "backlash_y")
+    going = state.used(1)
+    history_path(hidden).unlink()
+    with pytest.raises(ModelError, match="the history has no model 1"):
+        going()
+    assert state.model.number == 3, "what cannot be kept is not in use"
+
+
 def test_an_unknown_effect_changes_nothing(hidden: Path) -> None:
     state = opened(hidden)
     with pytest.raises(ModelError, match="backlash_q"):
@@ -111,6 +128,25 @@ def test_readings_set_aside_stay_in_the_source_and_come_back(hidden: Path) -> No
     assert readings.selected == [5, 6], "a selection outlives another model"
     state.changed(aside=[])()
     np.testing.assert_allclose(readings.data["residual"], before, atol=1e-9)
+
+
+def test_readings_are_selected_by_their_rows(hidden: Path, struck: Path) -> None:
+    from machine_tool_calibration.workbench.readings import Readings
+
+    readings = Readings(opened(hidden))
+    readings.refresh()
+    readings.select_rows("7, 20-22,280-999")
+    assert readings.selected == [7, 20, 21, 22, *range(280, 288)]
+    for wrong in ("288", "a", "5-", "7,", "cube:7", "-1"):
+        with pytest.raises(CalibrationError, match=r"say rows as 264, 470-476$"):
+            readings.select_rows(wrong)
+    assert len(readings.selected) == 12, "as it was"
+    readings = Readings(opened(hidden, struck))
+    readings.refresh()
+    readings.select_rows("cube:5, struck:0-1")
+    assert readings.selected == [5, 288, 289]
+    with pytest.raises(CalibrationError, match=r"or cube:264$"):
+        readings.select_rows("7")
 
 
 def test_arrows_point_along_what_is_sensed(hidden: Path) -> None:
@@ -143,6 +179,33 @@ def test_arrows_of_a_line_stand_up_from_it(tmp_path: Path) -> None:
     up = 1e-3 * readings.magnification * np.array(data["residual"])
     np.testing.assert_allclose(np.array(data["xy:v"]) - np.array(data["y"]), up, atol=1e-9)
     assert np.ptp(up) > 10.0, "mm: they are seen"
+
+
+def test_arrows_of_sessions_along_different_lines_stand_up_from_each(tmp_path: Path) -> None:
+    from machine_tool_calibration.workbench.readings import Readings
+
+    for seed, axis in enumerate("xyz"):
+        simulate("iso230_2", seed=seed, axis=axis).save(tmp_path / axis)
+    readings = Readings(opened(*(tmp_path / axis for axis in "xyz")))
+    readings.refresh()
+    assert readings.arrows == "Residuals along x, y, z, standing up from the lines"
+    data, larger = readings.data, 1e-3 * readings.magnification * np.array(readings.data["residual"])
+    for axis, view, along, up in (("x", "xy", "u", "v"), ("y", "xy", "v", "u"), ("z", "xz", "v", "u")):
+        mine = np.array([name.startswith(f"{axis}:") for name in data["row"]])
+        across = view.replace(axis, "")
+        np.testing.assert_array_equal(data[f"{view}:{along}"][mine], data[axis][mine])
+        standing = data[f"{view}:{up}"][mine] - data[across][mine]
+        np.testing.assert_allclose(standing, larger[mine], atol=1e-9)
+        assert np.ptp(standing) > 1.0, "mm: they are seen"
+        (end_on,) = {"xy", "xz", "yz"} - {view for view in readings.planes if axis in view}
+        for end, name in zip("uv", end_on, strict=True):
+            np.testing.assert_array_equal(data[f"{end_on}:{end}"][mine], data[name][mine])
+
+
+def test_the_same_readings_are_not_fitted_twice(hidden: Path) -> None:
+    shutil.copytree(hidden, hidden.with_name("again"))
+    with pytest.raises(SessionError, match="cube and again are the same readings"):
+        opened(hidden, hidden.with_name("again"))
 
 
 def test_measurements_are_found_in_a_folder(hidden: Path) -> None:

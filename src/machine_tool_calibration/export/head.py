@@ -98,7 +98,9 @@ def positioning(tables: AxisTables, source: str) -> list[AxisTable]:
     own = [table for table in (tables.along(axis, axis) for axis in "XYZ") if table is not None]
     if not own:
         why = "; ".join(f"{entry.name}: {entry.why}" for entry in tables.left_out if entry.name[1:2] == entry.name[2:3])
-        raise ModelError(f"{source}: no positioning error (EXX, EYY, EZZ) is determined{': ' if why else ''}{why}")
+        raise ModelError(
+            f"{source.splitlines()[0]}: no positioning error (EXX, EYY, EZZ) is determined{': ' if why else ''}{why}"
+        )
     return own
 
 

@@ -65,7 +65,7 @@ def write(tables: AxisTables, source: str) -> dict[str, str]:
     screws = [table for axis in "XYZ" if (table := tables.along(axis, axis)) is not None]
     sags = [table for pair in permutations("XYZ", 2) if (table := tables.along(*pair)) is not None]
     if not screws and not sags:
-        raise ModelError(f"{source}: neither a positioning nor a straightness error is determined")
+        raise ModelError(f"{source.splitlines()[0]}: neither a positioning nor a straightness error is determined")
     held = {table.name for table in (*screws, *sags)}
     absent = [table.name for table in tables.tables if table.name not in held]
     absent += [name for name in tables.squareness if SLOPES[name] not in held]

@@ -57,7 +57,7 @@ class ComparePage:
         )  # fmt: skip
         self._words, self._setups, self._more = text(), text(), text()
         self._count = text("", min_width=150)
-        self._against = [pn.widgets.Select(name=f"Plot {k}: residuals against", width=330) for k in (1, 2)]
+        self._against = [pn.widgets.Select(name=f"Plot {k}: residuals against", width=400) for k in (1, 2)]
         self._plane = pn.widgets.Select(name="Map in the plane", width=120)
         self._plots = [new_figure("Residuals", "", "residual, µm", hover=_HOVER) for _ in (1, 2)]
         for k, plot in enumerate(self._plots):
@@ -78,6 +78,8 @@ class ComparePage:
             when_changed(choice, partial(self._draw_against, k))
         when_changed(self._plane, lambda _: self._draw_plane())
         source.selected.on_change("indices", lambda attr, old, new: self._say_selected())
+        self._rows = pn.widgets.TextInput(name="Select rows", placeholder="264, 470-476", width=150)
+        when_changed(self._rows, lambda rows: self._readings.select_rows(rows) if rows.strip() else None)
         self._aside = bar_button("Set the selected aside", self._set_aside, "primary", disabled=True)
         self._back = bar_button("Put back", self._put_back, disabled=True)
         self._look = bar_button("Select those set aside", self._select_aside, visible=False)
@@ -87,8 +89,8 @@ class ComparePage:
         self.view = pn.Column(
             self._words,
             controls(
-                *self._against, self._plane, self._aside, self._back, self._look, self._cleared, self._suggest,
-                self._count,
+                *self._against, self._plane, self._rows, self._aside, self._back, self._look, self._cleared,
+                self._suggest, self._count,
             ),
             beside(*self._plots),
             beside(self._map, self._strip),
@@ -222,6 +224,7 @@ class ComparePage:
         self._work.run(what, replace(job, take=take))
 
     def _clear(self) -> None:
+        self._rows.value = ""
         self._readings.select([])
 
     def _select_suggested(self) -> None:

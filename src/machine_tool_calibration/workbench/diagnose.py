@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from html import escape
 
 import numpy as np
@@ -82,7 +83,7 @@ class DiagnosePage:
         legend_above(self._over)
         for plot in (self._over, self._added):
             plot.add_layout(Span(location=0.0, dimension="width", line_color="#999999", line_width=1))
-        self._against = pn.widgets.Select(name="Residuals against", width=330)
+        self._against = pn.widgets.Select(name="Residuals against", width=400)
         when_changed(self._against, lambda _: self._draw_against())
         self._effect = pn.widgets.Select(name="Effect", width=230, options=[""])
         when_changed(self._effect, self._look_at)
@@ -154,7 +155,8 @@ class DiagnosePage:
     def _look_at(self, name: str) -> None:
         self._forget()
         if name:
-            self._work.run(f"fitting with {name}", self._state.tried(name, self._laid_over))
+            job = self._state.tried(name, self._laid_over)
+            self._work.run(f"fitting with {name}", job, partial(self._effect.param.update, value=""))
 
     def _forget(self) -> None:
         self._trial, self._add.disabled, self._said.object = None, True, ""
@@ -183,7 +185,7 @@ class DiagnosePage:
 
     def _use(self) -> None:
         if self._trial is not None:
-            self._state.use(self._trial)
+            self._work.alone(partial(self._state.use, self._trial))
 
     def _new_effect(self, name: str) -> None:
         """Another effect of the user's own is known."""

@@ -3,14 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 from html import escape
-from pathlib import Path
 
 import panel as pn
 
-from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.export import FORMATS
 from machine_tool_calibration.export.compensation import Exported
 from machine_tool_calibration.report.words import LANGUAGES
@@ -18,7 +15,7 @@ from machine_tool_calibration.reports.compensation import absent_words, left_tab
 from machine_tool_calibration.workbench.handed_over import PICTURE, TABLES, left, reported, written_tables
 from machine_tool_calibration.workbench.look import bar_button, controls, tables, text, when_changed
 from machine_tool_calibration.workbench.readings import Readings
-from machine_tool_calibration.workbench.saved import Saved, refuse_others
+from machine_tool_calibration.workbench.saved import Saved
 from machine_tool_calibration.workbench.state import Job, State
 from machine_tool_calibration.workbench.work import Work
 
@@ -91,27 +88,16 @@ class ExportPage:
         self._left, self._keep.disabled = None, True
         self._preview.object, self._picture.object = "", None
 
-    def _paths(self, names: Sequence[str]) -> list[Path] | None:
-        """The files in the folder that is given; None, and why on the page, where that cannot be."""
-        try:
-            paths = [self._saved.place / name for name in names]
-            refuse_others(paths, self._saved.written)
-        except CalibrationError as error:
-            self._work.fail(error)
-            return None
-        return paths
-
     def _report(self, ending: str) -> None:
-        state, files = self._state, self._paths([f"report.{ending}"])
-        if files is not None:
-            asked = (state.subject, state.model, state.entries(), self._language.value, files, self._diagnosis.value)
-            self._work.run("writing the report", Job(partial(reported, *asked), self._saved.offer))
+        state, files = self._state, [self._saved.place / f"report.{ending}"]
+        asked = (state.subject, state.model, state.entries(), self._language.value, files, self._diagnosis.value)
+        self._saved.claim(files)
+        self._work.run("writing the report", Job(partial(reported, *asked), self._saved.offer))
 
     def _tables(self) -> None:
-        files = self._paths(TABLES)
-        if files is not None:
-            job = Job(partial(written_tables, self._state.model, files[0].parent), self._saved.offer)
-            self._work.run("writing the tables", job)
+        model, folder = self._state.model, self._saved.place
+        self._saved.claim([folder / name for name in TABLES])
+        self._work.run("writing the tables", Job(partial(written_tables, model, folder), self._saved.offer))
 
     def _show_left(self) -> None:
         form = self._form.value
@@ -132,7 +118,4 @@ class ExportPage:
     def _save_files(self) -> None:
         if self._left is not None:
             form, exported, picture = self._left
-            try:
-                self._saved.write(self._saved.place / form, {**exported.files, PICTURE: picture})
-            except (CalibrationError, OSError) as error:
-                self._work.fail(error)
+            self._saved.write(self._saved.place / form, {**exported.files, PICTURE: picture})

@@ -136,9 +136,7 @@ class ImprovePage:
         }
         declared = self._state.models[0].each[0].overall.noise.declared
         self._declared.location = 1e6 * declared
-        self._fall.title.text = (
-            f"The error from model to model (dotted: declared, {quantity(declared, 'm')})"
-        )
+        self._fall.title.text = f"The error from model to model (dotted: declared, {quantity(declared, 'm')})"
 
     def _draw(self) -> None:
         """Before and after, side by side and to the same scale."""
@@ -173,14 +171,19 @@ class ImprovePage:
         if add or take:
             change = self._state.changed(add=[add] if add else [], take=[take] if take else [])
             words = f"with {add}" if add else f"without {take}"
-            self._work.run(f"fitting {words}", change)
+            self._work.run(f"fitting {words}", change, self._choose_nothing)
 
     def _gone_to(self, number: int) -> None:
         if number:
-            self._work.run(f"fitting model {number}", self._state.used(number))
+            self._work.run(f"fitting model {number}", self._state.used(number), self._choose_nothing)
+
+    def _choose_nothing(self) -> None:
+        """What was not done can be chosen again."""
+        self._add.value = self._take.value = ""
+        self._go.value = 0
 
     def _undone(self) -> None:
-        self._state.undo()
+        self._work.alone(self._state.undo)
 
     def _improve(self) -> None:
         """As `mtcal improve`: nothing is added unless the diagnosis names it."""

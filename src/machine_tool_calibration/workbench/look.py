@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from functools import partial
 from html import escape
 from typing import Any
+from weakref import WeakKeyDictionary, WeakMethod
 
 import panel as pn
 from bokeh.document.callbacks import invoke_with_curdoc
@@ -30,6 +31,7 @@ __all__ = [
     "paragraphs",
     "setup_color",
     "tables",
+    "tell_faults",
     "text",
     "typed_out",
     "when_changed",
@@ -176,10 +178,29 @@ def when_changed(widget: Any, act: Callable[[Any], object], what: str = "value")
     widget.param.watch(lambda event: _locked(partial(act, event.new)), what)
 
 
+# Of each window, by its document; neither is kept alive.
+_TELLERS: WeakKeyDictionary[Any, WeakMethod[Callable[[Exception], object]]] = WeakKeyDictionary()
+
+
+def tell_faults(document: Any, tell: Callable[[Exception], object]) -> None:
+    """Have the errors of all buttons and fields of a window told on its page, by a method."""
+    _TELLERS[document] = WeakMethod(tell)
+
+
 def _locked(act: Callable[[], object]) -> None:
     """Do something with the page's lock, which Bokeh asks for and Panel's own callbacks do not hold."""
     document = pn.state.curdoc
-    document.add_next_tick_callback(partial(in_order, document, act))
+
+    def told() -> None:
+        try:
+            act()
+        except Exception as error:
+            tell = _TELLERS[document]() if document in _TELLERS else None
+            if tell is None:
+                raise
+            tell(error)
+
+    document.add_next_tick_callback(partial(in_order, document, told))
 
 
 def in_order(document: Any, act: Callable[[], object]) -> None:

@@ -130,7 +130,8 @@ class _Window:
         options: dict[str, tuple[Path, ...]] = {name: (path,) for name, path in zip(names, found, strict=True)}
         if len(targets) > 1:
             options = {" + ".join(options): tuple(found), **options}
-        self._choice = pn.widgets.Select(name="Measurement", options=options, width=260, visible=len(found) > 1)
+        width = min(60 + 8 * max(map(len, options), default=0), 640)  # pixels
+        self._choice = pn.widgets.Select(name="Measurement", options=options, width=width, visible=len(found) > 1)
         when_changed(self._choice, lambda _: self._open())
         bar = controls(*self._buttons.values(), self._choice, self._work.view)
         self.roots = [bar, self._head, *(place for places in self._places.values() for place in places)]
@@ -142,7 +143,13 @@ class _Window:
 
     def _open(self) -> None:
         paths = self._choice.value
-        self._work.run(f"reading {', '.join(path.name for path in paths)}", self._state.opened(*paths))
+        if paths != self._state.paths:
+            names = ", ".join(path.name for path in paths)
+            self._work.run(f"reading {names}", self._state.opened(*paths), self._choose_what_is_open)
+
+    def _choose_what_is_open(self) -> None:
+        if self._state.paths in self._choice.options.values():
+            self._choice.value = self._state.paths
 
     def _changed(self) -> None:
         """Another model is in use, or another measurement."""

@@ -11,7 +11,6 @@ import numpy as np
 import panel as pn
 from bokeh.models import ColumnDataSource
 
-from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.planning.dominant import ANGULAR
 from machine_tool_calibration.planning.outlook import Outlook
 from machine_tool_calibration.plots.style import round_down, spaced
@@ -35,7 +34,7 @@ from machine_tool_calibration.workbench.look import (
 from machine_tool_calibration.workbench.models import looked_ahead, planned
 from machine_tool_calibration.workbench.procedure_form import ProcedureForm
 from machine_tool_calibration.workbench.readings import Readings
-from machine_tool_calibration.workbench.saved import Saved, refuse_others
+from machine_tool_calibration.workbench.saved import Saved
 from machine_tool_calibration.workbench.state import Job, State
 from machine_tool_calibration.workbench.work import Work
 
@@ -81,9 +80,7 @@ class PlanPage:
         self._where.scatter(
             "place_a", "place_b", source=now, size=9, marker="square", color="#d8d8d8", legend_label="now"
         )
-        self._dots = self._where.scatter(
-            "x", "y", source=self._new, size=5, color="color", legend_label="with it"
-        )
+        self._dots = self._where.scatter("x", "y", source=self._new, size=5, color="color", legend_label="with it")
         self._marks = self._where.scatter(
             "x", "y", source=self._stations, size=11, marker="triangle", color="color", line_color="black"
         )
@@ -175,7 +172,7 @@ class PlanPage:
         """The measurement that is chosen, beside what is known now."""
         k, plane = self._choice.value, self._plane.value
         there = bool(self._every) and bool(k)
-        self._save.disabled = not there
+        self._save.disabled, self._map.visible = not there, there
         if not plane:
             return
         a, b = plane
@@ -198,9 +195,7 @@ class PlanPage:
         factor = round_down(_LENGTH * extent / (2 * largest)) if largest > 0 and extent > 0 else 0.0
         for one, (source, _) in zip((now, then), self._maps.values(), strict=True):
             source.data = _ellipses(one, factor)
-        self._where.title.text = (
-            f"What is measured: {len(then.session.readings)} readings in {duration(then.seconds)}"
-        )
+        self._where.title.text = f"What is measured: {len(then.session.readings)} readings in {duration(then.seconds)}"
         self._map.title.text = f"Uncertainty of the map: U (k = 2), {spaced(factor)} times magnified"
         self._sizes.object = tables([sizes_table(now, then)])
 
@@ -225,18 +220,15 @@ class PlanPage:
         """The procedure's file, or a session folder whose readings are to be filled in."""
         k = self._choice.value
         then = self._every[k]
-        try:
-            folder = self._saved.place
-            if k in self._procedures:
-                name = then.words.split(",")[0].removeprefix("procedure ")
-                self._saved.write(folder, {f"{name}.yaml": self._procedures[k]})
-                return
-            paths = [folder / DESCRIPTION_FILE, folder / OBSERVATIONS_FILE]
-            refuse_others(paths, self._saved.written)
-            write_session(then.session, folder, overwrite=True)
-            self._saved.offer(paths)
-        except (CalibrationError, OSError) as error:
-            self._work.fail(error)
+        folder = self._saved.place
+        if k in self._procedures:
+            name = then.words.split(",")[0].removeprefix("procedure ")
+            self._saved.write(folder, {f"{name}.yaml": self._procedures[k]})
+            return
+        paths = [folder / DESCRIPTION_FILE, folder / OBSERVATIONS_FILE]
+        self._saved.claim(paths)
+        write_session(then.session, folder, overwrite=True)
+        self._saved.offer(paths)
 
 
 def _ellipses(one: Outlook, factor: float) -> dict[str, np.ndarray]:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
@@ -12,6 +13,7 @@ from bokeh.models import ColumnDataSource
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.comparison import Comparison
+from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.plots.residuals import axis_label, line_of, planes, sense_along
 from machine_tool_calibration.plots.style import round_down
 from machine_tool_calibration.workbench.look import packed, setup_color
@@ -59,7 +61,8 @@ class Readings:
         self._state = state
         self._measurement: object = None
         self._number = np.zeros(0, dtype=np.int64)
-        self._place = self._arrow = np.zeros((0, 3))
+        self._place = np.zeros((0, 3))
+        self._arrow: dict[str, Array] = {}
         self.planes: list[str] = ["xy"]
         self.arrows = "Residuals"
         self._sources: dict[str, ColumnDataSource] = {}
@@ -139,6 +142,25 @@ class Readings:
         if self._page in self._sources:
             self._sources[self._page].selected.indices = self._chosen
 
+    def select_rows(self, words: str) -> None:
+        """Light up readings by their rows, such as `264, 470-476`, of several sessions `cube:264, cube:470-476`.
+
+        Raises:
+            CalibrationError: no reading is in one of these.
+        """
+        rows = [name.rpartition(":") for name in self.data.get("row", ())]
+        chosen: set[int] = set()
+        for part in map(str.strip, words.split(",")):
+            found = re.fullmatch(r"(?:(.*):)?(\d{1,9})(?:-(\d{1,9}))?", part)
+            label, first, last = found.groups(default="") if found else ("", "-1", "")
+            ends = int(first), int(last or first)
+            mine = {k for k, (of, _, row) in enumerate(rows) if of == label and ends[0] <= int(row) <= ends[1]}
+            if not mine:
+                such = f"264, 470-476{f' or {rows[0][0]}:264' if rows and rows[0][0] else ''}"
+                raise CalibrationError(f"{part!r}: no reading is there; say rows as {such}")
+            chosen |= mine
+        self.select(self._number[sorted(chosen)].tolist())
+
     def _empty(self, name: str) -> Array:
         count = len(self._number)
         return np.zeros(count, dtype=np.uint32) if name in _COLORS else np.full(count, np.nan)
@@ -159,12 +181,19 @@ class Readings:
         self.planes = ["xyz"[a] + "xyz"[b] for a, b in planes(place, direction)]
         self._place = np.column_stack([self._of(first, f"position.{k}") for k in range(3)])
         sensed = np.column_stack([self._of(first, f"direction.{k}") for k in range(3)])
-        self._arrow, self.arrows = sensed, "Residuals"
-        line = line_of(place, direction)
-        if line is not None:  # arrows would lie on each other
-            across = next("xyz".index(axis) for axis in self.planes[0] if axis != "xyz"[line])
-            self._arrow = np.eye(3)[across] * sense_along(sensed, line)[:, None]
-            self.arrows = f"Residuals along {'xyz'[line]}, standing up from the line"
+        self._arrow = {view: sensed[:, VIEWS[view]] for view in self.planes}
+        self.arrows = "Residuals"
+        lines = [line_of(one.position, one.direction) for one in seen]
+        of_session = np.searchsorted(subject.first, self._number, side="right") - 1
+        for k, line in enumerate(lines):
+            for view, arrow in self._arrow.items():
+                if line is not None:  # arrows would lie on each other; of one that is seen end-on all at one place
+                    up = [line in VIEWS[view] and axis != line for axis in VIEWS[view]]
+                    arrow[of_session == k] = sense_along(sensed[of_session == k], line)[:, None] * up
+        along = ["xyz"[line] for line in sorted({line for line in lines if line is not None})]
+        if along:
+            self.arrows += ", those along " if None in lines else " along "
+            self.arrows += ", ".join(along) + f", standing up from the line{'s' if len(along) > 1 else ''}"
         self.labels = {f"c:{name}": axis_label(name)[0] for one in first.each for name in one.covariates}
         share: dict[str, float] = {}
         for one in first.each:
@@ -248,9 +277,10 @@ class Readings:
 
     def _arrows(self, residual: Array, factor: float) -> dict[str, Array]:
         """Ends of the magnified arrows of residuals (m) in every plane, mm."""
-        tip = 1e3 * (self._place + factor * residual[:, None] * self._arrow)
         return {
-            f"{view}:{end}": tip[:, k] for view in self.planes for end, k in zip("uv", VIEWS[view], strict=True)
+            f"{view}:{end}": 1e3 * (self._place[:, axis] + factor * residual * along)
+            for view, arrow in self._arrow.items()
+            for end, axis, along in zip("uv", VIEWS[view], arrow.T, strict=True)
         }
 
     def _before(self, residual: Array) -> Array:

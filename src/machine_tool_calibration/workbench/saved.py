@@ -15,7 +15,7 @@ from tornado.web import HTTPError, RequestHandler
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.workbench.look import text
 
-__all__ = ["PATTERNS", "Saved", "refuse_others"]
+__all__ = ["PATTERNS", "Saved"]
 
 # What may be downloaded, by the part of its address that nobody guesses.
 _OFFERED: dict[str, Path] = {}
@@ -37,30 +37,18 @@ PATTERNS = [(r"/saved/([\w-]+)/[^/]+", _Download)]
 """Addresses of the files, behind the server's token."""
 
 
-def refuse_others(paths: Sequence[Path], mine: Sequence[Path]) -> None:
-    """Refuse to overwrite what is there, unless it was written from here.
-
-    Raises:
-        CalibrationError: a file is there already.
-    """
-    for path in paths:
-        if path.exists() and path not in mine:
-            raise CalibrationError(f"{path}: is there already; choose another folder")
-
-
 class Saved:
     """The folder into which a page writes, and what it has written.
 
     Attributes:
         folder: a field for it.
         list: the files with their links.
-        written: all files that this window has written.
     """
 
     def __init__(self, name: str) -> None:
         self.folder = pn.widgets.TextInput(name=name, width=480)
         self.list = text()
-        self.written: tuple[Path, ...] = ()
+        self._mine: set[Path] = set()
 
     @property
     def place(self) -> Path:
@@ -73,9 +61,19 @@ class Saved:
             raise CalibrationError("give the folder into which it is to be saved")
         return Path(self.folder.value.strip()).expanduser()
 
+    def claim(self, paths: Sequence[Path]) -> None:
+        """Take files for this window, which may overwrite them from now on, also where their writing was stopped.
+
+        Raises:
+            CalibrationError: a file is there that is not from here.
+        """
+        for path in paths:
+            if path.exists() and path not in self._mine:
+                raise CalibrationError(f"{path}: is there already; choose another folder")
+        self._mine.update(paths)
+
     def offer(self, paths: Sequence[Path]) -> None:
         """Say what was written, with a link to download each."""
-        self.written = (*self.written, *(path for path in paths if path not in self.written))
         links = []
         for path in paths:
             key = secrets.token_urlsafe(12)
@@ -97,7 +95,7 @@ class Saved:
             OSError: it cannot be written.
         """
         paths = [folder / name for name in files]
-        refuse_others(paths, self.written)
+        self.claim(paths)
         folder.mkdir(parents=True, exist_ok=True)
         for path, content in zip(paths, files.values(), strict=True):
             path.write_bytes(content.encode() if isinstance(content, str) else content)

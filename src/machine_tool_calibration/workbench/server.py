@@ -7,8 +7,10 @@ import logging
 import secrets
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from traceback import extract_tb
 
 import panel as pn
+from bokeh.server import connection
 from panel.io.server import get_server
 
 from machine_tool_calibration.effects.effect import Effect as PhysicalEffect
@@ -18,11 +20,28 @@ from machine_tool_calibration.workbench.page import window
 from machine_tool_calibration.workbench.process import warm_up
 from machine_tool_calibration.workbench.saved import PATTERNS
 
-__all__ = ["serve"]
+__all__ = ["quieten", "serve"]
 
 _HERE = "127.0.0.1"
 # Panel keeps a page that was closed for a while; a window's work is not needed after a lost connection's time.
 _KEPT = 60_000  # ms
+
+
+def quieten() -> None:
+    """Keep from the terminal what is no fault.
+
+    A browser asks for files that are not there, an icon first, and closes pages that are being told something or were
+    just clicked at.
+    """
+    for name in ("tornado.access", "bokeh.server.views.ws"):
+        logging.getLogger(name).setLevel(logging.ERROR)
+    logging.getLogger("bokeh.server.protocol_handler").addFilter(_of_an_open_page)
+
+
+def _of_an_open_page(record: logging.LogRecord) -> bool:
+    """Whether a fault is another than that a message came from a page that is closed: Bokeh asserts that it is not."""
+    error = record.exc_info[1] if record.exc_info else None
+    return not isinstance(error, AssertionError) or extract_tb(error.__traceback__)[-1].filename != connection.__file__
 
 
 def serve(
@@ -55,10 +74,7 @@ def serve(
     Raises:
         OSError: the port is taken.
     """
-    # A browser asks for files that are not there, an icon first, and closes pages that are being told something; the
-    # terminal need not hear of it.
-    for name in ("tornado.access", "bokeh.server.views.ws"):
-        logging.getLogger(name).setLevel(logging.ERROR)
+    quieten()
     pn.extension(raw_css=[CSS], notifications=False)
     warm_up()
     feed = Feed(own, variant, domain, namespace)

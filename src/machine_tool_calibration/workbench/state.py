@@ -139,9 +139,7 @@ class State:
 
         return Job(partial(opened, paths, self.variant, self._given), take)
 
-    def changed(
-        self, *, add: Iterable[str] = (), take: Iterable[str] = (), aside: Iterable[int] | None = None
-    ) -> Job:
+    def changed(self, *, add: Iterable[str] = (), take: Iterable[str] = (), aside: Iterable[int] | None = None) -> Job:
         """Fit the model in use with a change.
 
         Args:
@@ -186,8 +184,8 @@ class State:
         """Fit a model of the history and those that it was made from, and put it into use."""
 
         def use(models: list[Model]) -> None:
-            self.models, self.diagnosis = models, None
             self._keep(lambda old: old.using(number))
+            self.models, self.diagnosis = models, None
             self._tell()
 
         way = self.history.way_to(number)
@@ -210,9 +208,8 @@ class State:
             self.remark = "There is nothing to undo: this is the first model."
         else:
             self.models.pop()
-            before = self.models[-1].number
-            if before is not None:
-                self._keep(lambda old: old.using(before))
+            if self.models[-1].number is not None:
+                self._keep_models()
         self.diagnosis = None
         self._tell()
 
@@ -220,6 +217,11 @@ class State:
         """Put models, each made from the one before, into use, and keep them in the history."""
         self.models += models
         self.diagnosis = None
+        self._keep_models()
+        self._tell()
+
+    def _keep_models(self) -> None:
+        """Have them in the history, which may have been moved away, with their numbers there, and the last in use."""
         entries = self.entries()
         self._keep(lambda old: old.grown(entries))
         kept = self.history.models
@@ -227,7 +229,6 @@ class State:
             replace(one, number=next(old.number for old in kept if old.same_model(entry)))
             for one, entry in zip(self.models, entries, strict=True)
         ]
-        self._tell()
 
     def entries(self) -> list[Entry]:
         """The models as entries of a history."""

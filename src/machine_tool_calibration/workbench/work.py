@@ -13,7 +13,7 @@ from typing import Any
 import panel as pn
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.workbench.look import bar_button, in_order, text
+from machine_tool_calibration.workbench.look import bar_button, in_order, tell_faults, text
 from machine_tool_calibration.workbench.process import Calculation, FaultError
 from machine_tool_calibration.workbench.state import Job
 
@@ -29,10 +29,12 @@ class Work:
         self._document = pn.state.curdoc
         self._job: object | None = None
         self._calculation: Calculation | None = None
+        self._otherwise: Callable[[], object] = lambda: None
         self._bar = pn.indicators.Progress(value=0, max=100, width=220, height=16, visible=False, margin=(10, 6))
         self._stop = bar_button("Stop", self.stop, "danger", visible=False)
         self._words = text("", min_width=200)
         self.view = pn.Row(self._words, self._bar, self._stop)
+        tell_faults(self._document, self.fail)
         # For a window that was closed nobody waits.
         self._document.on_session_destroyed(lambda context: self._rest())
 
@@ -42,7 +44,9 @@ class Work:
 
     def fail(self, error: BaseException) -> None:
         """Say what went wrong, in one line."""
-        if isinstance(error, CalibrationError | OSError):
+        if isinstance(error, OSError) and error.filename:
+            said = f"{error.filename}: {error.strerror}"
+        elif isinstance(error, CalibrationError | OSError):
             said = str(error)
         else:
             said = f"unexpected {error} (a fault of mtcal itself; the terminal shows where it comes from)"
@@ -50,16 +54,31 @@ class Work:
                 logging.getLogger(__name__).error("a fault of the workbench", exc_info=error)
         self._words.object = f'<span class="error" role="alert">{escape(" ".join(said.split()))}</span>'
 
-    def run(self, what: str, job: Job) -> None:
+    def alone(self, act: Callable[[], object]) -> bool:
+        """Do something at once, unless something runs, whose outcome is for the page as it is.
+
+        Returns:
+            Whether it was done.
+        """
+        if self._job is not None:
+            self.say("One thing at a time: wait for what is running, or stop it.")
+            return False
+        act()
+        return True
+
+    def run(self, what: str, job: Job, otherwise: Callable[[], object] = lambda: None) -> None:
         """Do something beside the page.
 
         Args:
             what: is being done, in words.
             job: the calculation, done in a process of its own, and what takes the outcome, on the page again.
+            otherwise: is done where that was not begun, was stopped, or failed: a field tells again what is there.
         """
-        if self._job is not None:
-            self.say("One thing at a time: wait for what is running, or stop it.")
-            return
+        if not self.alone(partial(self._begin, what, job, otherwise)):
+            otherwise()
+
+    def _begin(self, what: str, job: Job, otherwise: Callable[[], object]) -> None:
+        self._otherwise = otherwise
         mine = self._job = object()
         # What is over at once need not be told of: every change of the bar is laid out anew.
         self._document.add_timeout_callback(self._if_runs(mine, partial(self._show, what, None)), _SOON)
@@ -69,7 +88,7 @@ class Work:
             try:
                 found = calculation.outcome(lambda *said: self._later(mine, partial(self._show, *said)))
             except Exception as error:
-                self._later(mine, partial(self._done, self.fail, error))
+                self._later(mine, partial(self._done, self._failed, error))
             else:
                 self._later(mine, partial(self._done, job.take, found))
 
@@ -77,8 +96,10 @@ class Work:
 
     def stop(self) -> None:
         """End it, wherever it is."""
-        self._rest()
-        self.say("Stopped.")
+        if self._job is not None:
+            self._rest()
+            self.say("Stopped.")
+            self._otherwise()
 
     def _later(self, mine: object, act: Callable[[], None]) -> None:
         """Do something on the page, unless the work was stopped in the meantime."""
@@ -106,6 +127,10 @@ class Work:
             then(outcome)
         except Exception as error:
             self.fail(error)
+
+    def _failed(self, error: Exception) -> None:
+        self.fail(error)
+        self._otherwise()
 
     def _rest(self) -> None:
         if self._calculation is not None:
