@@ -248,7 +248,7 @@ def _unknowns(joint: JointFit, error_map: ErrorMap) -> Iterator[_Entry]:
     """The machine's error motions that are unknowns, as tables, then every unknown by its name, as it is published."""
     published = joint.published
     sigma = np.sqrt(np.maximum(np.diag(published.covariance), 0.0))
-    good = published.is_determined()
+    good = published.determined
     nodes: dict[str, list[int]] = {}
     for k, parameter in enumerate(joint.assembly.parameters):
         if parameter.kind is Kind.MOTION and parameter.shared:

@@ -15,7 +15,7 @@ from machine_tool_calibration.estimation.normal import Normal, solve_normal
 from machine_tool_calibration.estimation.problem import Part, Problem
 from machine_tool_calibration.estimation.reduction import gram, over_chunks, single_blas
 
-__all__ = ["Solution", "gram", "local_steps", "over_chunks", "solve", "solve_normal"]
+__all__ = ["Solution", "local_steps", "solve"]
 
 _MAX_STEPS = 40
 # Gain of a step that ends the iteration, weighted sum of squares: the step was a hundredth of an uncertainty,
@@ -57,10 +57,6 @@ class Solution:
     chi_square: float
     degrees_of_freedom: int
     steps: int
-
-    def is_determined(self) -> BoolArray:
-        """(m,) whether each shared unknown is fixed by readings and datum."""
-        return self.determined
 
     def loose_directions(self) -> Array:
         """(m, k) the undetermined directions, exactly zero in what is determined."""

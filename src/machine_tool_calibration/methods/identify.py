@@ -121,7 +121,7 @@ class JointResult(Identified):
         return [
             Estimate.of(p, value, u)
             for p, value, u, good in zip(
-                self.fit.assembly.parameters, solution.theta, sigma, solution.is_determined(), strict=True
+                self.fit.assembly.parameters, solution.theta, sigma, solution.determined, strict=True
             )
             if good
         ]
@@ -138,7 +138,7 @@ class JointResult(Identified):
         names = [p.name for p in self.fit.assembly.parameters]
         solution = self.fit.solution
         points = any(fit.part.n_points for fit in self.fit.fits)
-        for k in np.flatnonzero(~solution.is_determined()):
+        for k in np.flatnonzero(~solution.determined):
             out[names[k]] = correlated_with(solution.undetermined, names, int(k), points)
         if self.angles is not None:
             out |= {entry.name: entry.why for entry in self.angles.untold}

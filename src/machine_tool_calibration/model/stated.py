@@ -174,7 +174,7 @@ def state(joint: JointFit) -> Stated:
             np.zeros_like(theta), solution.covariance, scatter, (), None, solution.chi_square, np.zeros(0)
         )
     mean, covariance = found.mean, found.covariance
-    if sizes := effect_sizes(joint.assembly.parameters, solution.is_determined()):
+    if sizes := effect_sizes(joint.assembly.parameters, solution.determined):
         value, known = with_sizes(theta + mean, found.scatter**2 * covariance, sizes)
         mean, covariance = value - theta, known / found.scatter**2
     stated = replace(

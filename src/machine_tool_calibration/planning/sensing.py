@@ -11,8 +11,8 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.effects.effect_terms import effect_term
+from machine_tool_calibration.estimation.normal import solve_normal
 from machine_tool_calibration.estimation.reduction import gram, project
-from machine_tool_calibration.estimation.solve import solve_normal
 from machine_tool_calibration.methods.fitted import Chosen, joint_models
 from machine_tool_calibration.model.model import Assembly, Parameter, Term, assemble
 from machine_tool_calibration.model.observations import Observations

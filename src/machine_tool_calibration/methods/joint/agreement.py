@@ -21,8 +21,7 @@ from scipy import special
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.effects.error_motion import polynomials
 from machine_tool_calibration.estimation.normal import covariance_root
-from machine_tool_calibration.estimation.reduction import project
-from machine_tool_calibration.estimation.solve import gram
+from machine_tool_calibration.estimation.reduction import gram, project
 from machine_tool_calibration.machine.error_motions import SQUARENESS, interpolation, parse_motion
 from machine_tool_calibration.methods.joint.model import CommonModels
 from machine_tool_calibration.model.fit import JointFit

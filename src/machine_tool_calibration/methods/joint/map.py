@@ -138,7 +138,7 @@ def joint_map(joint: JointFit, common: CommonModels, angles: StatedAngles | None
             solution.covariance[np.ix_(index, index)],
             points,
             _read(common),
-            solution.is_determined()[index],
+            solution.determined[index],
         )
     loose = np.linalg.norm(flat.T @ solution.loose_directions()[index], axis=1).reshape(n, 3) > _LOOSE
     loose |= beyond
@@ -207,7 +207,7 @@ def _points(joint: JointFit, common: CommonModels) -> Array:
 
 
 def _tables(tables: Sequence[MachineTable], joint: JointFit, index: IntArray) -> dict[str, Any]:
-    good = joint.published.is_determined()[index]
+    good = joint.published.determined[index]
     value = np.where(good, joint.published.theta[index], np.nan)
     sigma = np.where(good, np.sqrt(np.diag(joint.published.covariance)[index].clip(0.0)), np.nan)
     return tables_content(tables, value, sigma)
@@ -216,7 +216,7 @@ def _tables(tables: Sequence[MachineTable], joint: JointFit, index: IntArray) ->
 def _rotary(joint: JointFit) -> dict[str, Any]:
     """Error motions of rotary axes, where a session measured them."""
     out: dict[str, Any] = {}
-    good = joint.published.is_determined()
+    good = joint.published.determined
     sigma = np.sqrt(np.diag(joint.published.covariance).clip(0.0))
     for index, parameter in enumerate(joint.assembly.parameters):
         if parameter.shared and parameter.kind is Kind.MOTION and parse_motion(parameter.owner).axis in "ABC":

@@ -19,7 +19,8 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.error_motion import sensed_lever_arms
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.estimation.solve import gram, solve_normal
+from machine_tool_calibration.estimation.normal import solve_normal
+from machine_tool_calibration.estimation.reduction import gram
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.machine.error_motions import SQUARENESS, interpolation, parse_motion
 from machine_tool_calibration.methods.direct.datum import needed_rows

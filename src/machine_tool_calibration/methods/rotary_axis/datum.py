@@ -14,7 +14,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray
-from machine_tool_calibration.estimation.solve import gram, solve_normal
+from machine_tool_calibration.estimation.normal import solve_normal
+from machine_tool_calibration.estimation.reduction import gram
 from machine_tool_calibration.methods.rotary_axis.geometry import TableReadings
 from machine_tool_calibration.model.model import Constraint, MethodModel, Prior, assemble
 

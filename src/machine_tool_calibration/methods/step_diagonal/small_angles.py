@@ -44,7 +44,7 @@ from scipy.linalg import block_diag
 from scipy.special import logsumexp
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.estimation.solve import solve_normal
+from machine_tool_calibration.estimation.normal import solve_normal
 from machine_tool_calibration.methods.step_diagonal.terms import Angle
 from machine_tool_calibration.model.model import Prior
 
