@@ -352,6 +352,11 @@ class Problem:
     priors: PriorRows | None = None
 
     @property
+    def zero(self) -> tuple[Array, list[Array]]:
+        """All unknowns at zero: (m,) the shared ones, and per part (d, n_points) the points' own."""
+        return np.zeros(self.size), [np.zeros((part.dimension, part.n_points)) for part in self.parts]
+
+    @property
     def n_readings(self) -> int:
         """Readings of all parts."""
         return sum(part.n_readings for part in self.parts)

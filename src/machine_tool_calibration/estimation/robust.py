@@ -117,15 +117,17 @@ class RobustStart(NamedTuple):
 
 
 @single_blas()
-def robust_start(problem: Problem, unknowns: int) -> RobustStart:
+def robust_start(problem: Problem, unknowns: int | None = None) -> RobustStart:
     """Shared unknowns, points, and residuals over the declared uncertainty, little moved by gross errors.
 
     Args:
         problem: readings, datum and priors.
-        unknowns: about how many unknowns the readings fix, points included.
+        unknowns: about how many unknowns the readings fix, points included; the shared ones that the datum leaves, if
+            absent.
     """
-    theta = np.zeros(problem.size)
-    local = [np.zeros((part.dimension, part.n_points)) for part in problem.parts]
+    if unknowns is None:
+        unknowns = problem.size - len(problem.constraints)
+    theta, local = problem.zero
     weights = [_first_weights(part, theta, own) for part, own in zip(problem.parts, local, strict=True)]
     spare = max(1.0 - unknowns / problem.n_readings, 0.1)
     residuals: list[Array] = []

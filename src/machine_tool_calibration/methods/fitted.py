@@ -127,11 +127,15 @@ class FittedSessions:
     effects: tuple[str, ...]
 
     @property
+    def model_name(self) -> str:
+        """Variants of the sessions' models, each once."""
+        return ", ".join(dict.fromkeys(self.model_names))
+
+    @property
     def provenance(self) -> Provenance:
         """What they were made from."""
         sessions = [fit.model.observations.session for fit in self.joint.fits]
-        model = ", ".join(dict.fromkeys(self.model_names))
-        return provenance(sessions, self.joint.assembly.labels, model=model, effects=self.effects)
+        return provenance(sessions, self.joint.assembly.labels, model=self.model_name, effects=self.effects)
 
     @cached_property
     def error_map(self) -> ErrorMap:

@@ -15,11 +15,10 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.estimation.elimination import Rows
-from machine_tool_calibration.estimation.normal import solve_normal
 from machine_tool_calibration.estimation.problem import Part, PartAround, PriorRows, Problem
 from machine_tool_calibration.estimation.reduction import gram, single_blas
 from machine_tool_calibration.estimation.robust import Reweighted
-from machine_tool_calibration.estimation.solve import local_steps, solve
+from machine_tool_calibration.estimation.solve import Linearised, local_steps, solve
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.stated import Stated
 
@@ -66,12 +65,9 @@ def changed(joint: JointFit, shifts: Sequence[Array], known: Array | None = None
     other = replace(problem, parts=parts, priors=priors)
     if again:
         return declared(replace(joint, solution=solve(other), given=None))
-    theta, m = solution.theta, problem.size
-    total, squares = gram(other, theta, solution.local)
-    distance = problem.constraint_values - problem.constraints @ theta
-    normal = solve_normal(total[:m, :m], total[:m, m], problem.constraints, distance, squares[:m])
-    local = local_steps(other, theta, solution.local, normal.step)
-    return declared(replace(joint, solution=replace(solution, theta=theta + normal.step, local=local), given=None))
+    here = Linearised.at(other, solution.theta, solution.local)
+    theta, local, _ = here.after(here.normal().step)
+    return declared(replace(joint, solution=replace(solution, theta=theta, local=tuple(local)), given=None))
 
 
 def drawn(joint: JointFit, rng: np.random.Generator, count: int) -> Iterator[JointFit]:

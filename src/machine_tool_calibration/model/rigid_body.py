@@ -26,11 +26,13 @@ __all__ = [
     "RIGID_BODY_DATUM",
     "MachineTable",
     "axis_nodes",
+    "distinct_nodes",
     "linear_axis_errors",
     "machine_terms",
     "read_nodes",
     "table_datum",
     "tables_content",
+    "thinned",
 ]
 
 
@@ -117,6 +119,27 @@ def axis_nodes(positions: Array) -> Array:
     if len(distinct) <= _MOST_NODES:
         return distinct
     return np.linspace(distinct[0], distinct[-1], _MOST_NODES)
+
+
+# Positions closer than this share of their range are one node.
+_SAME = 1e-3
+
+
+def distinct_nodes(positions: Array) -> Array:
+    """(k,) increasing positions, those that are next to the one before left out."""
+    distinct = np.unique(np.round(positions, 9)) + 0.0
+    same = max(_SAME * float(np.ptp(distinct)), 1e-9)
+    kept = [float(distinct[0])]
+    for value in distinct[1:]:
+        if value - kept[-1] > same:
+            kept.append(float(value))
+    return np.array(kept)
+
+
+def thinned(nodes: Array, count: int) -> Array:
+    """About so many of the nodes, spread evenly."""
+    wanted = np.linspace(nodes[0], nodes[-1], count)
+    return np.unique(nodes[np.abs(nodes[:, None] - wanted).argmin(axis=0)])
 
 
 def linear_axis_errors(chain: Chain, nodes: dict[str, Array]) -> Sequence[MachineTable]:

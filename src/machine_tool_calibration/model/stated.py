@@ -39,24 +39,21 @@ _CONTRADICTED = 0.01
 _SEEN = 1e-3
 
 
-class RandomPosterior(Protocol):
-    """What the readings say of unknowns that are random functions."""
+@dataclass(frozen=True)
+class RandomPosterior:
+    """What the readings say of unknowns that are random functions.
 
-    @property
-    def size(self) -> float:
-        """Root mean square of the size, in their unit."""
+    Attributes:
+        size: root mean square of their size over all that is possible, in their unit.
+        probability: that they are not zero.
+        theta: (m,) mean of all unknowns, the random ones last and counted from zero.
+        covariance: (m, m) of these.
+    """
 
-    @property
-    def probability(self) -> float:
-        """That they are not zero."""
-
-    @property
-    def theta(self) -> Array:
-        """(m,) mean of all unknowns, the random ones last and counted from zero."""
-
-    @property
-    def covariance(self) -> Array:
-        """(m, m) of these."""
+    size: float
+    probability: float
+    theta: Array
+    covariance: Array
 
 
 class RandomUnknowns(Protocol):

@@ -308,9 +308,7 @@ def _outside(assembly: Assembly, names: Sequence[str]) -> tuple[Array, Array]:
     problem, place = assembly.problem, {p.name: index for index, p in enumerate(assembly.parameters)}
     asked = np.array([place[name] for name in names], dtype=np.int64)
     others = np.setdiff1d(np.arange(problem.size), asked)
-    total, squares = gram(
-        problem, np.zeros(problem.size), [np.zeros((part.dimension, part.n_points)) for part in problem.parts]
-    )
+    total, squares = gram(problem, *problem.zero)
     order, m = np.concatenate([others, asked, np.arange(problem.size, len(total))]), len(others)
     total, squares = total[np.ix_(order, order)], squares[order[: len(squares)]]
     rows = problem.constraints[:, others]

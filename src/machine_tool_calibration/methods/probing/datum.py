@@ -12,6 +12,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.machine.error_motions import interpolation
+from machine_tool_calibration.model.model import weight_row
 from machine_tool_calibration.model.rigid_body import MachineTable
 from machine_tool_calibration.session.description import KnownLength
 
@@ -65,10 +66,7 @@ class NullSpace:
 
     def weights(self, weights: Mapping[str, float]) -> Array:
         """(K,) a weighted sum of shared unknowns, in their units; of unit length unless it is empty."""
-        row = np.zeros(len(self.names))
-        for name, weight in weights.items():
-            k = self._index[name]
-            row[k] = weight * self.unit[k]
+        row = weight_row(self._index, weights, len(self.names)) * self.unit
         return row / (float(np.linalg.norm(row)) or 1.0)
 
     def free(self, rows: Array) -> Array:

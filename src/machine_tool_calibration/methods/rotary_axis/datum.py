@@ -14,8 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray
-from machine_tool_calibration.estimation.normal import solve_normal
-from machine_tool_calibration.estimation.reduction import gram
+from machine_tool_calibration.estimation.solve import Linearised
 from machine_tool_calibration.methods.rotary_axis.geometry import TableReadings
 from machine_tool_calibration.model.model import Constraint, MethodModel, Prior, assemble
 
@@ -201,10 +200,7 @@ def weak_places(model: MethodModel, names: list[str], nominal: Array, within: fl
         within: the limit, and the standard uncertainty within which they are held, m.
     """
     assembly = assemble([model])
-    problem = assembly.problem
-    m = problem.size
-    total, squares = gram(problem, np.zeros(m), [np.zeros((part.dimension, part.n_points)) for part in problem.parts])
-    normal = solve_normal(total[:m, :m], total[:m, m], problem.constraints, problem.constraint_values, squares[:m])
+    normal = Linearised.at(assembly.problem, *assembly.problem.zero).normal()
     place = {parameter.name: k for k, parameter in enumerate(assembly.parameters)}
     index = np.array([place[name] for name in names])
     spread: Array = normal.covariance[np.ix_(index, index)]

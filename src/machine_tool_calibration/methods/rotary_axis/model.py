@@ -255,8 +255,7 @@ def _check_places(model: RotaryAxisModel) -> None:
     Raises:
         ModelError: stations and targets are not where they are said to be, nor near.
     """
-    problem = assemble([model]).problem
-    residuals = robust_start(problem, problem.size - len(problem.constraints)).residuals[0]
+    residuals = robust_start(assemble([model]).problem).residuals[0]
     missed = float(np.median(np.abs(residuals))) * model.observations.session.sigma
     if not missed <= _LOST * model.observations.session.sigma:
         by = f" by {missed * 1e6:.3g} µm in the middle" if np.isfinite(missed) else ""
@@ -283,8 +282,7 @@ def _held(model: RotaryAxisModel) -> RotaryAxisModel:
 
 def _moved(start: Start, model: RotaryAxisModel) -> Start:
     """Stations and targets where a fit puts them."""
-    problem = assemble([model]).problem
-    theta = robust_start(problem, problem.size - len(problem.constraints)).theta
+    theta = robust_start(assemble([model]).problem).theta
     s, first = start.stations.size, len(model.own) + 6 * len(model.table.nodes)
     targets = theta[first : first + start.targets.size].reshape(-1, 3)
     return replace(start, stations=start.stations + theta[:s].reshape(-1, 3), targets=start.targets + targets)

@@ -199,7 +199,7 @@ def _second_order(model: StepDiagonalModel, displacement: Array) -> Array:
     """(n,) what the first-order readings leave out, at the solution of the first-order model."""
     assembly = assemble([model])
     # Gross errors have no say: their squares would bend the nominal path.
-    theta = robust_start(assembly.problem, assembly.problem.size - len(assembly.problem.constraints)).theta
+    theta = robust_start(assembly.problem).theta
     theta = theta[assembly.places[0]]
     first, count = len(model.own), sum(len(table.labels) for table in model.tables)
     table_theta = theta[first : first + count]
