@@ -89,10 +89,10 @@ class Chosen:
         """The model of one of the sessions, or of a part of it, without effects; and the name of its variant."""
         return build_model(session, self.model if len(self.sessions) == 1 else sharing_variant(session, self.model))
 
-    def built(self, session: Session) -> Built:
+    def finished(self, base: Built) -> Built:
         """The same as far as it is the session's alone: with the effects, unless several sessions share them."""
-        base, name = self.base(session)
-        return (add_effects(base, self.present) if len(self.sessions) == 1 else base), name
+        model, name = base
+        return (add_effects(model, self.present) if len(self.sessions) == 1 else model), name
 
 
 @dataclass(frozen=True)
@@ -199,7 +199,7 @@ def joint_models(chosen: Chosen, built: Sequence[Built | None] = ()) -> tuple[Co
 
 def _all_built(chosen: Chosen, built: Sequence[Built | None]) -> list[Built]:
     made = built or [None] * len(chosen.sessions)
-    return [own or chosen.built(session) for session, own in zip(chosen.sessions, made, strict=True)]
+    return [own or chosen.finished(chosen.base(session)) for session, own in zip(chosen.sessions, made, strict=True)]
 
 
 def gross_errors(chosen: Chosen) -> list[Sifted]:
@@ -215,7 +215,7 @@ def _sifted(chosen: Chosen, session: Session) -> Sifted:
     made: list[Built] = []
 
     def build(part: Session) -> MethodModel:
-        made.append(chosen.built(part))
+        made.append(chosen.finished(chosen.base(part)))
         return made[-1][0]
 
     outliers, kept = set_aside(session, build)

@@ -26,9 +26,12 @@ __all__ = [
     "RIGID_BODY_DATUM",
     "MachineTable",
     "axis_nodes",
+    "determined_part",
     "distinct_nodes",
+    "in_space",
     "linear_axis_errors",
     "machine_terms",
+    "position_errors",
     "read_nodes",
     "table_datum",
     "tables_content",
@@ -256,6 +259,42 @@ def map_field(tables: Sequence[MachineTable], position: Array) -> Array:
     """(K, n, 3) position error at given places per unit of each unknown of the tables."""
     columns = [table.weights(position)[:, :, None] * table.field(position) for table in tables]
     return np.concatenate([np.zeros((0, len(position), 3)), *columns])
+
+
+def position_errors(field: Array, theta: Array, covariance: Array) -> tuple[Array, Array]:
+    """(n, d) position errors and (n, d, d) their covariances.
+
+    Args:
+        field: (K, n, d) position error at each place per unit of each unknown.
+        theta: (K,) the unknowns.
+        covariance: (K, K) of these.
+    """
+    k, n, d = field.shape
+    error = (theta @ field.reshape(k, n * d)).reshape(n, d)
+    return error, np.einsum("knd,kl,lne->nde", field, covariance, field, optimize=True)
+
+
+def determined_part(error: Array, covariance: Array, loose: BoolArray) -> tuple[Array, Array, Array]:
+    """Position errors (n, 3), standard uncertainties (n, 3) and covariances (n, 3, 3) with NaN where not determined.
+
+    Args:
+        error: (n, 3).
+        covariance: (n, 3, 3).
+        loose: (n, 3) the components that are not determined.
+    """
+    uncertainty = np.sqrt(np.einsum("nii->ni", covariance).clip(0.0))
+    whole = np.asarray(~loose.any(axis=1))
+    return (
+        np.where(loose, np.nan, error),
+        np.where(loose, np.nan, uncertainty),
+        np.where(whole[:, None, None], covariance, np.nan),
+    )
+
+
+def in_space(values: Array) -> Array:
+    """Errors (n, d) or covariances (n, d, d) of a plane in space: NaN along the axes that they do not have."""
+    missing = (0, 3 - values.shape[1])
+    return np.pad(values, [(0, 0), *[missing] * (values.ndim - 1)], constant_values=np.nan)
 
 
 def tables_content(tables: Iterable[MachineTable], value: Array, sigma: Array) -> dict[str, Any]:

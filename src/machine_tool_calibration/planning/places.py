@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, IntArray, gaps_around
 from machine_tool_calibration.instruments.tracking import pointing
 from machine_tool_calibration.methods.probing.geometry import touches
 from machine_tool_calibration.planning.options import Option
@@ -74,8 +74,7 @@ def _points(session: Session, description: TrackingInterferometer | RotaryAxis, 
 def further_angles(session: Session, description: Probing) -> Iterator[Option]:
     """The workpiece at an angle of C in the middle of the widest gap."""
     used = np.unique(session.readings.setup)
-    angle = np.sort(np.array([description.setups[s].c for s in used]) % (2 * np.pi))
-    gaps = np.diff(angle, append=angle[0] + 2 * np.pi)
+    angle, gaps = gaps_around(np.array([description.setups[s].c for s in used]))
     widest = int(np.argmax(gaps))
     inner = np.argmax(gaps[:-1]) if len(gaps) > 1 else widest
     proposals = {float((angle[k] + gaps[k] / 2) % (2 * np.pi)) for k in {widest, int(inner)}}

@@ -34,6 +34,8 @@ _DEGREE = 4
 _CLEAR = 3.0
 # Share of the best explanation's logarithm of probability above which another is named beside it.
 _ALIKE = 0.7
+# Share of a logarithm of probability by which rounding may change it.
+_TIE = 1e-9
 # Share of a term's largest change of a reading below which a reading does not depend on it.
 _NOTHING = 1e-6
 # Positions at which a difference is looked at, and how near to each other ranges touch, m.
@@ -120,7 +122,8 @@ def agreement(joint: JointFit, common: CommonModels, labels: Sequence[str], spre
         if not tests:
             break
         logs = [_log_tail(chi / factor, rank) for _, chi, rank in tests]
-        best = int(np.argmin(logs))
+        # Of two that are as likely (each of two sessions against the other) the first, however they are rounded.
+        best = int(np.flatnonzero(np.array(logs) <= min(logs) * (1.0 - _TIE))[0])
         p = min(1.0, float(np.exp(logs[best])) * len(tests))
         if round_ == 0:
             smallest, count = p, len(tests)

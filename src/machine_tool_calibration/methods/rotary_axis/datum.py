@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray
+from machine_tool_calibration.arrays import Array, BoolArray, gaps_around
 from machine_tool_calibration.estimation.solve import Linearised
 from machine_tool_calibration.methods.rotary_axis.geometry import TableReadings
 from machine_tool_calibration.model.model import Constraint, MethodModel, Prior, assemble
@@ -185,9 +185,7 @@ _LOOSE = 1e-3
 
 def covered_angle(table: TableReadings) -> float:
     """Turn that the read angles cover, rad: a full turn less the largest gap."""
-    angle = np.sort(np.mod(table.nodes[np.unique(table.node)], 2 * np.pi))
-    gaps = np.diff(np.r_[angle, angle[0] + 2 * np.pi])
-    return float(2 * np.pi - gaps.max())
+    return float(2 * np.pi - gaps_around(table.nodes[np.unique(table.node)])[1].max())
 
 
 def weak_places(model: MethodModel, names: list[str], nominal: Array, within: float) -> tuple[Prior, ...]:

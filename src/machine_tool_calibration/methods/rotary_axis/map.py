@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, rigid_motions
 from machine_tool_calibration.methods.rotary_axis.datum import ROTARY_DATUM
 from machine_tool_calibration.methods.rotary_axis.geometry import TableReadings
 from machine_tool_calibration.model.fit import Fit
@@ -51,11 +51,7 @@ def average_line(stations: Array, covariance: Array, nominal: Array, uncertainty
     inverse = np.zeros((6, 6))
     for _ in range(_STEPS):
         seen = turn.apply(stations)
-        columns = np.zeros((len(stations), 3, 6))
-        columns[:, :, :3] = np.eye(3)
-        for j in range(3):
-            columns[:, :, 3 + j] = np.cross(np.eye(3)[j], seen)
-        flat = columns.reshape(-1, 6)
+        flat = rigid_motions(seen).reshape(-1, 6)
         carry = np.kron(np.eye(len(stations)), turn.as_matrix())
         weight = np.linalg.inv(carry @ covariance @ carry.T + np.diag(known))
         normal = flat.T @ weight @ flat
@@ -121,10 +117,7 @@ def _position_errors(
     """(n, 3) nominal places of every target at every angle, their errors and (n, 3, 3) covariances."""
     k, t = len(table.nodes), len(targets)
     arm = np.einsum("kij,tj->kti", table.node_rotation, targets).reshape(-1, 3)
-    field = np.zeros((k * t, 3, 6))
-    field[:, :, :3] = np.eye(3)
-    for j in range(3):
-        field[:, :, 3 + j] = np.cross(np.eye(3)[j], arm)
+    field = rigid_motions(arm)
     index = own + np.arange(6)[None, :] * k + np.repeat(np.arange(k), t)[:, None]
     error = np.einsum("nij,nj->ni", field, fit.theta[index])
     inner = fit.covariance[index[:, :, None], index[:, None, :]]

@@ -119,7 +119,8 @@ def build(session: Session, model: str = "small_angles") -> StepDiagonalModel:
         nominal=observations.path,
         offsets=_offsets(session, readings),
     )
-    base = replace(base, constraints=_datum(base))
+    if not _complete(base, description.blocks):
+        base = replace(base, constraints=_datum(base))
     base = replace(base, nominal=base.nominal + _second_order(base, displacement))
     if model in ("translations", "aligned_mirror"):
         return replace(base, left_out=base.left_out + tuple(NotDetermined(t.name, _ZERO) for t in rotations))
@@ -153,8 +154,15 @@ def _offsets(session: Session, readings: Readings) -> tuple[Parameter, ...]:
     )
 
 
+def _complete(model: StepDiagonalModel, blocks: int) -> bool:
+    """Whether every run that was made was read at as many places as its moves lead to."""
+    setup = model.observations.readings.setup[np.unique(model.observations.run, return_index=True)[1]]
+    planned = np.array([len(run.order) * blocks + 1 for run in model.runs])
+    return bool((np.bincount(model.observations.run) >= planned[setup]).all())
+
+
 def _datum(model: StepDiagonalModel) -> tuple[Constraint, ...]:
-    """The tables' datum, of those values that the readings determine.
+    """The tables' datum, of those values that the readings determine; where none was lost, of all.
 
     A lost last reading of a diagonal leaves some open; the line of a straightness is then that of the others.
     """
@@ -232,7 +240,7 @@ def _with_spread(base: StepDiagonalModel, rotations: list[MachineTable]) -> Step
     for table in rotations:
         nodes = coarse_nodes(base.blocks["XYZ".index(table.name[2])])
         angle = angle_term(replace(table, nodes=nodes), base.observations, base.observations.position)
-        if _matters(angle.columns):
+        if np.abs(angle.columns).max(initial=0.0) > 1e-9:
             angles.append(angle)
     left_out = base.left_out + tuple(NotDetermined(t.name, _SMALL) for t in rotations)
     if not angles:
@@ -240,7 +248,3 @@ def _with_spread(base: StepDiagonalModel, rotations: list[MachineTable]) -> Step
     spread = Spread(tuple(angles))
     whole = replace(base, terms=base.terms + spread.terms, spread=spread, left_out=left_out, datum=base.datum + _RANDOM)
     return whole.settled()
-
-
-def _matters(columns: Array) -> bool:
-    return bool(np.abs(columns).max(initial=0.0) > 1e-9)

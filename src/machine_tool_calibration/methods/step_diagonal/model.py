@@ -5,13 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.estimation.problem import LinearPart, Part, group_rows
-from machine_tool_calibration.estimation.reduction import gram
 from machine_tool_calibration.machine.error_motions import interpolation, parse_motion
 from machine_tool_calibration.methods.step_diagonal.geometry import Run
 from machine_tool_calibration.methods.step_diagonal.profiles import Profiles, eq17, is_open
@@ -23,7 +23,7 @@ from machine_tool_calibration.methods.step_diagonal.small_angles import (
 )
 from machine_tool_calibration.methods.step_diagonal.terms import Angle
 from machine_tool_calibration.model.fit import Fit
-from machine_tool_calibration.model.model import MethodModel, NotDetermined, Parameter, Term, assemble, motion_value
+from machine_tool_calibration.model.model import MethodModel, NotDetermined, Parameter, Term, motion_value, weight_row
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.model.rigid_body import MachineTable, map_field
 
@@ -62,7 +62,7 @@ class Spread:
         """Names of their unknowns."""
         return [[parameter.name for parameter in term.parameters] for term in self.terms]
 
-    @property
+    @cached_property
     def terms(self) -> tuple[Term, ...]:
         """Their terms."""
         return tuple(
@@ -124,11 +124,15 @@ class StepDiagonalModel(MethodModel):
         if self.spread is None:
             return self
         random = {term.name for term in self.spread.terms}
-        others = tuple(term for term in self.terms if term.name not in random)
-        problem = assemble([replace(self, terms=others + self.spread.terms, priors=())]).problem
-        total, _ = gram(problem, *problem.zero)
-        first = problem.size - sum(len(nodes) for nodes, _ in self.spread.nodes)
-        posterior = normal_posterior(self.spread.nodes, total[:-1, :-1], total[:-1, -1], problem.constraints[:, :first])
+        plain = replace(self, terms=tuple(term for term in self.terms if term.name not in random))
+        place = {parameter.name: k for k, parameter in enumerate(plain.parameters)}
+        rows = [weight_row(place, constraint.weights, len(place)) for constraint in self.constraints]
+        offsets = (self.observations.run == np.arange(len(self.offsets))[:, None]).astype(float)
+        columns = (
+            np.concatenate([offsets, plain.dense(), *(angle.columns for angle in self.spread.angles)]) / self.sigma
+        )
+        right = columns @ ((self.observations.readings.displacement - self.nominal) / self.sigma)
+        posterior = normal_posterior(self.spread.nodes, columns @ columns.T, right, np.array(rows))
         spread = Spread(self.spread.angles, posterior)
         return replace(self, spread=spread, priors=angular_priors(spread.names, posterior.priors))
 
