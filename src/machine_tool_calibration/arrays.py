@@ -15,6 +15,7 @@ __all__ = [
     "BoolArray",
     "IntArray",
     "best_motion",
+    "first_of_group",
     "gaps_around",
     "group_ranges",
     "groups",
@@ -77,6 +78,12 @@ def groups(*keys: npt.NDArray[Any]) -> IntArray:
 
 def _numbers(key: npt.NDArray[Any]) -> IntArray:
     return np.unique(key, return_inverse=True)[1].reshape(-1)
+
+
+def first_of_group(*keys: npt.NDArray[Any]) -> IntArray:
+    """(n,) for each entry, the index of the first with the same keys."""
+    number = groups(*keys)
+    return np.asarray(np.unique(number, return_index=True)[1][number])
 
 
 def in_order_of_appearance(values: IntArray) -> IntArray:
