@@ -112,6 +112,15 @@ class MachineTable:
         """
         return self.weights(position) * self.scalar(position, direction)
 
+    def term(self, observations: Observations) -> Term:
+        """The motion as a term: what it displaces, and the turning of a mirror with it."""
+        position = observations.position
+        along = self.scalar(position, observations.direction)
+        turned = observations.rotation_direction
+        if turned is not None and self.is_rotation and not self.is_squareness:
+            along = along + turned[:, "ABC".index(parse_motion(self.name).component)]
+        return Term(self.name, self.parameters, self.weights(position) * along)
+
 
 def axis_nodes(positions: Array) -> Array:
     """Nodes for a table from the positions at which the axis was read.
@@ -180,7 +189,8 @@ def machine_terms(
     kept, terms, left_out = [], [], []
     basis = np.zeros((0, len(observations)))
     for table in tables:
-        columns = table.columns(observations.position, observations.direction)
+        term = table.term(observations)
+        columns = term.columns
         norms = np.linalg.norm(columns, axis=1)
         # A rotation with a short lever arm still moves micrometres per radian: compare with one metre.
         if norms.max(initial=0.0) < 1e-9 * np.sqrt(len(observations)):
@@ -208,7 +218,7 @@ def machine_terms(
         _, s, vt = np.linalg.svd(rest, full_matrices=False)
         basis = np.concatenate([basis, vt[s > _OWN_SHARE]])
         kept.append(table)
-        terms.append(Term(table.name, table.parameters, columns))
+        terms.append(term)
     return tuple(kept), tuple(terms), tuple(left_out)
 
 

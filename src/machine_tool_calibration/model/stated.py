@@ -225,9 +225,9 @@ def _averaged(joint: JointFit, problem: Problem, wide: Problem, place: IntArray,
         mean, covariance = _marginal(total, projected, root, ratios[:, place], weights, scatter)
     else:
         tried = [_at(joint, joint.random, problem, total, squares, tau[place], scatter) for tau in ratios]
-        steps, covariances = np.array([t.step for t in tried]), np.array([t.covariance for t in tried])
-        mean, covariance = _mixture(steps, covariances, weights, scatter)
-        random = tried[int(np.argmax(weights))].random
+        steps, covariances, found_random = zip(*tried, strict=True)
+        mean, covariance = _mixture(np.array(steps), np.array(covariances), weights, scatter)
+        random = found_random[int(np.argmax(weights))]
     seen = np.diag(projected)[:-1] > _SEEN * squares[m:-1]
     sizes = _sizes(joint, found, np.where(seen, squares[m:-1], 0.0), place, names, scatter)
     size = np.sqrt(weights @ ratios**2)[place] if u else np.zeros(0)
@@ -240,15 +240,6 @@ def _root(joint: JointFit, total: Array, squares: Array) -> Array:
         return covariance_root(total, squares, joint.assembly.problem.constraints)
     values, vectors = np.linalg.eigh(joint.solution.covariance)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
-
-
-@dataclass(frozen=True)
-class _Tried:
-    """Mean and covariance of all unknowns for one size of what does not reproduce."""
-
-    step: Array
-    covariance: Array
-    random: RandomPosterior
 
 
 def _widened(problem: Problem, families: Sequence[tuple[Family, ...]]) -> tuple[list[Part], IntArray, tuple[str, ...]]:
@@ -317,8 +308,8 @@ def _at(
     squares: Array,
     tau: Array,
     scatter: float,
-) -> _Tried:
-    """Mean and covariance (over the square of `scatter`) if what does not reproduce has a given size."""
+) -> tuple[Array, Array, RandomPosterior]:
+    """Mean, covariance (over the square of `scatter`) and posterior if what does not reproduce has a given size."""
     m, u = problem.size, len(tau)
     used = m + np.flatnonzero(tau > 0)
     inner = total[np.ix_(used, used)] + np.diag(tau[used - m] ** -2.0)
@@ -335,7 +326,7 @@ def _at(
     both[used, :m] = -response @ covariance
     both[:m, used] = both[used, :m].T
     both[np.ix_(used, used)] = carried[:, m + 1 :] + response @ covariance @ response.T
-    return _Tried(full, both, found)
+    return full, both, found
 
 
 def _with_random(

@@ -211,13 +211,13 @@ def _sensed_terms(
     """The tables on which some reading depends; which of them cannot be distinguished is found by the solver."""
     kept, terms, left = [], [], []
     for table in tables:
-        columns = table.columns(observations.position, observations.direction)
-        if np.abs(columns).max(initial=0.0) < 1e-9:
+        term = table.term(observations)
+        if np.abs(term.columns).max(initial=0.0) < 1e-9:
             why = "no reading depends on it: it does not move the functional point along any measured direction"
             left.append(NotDetermined(table.name, why))
             continue
         kept.append(table)
-        terms.append(Term(table.name, table.parameters, columns))
+        terms.append(term)
     return tuple(kept), tuple(terms), tuple(left)
 
 

@@ -25,8 +25,8 @@ from machine_tool_calibration.machine.error_motions import SQUARENESS, interpola
 from machine_tool_calibration.methods.direct.datum import needed_rows
 from machine_tool_calibration.methods.joint.small_angles import angles_of, expected, in_words, without_spread
 from machine_tool_calibration.methods.step_diagonal.small_angles import coarse_nodes
-from machine_tool_calibration.model.model import Constraint, MethodModel, Prior, Term, assemble, weight_row
-from machine_tool_calibration.model.observations import Observations, together
+from machine_tool_calibration.model.model import Constraint, MethodModel, Prior, assemble, weight_row
+from machine_tool_calibration.model.observations import together
 from machine_tool_calibration.model.rigid_body import (
     MachineTable,
     distinct_nodes,
@@ -37,7 +37,7 @@ from machine_tool_calibration.model.rigid_body import (
     thinned,
 )
 
-__all__ = ["CommonModels", "common_models", "machine_columns", "tables_of"]
+__all__ = ["CommonModels", "common_models", "tables_of"]
 
 # Most nodes of a table, and about how many are taken of more.
 _MOST, _FEW = 61, 31
@@ -114,17 +114,6 @@ def _compatible(one: Chain, other: Chain) -> bool:
     )
 
 
-def machine_columns(table: MachineTable, observations: Observations) -> Array:
-    """(k, n) change of each reading per unit of each of a table's unknowns, also through the turning of a mirror."""
-    columns = table.columns(observations.position, observations.direction)
-    turned = observations.rotation_direction
-    if turned is None or table.is_squareness or not table.is_rotation:
-        return columns
-    motion = parse_motion(table.name)
-    weights = interpolation(table.nodes, observations.position[:, "XYZ".index(motion.axis)])
-    return np.asarray(columns + weights * turned[:, "ABC".index(motion.component)])
-
-
 def tables_of(model: MethodModel) -> tuple[MachineTable, ...]:
     """A model's own tables of the linear axes' errors; none for a rotary axis or free targets."""
     return tuple(getattr(model, "tables", None) or ())
@@ -174,8 +163,8 @@ def _sensed_nodes(model: MethodModel, name: str) -> Array | None:
     if len(nodes) < 2:
         return None
     own = model.observations.session.description.machine.kinematics
-    columns = machine_columns(MachineTable(own, name, nodes), model.observations)
-    return nodes if np.abs(columns).max() > _SENSED else None
+    term = MachineTable(own, name, nodes).term(model.observations)
+    return nodes if np.abs(term.columns).max() > _SENSED else None
 
 
 def _union(nodes: Iterable[Array]) -> Array:
@@ -193,10 +182,10 @@ def _with_tables(model: MethodModel, tables: Sequence[MachineTable]) -> MethodMo
     # The lever arms of each session end at its own functional point.
     chain = model.observations.session.description.machine.kinematics
     for table in (replace(shared, chain=chain) for shared in tables):
-        columns = machine_columns(table, model.observations)
-        if np.abs(columns).max(initial=0.0) > _SENSED:
+        term = table.term(model.observations)
+        if np.abs(term.columns).max(initial=0.0) > _SENSED:
             kept.append(table)
-            terms.append(Term(table.name, table.parameters, columns))
+            terms.append(term)
     translate = _translation(own, kept)
     rest = model.terms[len(own) :]
     changed: dict[str, object] = {

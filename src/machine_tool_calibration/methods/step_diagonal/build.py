@@ -22,8 +22,8 @@ from machine_tool_calibration.methods.step_diagonal.geometry import (
 from machine_tool_calibration.methods.step_diagonal.model import DATUM, Spread, StepDiagonalModel
 from machine_tool_calibration.methods.step_diagonal.orders import free_angles
 from machine_tool_calibration.methods.step_diagonal.small_angles import LARGEST, NONE, SMALLEST, coarse_nodes
-from machine_tool_calibration.methods.step_diagonal.terms import angle_term, sensed_tables, tilt_terms
-from machine_tool_calibration.model.model import Constraint, Kind, NotDetermined, Parameter, Term, assemble
+from machine_tool_calibration.methods.step_diagonal.terms import Angle, sensed_tables, tilt_terms
+from machine_tool_calibration.model.model import Constraint, Kind, NotDetermined, Parameter, assemble
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.rigid_body import MachineTable, linear_axis_errors, map_field, table_datum
 from machine_tool_calibration.session.session import Readings, Session
@@ -100,8 +100,8 @@ def build(session: Session, model: str = "small_angles") -> StepDiagonalModel:
     translations = [t for t in candidates if t.is_squareness or not t.is_rotation]
     rotations = [t for t in candidates if t.is_rotation and not t.is_squareness]
     observations, displacement = _observations(session, readings, runs)
-    tables, left_out = sensed_tables(translations, blocks, observations, observations.position)
-    terms = tuple(Term(t.name, t.parameters, t.columns(observations.position, observations.direction)) for t in tables)
+    tables, left_out = sensed_tables(translations, blocks, observations)
+    terms = tuple(table.term(observations) for table in tables)
     if model != "aligned_mirror":
         terms += tilt_terms(runs, observations, displacement, model == "angular_one_mirror")
     base = StepDiagonalModel(
@@ -239,7 +239,7 @@ def _with_spread(base: StepDiagonalModel, rotations: list[MachineTable]) -> Step
     angles = []
     for table in rotations:
         nodes = coarse_nodes(base.blocks["XYZ".index(table.name[2])])
-        angle = angle_term(replace(table, nodes=nodes), base.observations, base.observations.position)
+        angle = Angle.of(replace(table, nodes=nodes), base.observations)
         if np.abs(angle.columns).max(initial=0.0) > 1e-9:
             angles.append(angle)
     left_out = base.left_out + tuple(NotDetermined(t.name, _SMALL) for t in rotations)
