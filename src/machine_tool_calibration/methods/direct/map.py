@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,7 +14,6 @@ from machine_tool_calibration.methods.direct.datum import SetupDatum
 from machine_tool_calibration.methods.direct.iso230_2 import positioning, positioning_uncertainty
 from machine_tool_calibration.methods.direct.plate import plate_steps
 from machine_tool_calibration.model.fit import Fit
-from machine_tool_calibration.model.model import Term
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.model.rigid_body import (
@@ -24,6 +23,9 @@ from machine_tool_calibration.model.rigid_body import (
     position_errors,
     tables_content,
 )
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.methods.direct.model import DirectModel
 
 __all__ = ["direct_map", "positioning_runs", "sensed_axes"]
 
@@ -110,31 +112,18 @@ def sensed_axes(direction: Array) -> BoolArray:
     return np.asarray(np.abs(direction).max(axis=0, initial=0.0) > _ACROSS)
 
 
-def direct_map(
-    observations: Observations,
-    tables: Sequence[MachineTable],
-    setups: SetupDatum,
-    effects: Sequence[Term],
-    fixed: Array,
-    fit: Fit,
-) -> ErrorMap:
+def direct_map(model: DirectModel, fit: Fit) -> ErrorMap:
     """The contract's content for `direct`.
 
     What the setups' unknowns leave open is taken out of the position errors by least squares over the points, so that
     neither the errors nor their uncertainties hinge on a single node. A direction that no reading senses is NaN
     everywhere: a term or an effect may move it, but nothing was measured there.
-
-    Args:
-        observations: the readings.
-        tables: machine errors in the model.
-        setups: what each setup leaves open.
-        effects: terms of added effects, which follow those of the tables; only displacements count.
-        fixed: (unknowns, q) what the readings leave open of setups and tables and the datum fixes.
-        fit: of the model.
     """
+    observations, tables, setups = model.observations, model.tables, model.setups
     own, n = len(setups.parameters), len(observations)
     fields = [map_field(tables, observations.position)]
-    for term in effects:
+    # Terms of added effects follow those of the tables; of them only displacements count.
+    for term in model.terms[len(tables) :]:
         size = len(term.parameters)
         fields.append(np.zeros((size, n, 3)) if term.field is None else term.field)
     # What is not sensed has no part in the map's least squares, and distinguishes no states of an effect.
@@ -145,7 +134,7 @@ def direct_map(
     points, field = observations.position[first], field[:, first]
     flat = field.reshape(len(field), 3 * len(points))
     mine = slice(own, own + len(field))
-    common = _common(flat[: len(fields[0])].T @ fixed[own:], setups, points, observations.direction)
+    common = _common(flat[: len(fields[0])].T @ model.fixed[own:], setups, points, observations.direction)
     if common.shape[1]:
         flat = flat - (common @ np.linalg.lstsq(common, flat.T, rcond=1e-9)[0]).T
     parts = flat.reshape(len(field), len(points), 3)

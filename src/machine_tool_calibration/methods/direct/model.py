@@ -128,7 +128,7 @@ class DirectModel(MethodModel):
 
     def error_map(self, fit: Fit) -> ErrorMap:
         """Position error of the fitted machine errors and effects at every point that was read."""
-        return direct_map(self.observations, self.tables, self.setups, self.terms[len(self.tables) :], self.fixed, fit)
+        return direct_map(self, fit)
 
 
 def build(session: Session, model: str = "rigid_body") -> DirectModel:

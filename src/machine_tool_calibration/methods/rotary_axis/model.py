@@ -183,7 +183,7 @@ class RotaryAxisModel(MethodModel):
 
     def error_map(self, fit: Fit) -> ErrorMap:
         """Six error motions at every angle, the targets' position errors, and where the axis average line stands."""
-        return rotary_map(self.table, self.description, self.stations, self.targets, self.loose, self.size, fit)
+        return rotary_map(self, fit)
 
 
 def _why_loose(seen: list[str], stations: list[str]) -> str:
