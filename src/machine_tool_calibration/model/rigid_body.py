@@ -114,12 +114,12 @@ class MachineTable:
 
     def term(self, observations: Observations) -> Term:
         """The motion as a term: what it displaces, and the turning of a mirror with it."""
-        position = observations.position
-        along = self.scalar(position, observations.direction)
+        columns = self.columns(observations.position, observations.direction)
         turned = observations.rotation_direction
         if turned is not None and self.is_rotation and not self.is_squareness:
-            along = along + turned[:, "ABC".index(parse_motion(self.name).component)]
-        return Term(self.name, self.parameters, self.weights(position) * along)
+            component = "ABC".index(parse_motion(self.name).component)
+            columns = columns + self.weights(observations.position) * turned[:, component]
+        return Term(self.name, self.parameters, columns)
 
 
 def axis_nodes(positions: Array) -> Array:

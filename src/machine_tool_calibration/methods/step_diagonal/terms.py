@@ -45,7 +45,11 @@ class Angle:
     @classmethod
     def of(cls, table: MachineTable, observations: Observations) -> Angle:
         """What the motion displaces and turns in these readings."""
-        return cls(table, table.term(observations).columns)
+        motion, position = parse_motion(table.name), observations.position
+        turned = observations.rotation_direction
+        assert turned is not None
+        along = table.scalar(position, observations.direction) + turned[:, "ABC".index(motion.component)]
+        return cls(table, table.weights(position) * along)
 
 
 def sensed_tables(
