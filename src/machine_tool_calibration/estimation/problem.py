@@ -230,7 +230,7 @@ class LinearPart(Part):
         """Lay the columns out in slots.
 
         Args:
-            groups: from `layout`.
+            groups: from `group_rows` or `group_points`.
             reading: (n,) measured minus what is predicted with all unknowns zero, m.
             sigma: (n,) standard uncertainty of each reading, m.
             local: (d, n) derivatives by the own unknowns of the reading's point.
@@ -288,7 +288,7 @@ class FunctionPart(Part):
         """Keep the function.
 
         Args:
-            groups: from `layout.group_rows`.
+            groups: from `group_rows`.
             sigma: (n,) standard uncertainty of each reading, m.
             linearise: from the blocks' unknowns (blocks, p) and the dense ones (K,) to the residual (n,) and the
                 derivatives of the prediction, (p, n) by the unknowns of the reading's block and (K, n).

@@ -5,7 +5,7 @@ Every session's model has tables of the machine's error motions at nodes of its 
 by itself. Put together, a table must be the same function for all: the nodes are those of all sessions that have it,
 and a session's readings depend on every motion that any session has and that moves its functional point, also on those
 that it had left out because it could not tell them from others. The angular errors that a step diagonal takes for small
-random functions are such motions too (`joint_spread`).
+random functions are such motions too (`small_angles`).
 """
 
 from __future__ import annotations

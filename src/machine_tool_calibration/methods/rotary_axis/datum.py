@@ -146,7 +146,7 @@ def unseen_motions(loose: Array, labels: Sequence[Sequence[str]], size: float) -
     """Hold what is unseen at each angle.
 
     Args:
-        loose: (K, 6, 6) from `rotary_datum.loose_motions`.
+        loose: (K, 6, 6) from `loose_motions`.
         labels: (6, K) names of the error motions' values.
         size: length by which rotations were compared with translations there, m.
     """
@@ -168,7 +168,7 @@ def unseen_names(loose: Array, labels: Sequence[Sequence[str]], sigma: float) ->
     something is unseen: single values of one that comes and goes with the angle would mean nothing.
 
     Args:
-        loose: (K, 6, 6) from `rotary_datum.loose_motions`.
+        loose: (K, 6, 6) from `loose_motions`.
         labels: (6, K) names of the error motions' values.
         sigma: standard uncertainty of a reading, m.
     """

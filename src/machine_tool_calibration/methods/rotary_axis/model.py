@@ -72,7 +72,7 @@ class RotaryAxisModel(MethodModel):
         table: the readings sorted by angle, target and run.
         stations: (S, 3) first estimates, in the frame of the axis, m.
         targets: (T, 3) first estimates, table frame at zero, m.
-        loose: (K, 6, 6) what the readings at each angle do not sense, see `rotary_datum.loose_motions`.
+        loose: (K, 6, 6) what the readings at each angle do not sense, see `datum.loose_motions`.
         size: length by which rotations were compared with translations there, m.
     """
 
