@@ -15,11 +15,14 @@ __all__ = [
     "BoolArray",
     "IntArray",
     "best_motion",
+    "first_of_group",
     "first_true",
+    "gaps_around",
     "group_ranges",
     "groups",
     "in_order_of_appearance",
     "occurrence",
+    "rigid_motions",
     "rms",
     "standard_draws",
     "unit_vectors",
@@ -93,6 +96,12 @@ def occurrence(group: IntArray) -> IntArray:
     return before
 
 
+def first_of_group(*keys: npt.NDArray[Any]) -> IntArray:
+    """(n,) for each entry, the index of the first with the same keys."""
+    number = groups(*keys)
+    return np.asarray(np.unique(number, return_index=True)[1][number])
+
+
 def in_order_of_appearance(values: IntArray) -> IntArray:
     """(n,) number of each value, from 0, in the order in which values come first."""
     _, first, number = np.unique(values, return_index=True, return_inverse=True)
@@ -137,6 +146,18 @@ def best_motion(points: Array, onto: Array) -> tuple[Array, Array]:
     sense[-1] = np.sign(np.linalg.det(left @ right))
     rotation = np.asarray((left * sense) @ right)
     return rotation, goal - rotation @ middle
+
+
+def rigid_motions(arm: Array) -> Array:
+    """(n, 3, 6) displacement of places at arms (n, 3) by a unit of each shift along and each turn about x, y, z."""
+    turns = np.cross(np.eye(3)[None], arm[:, None]).transpose(0, 2, 1)
+    return np.concatenate([np.broadcast_to(np.eye(3), turns.shape), turns], axis=2)
+
+
+def gaps_around(angle: Array) -> tuple[Array, Array]:
+    """(n,) angles in increasing order within a full turn from 0, and (n,) the gap from each to the next, rad."""
+    ordered = np.sort(np.mod(angle, 2.0 * np.pi))
+    return ordered, np.diff(ordered, append=ordered[0] + 2.0 * np.pi)
 
 
 def rms(values: Array) -> float:

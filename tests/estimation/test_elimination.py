@@ -37,7 +37,7 @@ def test_all_read(case, make_network, solve_dense):
     solution = solve(network.problem())
     agree(network, solution, solve_dense(network))
     assert solution.degrees_of_freedom == len(network.reading) - solve_dense(network).rank
-    assert solution.is_determined().all()
+    assert solution.determined.all()
     assert all(good.all() for good in solution.local_determined)
 
 

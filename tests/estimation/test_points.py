@@ -108,7 +108,7 @@ def test_a_point_that_follows_an_undetermined_station(make_network):
     constraints[:, 16:] = 0.0
     problem = type(network.problem())([network.part()], network.size, constraints, network.values)
     solution = solve(problem)
-    assert solution.is_determined().tolist() == [True] * 16 + [False] * 4
+    assert solution.determined.tolist() == [True] * 16 + [False] * 4
     assert solution.local_determined[0].all()
     result = points_in_inner_datum(network.part(), solution, 0, made.point_motion, made.theta_motion)
     assert result.determined.tolist() == [k != 0 for k in range(30)]

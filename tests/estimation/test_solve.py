@@ -12,8 +12,9 @@ import pytest
 
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation import reduction as module
+from machine_tool_calibration.estimation.normal import solve_normal
 from machine_tool_calibration.estimation.problem import FunctionPart, LinearPart, PriorRows, Problem, group_rows
-from machine_tool_calibration.estimation.solve import solve, solve_normal
+from machine_tool_calibration.estimation.solve import solve
 
 NO_DATUM = np.zeros((0, 0))
 
@@ -45,7 +46,7 @@ def test_unknowns_that_only_change_together_are_named_and_others_are_not():
     columns[2] = 2 * columns[1]
     truth = np.array([1e-6, 2e-6, 0, -3e-6])
     solution = solve(line_problem(columns, truth @ columns))
-    assert solution.is_determined().tolist() == [True, False, False, True]
+    assert solution.determined.tolist() == [True, False, False, True]
     assert np.allclose(solution.theta[[0, 3]], truth[[0, 3]], rtol=1e-9)
     (direction,) = solution.undetermined.T
     assert np.allclose(np.abs(direction), np.array([0, 2, 1, 0]) / np.sqrt(5), atol=1e-9)
@@ -56,7 +57,7 @@ def test_unknowns_that_only_change_together_are_named_and_others_are_not():
 def test_an_unknown_without_readings():
     columns = np.vstack([np.ones(5), np.zeros(5)])
     solution = solve(line_problem(columns, np.full(5, 7e-6)))
-    assert solution.is_determined().tolist() == [True, False]
+    assert solution.determined.tolist() == [True, False]
     assert solution.theta.tolist() == pytest.approx([7e-6, 0.0])
 
 
@@ -65,7 +66,7 @@ def test_the_unit_of_an_unknown_does_not_matter(unit):
     """Path-independent and path-dependent shares of the air cannot be distinguished on one path: in whatever unit."""
     columns = np.array([np.full(20, 1.0), np.full(20, 0.3 * unit), np.linspace(-1, 1, 20) * unit])
     solution = solve(line_problem(columns, 1e-6 * np.linspace(-1, 1, 20)))
-    assert solution.is_determined().tolist() == [False, False, True]
+    assert solution.determined.tolist() == [False, False, True]
     assert solution.theta[2] * unit == pytest.approx(1e-6, rel=1e-9)
 
 
@@ -73,7 +74,7 @@ def test_a_prior_decides_what_the_readings_do_not():
     columns = np.array([np.ones(9), np.ones(9)])
     priors = PriorRows(np.array([[1.0, 0.0]]), np.array([4e-6]), np.array([1e-7]))
     solution = solve(line_problem(columns, np.full(9, 5e-6), priors=priors))
-    assert solution.is_determined().all()
+    assert solution.determined.all()
     assert solution.theta.tolist() == pytest.approx([4e-6, 1e-6])
     assert solution.covariance[0, 0] == pytest.approx(1e-14)
     assert solution.degrees_of_freedom == 8

@@ -209,13 +209,13 @@ class _Conformity:
         if name == VOLUMETRIC:
             return [self.volumetric(known[POSITION_ERROR])] if POSITION_ERROR in known else []
         if name in SQUARENESS:
-            return [self.of(known[name], name, None, signed=True)] if name in known else []
+            return [self.of(known[name], None, signed=True)] if name in known else []
         if name in ERROR_MOTIONS:
             return self.motion(name)
         base = figure_of(name) or name
         if base in FIGURES:
             own = [q for q in known.values() if q.name == name or (name == base and figure_of(q.name) == base)]
-            return [self.of(q, q.name, None, signed=base == "B_mean") for q in own]
+            return [self.of(q, None, signed=base == "B_mean") for q in own]
         allowed = [*ERROR_MOTIONS, *SQUARENESS, *FIGURES, VOLUMETRIC]
         raise ModelError(
             f"{name!r} is no figure with a tolerance{did_you_mean(name, allowed)}: an error motion or squareness of "
@@ -230,18 +230,18 @@ class _Conformity:
         if name in known and known[name].count > 1:
             straight = name[1] in "XYZ" and name[2] in "XYZ" and name[1] != name[2]
             nodes = known[name].at if straight else None
-            return [self.of(known[name], name, _range if nodes is None else partial(_about_line, nodes))]
+            return [self.of(known[name], _range if nodes is None else partial(_about_line, nodes))]
         # A step diagonal gives straightness as its extent about the least-squares line, and positions as profiles.
         if axis in known and name[1] == name[2]:
             profile = known[axis]
             column = "xyz".index(axis)
             members = np.arange(profile.first + column, profile.first + profile.count, 3)
             return [_Figure(name, profile.unit, members, _range, signed=False)]
-        return [self.of(known[name], name, _only)] if name in known else []
+        return [self.of(known[name], _only)] if name in known else []
 
-    def of(self, q: Quantity, name: str, work_out: Callable[[Array], Array] | None, *, signed: bool = False) -> _Figure:
+    def of(self, q: Quantity, work_out: Callable[[Array], Array] | None, *, signed: bool = False) -> _Figure:
         """A figure of all numbers of a quantity."""
-        return _Figure(name, q.unit, np.arange(q.first, q.first + q.count), work_out, signed)
+        return _Figure(q.name, q.unit, np.arange(q.first, q.first + q.count), work_out, signed)
 
     def volumetric(self, q: Quantity) -> _Figure:
         """The largest length of the position error, of those points that can have it.

@@ -7,7 +7,7 @@ A budget and a conformity ask what other readings would change of them, whatever
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
@@ -114,10 +114,7 @@ class _Entry:
 
 def everything(fitted: FittedSessions) -> Numbers:
     """What is published of sessions: of the fit, then figures of ISO 230-2."""
-    mapped = numbers(fitted, fitted.joint)
-    iso = iso_numbers(fitted, first=len(mapped.value))
-    value, u = np.concatenate([mapped.value, iso.value]), np.concatenate([mapped.u, iso.u])
-    return Numbers(value, u, mapped.quantities + iso.quantities)
+    return _listed([*_of_fit(fitted, fitted.joint), *_of_runs(fitted)])
 
 
 def check_names(fitted: FittedSessions, names: Sequence[str]) -> None:
@@ -139,53 +136,60 @@ def numbers(fitted: FittedSessions, joint: JointFit) -> Numbers:
         fitted: the sessions' models.
         joint: a fit of these.
     """
-    error_map = fitted.map_of(joint)
-    out: list[Quantity] = []
-    first, seen = 0, set()
-    entries = [_position_error(error_map), *_content(error_map.content), *_unknowns(joint, error_map)]
-    kept = []
-    for entry in entries:
-        if entry.name in seen or not len(entry.value):
-            continue
-        seen.add(entry.name)
-        kept.append(entry)
-        out.append(Quantity(entry.name, entry.unit, first, len(entry.value), entry.where, entry.at))
-        first += len(entry.value)
-    value, u = (np.concatenate([getattr(e, key) for e in kept] or [np.zeros(0)]) for key in ("value", "u"))
-    return Numbers(value, np.where(np.isfinite(value), u, np.nan), tuple(out))
+    return _listed(_of_fit(fitted, joint))
 
 
-def iso_numbers(fitted: FittedSessions, shifts: Sequence[Array] | None = None, first: int = 0) -> Numbers:
-    """Figures of ISO 230-2 of a session of direct deviations, which its readings give without a model.
+def iso_numbers(fitted: FittedSessions, shifts: Sequence[Array]) -> Numbers:
+    """Figures of ISO 230-2 that follow when something is added to the readings, without uncertainty.
 
     Args:
         fitted: the sessions' models.
-        shifts: for each session (n,) what is added to its readings, m; the figures are without uncertainty then.
-        first: place of the first of them in the vector.
-
-    Returns:
-        Figures with the standard uncertainty that follows from the repeatability of the runs; none for several
-        sessions, which have no such figures.
+        shifts: for each session (n,) what is added to its readings, m.
     """
-    model = fitted.joint.assembly.models[0]
+    return _listed(_of_runs(fitted, shifts))
+
+
+def _listed(entries: Iterable[_Entry]) -> Numbers:
+    """Entries one after the other; of those of one name the first."""
+    kept: dict[str, _Entry] = {}
+    for entry in entries:
+        if len(entry.value):
+            kept.setdefault(entry.name, entry)
+    first = np.cumsum([0, *(len(e.value) for e in kept.values())]).tolist()
+    quantities = tuple(
+        Quantity(e.name, e.unit, at, len(e.value), e.where, e.at) for at, e in zip(first, kept.values(), strict=False)
+    )
+    value = np.concatenate([np.zeros(0), *(e.value for e in kept.values())])
+    u = np.concatenate([np.zeros(0), *(e.u for e in kept.values())])
+    return Numbers(value, np.where(np.isfinite(value), u, np.nan), quantities)
+
+
+def _of_fit(fitted: FittedSessions, joint: JointFit) -> Iterator[_Entry]:
+    error_map = fitted.map_of(joint)
+    yield _position_error(error_map)
+    yield from _content(error_map.content)
+    yield from _unknowns(joint, error_map)
+
+
+def _of_runs(fitted: FittedSessions, shifts: Sequence[Array] | None = None) -> Iterator[_Entry]:
+    """Figures of ISO 230-2 of a session of direct deviations, which its readings give without a model.
+
+    With the standard uncertainty that follows from the repeatability of the runs, unless the readings are shifted; none
+    for several sessions, which have no such figures.
+    """
     if fitted.common is not None or "iso230_2" not in fitted.error_map.content:
-        return Numbers(np.zeros(0), np.zeros(0), ())
-    observed = model.observations
+        return
+    observed = fitted.joint.assembly.models[0].observations
     if shifts is not None:
         moved = replace(observed.readings, displacement=observed.readings.displacement + shifts[0])
         observed = replace(observed, readings=moved)
     runs = positioning_runs(observed, uncertain=shifts is None)
     axes = [run["axis"] for run in runs]
-    value: list[float] = []
-    u: list[float] = []
-    out: list[Quantity] = []
     for run in runs:
         suffix = run["axis"] if axes.count(run["axis"]) == 1 else f"{run['axis']}.{run['setup']}"
         for figure in FIGURES:
-            out.append(Quantity(f"{figure}_{suffix}", "m", first + len(out), 1, _nowhere))
-            value.append(run[figure])
-            u.append(run.get(f"{figure}_U", np.nan) / 2.0)
-    return Numbers(np.array(value), np.array(u), tuple(out))
+            value, u = np.array([run[figure]]), np.array([run.get(f"{figure}_U", np.nan) / 2.0])
+            yield _Entry(f"{figure}_{suffix}", "m", value, u, _nowhere)
 
 
 def unit_of(name: str) -> str:
@@ -248,7 +252,7 @@ def _unknowns(joint: JointFit, error_map: ErrorMap) -> Iterator[_Entry]:
     """The machine's error motions that are unknowns, as tables, then every unknown by its name, as it is published."""
     published = joint.published
     sigma = np.sqrt(np.maximum(np.diag(published.covariance), 0.0))
-    good = published.is_determined()
+    good = published.determined
     nodes: dict[str, list[int]] = {}
     for k, parameter in enumerate(joint.assembly.parameters):
         if parameter.kind is Kind.MOTION and parameter.shared:

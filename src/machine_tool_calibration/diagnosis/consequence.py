@@ -107,7 +107,7 @@ def effect_estimates(fit: JointFit, effects: Sequence[str]) -> tuple[Estimate, .
     """Coefficients of effects in a fit that the data determines, as `identify` publishes them."""
     published = fit.published
     uncertainty = np.sqrt(np.maximum(np.diag(published.covariance), 0.0))
-    found = zip(fit.assembly.parameters, published.theta, uncertainty, published.is_determined(), strict=True)
+    found = zip(fit.assembly.parameters, published.theta, uncertainty, published.determined, strict=True)
     return tuple(
         Estimate.of(p, value, u) for p, value, u, good in found if good and p.kind is Kind.EFFECT and p.owner in effects
     )

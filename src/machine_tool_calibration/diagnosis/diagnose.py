@@ -26,7 +26,7 @@ from machine_tool_calibration.model.result import EffectSet, ErrorMap
 from machine_tool_calibration.residuals.noise import Noise, noise_of, same_place
 from machine_tool_calibration.residuals.outliers import Outlier, find_outliers
 from machine_tool_calibration.residuals.pool import Pool
-from machine_tool_calibration.session.provenance import Provenance, provenance
+from machine_tool_calibration.session.provenance import Provenance
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["Diagnosis", "diagnose", "mean_places"]
@@ -131,9 +131,7 @@ class Diagnosis:
     @property
     def provenance(self) -> Provenance:
         """What it was made from, with the model in which something is looked for."""
-        first = self.fitted[0]
-        model = ", ".join(dict.fromkeys(first.model_names))
-        return provenance(self.sessions, self.labels, model=model, effects=first.effects)
+        return self.fitted[0].provenance
 
     @property
     def fits(self) -> tuple[JointFit, ...]:

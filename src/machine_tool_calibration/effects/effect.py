@@ -18,7 +18,7 @@ __all__ = ["Coefficient", "Effect", "Shape", "axis_direction", "axis_unit", "tab
 
 @dataclass(frozen=True)
 class Coefficient:
-    """A linear coefficient of an effect.
+    """A coefficient of an effect; by itself a linear one.
 
     Attributes:
         name: short name in the formula.
@@ -36,24 +36,14 @@ class Coefficient:
 
 
 @dataclass(frozen=True)
-class Shape:
+class Shape(Coefficient):
     """A coefficient that enters nonlinearly: a time constant, a lead.
 
     Attributes:
-        name: short name in the formula.
-        unit: SI.
-        low: smallest plausible value.
-        high: largest plausible value.
         discrete: whether it is chosen from a list, such as a number of harmonics, and has no uncertainty.
-        meaning: what it is, in a few words.
     """
 
-    name: str
-    unit: str
-    low: float
-    high: float
     discrete: bool = False
-    meaning: str = ""
 
 
 class Effect(ABC):
@@ -106,9 +96,11 @@ class Effect(ABC):
         """Why the effect cannot be looked for in these readings; None if it can."""
         if self.methods and observations.session.method not in self.methods:
             return f"does not occur with {observations.session.method.replace('_', ' ')}"
-        why = self._not_with(observations.session.instrument)
-        if why is not None:
-            return why
+        instrument = observations.session.instrument
+        if self.instruments and instrument is None:
+            return f"the session does not say what read (instrument: {' or '.join(self.instruments)})"
+        if self.instruments and instrument not in self.instruments:
+            return f"does not occur with instrument {instrument}"
         for name in self.needs:
             values = observations.readings.columns.get(name)
             if values is None:
@@ -116,14 +108,6 @@ class Effect(ABC):
             if not np.isfinite(values).all():
                 return f"the column {name} has missing values"
         return None
-
-    def _not_with(self, instrument: str | None) -> str | None:
-        """Why the instrument that read cannot have it."""
-        if not self.instruments or instrument in self.instruments:
-            return None
-        if instrument is None:
-            return f"the session does not say what read (instrument: {' or '.join(self.instruments)})"
-        return f"does not occur with instrument {instrument}"
 
     def coefficients_for(self, observations: Observations, shape: tuple[float, ...] = ()) -> tuple[Coefficient, ...]:
         """The coefficients; effects with one set a setup, or as many as their shape says, say here how many."""

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray
-from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape
+from machine_tool_calibration.effects.effect import Coefficient, Effect
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.model.fit import Fit, JointFit, fit_models, screen, screen_joint
 from machine_tool_calibration.model.model import Kind, MethodModel, NotDetermined, Parameter, Term
@@ -85,7 +85,7 @@ def effect_term(
     return Term(effect.id, tuple(parameters), columns, field)
 
 
-def _coefficient(effect: Effect, of: Coefficient | Shape, reference: float, shared: bool) -> Parameter:
+def _coefficient(effect: Effect, of: Coefficient, reference: float, shared: bool) -> Parameter:
     return Parameter(
         f"{effect.id}.{of.name}",
         of.unit,
@@ -186,14 +186,13 @@ def common_shape(
     return shape, size
 
 
-def _without_absorbed(model: MethodModel, effects: Sequence[Effect]) -> tuple[MethodModel, list[Effect]]:
-    """The model, knowing what it takes up itself, and the other effects.
+def _without_absorbed(fit: Fit, effects: Sequence[Effect]) -> tuple[list[Effect], tuple[NotDetermined, ...]]:
+    """The effects without those that the model takes up itself.
 
     An effect that only repeats the model's own unknowns would make these undetermined and add nothing.
     """
-    observations = model.observations
-    fit = fit_models([model]).fits[0]
-    kept, absorbed = [], list(model.left_out)
+    observations = fit.model.observations
+    kept, absorbed = [], []
     for effect in effects:
         blocks = [effect.columns(observations, shape) for shape in effect.shape_grid(observations)]
         screened = screen(fit, np.concatenate([np.zeros((0, len(observations))), *blocks]))
@@ -202,17 +201,17 @@ def _without_absorbed(model: MethodModel, effects: Sequence[Effect]) -> tuple[Me
             kept.append(effect)
         else:
             absorbed.append(NotDetermined(effect.id, _TAKEN_UP, effect.id))
-    return replace(model, left_out=tuple(absorbed)), kept
+    return kept, tuple(absorbed)
 
 
-def _determined_columns(model: MethodModel, terms: Sequence[Term]) -> tuple[list[Term], tuple[NotDetermined, ...]]:
+def _determined_columns(fit: Fit, terms: Sequence[Term]) -> tuple[list[Term], tuple[NotDetermined, ...]]:
     """The terms without single columns that the model takes up, such as a shift with a temperature that stood still.
 
     Left in, such a column would make the model's own unknowns undetermined.
     """
     if not terms:
         return [], ()
-    screened = screen(fit_models([model]).fits[0], np.concatenate([term.columns for term in terms]))
+    screened = screen(fit, np.concatenate([term.columns for term in terms]))
     seen = np.diag(screened.gram)[:-1] > ABSORBED * screened.squares[:-1]
     kept, left, first = [], [], 0
     for term in terms:
@@ -228,16 +227,14 @@ def _with_columns(term: Term, keep: BoolArray) -> Term:
     return Term(term.name, parameters, term.columns[keep], None if term.field is None else term.field[keep])
 
 
-def _without_repeated_columns(
-    model: MethodModel, terms: Sequence[Term]
-) -> tuple[list[Term], tuple[NotDetermined, ...]]:
+def _without_repeated_columns(fit: Fit, terms: Sequence[Term]) -> tuple[list[Term], tuple[NotDetermined, ...]]:
     """The terms without columns that only repeat others: the straight part of EXX beside a scale of X.
 
     Simple effects come first: of a polynomial, what a scale or a squareness says already is left out.
     """
     if len(terms) < 2:
         return list(terms), ()
-    screened = screen(fit_models([model]).fits[0], np.concatenate([term.columns for term in terms]))
+    screened = screen(fit, np.concatenate([term.columns for term in terms]))
     scale = np.sqrt(np.maximum(np.diag(screened.gram)[:-1], np.finfo(float).tiny))
     inner = screened.gram[:-1, :-1] / np.outer(scale, scale)
     seen = scale**2 > ABSORBED * screened.squares[:-1]
@@ -287,12 +284,13 @@ def add_effects(model: MethodModel, effects: Sequence[Effect]) -> MethodModel:
             raise ModelError(f"effect {effect.id}: {why}")
     if not effects:
         return model
-    model, effects = _without_absorbed(model, effects)
+    bare = fit_models([model]).fits[0]
+    effects, absorbed = _without_absorbed(bare, effects)
     linear = [effect for effect in effects if not effect.shapes]
     curved = [effect for effect in effects if effect.shapes]
-    terms, taken_up = _determined_columns(model, [effect_term(effect, observations) for effect in linear])
-    terms, repeated = _without_repeated_columns(model, terms)
-    base = replace(model, left_out=model.left_out + taken_up + repeated).with_terms(terms)
+    terms, taken_up = _determined_columns(bare, [effect_term(effect, observations) for effect in linear])
+    terms, repeated = _without_repeated_columns(bare, terms)
+    base = replace(model, left_out=model.left_out + absorbed + taken_up + repeated).with_terms(terms)
     shapes: dict[str, tuple[tuple[float, ...], Array]] = {}
     # One after the other, and once more each with the others at their best.
     for _ in range(2 if len(curved) > 1 else 1):

@@ -40,9 +40,12 @@ class ThermalExpansion(Effect):
         )
         self.needs = (axis, f"temperature_{axis}")
 
+    def temperature(self, observations: Observations, shape: tuple[float, ...]) -> Array:
+        """(n,) of the structure, degrees Celsius: that of the axis's sensor."""
+        return observations.readings.column(f"temperature_{self.axis}")
+
     def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
         """Position times excess temperature, and minus the excess temperature, along the axis."""
-        readings = observations.readings
-        excess = readings.column(f"temperature_{self.axis}") - REFERENCE_TEMPERATURE
+        excess = self.temperature(observations, shape) - REFERENCE_TEMPERATURE
         along = observations.direction @ axis_unit(self.axis)
-        return np.asarray([excess * readings.column(self.axis) * along, -excess * along])
+        return np.asarray([excess * observations.readings.column(self.axis) * along, -excess * along])

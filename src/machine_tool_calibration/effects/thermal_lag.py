@@ -8,8 +8,8 @@ from itertools import accumulate
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape, axis_unit
-from machine_tool_calibration.effects.thermal_expansion import REFERENCE_TEMPERATURE
+from machine_tool_calibration.effects.effect import Shape
+from machine_tool_calibration.effects.thermal_expansion import ThermalExpansion
 from machine_tool_calibration.model.observations import Observations
 
 __all__ = ["ThermalLag", "followed"]
@@ -17,7 +17,7 @@ __all__ = ["ThermalLag", "followed"]
 _GRID = 12
 
 
-class ThermalLag(Effect):
+class ThermalLag(ThermalExpansion):
     """The structure follows its temperature sensor with a first-order lag: tau T' = T_sensor - T.
 
     At the start of the session structure and sensor are taken to be equally warm; between readings the sensor's
@@ -25,35 +25,26 @@ class ThermalLag(Effect):
     special case without lag. A lag longer than the session shows a rate of change only.
     """
 
-    kind = "position"
     source = "ISO 230-3; first-order lag, ISO/TR 16015, thermal inertia"
 
     def __init__(self, axis: str) -> None:
         """Delayed expansion of x, y or z."""
-        self.axis = axis
+        super().__init__(axis)
+        self.contains = (self.id,)
         self.id = f"thermal_lag_{axis}"
         self.title = f"thermal expansion of {axis.upper()} behind its sensor"
         self.formula = f"e_{axis} = (temperature_{axis} delayed by tau - 20) (k {axis} - q)"
-        self.coefficients = (
-            Coefficient("k", "1/K", -2e-4, 2e-4, "expansion coefficient"),
-            Coefficient("q", "m/K", -5e-5, 5e-5, "expansion coefficient times the position of the fixed point"),
-        )
         self.shapes = (Shape("tau", "s", 10.0, 1e5, meaning="time constant"),)
-        self.needs = (axis, f"temperature_{axis}", "time")
-        self.contains = (f"thermal_expansion_{axis}",)
+        self.needs = (*self.needs, "time")
 
     def shape_grid(self, observations: Observations) -> list[tuple[float, ...]]:
         """Time constants from a fiftieth of the session to its whole length."""
         length = float(np.ptp(observations.readings.column("time"))) or 1.0
         return [(float(tau),) for tau in np.geomspace(length / 50, length, _GRID)]
 
-    def columns(self, observations: Observations, shape: tuple[float, ...] = ()) -> Array:
-        """As for the thermal expansion, with the delayed temperature."""
-        readings = observations.readings
-        late = followed(readings.column("time"), readings.column(f"temperature_{self.axis}"), shape[0])
-        excess = late - REFERENCE_TEMPERATURE
-        along = observations.direction @ axis_unit(self.axis)
-        return np.asarray([excess * readings.column(self.axis) * along, -excess * along])
+    def temperature(self, observations: Observations, shape: tuple[float, ...]) -> Array:
+        """What follows the sensor's."""
+        return followed(observations.readings.column("time"), super().temperature(observations, shape), shape[0])
 
 
 def followed(time: Array, value: Array, lag: float) -> Array:

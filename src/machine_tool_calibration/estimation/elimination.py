@@ -22,9 +22,9 @@ __all__ = [
     "Rows",
     "cholesky",
     "forward",
+    "gram_of_each",
     "inverse",
     "local_columns",
-    "local_normal",
     "local_step",
     "null_vector",
     "raw_squares",
@@ -98,6 +98,17 @@ class Rows:
     local: Array
     block: Array
     dense: Array
+
+    def left(self, block: Array, dense: Array) -> Array:
+        """(S, n) residual that is left by a change of each slot's block (S, p) and of the dense unknowns (K,)."""
+        left: Array = self.residual - np.einsum("psn,sp->sn", self.block, block)
+        if len(dense):
+            left -= np.tensordot(dense, self.dense, axes=1)
+        return left
+
+    def times(self, factor: Array) -> Rows:
+        """Every reading times a factor (S, n)."""
+        return Rows(self.residual * factor, self.local * factor, self.block * factor, self.dense * factor)
 
     def pick(self, points: slice | IntArray) -> Rows:
         """Some of the points."""
@@ -186,14 +197,14 @@ def inverse(matrix: Array) -> Array:
     return out
 
 
-def local_normal(rows: Rows) -> Array:
-    """(d, d, n) normal matrices of the points' own unknowns."""
-    d, _, n = rows.local.shape
-    normal = np.empty((d, d, n))
+def gram_of_each(columns: Array) -> Array:
+    """(d, d, n) inner products of d columns (d, r, n) for each point: of `local` the points' normal matrices."""
+    d, _, n = columns.shape
+    out = np.empty((d, d, n))
     for a in range(d):
         for b in range(a + 1):
-            normal[a, b] = normal[b, a] = np.einsum("sn,sn->n", rows.local[a], rows.local[b])
-    return normal
+            out[a, b] = out[b, a] = np.einsum("rn,rn->n", columns[a], columns[b])
+    return out
 
 
 def local_columns(rows: Rows, place: IntArray) -> Array:
@@ -244,31 +255,12 @@ def reduced_gram(rows: Rows, place: IntArray) -> Array:
     if d == 0 or not by_vector:
         return _gram_by_factors(rows, place)
     vector, sound = null_vector(rows.local)
-    columns = _combined(rows, place, vector)
+    columns = local_columns(replace(rows, local=vector[None]), place)[:, 0]
     gram = columns @ columns.T
     others = np.flatnonzero(~sound)
     if len(others):
         gram += _gram_by_factors(rows.pick(others), place)
     return np.asarray(gram)
-
-
-def _combined(rows: Rows, place: IntArray, vector: Array) -> Array:
-    """(B p + K + 1, n) the readings' columns, combined by one vector (S, n) for each point."""
-    p, slots, n = rows.block.shape
-    dense, first = len(rows.dense), p * (int(place.max()) + 1)
-    out = np.empty((first + dense + 1, n))
-    empty = set(place.tolist())
-    for s in range(slots):
-        block, target = rows.block[:, s], out[place[s] * p : (place[s] + 1) * p]
-        if place[s] in empty:
-            np.multiply(block, vector[s], out=target)
-            empty.remove(int(place[s]))
-        else:
-            target += block * vector[s]
-    for k in range(dense):
-        np.einsum("sn,sn->n", rows.dense[k], vector, out=out[first + k])
-    np.einsum("sn,sn->n", rows.residual, vector, out=out[-1])
-    return out
 
 
 def _gram_by_factors(rows: Rows, place: IntArray) -> Array:
@@ -289,7 +281,7 @@ def _gram_by_factors(rows: Rows, place: IntArray) -> Array:
         gram[tail, own] = gram[own, tail].T
     if rows.local.shape[0]:
         # The points' few columns are made orthonormal rather than the many that are projected off them.
-        factor, _ = cholesky(local_normal(rows))
+        factor, _ = cholesky(gram_of_each(rows.local))
         unit = forward(factor, rows.local.transpose(1, 0, 2).copy()).transpose(1, 0, 2)
         seen = local_columns(replace(rows, local=unit), place).reshape(size, -1)
         gram -= seen @ seen.T
@@ -315,9 +307,6 @@ def local_step(rows: Rows, block_step: Array, dense_step: Array) -> tuple[Array,
     Returns:
         (d, n) the step; an unknown that its readings do not determine stays. (d, n) which are determined.
     """
-    rest = rows.residual - np.einsum("psn,sp->sn", rows.block, block_step)
-    if len(dense_step):
-        rest -= np.tensordot(dense_step, rows.dense, axes=1)
-    factor, determined = cholesky(local_normal(rows))
-    right = np.einsum("dsn,sn->dn", rows.local, rest)[None]
+    factor, determined = cholesky(gram_of_each(rows.local))
+    right = np.einsum("dsn,sn->dn", rows.local, rows.left(block_step, dense_step))[None]
     return backward(factor, forward(factor, right))[0], determined

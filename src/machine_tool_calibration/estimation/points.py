@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
-from machine_tool_calibration.estimation.elimination import Rows, inverse, local_columns, local_normal
+from machine_tool_calibration.estimation.elimination import Rows, gram_of_each, inverse, local_columns
 from machine_tool_calibration.estimation.problem import CHUNK, Part
 from machine_tool_calibration.estimation.reduction import over_chunks, single_blas
 from machine_tool_calibration.estimation.solve import Solution
@@ -127,7 +127,7 @@ class _Work:
         """(m + 2 t + 1, t) sums over points of F^T H^-1 C, C^T C, C^T H^-1 C and u^T C."""
         points = self.part.groups[group].pick(chunk)
         rows = self.part.rows(group, chunk, self.theta, self.local)
-        normal_inverse = inverse(local_normal(rows))
+        normal_inverse = inverse(gram_of_each(rows.local))
         self.covariance[:, :, points] = normal_inverse
         seen, index = _seen(self.part, group, rows)
         if self.loose.shape[1]:
@@ -165,11 +165,11 @@ class _Work:
         own = self.covariance[:, :, points]
         d, _, n = own.shape
         seen, index = _seen(self.part, group, rows)
-        spread = _gram((self.half[index].T @ seen.reshape(len(index), -1)).reshape(-1, d, n))
+        spread = gram_of_each((self.half[index].T @ seen.reshape(len(index), -1)).reshape(-1, d, n).transpose(1, 0, 2))
         left = _product(own, spread)
         if self.t:
             # The point's own noise moves the datum, too.
-            share = _gram(np.tensordot(self.datum_half, self.motion(points), axes=(0, 1)))
+            share = gram_of_each(np.tensordot(self.datum_half, self.motion(points), axes=(0, 1)).transpose(1, 0, 2))
             share *= 2.0
             if not self.determined[points].all():
                 share *= self.determined[points]
@@ -190,16 +190,6 @@ def _seen(part: Part, group: int, rows: Rows) -> tuple[Array, IntArray]:
     """(c, d, n) F^T: products of the shared unknowns' columns with the points', and their places."""
     layout = part.groups[group]
     return local_columns(rows, layout.place)[:-1], part.columns(group)
-
-
-def _gram(columns: Array) -> Array:
-    """(d, d, n) sums over r of the products of columns (r, d, n)."""
-    _, d, n = columns.shape
-    out = np.empty((d, d, n))
-    for a in range(d):
-        for b in range(a + 1):
-            out[a, b] = out[b, a] = np.einsum("rn,rn->n", columns[:, a], columns[:, b])
-    return out
 
 
 def _product(left: Array, right: Array) -> Array:

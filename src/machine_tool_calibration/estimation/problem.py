@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,7 +18,18 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.estimation.elimination import Rows
 
-__all__ = ["CHUNK", "FunctionPart", "Group", "LinearPart", "Part", "PriorRows", "Problem", "group_points", "group_rows"]
+__all__ = [
+    "CHUNK",
+    "FunctionPart",
+    "Group",
+    "LinearPart",
+    "Part",
+    "PartAround",
+    "PriorRows",
+    "Problem",
+    "group_points",
+    "group_rows",
+]
 
 
 # Below this share of filled slots it pays to sort the points by what was read of them.
@@ -179,6 +190,25 @@ class Part(ABC):
         """(B p + K,) places in the shared vector of a group's distinct blocks and of the dense unknowns."""
         return np.concatenate([self.block_index[self.groups[group].blocks].reshape(-1), self.dense_index])
 
+    def block_of_reading(self) -> IntArray:
+        """(n,) block (setup) of each reading."""
+        out = np.zeros(self.n_readings, dtype=np.int64)
+        for group in self.groups:
+            there = group.rows >= 0
+            out[group.rows[there]] = np.broadcast_to(group.block[:, None], group.rows.shape)[there]
+        return out
+
+
+class PartAround(Part):
+    """Another part with rows that are changed in some way."""
+
+    def __init__(self, inner: Part) -> None:
+        """Lie in memory as the other part does."""
+        self.inner = inner
+        self.groups, self.block_index, self.dense_index = inner.groups, inner.block_index, inner.dense_index
+        self.dimension, self.n_points = inner.dimension, inner.n_points
+        self.n_readings, self.linear = inner.n_readings, inner.linear
+
 
 class LinearPart(Part):
     """Readings that depend linearly on every unknown."""
@@ -200,7 +230,7 @@ class LinearPart(Part):
         """Lay the columns out in slots.
 
         Args:
-            groups: from `layout`.
+            groups: from `group_rows` or `group_points`.
             reading: (n,) measured minus what is predicted with all unknowns zero, m.
             sigma: (n,) standard uncertainty of each reading, m.
             local: (d, n) derivatives by the own unknowns of the reading's point.
@@ -232,14 +262,12 @@ class LinearPart(Part):
 
     def rows(self, group: int, chunk: slice, theta: Array, local: Array) -> Rows:
         """The weighted columns; the residual is taken at the given unknowns."""
-        reading, g, b, dense = (values[..., chunk] for values in self._slots[group])
+        rows = Rows(*(values[..., chunk] for values in self._slots[group]))
         layout = self.groups[group]
-        residual = reading - np.einsum("psn,sp->sn", b, theta[self.block_index[layout.block]])
-        if len(self.dense_index):
-            residual -= np.tensordot(theta[self.dense_index], dense, axes=1)
+        residual = rows.left(theta[self.block_index[layout.block]], theta[self.dense_index])
         if self.dimension:
-            residual -= np.einsum("dsn,dn->sn", g, local[:, layout.pick(chunk)])
-        return Rows(residual, g, b, dense)
+            residual -= np.einsum("dsn,dn->sn", rows.local, local[:, layout.pick(chunk)])
+        return replace(rows, residual=residual)
 
 
 class FunctionPart(Part):
@@ -260,7 +288,7 @@ class FunctionPart(Part):
         """Keep the function.
 
         Args:
-            groups: from `layout.group_rows`.
+            groups: from `group_rows`.
             sigma: (n,) standard uncertainty of each reading, m.
             linearise: from the blocks' unknowns (blocks, p) and the dense ones (K,) to the residual (n,) and the
                 derivatives of the prediction, (p, n) by the unknowns of the reading's block and (K, n).
@@ -321,7 +349,12 @@ class Problem:
     size: int
     constraints: Array
     constraint_values: Array
-    priors: PriorRows | None = field(default=None)
+    priors: PriorRows | None = None
+
+    @property
+    def zero(self) -> tuple[Array, list[Array]]:
+        """All unknowns at zero: (m,) the shared ones, and per part (d, n_points) the points' own."""
+        return np.zeros(self.size), [np.zeros((part.dimension, part.n_points)) for part in self.parts]
 
     @property
     def n_readings(self) -> int:

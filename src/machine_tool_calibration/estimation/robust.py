@@ -17,12 +17,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg
 
-from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.estimation.elimination import Rows, local_step
-from machine_tool_calibration.estimation.problem import Part, Problem
+from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.estimation.elimination import Rows
+from machine_tool_calibration.estimation.problem import Part, PartAround, Problem
 from machine_tool_calibration.estimation.reduction import gram, over_chunks, single_blas
+from machine_tool_calibration.estimation.solve import local_steps
 
-__all__ = ["FAR", "Reweighted", "RobustStart", "blocks_of", "robust_start", "scaled_residuals"]
+__all__ = ["FAR", "Reweighted", "RobustStart", "robust_start", "scaled_residuals"]
 
 _TUNING = 1.345
 # Residuals beyond so many times the scale count less than by Huber.
@@ -44,7 +45,7 @@ FAR = 0.01
 _HOLD = 1e-10
 
 
-class Reweighted(Part):
+class Reweighted(PartAround):
     """A part with a further weight for each reading; optionally with its columns as they are at one place."""
 
     def __init__(self, part: Part, weight: Array, at: tuple[Array, Array] | None = None) -> None:
@@ -55,37 +56,31 @@ class Reweighted(Part):
             weight: (n,) factor on the inverse of each reading's variance.
             at: shared unknowns and points at which the readings are linearised for good; if absent, wherever asked.
         """
-        self.groups = part.groups
-        self.block_index, self.dense_index = part.block_index, part.dense_index
-        self.dimension, self.n_points, self.n_readings = part.dimension, part.n_points, part.n_readings
+        super().__init__(part)
         self.linear = part.linear or at is not None
-        self._part, self._at = part, at
+        self._at = at
         self._root = np.sqrt(weight)
         self._kept: dict[tuple[int, int, int], Rows] = {}
 
     def weighted(self, weight: Array) -> Reweighted:
         """The same with other weights."""
-        other = Reweighted(self._part, weight, self._at)
+        other = Reweighted(self.inner, weight, self._at)
         other._kept = self._kept
         return other
 
     def rows(self, group: int, chunk: slice, theta: Array, local: Array) -> Rows:
         """The part's rows with the further weights."""
-        rows = self._linearised(group, chunk, theta, local)
-        root = self._root[self.groups[group].rows[:, chunk]]
-        return Rows(rows.residual * root, rows.local * root, rows.block * root, rows.dense * root)
+        return self._linearised(group, chunk, theta, local).times(self._root[self.groups[group].rows[:, chunk]])
 
     def _linearised(self, group: int, chunk: slice, theta: Array, local: Array) -> Rows:
         if self._at is None:
-            return self._part.rows(group, chunk, theta, local)
+            return self.inner.rows(group, chunk, theta, local)
         key = (group, chunk.start, chunk.stop)
         if key not in self._kept:
-            self._kept[key] = self._part.rows(group, chunk, *self._at)
+            self._kept[key] = self.inner.rows(group, chunk, *self._at)
         rows, layout = self._kept[key], self.groups[group]
         change = theta - self._at[0]
-        residual = rows.residual - np.einsum("psn,sp->sn", rows.block, change[self.block_index[layout.block]])
-        if len(self.dense_index):
-            residual -= np.tensordot(change[self.dense_index], rows.dense, axes=1)
+        residual = rows.left(change[self.block_index[layout.block]], change[self.dense_index])
         if self.dimension:
             points = layout.pick(chunk)
             residual -= np.einsum("dsn,dn->sn", rows.local, local[:, points] - self._at[1][:, points])
@@ -107,16 +102,6 @@ def scaled_residuals(part: Part, theta: Array, local: Array) -> Array:
     return out
 
 
-def blocks_of(part: Part) -> IntArray:
-    """(n,) block (setup) of each reading."""
-    out = np.zeros(part.n_readings, dtype=np.int64)
-    for group in part.groups:
-        there = group.rows >= 0
-        out[group.rows[there]] = np.broadcast_to(group.block[:, None], group.rows.shape)[there]
-    return out
-
-
-@single_blas()
 class RobustStart(NamedTuple):
     """Where gross errors have little say.
 
@@ -131,15 +116,18 @@ class RobustStart(NamedTuple):
     residuals: list[Array]
 
 
-def robust_start(problem: Problem, unknowns: int) -> RobustStart:
+@single_blas()
+def robust_start(problem: Problem, unknowns: int | None = None) -> RobustStart:
     """Shared unknowns, points, and residuals over the declared uncertainty, little moved by gross errors.
 
     Args:
         problem: readings, datum and priors.
-        unknowns: about how many unknowns the readings fix, points included.
+        unknowns: about how many unknowns the readings fix, points included; the shared ones that the datum leaves, if
+            absent.
     """
-    theta = np.zeros(problem.size)
-    local = [np.zeros((part.dimension, part.n_points)) for part in problem.parts]
+    if unknowns is None:
+        unknowns = problem.size - len(problem.constraints)
+    theta, local = problem.zero
     weights = [_first_weights(part, theta, own) for part, own in zip(problem.parts, local, strict=True)]
     spare = max(1.0 - unknowns / problem.n_readings, 0.1)
     residuals: list[Array] = []
@@ -162,7 +150,7 @@ def robust_start(problem: Problem, unknowns: int) -> RobustStart:
 def _first_weights(part: Part, theta: Array, local: Array) -> Array:
     """What is off by far at the nominal places counts little: it would lead the first step astray."""
     off = scaled_residuals(part, theta, local)
-    block = blocks_of(part)
+    block = part.block_of_reading()
     for b in np.unique(block):
         mine = block == b
         off[mine] -= np.median(off[mine])
@@ -182,10 +170,7 @@ def _at_one_place(
         weighted = replace(problem, parts=parts)
         step = _step(weighted, theta, local)
         here = theta + step
-        own = [
-            _points(part, theta, points, step) if part.dimension else points
-            for part, points in zip(parts, local, strict=True)
-        ]
+        own = list(local_steps(weighted, theta, local, step))
         residuals = [scaled_residuals(part, here, points) for part, points in zip(plain, own, strict=True)]
         size = np.abs(np.concatenate(residuals))
         scale = max(float(np.median(size)) / (0.6745 * np.sqrt(spare)), _LEAST)
@@ -221,18 +206,3 @@ def _step(problem: Problem, theta: Array, local: Sequence[Array]) -> Array:
     except linalg.LinAlgError:
         values = np.linalg.lstsq(matrix, right, rcond=1e-12)[0]
     return np.asarray(values / scale)
-
-
-def _points(part: Part, theta: Array, local: Array, step: Array) -> Array:
-    """The points' unknowns after a step of the shared ones."""
-    moved = local.copy()
-
-    def work(group: int, chunk: slice) -> Array:
-        layout = part.groups[group]
-        rows = part.rows(group, chunk, theta, local)
-        change, _ = local_step(rows, step[part.block_index[layout.block]], step[part.dense_index])
-        moved[:, layout.pick(chunk)] += change
-        return change[:, :0]
-
-    over_chunks(part, work)
-    return moved

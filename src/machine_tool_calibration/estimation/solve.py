@@ -15,7 +15,7 @@ from machine_tool_calibration.estimation.normal import Normal, solve_normal
 from machine_tool_calibration.estimation.problem import Part, Problem
 from machine_tool_calibration.estimation.reduction import gram, over_chunks, single_blas
 
-__all__ = ["Solution", "gram", "local_steps", "over_chunks", "solve", "solve_normal"]
+__all__ = ["Linearised", "Solution", "local_steps", "solve"]
 
 _MAX_STEPS = 40
 # Gain of a step that ends the iteration, weighted sum of squares: the step was a hundredth of an uncertainty,
@@ -58,27 +58,31 @@ class Solution:
     degrees_of_freedom: int
     steps: int
 
-    def is_determined(self) -> BoolArray:
-        """(m,) whether each shared unknown is fixed by readings and datum."""
-        return self.determined
-
     def loose_directions(self) -> Array:
         """(m, k) the undetermined directions, exactly zero in what is determined."""
         return np.where(self.determined[:, None], 0.0, self.undetermined)
 
 
 @dataclass(frozen=True)
-class _Base:
-    """Where the readings were linearised last."""
+class Linearised:
+    """A problem with its readings linearised at some place.
+
+    Attributes:
+        problem: readings, datum and priors.
+        theta: (m,) the shared unknowns there.
+        local: per part, (d, n_points) the points' own.
+        total: (m + 1, m + 1) reduced Gram matrix of the shared unknowns and the residual.
+        squares: (m,) squared norms of the unknowns' columns before the points were eliminated.
+    """
 
     problem: Problem
     theta: Array
-    local: list[Array]
+    local: Sequence[Array]
     total: Array
     squares: Array
 
     @classmethod
-    def at(cls, problem: Problem, theta: Array, local: list[Array]) -> _Base:
+    def at(cls, problem: Problem, theta: Array, local: Sequence[Array]) -> Linearised:
         """Linearise there."""
         total, squares = gram(problem, theta, local)
         return cls(problem, theta, local, total, squares[:-1])
@@ -88,7 +92,7 @@ class _Base:
         """Weighted sum of squared residuals."""
         return float(self.total[-1, -1])
 
-    def normal(self, damping: float) -> Normal:
+    def normal(self, damping: float = 0.0) -> Normal:
         """Solution of the normal equations, damped as by Levenberg and Marquardt."""
         if not np.isfinite(self.cost):
             raise ModelError("the fit does not converge: a predicted reading is not finite; check the first estimates")
@@ -148,23 +152,22 @@ def solve(problem: Problem, theta: Array | None = None, local: Sequence[Array] |
     Raises:
         ModelError: the iteration does not converge.
     """
-    here = np.zeros(problem.size) if theta is None else theta
-    own = [np.zeros((p.dimension, p.n_points)) if local is None else local[i] for i, p in enumerate(problem.parts)]
-    base = _Base.at(problem, here, own)
+    zero, points = problem.zero
+    base = Linearised.at(problem, zero if theta is None else theta, points if local is None else local)
     if all(part.linear for part in problem.parts):
-        normal = base.normal(0.0)
+        normal = base.normal()
         return base.solution(normal, base.after(normal.step), normal, 1)
     # The first step may cost something: it leads to where the constraints hold.
-    normal = base.normal(0.0)
+    normal = base.normal()
     moved = base.after(normal.step)
-    base = _Base.at(problem, moved[0], moved[1])
+    base = Linearised.at(problem, moved[0], moved[1])
     damping, little = 0.0, 0
     for count in range(2, _MAX_STEPS + 1):
         normal = base.normal(damping)
         moved = base.after(normal.step)
         if normal.gain < _GAIN and not damping:
             return base.solution(normal, moved, normal, count)
-        trial = _Base.at(problem, moved[0], moved[1])
+        trial = Linearised.at(problem, moved[0], moved[1])
         if not trial.cost <= base.cost + _GAIN + 1e-9 * base.cost:
             damping = max(_HARDER * damping, _LEAST_DAMPING)
             if damping > _MOST_DAMPING:
@@ -175,7 +178,7 @@ def solve(problem: Problem, theta: Array | None = None, local: Sequence[Array] |
         damping = damping / _SOFTER if damping > _LEAST_DAMPING else 0.0
         if little >= _OFTEN:
             normal = base.normal(damping)
-            return base.solution(normal, base.after(normal.step), base.normal(0.0), count)
+            return base.solution(normal, base.after(normal.step), base.normal(), count)
     raise ModelError(f"the fit does not converge in {_MAX_STEPS} steps; check positions of stations and targets")
 
 

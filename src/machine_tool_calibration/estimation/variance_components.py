@@ -19,7 +19,7 @@ from scipy.special import logsumexp
 
 from machine_tool_calibration.arrays import Array, IntArray, groups
 from machine_tool_calibration.estimation.elimination import Rows
-from machine_tool_calibration.estimation.problem import Part
+from machine_tool_calibration.estimation.problem import Part, PartAround
 
 __all__ = [
     "DECLARED_WORTH",
@@ -191,7 +191,7 @@ Functions = tuple[IntArray, Array]
 """(n,) group of each reading, -1 for none, and (d, n) values of its group's d functions."""
 
 
-class WidenedPart(Part):
+class WidenedPart(PartAround):
     """The readings of a part, with the coefficients of random functions as further unknowns.
 
     They enter as unknowns of the blocks, so that their cost is that of the few functions that a block's readings see,
@@ -206,14 +206,8 @@ class WidenedPart(Part):
             families: what does not reproduce.
             first: place of the first coefficient in the shared vector; family after family, group after group.
         """
-        self.inner = inner
-        self.groups, self.dense_index = inner.groups, inner.dense_index
-        self.dimension, self.n_points = inner.dimension, inner.n_points
-        self.n_readings, self.linear = inner.n_readings, inner.linear
-        block = np.full(inner.n_readings, -1, dtype=np.int64)
-        for layout in inner.groups:
-            there = layout.rows >= 0
-            block[layout.rows[there]] = np.broadcast_to(layout.block[:, None], layout.rows.shape)[there]
+        super().__init__(inner)
+        block = inner.block_of_reading()
         indices, columns, place = [inner.block_index], [], first
         for group, shapes in families:
             index, own = _by_block(block, len(inner.block_index), group, shapes)
@@ -239,7 +233,7 @@ def _by_block(block: IntArray, blocks: int, group: IntArray, shapes: Array) -> t
     of zero.
     """
     d, n = shapes.shape
-    there = np.flatnonzero((group >= 0) & (block >= 0))
+    there = np.flatnonzero(group >= 0)
     which = groups(block[there], group[there])
     first = np.full(int(which.max(initial=-1)) + 1, len(there))
     np.minimum.at(first, which, np.arange(len(there)))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, rms
+from machine_tool_calibration.arrays import Array, BoolArray, rigid_motions, rms
 from machine_tool_calibration.methods.axis_tables import AxisTables
 from machine_tool_calibration.model.result import ErrorMap
 
@@ -100,11 +100,8 @@ def _residual_error(name: str, before: Array, after: Array, spread: Array) -> Re
 
 def _without_motion(points: Array, error: Array, known: Array) -> Array:
     """(n, 3) the error less its least-squares shift and turn; zero where it is not known."""
-    arm = points - points.mean(axis=0)
-    columns = [np.tile(np.eye(3)[j], (len(points), 1)) for j in range(3)]
-    columns += [np.cross(np.eye(3)[j], arm) for j in range(3)]
     mask = known.ravel().astype(float)
-    matrix = np.stack([column.ravel() * mask for column in columns], axis=1)
+    matrix = rigid_motions(points - points.mean(axis=0)).reshape(-1, 6) * mask[:, None]
     size = np.linalg.norm(matrix, axis=0)
     matrix = matrix[:, size > 1e-12] / size[size > 1e-12]
     fitted = matrix @ np.linalg.lstsq(matrix, error.ravel() * mask, rcond=1e-9)[0]

@@ -35,13 +35,15 @@ def averaged_map(fitted: FittedSessions, chosen: Chosen) -> tuple[ErrorMap, tupl
         The map and the sets it is over; the best one and no sets where nothing depends on it.
     """
     best = fitted.error_map
+    bases = [chosen.base(session) for session in chosen.sessions] if len(chosen.sets) > 1 else []
     found: list[tuple[EffectSet, ErrorMap]] = []
     for one in chosen.sets:
         if set(one.effects) == set(chosen.effects):
             found.insert(0, (one, best))
             continue
         try:
-            other = fit_sessions(replace(chosen, effects=one.effects)).error_map
+            tried = replace(chosen, effects=one.effects)
+            other = fit_sessions(tried, [tried.finished(base) for base in bases]).error_map
         except ModelError:
             continue
         if other.error.shape == best.error.shape and not (np.isfinite(best.error) & ~np.isfinite(other.error)).any():

@@ -197,11 +197,7 @@ def joint_axis_tables(joint: JointResult) -> AxisTables:
     """
     common = joint.common
     own = {label for table in common.tables for label in table.labels}
-    left_out = [
-        NotDetermined(entry["name"], entry["why"])
-        for entry in joint.not_determined
-        if entry["name"] in own or entry["name"].startswith("backlash_")
-    ]
+    left_out = [entry for entry in joint.not_determined if entry.name in own or entry.name.startswith("backlash_")]
     found, squareness = _terms(joint.parameters, common.tables, left_out)
     if not found and not squareness:
         hint = f"{left_out[0].name}: {left_out[0].why}" if left_out else "the sessions have none of a linear axis"
@@ -273,13 +269,6 @@ def _take(table: AxisTable, found: list[AxisTable], left_out: list[NotDetermined
         )
 
 
-_BACKLASH = {f"backlash_{axis.lower()}": axis for axis in "XYZ"}
-
-
 def _backlash(estimated: Sequence[Estimate]) -> dict[str, tuple[float, float]]:
-    found = {}
-    for estimate in estimated:
-        axis = _BACKLASH.get(estimate.owner)
-        if axis is not None:
-            found[axis] = (estimate.value, estimate.standard_uncertainty)
-    return found
+    axes = {f"backlash_{axis.lower()}": axis for axis in "XYZ"}
+    return {axes[e.owner]: (e.value, e.standard_uncertainty) for e in estimated if e.owner in axes}

@@ -89,10 +89,10 @@ class Chosen:
         """The model of one of the sessions, or of a part of it, without effects; and the name of its variant."""
         return build_model(session, self.model if len(self.sessions) == 1 else sharing_variant(session, self.model))
 
-    def built(self, session: Session) -> Built:
+    def finished(self, base: Built) -> Built:
         """The same as far as it is the session's alone: with the effects, unless several sessions share them."""
-        base, name = self.base(session)
-        return (add_effects(base, self.present) if len(self.sessions) == 1 else base), name
+        model, name = base
+        return (add_effects(model, self.present) if len(self.sessions) == 1 else model), name
 
 
 @dataclass(frozen=True)
@@ -127,11 +127,15 @@ class FittedSessions:
     effects: tuple[str, ...]
 
     @property
+    def model_name(self) -> str:
+        """Variants of the sessions' models, each once."""
+        return ", ".join(dict.fromkeys(self.model_names))
+
+    @property
     def provenance(self) -> Provenance:
         """What they were made from."""
         sessions = [fit.model.observations.session for fit in self.joint.fits]
-        model = ", ".join(dict.fromkeys(self.model_names))
-        return provenance(sessions, self.joint.assembly.labels, model=model, effects=self.effects)
+        return provenance(sessions, self.joint.assembly.labels, model=self.model_name, effects=self.effects)
 
     @cached_property
     def error_map(self) -> ErrorMap:
@@ -195,7 +199,7 @@ def joint_models(chosen: Chosen, built: Sequence[Built | None] = ()) -> tuple[Co
 
 def _all_built(chosen: Chosen, built: Sequence[Built | None]) -> list[Built]:
     made = built or [None] * len(chosen.sessions)
-    return [own or chosen.built(session) for session, own in zip(chosen.sessions, made, strict=True)]
+    return [own or chosen.finished(chosen.base(session)) for session, own in zip(chosen.sessions, made, strict=True)]
 
 
 def gross_errors(chosen: Chosen) -> list[Sifted]:
@@ -211,7 +215,7 @@ def _sifted(chosen: Chosen, session: Session) -> Sifted:
     made: list[Built] = []
 
     def build(part: Session) -> MethodModel:
-        made.append(chosen.built(part))
+        made.append(chosen.finished(chosen.base(part)))
         return made[-1][0]
 
     outliers, kept = set_aside(session, build)

@@ -21,7 +21,7 @@ from machine_tool_calibration.methods.joint.agreement import Agreement, agreemen
 from machine_tool_calibration.methods.joint.model import CommonModels, common_models
 from machine_tool_calibration.methods.joint.small_angles import StatedAngles, stated
 from machine_tool_calibration.model.fit import Fit, JointFit, fit_models
-from machine_tool_calibration.model.model import MethodModel
+from machine_tool_calibration.model.model import MethodModel, NotDetermined
 from machine_tool_calibration.model.result import (
     EffectSet,
     ErrorMap,
@@ -34,7 +34,6 @@ from machine_tool_calibration.model.result import (
 )
 from machine_tool_calibration.session.checks.suspicion import suspicions
 from machine_tool_calibration.session.method import load
-from machine_tool_calibration.session.provenance import Provenance
 from machine_tool_calibration.session.session import Session
 
 __all__ = [
@@ -109,11 +108,6 @@ class JointResult(Identified):
         return self.fit.fits
 
     @property
-    def model_name(self) -> str:
-        """Variants of the sessions' models, each once."""
-        return ", ".join(dict.fromkeys(self.model_names))
-
-    @property
     def parameters(self) -> list[Estimate]:
         """The unknowns that the data determines; those of an instrument carry the session's label."""
         solution = self.fit.published
@@ -121,13 +115,13 @@ class JointResult(Identified):
         return [
             Estimate.of(p, value, u)
             for p, value, u, good in zip(
-                self.fit.assembly.parameters, solution.theta, sigma, solution.is_determined(), strict=True
+                self.fit.assembly.parameters, solution.theta, sigma, solution.determined, strict=True
             )
             if good
         ]
 
     @property
-    def not_determined(self) -> list[dict[str, str]]:
+    def not_determined(self) -> list[NotDetermined]:
         """What no session determines, with the reason."""
         out = {
             entry.name: entry.why
@@ -138,17 +132,12 @@ class JointResult(Identified):
         names = [p.name for p in self.fit.assembly.parameters]
         solution = self.fit.solution
         points = any(fit.part.n_points for fit in self.fit.fits)
-        for k in np.flatnonzero(~solution.is_determined()):
+        for k in np.flatnonzero(~solution.determined):
             out[names[k]] = correlated_with(solution.undetermined, names, int(k), points)
         if self.angles is not None:
             out |= {entry.name: entry.why for entry in self.angles.untold}
         out |= {entry.name: entry.why for entry in self.error_map.not_determined}
-        return [{"name": name, "why": why} for name, why in out.items()]
-
-    @property
-    def provenance(self) -> Provenance:
-        """What it was made from."""
-        return self._provenance(self.model_name)
+        return [NotDetermined(name, why) for name, why in out.items()]
 
     def document(self) -> dict[str, Any]:
         """The result as a JSON document: that of a single session, with the sessions and their agreement."""
@@ -176,7 +165,7 @@ class JointResult(Identified):
                 )
             ],
             "agreement": plain(asdict(self.agreement)),
-            "not_determined": self.not_determined,
+            "not_determined": [{"name": n.name, "why": n.why} for n in self.not_determined],
             "datum": self.common.datum,
             "suspicious": suspicions([model.observations.session for model in self.common.models], self.labels),
             "provenance": self.provenance.document(),
@@ -217,6 +206,7 @@ def identify_sessions(chosen: Chosen) -> Result | JointResult:
         error_map=error_map,
         agreement=agreed,
         effects=chosen.effects,
+        model_name=fitted.model_name,
         model_names=fitted.model_names,
         rejected=rejected,
         observations=observations,
@@ -285,7 +275,7 @@ def _identified(chosen: Chosen) -> Result:
         fit=fitted.joint.fits[0],
         error_map=error_map,
         effects=chosen.effects,
-        model_name=fitted.model_names[0],
+        model_name=fitted.model_name,
         rejected=rejected,
         observations=len(session.readings),
         alone=fitted.error_map,

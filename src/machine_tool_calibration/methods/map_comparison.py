@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 from scipy import special
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, rigid_motions
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.fitted import FittedSessions
 from machine_tool_calibration.model.restated import drawn
@@ -173,10 +173,7 @@ def _motions(points: Array, there: BoolArray) -> tuple[Array, float]:
     """
     arm = points - points[there.any(axis=1)].mean(axis=0)
     size = float(np.linalg.norm(arm[there.any(axis=1)], axis=1).max()) or 1.0
-    field = np.concatenate(
-        [np.broadcast_to(np.eye(3), (len(points), 3, 3)), np.cross(np.eye(3)[None], arm[:, None] / size)], axis=1
-    )
-    return field.transpose(0, 2, 1)[there], size
+    return rigid_motions(arm / size)[there], size
 
 
 def _placed(there: BoolArray, values: Array) -> Array:

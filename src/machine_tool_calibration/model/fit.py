@@ -14,8 +14,9 @@ from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.normal import covariance_root
 from machine_tool_calibration.estimation.problem import Part, Problem
-from machine_tool_calibration.estimation.reduction import Projected, project
-from machine_tool_calibration.estimation.solve import Solution, gram, solve
+from machine_tool_calibration.estimation.reduction import Projected, gram, project
+from machine_tool_calibration.estimation.robust import scaled_residuals
+from machine_tool_calibration.estimation.solve import Solution, solve
 from machine_tool_calibration.model.model import Assembly, MethodModel, Parameter, Term, assemble
 from machine_tool_calibration.model.stated import RandomUnknowns, Stated, state
 
@@ -145,7 +146,7 @@ class Fit:
         """Whether each of them is determined by the readings and the datum."""
         declared = self.model.declared
         measured = np.array([p.name not in declared for p in self.model.parameters], dtype=bool)
-        return np.asarray(self.solution.is_determined()[self.places] & measured)
+        return np.asarray(self.solution.determined[self.places] & measured)
 
     @property
     def undetermined(self) -> Array:
@@ -155,14 +156,8 @@ class Fit:
     @cached_property
     def residuals(self) -> Array:
         """(n,) measured minus predicted, m."""
-        part, sigma = self.part, self.model.sigma
-        out = np.full(part.n_readings, np.nan)
-        for group, chunk in part.chunks():
-            rows = part.rows(group, chunk, self.solution.theta, self.solution.local[self.index])
-            where = part.groups[group].rows[:, chunk]
-            there = where >= 0
-            out[where[there]] = rows.residual[there] * sigma[where[there]]
-        return out
+        solution = self.solution
+        return scaled_residuals(self.part, solution.theta, solution.local[self.index]) * self.model.sigma
 
     @property
     def predicted(self) -> Array:

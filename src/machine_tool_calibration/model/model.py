@@ -35,6 +35,7 @@ __all__ = [
     "dead_path_of",
     "motion_value",
     "place_of",
+    "weight_row",
 ]
 
 
@@ -331,9 +332,9 @@ def assemble(models: Sequence[MethodModel], labels: Sequence[str] | None = None)
         (model, dict(zip((p.name for p in model.parameters), where.tolist(), strict=True)))
         for model, where in zip(models, places, strict=True)
     ]
-    constraints = [_row(names, c.weights, m) for model, names in named for c in model.constraints]
+    constraints = [weight_row(names, c.weights, m) for model, names in named for c in model.constraints]
     values = [c.value for model in models for c in model.constraints]
-    prior_list = [(_row(names, p.weights, m), p.value, p.sigma) for model, names in named for p in model.priors]
+    prior_list = [(weight_row(names, p.weights, m), p.value, p.sigma) for model, names in named for p in model.priors]
     priors = None
     if prior_list:
         rows, value, sigma = zip(*prior_list, strict=True)
@@ -350,7 +351,17 @@ def _published(parameter: Parameter, label: str | None) -> str:
     return parameter.name if label is None or parameter.shared else f"{label}/{parameter.name}"
 
 
-def _row(names: Mapping[str, int], weights: Mapping[str, float], size: int) -> Array:
+def weight_row(names: Mapping[str, int], weights: Mapping[str, float], size: int) -> Array:
+    """(size,) a weighted sum of unknowns as a row.
+
+    Args:
+        names: place of each unknown in the row.
+        weights: by the unknown's name.
+        size: of the row.
+
+    Raises:
+        ModelError: an unknown that is not there.
+    """
     row = np.zeros(size)
     for name, weight in weights.items():
         if name not in names:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.session.session import Readings, Session
+from machine_tool_calibration.session.session import Readings, Session, joined
 
 __all__ = ["Observations", "together"]
 
@@ -96,22 +96,12 @@ class Observations:
 def together(observed: Sequence[Observations]) -> Observations:
     """Readings of several sessions of a machine as if of one: what they determine, and how far they reach.
 
-    The description is the first session's; columns that a session lacks are left out, as are labels and the turning
-    of a mirror.
+    The description is the first session's; columns and labels that a session lacks are left out, as is the turning of
+    a mirror.
     """
-    readings = [o.readings for o in observed]
-    common = set.intersection(*(set(r.columns) for r in readings))
-    every = Readings(
-        setup=np.concatenate([r.setup for r in readings]),
-        repeat=np.concatenate([r.repeat for r in readings]),
-        displacement=np.concatenate([r.displacement for r in readings]),
-        columns={name: np.concatenate([r.columns[name] for r in readings]) for name in sorted(common)},
-        labels={},
-        row=np.concatenate([r.row for r in readings]),
-    )
     return replace(
         observed[0],
-        readings=every,
+        readings=joined([o.readings for o in observed]),
         position=np.concatenate([o.position for o in observed]),
         direction=np.concatenate([o.direction for o in observed]),
         table_direction=np.concatenate([o.table_direction for o in observed]),

@@ -15,10 +15,10 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.estimation.elimination import Rows
-from machine_tool_calibration.estimation.normal import solve_normal
-from machine_tool_calibration.estimation.problem import Part, PriorRows, Problem
-from machine_tool_calibration.estimation.reduction import single_blas
-from machine_tool_calibration.estimation.solve import gram, local_steps, solve
+from machine_tool_calibration.estimation.problem import Part, PartAround, PriorRows, Problem
+from machine_tool_calibration.estimation.reduction import gram, single_blas
+from machine_tool_calibration.estimation.robust import Reweighted
+from machine_tool_calibration.estimation.solve import Linearised, local_steps, solve
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.stated import Stated
 
@@ -65,12 +65,9 @@ def changed(joint: JointFit, shifts: Sequence[Array], known: Array | None = None
     other = replace(problem, parts=parts, priors=priors)
     if again:
         return declared(replace(joint, solution=solve(other), given=None))
-    theta, m = solution.theta, problem.size
-    total, squares = gram(other, theta, solution.local)
-    distance = problem.constraint_values - problem.constraints @ theta
-    normal = solve_normal(total[:m, :m], total[:m, m], problem.constraints, distance, squares[:m])
-    local = local_steps(other, theta, solution.local, normal.step)
-    return declared(replace(joint, solution=replace(solution, theta=theta + normal.step, local=local), given=None))
+    here = Linearised.at(other, solution.theta, solution.local)
+    theta, local, _ = here.after(here.normal().step)
+    return declared(replace(joint, solution=replace(solution, theta=theta, local=tuple(local)), given=None))
 
 
 def drawn(joint: JointFit, rng: np.random.Generator, count: int) -> Iterator[JointFit]:
@@ -107,7 +104,7 @@ def covariance_of(joint: JointFit, size: Sequence[Array]) -> Array:
     """
     solution, problem = joint.solution, joint.assembly.problem
     parts = [
-        _ScaledPart(part, own / model.sigma)
+        Reweighted(part, (own / model.sigma) ** 2)
         for part, own, model in zip(problem.parts, size, joint.assembly.models, strict=True)
     ]
     m = problem.size
@@ -115,40 +112,16 @@ def covariance_of(joint: JointFit, size: Sequence[Array]) -> Array:
     return np.asarray(solution.covariance @ total[:m, :m] @ solution.covariance)
 
 
-class _ChangedPart(Part):
-    """A part with a number for each reading that changes it."""
+class _ShiftedPart(PartAround):
+    """Something is added to each reading, over its standard uncertainty."""
 
     def __init__(self, inner: Part, by: Array) -> None:
-        """Keep the part.
-
-        Args:
-            inner: the part.
-            by: (n,) for each reading.
-        """
-        self.inner, self.by = inner, by
-        self.groups, self.block_index, self.dense_index = inner.groups, inner.block_index, inner.dense_index
-        self.dimension, self.n_points = inner.dimension, inner.n_points
-        self.n_readings, self.linear = inner.n_readings, inner.linear
-
-    def slots(self, group: int, chunk: slice) -> Array:
-        """(S, n) the numbers as the rows lie; 0 where there is no reading."""
-        pick = self.groups[group].rows[:, chunk]
-        return np.where(pick >= 0, self.by[pick], 0.0)
-
-
-class _ShiftedPart(_ChangedPart):
-    """Something is added to each reading, over its standard uncertainty."""
+        """Keep what is added, (n,)."""
+        super().__init__(inner)
+        self.by = by
 
     def rows(self, group: int, chunk: slice, theta: Array, local: Array) -> Rows:
         """Those of the inner part with other residuals."""
         rows = self.inner.rows(group, chunk, theta, local)
-        return replace(rows, residual=rows.residual + self.slots(group, chunk))
-
-
-class _ScaledPart(_ChangedPart):
-    """Each reading weighs so many times as much."""
-
-    def rows(self, group: int, chunk: slice, theta: Array, local: Array) -> Rows:
-        """Those of the inner part times the numbers."""
-        rows, times = self.inner.rows(group, chunk, theta, local), self.slots(group, chunk)
-        return Rows(rows.residual * times, rows.local * times, rows.block * times, rows.dense * times)
+        pick = self.groups[group].rows[:, chunk]
+        return replace(rows, residual=rows.residual + np.where(pick >= 0, self.by[pick], 0.0))

@@ -117,12 +117,14 @@ class Identified(ABC):
 
     Attributes:
         error_map: the machine's errors.
+        model_name: variant of the model, such as free or rigid_body; of several sessions each once.
         effects: ids of the effects that were added.
         alone: the map of these models alone, where `error_map` is the mean over several sets of effects.
         averaged: sets of effects over which the map is the mean; empty where it is that of the models alone.
     """
 
     error_map: ErrorMap
+    model_name: str
     effects: tuple[str, ...]
     alone: ErrorMap
     averaged: tuple[EffectSet, ...] = ()
@@ -138,6 +140,11 @@ class Identified(ABC):
         """The unknowns that the data determines."""
 
     @property
+    @abstractmethod
+    def not_determined(self) -> list[NotDetermined]:
+        """What the data cannot determine, with the reason."""
+
+    @property
     def joint(self) -> JointFit:
         """The fit."""
         return self.fits[0].joint
@@ -147,9 +154,11 @@ class Identified(ABC):
         """Root mean square of measured minus predicted, m."""
         return rms(np.concatenate([fit.residuals for fit in self.fits]))
 
-    def _provenance(self, model: str) -> Provenance:
+    @property
+    def provenance(self) -> Provenance:
+        """What it was made from."""
         sessions = [fit.model.observations.session for fit in self.fits]
-        return provenance(sessions, self.joint.assembly.labels, model=model, effects=self.effects)
+        return provenance(sessions, self.joint.assembly.labels, model=self.model_name, effects=self.effects)
 
     def fit_document(self) -> dict[str, Any]:
         """What is told of the fit and of the machine, as the contract's JSON document has it."""
@@ -174,13 +183,11 @@ class Result(Identified):
 
     Attributes:
         fit: the fit.
-        model_name: free or rigid_body, or the method's own variant.
         rejected: readings that were kept out.
         observations: number of readings recorded.
     """
 
     fit: Fit
-    model_name: str
     rejected: tuple[Rejected, ...]
     observations: int
 
@@ -217,11 +224,6 @@ class Result(Identified):
             if name == names[k] or all(entry.name != name for entry in out):
                 out.append(NotDetermined(name, why))
         return out
-
-    @property
-    def provenance(self) -> Provenance:
-        """What it was made from."""
-        return self._provenance(self.model_name)
 
     def document(self) -> dict[str, Any]:
         """The result as the contract's JSON document; what is not determined is null."""

@@ -26,11 +26,16 @@ __all__ = [
     "RIGID_BODY_DATUM",
     "MachineTable",
     "axis_nodes",
+    "determined_part",
+    "distinct_nodes",
+    "in_space",
     "linear_axis_errors",
     "machine_terms",
+    "position_errors",
     "read_nodes",
     "table_datum",
     "tables_content",
+    "thinned",
 ]
 
 
@@ -107,6 +112,15 @@ class MachineTable:
         """
         return self.weights(position) * self.scalar(position, direction)
 
+    def term(self, observations: Observations) -> Term:
+        """The motion as a term: what it displaces, and the turning of a mirror with it."""
+        columns = self.columns(observations.position, observations.direction)
+        turned = observations.rotation_direction
+        if turned is not None and self.is_rotation and not self.is_squareness:
+            component = "ABC".index(parse_motion(self.name).component)
+            columns = columns + self.weights(observations.position) * turned[:, component]
+        return Term(self.name, self.parameters, columns)
+
 
 def axis_nodes(positions: Array) -> Array:
     """Nodes for a table from the positions at which the axis was read.
@@ -117,6 +131,27 @@ def axis_nodes(positions: Array) -> Array:
     if len(distinct) <= _MOST_NODES:
         return distinct
     return np.linspace(distinct[0], distinct[-1], _MOST_NODES)
+
+
+# Positions closer than this share of their range are one node.
+_SAME = 1e-3
+
+
+def distinct_nodes(positions: Array) -> Array:
+    """(k,) increasing positions, those that are next to the one before left out."""
+    distinct = np.unique(np.round(positions, 9)) + 0.0
+    same = max(_SAME * float(np.ptp(distinct)), 1e-9)
+    kept = [float(distinct[0])]
+    for value in distinct[1:]:
+        if value - kept[-1] > same:
+            kept.append(float(value))
+    return np.array(kept)
+
+
+def thinned(nodes: Array, count: int) -> Array:
+    """About so many of the nodes, spread evenly."""
+    wanted = np.linspace(nodes[0], nodes[-1], count)
+    return np.unique(nodes[np.abs(nodes[:, None] - wanted).argmin(axis=0)])
 
 
 def linear_axis_errors(chain: Chain, nodes: dict[str, Array]) -> Sequence[MachineTable]:
@@ -154,7 +189,8 @@ def machine_terms(
     kept, terms, left_out = [], [], []
     basis = np.zeros((0, len(observations)))
     for table in tables:
-        columns = table.columns(observations.position, observations.direction)
+        term = table.term(observations)
+        columns = term.columns
         norms = np.linalg.norm(columns, axis=1)
         # A rotation with a short lever arm still moves micrometres per radian: compare with one metre.
         if norms.max(initial=0.0) < 1e-9 * np.sqrt(len(observations)):
@@ -182,7 +218,7 @@ def machine_terms(
         _, s, vt = np.linalg.svd(rest, full_matrices=False)
         basis = np.concatenate([basis, vt[s > _OWN_SHARE]])
         kept.append(table)
-        terms.append(Term(table.name, table.parameters, columns))
+        terms.append(term)
     return tuple(kept), tuple(terms), tuple(left_out)
 
 
@@ -233,6 +269,42 @@ def map_field(tables: Sequence[MachineTable], position: Array) -> Array:
     """(K, n, 3) position error at given places per unit of each unknown of the tables."""
     columns = [table.weights(position)[:, :, None] * table.field(position) for table in tables]
     return np.concatenate([np.zeros((0, len(position), 3)), *columns])
+
+
+def position_errors(field: Array, theta: Array, covariance: Array) -> tuple[Array, Array]:
+    """(n, d) position errors and (n, d, d) their covariances.
+
+    Args:
+        field: (K, n, d) position error at each place per unit of each unknown.
+        theta: (K,) the unknowns.
+        covariance: (K, K) of these.
+    """
+    k, n, d = field.shape
+    error = (theta @ field.reshape(k, n * d)).reshape(n, d)
+    return error, np.einsum("knd,kl,lne->nde", field, covariance, field, optimize=True)
+
+
+def determined_part(error: Array, covariance: Array, loose: BoolArray) -> tuple[Array, Array, Array]:
+    """Position errors (n, 3), standard uncertainties (n, 3) and covariances (n, 3, 3) with NaN where not determined.
+
+    Args:
+        error: (n, 3).
+        covariance: (n, 3, 3).
+        loose: (n, 3) the components that are not determined.
+    """
+    uncertainty = np.sqrt(np.einsum("nii->ni", covariance).clip(0.0))
+    whole = np.asarray(~loose.any(axis=1))
+    return (
+        np.where(loose, np.nan, error),
+        np.where(loose, np.nan, uncertainty),
+        np.where(whole[:, None, None], covariance, np.nan),
+    )
+
+
+def in_space(values: Array) -> Array:
+    """Errors (n, d) or covariances (n, d, d) of a plane in space: NaN along the axes that they do not have."""
+    missing = (0, 3 - values.shape[1])
+    return np.pad(values, [(0, 0), *[missing] * (values.ndim - 1)], constant_values=np.nan)
 
 
 def tables_content(tables: Iterable[MachineTable], value: Array, sigma: Array) -> dict[str, Any]:

@@ -39,24 +39,21 @@ _CONTRADICTED = 0.01
 _SEEN = 1e-3
 
 
-class RandomPosterior(Protocol):
-    """What the readings say of unknowns that are random functions."""
+@dataclass(frozen=True)
+class RandomPosterior:
+    """What the readings say of unknowns that are random functions.
 
-    @property
-    def size(self) -> float:
-        """Root mean square of the size, in their unit."""
+    Attributes:
+        size: root mean square of their size over all that is possible, in their unit.
+        probability: that they are not zero.
+        theta: (m,) mean of all unknowns, the random ones last and counted from zero.
+        covariance: (m, m) of these.
+    """
 
-    @property
-    def probability(self) -> float:
-        """That they are not zero."""
-
-    @property
-    def theta(self) -> Array:
-        """(m,) mean of all unknowns, the random ones last and counted from zero."""
-
-    @property
-    def covariance(self) -> Array:
-        """(m, m) of these."""
+    size: float
+    probability: float
+    theta: Array
+    covariance: Array
 
 
 class RandomUnknowns(Protocol):
@@ -174,7 +171,7 @@ def state(joint: JointFit) -> Stated:
             np.zeros_like(theta), solution.covariance, scatter, (), None, solution.chi_square, np.zeros(0)
         )
     mean, covariance = found.mean, found.covariance
-    if sizes := effect_sizes(joint.assembly.parameters, solution.is_determined()):
+    if sizes := effect_sizes(joint.assembly.parameters, solution.determined):
         value, known = with_sizes(theta + mean, found.scatter**2 * covariance, sizes)
         mean, covariance = value - theta, known / found.scatter**2
     stated = replace(
@@ -228,9 +225,9 @@ def _averaged(joint: JointFit, problem: Problem, wide: Problem, place: IntArray,
         mean, covariance = _marginal(total, projected, root, ratios[:, place], weights, scatter)
     else:
         tried = [_at(joint, joint.random, problem, total, squares, tau[place], scatter) for tau in ratios]
-        steps, covariances = np.array([t.step for t in tried]), np.array([t.covariance for t in tried])
-        mean, covariance = _mixture(steps, covariances, weights, scatter)
-        random = tried[int(np.argmax(weights))].random
+        steps, covariances, found_random = zip(*tried, strict=True)
+        mean, covariance = _mixture(np.array(steps), np.array(covariances), weights, scatter)
+        random = found_random[int(np.argmax(weights))]
     seen = np.diag(projected)[:-1] > _SEEN * squares[m:-1]
     sizes = _sizes(joint, found, np.where(seen, squares[m:-1], 0.0), place, names, scatter)
     size = np.sqrt(weights @ ratios**2)[place] if u else np.zeros(0)
@@ -243,15 +240,6 @@ def _root(joint: JointFit, total: Array, squares: Array) -> Array:
         return covariance_root(total, squares, joint.assembly.problem.constraints)
     values, vectors = np.linalg.eigh(joint.solution.covariance)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
-
-
-@dataclass(frozen=True)
-class _Tried:
-    """Mean and covariance of all unknowns for one size of what does not reproduce."""
-
-    step: Array
-    covariance: Array
-    random: RandomPosterior
 
 
 def _widened(problem: Problem, families: Sequence[tuple[Family, ...]]) -> tuple[list[Part], IntArray, tuple[str, ...]]:
@@ -320,8 +308,8 @@ def _at(
     squares: Array,
     tau: Array,
     scatter: float,
-) -> _Tried:
-    """Mean and covariance (over the square of `scatter`) if what does not reproduce has a given size."""
+) -> tuple[Array, Array, RandomPosterior]:
+    """Mean, covariance (over the square of `scatter`) and posterior if what does not reproduce has a given size."""
     m, u = problem.size, len(tau)
     used = m + np.flatnonzero(tau > 0)
     inner = total[np.ix_(used, used)] + np.diag(tau[used - m] ** -2.0)
@@ -338,7 +326,7 @@ def _at(
     both[used, :m] = -response @ covariance
     both[:m, used] = both[used, :m].T
     both[np.ix_(used, used)] = carried[:, m + 1 :] + response @ covariance @ response.T
-    return _Tried(full, both, found)
+    return full, both, found
 
 
 def _with_random(

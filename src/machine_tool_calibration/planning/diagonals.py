@@ -11,7 +11,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.methods.step_diagonal.geometry import Run, runs_of
 from machine_tool_calibration.planning.options import Option
-from machine_tool_calibration.planning.sensing import Changed, appended, first_repetition
+from machine_tool_calibration.planning.sensing import Changed, appended, first_repetition, fresh_id
 from machine_tool_calibration.session.description import StepDiagonal
 from machine_tool_calibration.session.session import Session
 
@@ -129,9 +129,7 @@ def _option(
         sign.append(np.tile(run.sign, (len(path), 1)))
         displacement.append((path - run.start) @ run.beam)
         setup.append(np.full(len(path), len(setups), dtype=np.int64))
-        name = run.id
-        while name in {s.id for s in setups}:
-            name += "_new"
+        name = fresh_id(run.id, [s.id for s in setups])
         changed = {"id": name, "direction": tuple(run.sign.tolist()), "start": tuple(run.start.tolist())}
         setups.append(description.setups[like].model_copy(update=changed))
     at, towards = np.concatenate(position), np.concatenate(sign)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, IntArray, first_of_group
 from machine_tool_calibration.effects.catalogue import catalogue
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import SessionError
@@ -23,7 +23,6 @@ from machine_tool_calibration.procedure.description import Procedure
 from machine_tool_calibration.procedure.plan import Step, plan, sensing_direction
 from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.description import (
-    Description,
     Direct,
     Probing,
     RotaryAxis,
@@ -101,9 +100,11 @@ def planned_session(procedure: Procedure, warming: float = 1.0) -> Planned:
     columns |= more
     noise = description.standard_uncertainty.displacement * np.random.default_rng(_SEED).normal(size=len(steps))
     reading = path + noise
-    if not method_spec(description.method).reads_deviations:
-        zero = _zeros(description, setup, repeat, labels)
-        reading = reading - reading[zero]
+    spec = method_spec(description.method)
+    if not spec.reads_deviations:
+        runs = (repeat,) if spec.counts_from_run else ()
+        targets = (labels["target"].astype(str),) if "target" in labels else ()
+        reading = reading - reading[first_of_group(setup, *runs, *targets)]
     readings = Readings(setup, repeat, reading, columns, labels, np.arange(len(steps)))
     return Planned(Session(description, readings, f"procedure {procedure.name}"), made.duration)
 
@@ -171,17 +172,6 @@ def from_stations(procedure: Procedure, steps: tuple[Step, ...], setup: IntArray
 
 def _aims(steps: tuple[Step, ...]) -> Array:
     return np.array([step.aim or (0.0, 0.0, 0.0) for step in steps])
-
-
-def _zeros(description: Description, setup: IntArray, repeat: IntArray, labels: dict[str, np.ndarray]) -> IntArray:
-    """(n,) the reading from which each counts: the first of its setup, or of its run."""
-    keys = [setup]
-    if method_spec(description.method).counts_from_run:
-        keys.append(repeat)
-    if "target" in labels:
-        keys.append(np.unique(labels["target"].astype(str), return_inverse=True)[1])
-    _, first, group = np.unique(np.column_stack(keys), axis=0, return_index=True, return_inverse=True)
-    return np.asarray(first[group.reshape(-1)])
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,6 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.model.fit import Fit, fit_models, screen
 from machine_tool_calibration.model.model import MethodModel, Parameter
-from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import FLAWS, PRESETS, FlawSpec, MachineSpec, SimulationSpec, simulate
 
 __all__ = ["AMPLITUDE", "PLANS", "Injected", "Shown", "inject", "where_it_shows"]
@@ -93,20 +92,20 @@ def inject(effect: Effect, plans: Sequence[str] = PLANS) -> Injected | None:
     Returns:
         None where no reading of any plan depends on it.
     """
-    best: tuple[float, str, Session, Fit, Array] | None = None
+    best: tuple[float, str, Fit, Array] | None = None
     for plan in plans:
         made = _made(effect, plan)
         if made is None:
             continue
-        session, fit, change = made
+        fit, change = made
         left = _left(fit, change)
         if best is None or left > best[0]:
-            best = left, plan, session, fit, change
+            best = left, plan, fit, change
         if left > _CLEAR:
             break
     if best is None:
         return None
-    left, plan, _, fit, change = best
+    left, plan, fit, change = best
     comparison = compare(fit)
     assert isinstance(comparison, Comparison)  # of a single session
     return Injected(effect, plan, comparison, change, left, effect.id in FLAWS)
@@ -122,14 +121,14 @@ def where_it_shows(effect: Effect, plans: Sequence[str] = PLANS) -> tuple[Shown,
         if made is None:
             out.append(Shown(plan, method, None, why_not=why or "no reading depends on it"))
             continue
-        _, fit, change = made
+        fit, change = made
         projected = screen(fit, change[None])
         out.append(Shown(plan, method, _left(fit, change), absorbed_by(fit.joint, projected, slice(0, 1))))
     return tuple(out)
 
 
-def _made(effect: Effect, plan: str) -> tuple[Session, Fit, Array] | None:
-    """A session with the effect, its fit without it, and the effect's change of each reading; None if there is none."""
+def _made(effect: Effect, plan: str) -> tuple[Fit, Array] | None:
+    """The fit without the effect of a session with it, and its change of each reading; None if there is none."""
     model = _perfect_model(plan)
     observations = model.observations
     if effect.why_not(observations) is not None or not _acts(effect, model):
@@ -153,7 +152,7 @@ def _made(effect: Effect, plan: str) -> tuple[Session, Fit, Array] | None:
         change[observations.run == run] -= change[observations.run == run].mean()
     if np.abs(change).max() < 1e-3 * AMPLITUDE:
         return None
-    return session, fit_models([build_model(session)[0]]).fits[0], change
+    return fit_models([build_model(session)[0]]).fits[0], change
 
 
 def _acts(effect: Effect, model: MethodModel) -> bool:

@@ -8,23 +8,24 @@ from dataclasses import replace
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, IntArray, gaps_around
 from machine_tool_calibration.instruments.tracking import pointing
 from machine_tool_calibration.methods.probing.geometry import touches
 from machine_tool_calibration.planning.options import Option
-from machine_tool_calibration.planning.sensing import Changed, appended, first_repetition
+from machine_tool_calibration.planning.sensing import Changed, appended, first_repetition, fresh_id
 from machine_tool_calibration.session.checks.nominal_geometry import on_table
-from machine_tool_calibration.session.description import Probing, RotaryAxis, TrackingInterferometer
+from machine_tool_calibration.session.description import Probing, RotaryAxis, Setup, TrackingInterferometer
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["further_angles", "further_stations"]
 
 
-def _fresh(session: Session) -> str:
-    name = "new"
-    while name in session.setup_ids:
-        name += "_new"
-    return name
+def _in_one_more(session: Session, setup: Setup, changed: Changed) -> tuple[Session, float | None]:
+    """The session followed by readings in a setup that is new, and their time, s."""
+    description = session.description
+    whole = description.model_copy(update={"setups": (*description.setups, setup)})
+    new = np.full(len(changed.rows), len(description.setups), dtype=np.int64)
+    return appended(session, changed, setup=new, description=whole)
 
 
 def further_stations(session: Session, description: TrackingInterferometer | RotaryAxis) -> Iterator[Option]:
@@ -49,18 +50,16 @@ def further_stations(session: Session, description: TrackingInterferometer | Rot
         if distance.min() < 0.05:
             continue
         setup = description.setups[int(used[0])].model_copy(
-            update={"id": _fresh(session), "position": tuple(float(v) for v in place)}
+            update={"id": fresh_id("new", session.setup_ids), "position": tuple(float(v) for v in place)}
         )
-        whole = description.model_copy(update={"setups": (*description.setups, setup)})
         changed = {}
         if "azimuth" in session.readings.columns:
             changed["azimuth"], changed["elevation"] = pointing(points, place)
             if getattr(description, "dimension", 3) == 2:
                 changed["elevation"] = np.zeros(len(points))
-        new = np.full(len(rows), len(description.setups), dtype=np.int64)
         at_words = ", ".join(f"{v:.2f}" for v in place)
         words = f"measure once from one more station, {where}: about ({at_words}) m"
-        extended = appended(session, Changed(rows, changed, distance - distance[0]), setup=new, description=whole)
+        extended = _in_one_more(session, setup, Changed(rows, changed, distance - distance[0]))
         yield Option.of(session, "station", words, extended, "setting up the instrument")
 
 
@@ -74,8 +73,7 @@ def _points(session: Session, description: TrackingInterferometer | RotaryAxis, 
 def further_angles(session: Session, description: Probing) -> Iterator[Option]:
     """The workpiece at an angle of C in the middle of the widest gap."""
     used = np.unique(session.readings.setup)
-    angle = np.sort(np.array([description.setups[s].c for s in used]) % (2 * np.pi))
-    gaps = np.diff(angle, append=angle[0] + 2 * np.pi)
+    angle, gaps = gaps_around(np.array([description.setups[s].c for s in used]))
     widest = int(np.argmax(gaps))
     inner = np.argmax(gaps[:-1]) if len(gaps) > 1 else widest
     proposals = {float((angle[k] + gaps[k] / 2) % (2 * np.pi)) for k in {widest, int(inner)}}
@@ -102,9 +100,6 @@ def _at_index(session: Session, description: Probing, like: int, c: float) -> It
     for j, axis in enumerate("xy"):
         if f"dir_{axis}" in readings.columns:
             changed[f"dir_{axis}"] = np.where(normal[:, j] > 0, -1.0, 1.0)
-    name = _fresh(session)
-    setup = description.setups[like].model_copy(update={"id": name, "c": c})
-    whole = description.model_copy(update={"setups": (*description.setups, setup)})
-    new = np.full(len(rows), len(description.setups), dtype=np.int64)
-    extended = appended(session, Changed(rows, changed), setup=new, description=whole)
+    setup = description.setups[like].model_copy(update={"id": fresh_id("new", session.setup_ids), "c": c})
+    extended = _in_one_more(session, setup, Changed(rows, changed))
     yield Option.of(session, "index", f"measure once at one more angle of C, {np.degrees(c):.0f}°", extended)

@@ -3,23 +3,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, first_of_group
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.effects.effect_terms import effect_term
+from machine_tool_calibration.estimation.normal import solve_normal
 from machine_tool_calibration.estimation.reduction import gram, project
-from machine_tool_calibration.estimation.solve import solve_normal
 from machine_tool_calibration.methods.fitted import Chosen, joint_models
-from machine_tool_calibration.model.model import Assembly, Parameter, Term, assemble
+from machine_tool_calibration.model.model import Assembly, Term, assemble
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.description import Description
-from machine_tool_calibration.session.session import Readings, Session
+from machine_tool_calibration.session.session import Session, joined
 
-__all__ = ["Assumed", "Changed", "Sensed", "appended", "approached", "first_repetition", "pace", "sense"]
+__all__ = ["Assumed", "Changed", "Sensed", "appended", "approached", "first_repetition", "fresh_id", "pace", "sense"]
 
 
 _MOTION = ("x", "y", "z", "a", "b", "c", "azimuth", "elevation", "gx", "gy", "gz")
@@ -40,6 +40,13 @@ def first_repetition(session: Session, setups: Sequence[int] | None = None) -> I
         if setups is None or s in setups:
             keep |= mine & (readings.repeat == readings.repeat[mine].min())
     return np.flatnonzero(keep)
+
+
+def fresh_id(name: str, taken: Collection[str]) -> str:
+    """A name for a new setup that none of the others has."""
+    while name in taken:
+        name += "_new"
+    return name
 
 
 def pace(session: Session, rows: IntArray) -> Array | None:
@@ -127,28 +134,9 @@ def appended(
         row=np.arange(len(rows), dtype=np.int64) + int(old.row.max(initial=-1)) + 1,
     )
     if session.spec.counts_from_run:
-        new = replace(new, displacement=new.displacement - new.displacement[_first_of_run(new)])
-    return replace(session, description=description or session.description, readings=_joined(old, new)), seconds
-
-
-def _first_of_run(readings: Readings) -> IntArray:
-    """(n,) index of the first reading of each reading's run."""
-    keys = [readings.setup, readings.repeat]
-    if "target" in readings.labels:
-        keys.append(np.unique(readings.labels["target"], return_inverse=True)[1].reshape(-1))
-    _, first, run = np.unique(np.stack(keys), axis=1, return_index=True, return_inverse=True)
-    return np.asarray(first[run.reshape(-1)])
-
-
-def _joined(one: Readings, other: Readings) -> Readings:
-    return Readings(
-        setup=np.concatenate([one.setup, other.setup]),
-        repeat=np.concatenate([one.repeat, other.repeat]),
-        displacement=np.concatenate([one.displacement, other.displacement]),
-        columns={n: np.concatenate([v, other.columns[n]]) for n, v in one.columns.items()},
-        labels={n: np.concatenate([v, other.labels[n]]) for n, v in one.labels.items()},
-        row=np.concatenate([one.row, other.row]),
-    )
+        first = first_of_group(new.setup, new.repeat, *(new.labels[n] for n in ("target",) if n in new.labels))
+        new = replace(new, displacement=new.displacement - new.displacement[first])
+    return replace(session, description=description or session.description, readings=joined([old, new])), seconds
 
 
 # Share of an effect's squared norm outside the model below which nothing of it is seen (1 % of the norm).
@@ -299,8 +287,8 @@ def _term(
 ) -> Term:
     """An effect's columns under names that no model has."""
     term = effect_term(assumed.effect, observations, assumed.shape, mapped=False)
-    columns = _columns(assumed, observations, new, turned)
-    return Term("planned", _renamed(term.parameters, number), columns)
+    names = tuple(replace(p, name=f"planned {number} {p.name}") for p in term.parameters)
+    return Term("planned", names, _columns(assumed, observations, new, turned))
 
 
 def _outside(assembly: Assembly, names: Sequence[str]) -> tuple[Array, Array]:
@@ -308,19 +296,13 @@ def _outside(assembly: Assembly, names: Sequence[str]) -> tuple[Array, Array]:
     problem, place = assembly.problem, {p.name: index for index, p in enumerate(assembly.parameters)}
     asked = np.array([place[name] for name in names], dtype=np.int64)
     others = np.setdiff1d(np.arange(problem.size), asked)
-    total, squares = gram(
-        problem, np.zeros(problem.size), [np.zeros((part.dimension, part.n_points)) for part in problem.parts]
-    )
+    total, squares = gram(problem, *problem.zero)
     order, m = np.concatenate([others, asked, np.arange(problem.size, len(total))]), len(others)
     total, squares = total[np.ix_(order, order)], squares[order[: len(squares)]]
     rows = problem.constraints[:, others]
     normal = solve_normal(total[:m, :m], total[:m, -1], rows, np.zeros(len(rows)), squares[:m])
     projected = project(total, squares, normal.half, len(asked))
     return projected.gram[:-1, :-1], projected.squares[:-1]
-
-
-def _renamed(parameters: Sequence[Parameter], number: int) -> tuple[Parameter, ...]:
-    return tuple(replace(p, name=f"planned {number} {p.name}") for p in parameters)
 
 
 def _columns(assumed: Assumed, observations: Observations, new: BoolArray, turned: Mapping[str, float]) -> Array:

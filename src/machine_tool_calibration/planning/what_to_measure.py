@@ -194,19 +194,18 @@ def _separation(group: tuple[str, ...], now: Sensed, seen: Sequence[tuple[Option
         for k, (option, sensed) in enumerate(seen)
         if all(name in sensed.place for name in group)
     ]
+    found = Separation(group, None, _NOTHING, before, before, apart, apart, None)
     if not tries:
-        return Separation(group, None, _NOTHING, before, before, apart, apart, None)
+        return found
     least = min(cosine for cosine, _, _ in tries)
     good = [t for t in tries if t[0] <= max(least + _EQUAL, min(_TOLD_APART / 2, before))]
     # Among equals the quickest, and of these the simplest.
     cosine, _, k = min(good, key=lambda t: (t[1], t[2]))
     option, sensed = seen[k]
+    found = replace(found, cosine_after=cosine, apart_after=_apart(group, sensed))
     if cosine >= ALIKE or cosine > before - _EQUAL:
-        words = _NOTHING
-        return Separation(group, None, words, before, cosine, apart, _apart(group, sensed), None)
-    return Separation(
-        group, option.kind, option.words, before, cosine, apart, _apart(group, sensed), option.seconds, option.aside
-    )
+        return found
+    return replace(found, kind=option.kind, measure=option.words, seconds=option.seconds, aside=option.aside)
 
 
 def _cheaper(
@@ -225,16 +224,13 @@ def _cheaper(
         sensed = sensed.beside(given)
         cosine = _alike(separation.effects, sensed)
         if cosine <= _TOLD_APART:
-            return Separation(
-                separation.effects,
-                option.kind,
-                option.words,
-                separation.cosine_before,
-                cosine,
-                separation.apart_before,
-                _apart(separation.effects, sensed),
-                option.seconds,
-                option.aside,
+            return replace(
+                separation,
+                measure=option.words,
+                cosine_after=cosine,
+                apart_after=_apart(separation.effects, sensed),
+                seconds=option.seconds,
+                aside=option.aside,
             )
     return separation
 

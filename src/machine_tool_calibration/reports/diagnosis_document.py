@@ -152,7 +152,7 @@ def _separation(separation: Separation) -> dict[str, Any]:
     return {
         "effects": list(separation.effects),
         "measure": separation.measure,
-        "separates": separation.kind is not None and separation.separates,
+        "separates": separation.separates,
         "cosine_before": separation.cosine_before,
         "cosine_after": separation.cosine_after,
         "seconds": separation.seconds,

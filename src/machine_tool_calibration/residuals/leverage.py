@@ -14,8 +14,8 @@ from machine_tool_calibration.estimation.elimination import (
     backward,
     cholesky,
     forward,
+    gram_of_each,
     local_columns,
-    local_normal,
 )
 from machine_tool_calibration.estimation.problem import Part
 from machine_tool_calibration.estimation.solve import Solution
@@ -157,9 +157,8 @@ def _seen(part: Part, solution: Solution, index: int, weight: Array) -> Iterator
         if not d:
             yield group, chunk, _Seen(rows, np.zeros((count, 0, n)), np.zeros((slots, 0, n)), np.ones(n, dtype=bool))
             continue
-        root = np.sqrt(weight)[layout.rows[:, chunk]]
-        weighted = Rows(rows.residual * root, rows.local * root, rows.block * root, rows.dense * root)
-        factor, determined = cholesky(local_normal(weighted))
+        weighted = rows.times(np.sqrt(weight)[layout.rows[:, chunk]])
+        factor, determined = cholesky(gram_of_each(weighted.local))
         response = backward(factor, forward(factor, local_columns(weighted, layout.place)[:-1]))
         half = forward(factor, rows.local.transpose(1, 0, 2).copy())
         yield group, chunk, _Seen(rows, response, half, np.asarray(determined.all(axis=0)))

@@ -26,6 +26,7 @@ __all__ = [
     "assemble",
     "distinct_labels",
     "distinct_places",
+    "joined",
     "places_among",
     "refuse_repeated",
 ]
@@ -80,6 +81,20 @@ class Readings:
         """(n, 3) commanded x, y, z, m; an axis that the method does not move is 0."""
         zero = np.zeros(len(self))
         return np.column_stack([self.columns.get(axis, zero) for axis in "xyz"])
+
+
+def joined(parts: Sequence[Readings]) -> Readings:
+    """Readings one after the other, with the columns and labels that all of them have."""
+    columns = [name for name in parts[0].columns if all(name in part.columns for part in parts)]
+    labels = [name for name in parts[0].labels if all(name in part.labels for part in parts)]
+    return Readings(
+        setup=np.concatenate([part.setup for part in parts]),
+        repeat=np.concatenate([part.repeat for part in parts]),
+        displacement=np.concatenate([part.displacement for part in parts]),
+        columns={name: np.concatenate([part.columns[name] for part in parts]) for name in columns},
+        labels={name: np.concatenate([part.labels[name] for part in parts]) for name in labels},
+        row=np.concatenate([part.row for part in parts]),
+    )
 
 
 @dataclass(frozen=True)

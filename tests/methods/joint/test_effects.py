@@ -36,5 +36,5 @@ def test_a_time_constant_of_nothing_is_not_published(several: SimpleNamespace) -
     result = _two_trackers(several, 0, None)
     names = {p.name for p in result.parameters}
     assert "first/warmup_y.a" in names and "warmup_y.tau" not in names
-    why = {entry["name"]: entry["why"] for entry in result.not_determined}
+    why = {entry.name: entry.why for entry in result.not_determined}
     assert "do not bound it" in why["warmup_y.tau"]

@@ -150,5 +150,5 @@ def test_beyond_what_a_session_can_tell_there_is_no_value(several: SimpleNamespa
     assert away.any()
     assert np.isfinite(error[away, 0]).all() and np.isnan(error[away, 1:]).all()
     assert np.isfinite(error[~away]).all()
-    (why,) = (e["why"] for e in result.not_determined if e["name"] == "error_map.position_error")
+    (why,) = (e.why for e in result.not_determined if e.name == "error_map.position_error")
     assert "EYX, EZX from x = 0 to 0.12 m" in why

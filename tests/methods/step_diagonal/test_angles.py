@@ -9,7 +9,7 @@ from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.methods.step_diagonal.build import build
 from machine_tool_calibration.methods.step_diagonal.orders import paper_angular_uncertainty
-from machine_tool_calibration.methods.step_diagonal.terms import angle_term
+from machine_tool_calibration.methods.step_diagonal.terms import Angle
 from machine_tool_calibration.model.fit import fit_models
 from machine_tool_calibration.model.rigid_body import MachineTable
 from machine_tool_calibration.simulation import TableSpec
@@ -37,7 +37,7 @@ def test_columns_are_what_exact_geometry_reads(exact, name, chain):
         1, motions=motions, position=0.0, squareness=0.0, tilt=0.0, orders=ORDERS, corner=corner, chain=chain
     ).session
     model = build(session, "translations")
-    angle = angle_term(MachineTable(Chain.parse(chain), name, nodes), model.observations, model.observations.position)
+    angle = Angle.of(MachineTable(Chain.parse(chain), name, nodes), model.observations)
     expected = np.array(table.values) @ angle.columns
     left = session.readings.displacement - model.observations.path - expected
     assert np.abs(expected).max() > 1e-9

@@ -104,7 +104,7 @@ def test_number_of_unknowns_as_in_the_paper(d, of_target, of_station, datum_size
     n, s = len(scene.nominal), len(scene.estimate)
     solution = solve(scene.problem())
     assert solution.degrees_of_freedom == n * s - (of_target * n + of_station * s - datum_size)
-    assert solution.is_determined().all()
+    assert solution.determined.all()
 
 
 @pytest.mark.parametrize(("d", "missing"), [(2, 3), (3, 6)])
@@ -112,8 +112,8 @@ def test_without_a_datum_the_motions_are_found(d, missing):
     solution = solve(Scene(d, station_error=1e-5).problem(constraints=np.zeros((0, 4 * (d + 1)))))
     assert solution.undetermined.shape[1] == missing
     places = np.arange(4 * (d + 1)).reshape(4, d + 1)
-    assert not solution.is_determined()[places[:, :d]].any()
-    assert solution.is_determined()[places[:, d]].all()
+    assert not solution.determined[places[:, :d]].any()
+    assert solution.determined[places[:, d]].all()
 
 
 @pytest.mark.parametrize("stations", [2, 3])
@@ -126,7 +126,7 @@ def test_too_few_stations_leave_everything_open(stations):
     solution = solve(scene.problem())
     if stations == 2:
         assert not solution.local_determined[0].all(axis=0).any()
-    assert solution.degrees_of_freedom <= 0 or not solution.is_determined().all()
+    assert solution.degrees_of_freedom <= 0 or not solution.determined.all()
 
 
 def test_rows_against_finite_differences():

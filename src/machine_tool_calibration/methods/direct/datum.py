@@ -11,7 +11,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.model.model import Kind, NotDetermined, Parameter
 
-__all__ = ["SetupDatum", "needed_rows", "setup_datum", "silent_directions"]
+__all__ = ["SetupDatum", "needed_rows", "setup_columns", "setup_datum", "silent_directions"]
 
 
 # Smallest eigenvalue of the normal matrix of unit columns that still counts, as in the solver.
@@ -88,6 +88,20 @@ class SetupDatum:
     left_out: tuple[NotDetermined, ...]
     curvature: Array
     words: str
+
+
+def setup_columns(columns: Array, setup: IntArray, count: int) -> Array:
+    """(setups p, n) columns of the unknowns of every setup, setup after setup.
+
+    Args:
+        columns: (p, n) change of each reading per unit of the unknowns of its own setup.
+        setup: (n,) index of each reading's setup.
+        count: of setups.
+    """
+    p, n = columns.shape
+    out = np.zeros((count, p, n))
+    out[setup, :, np.arange(n)] = columns.T
+    return out.reshape(-1, n)
 
 
 def setup_datum(

@@ -5,19 +5,27 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, rigid_motions
 from machine_tool_calibration.methods.direct.datum import SetupDatum
 from machine_tool_calibration.methods.direct.iso230_2 import positioning, positioning_uncertainty
 from machine_tool_calibration.methods.direct.plate import plate_steps
 from machine_tool_calibration.model.fit import Fit
-from machine_tool_calibration.model.model import Term
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.result import ErrorMap
-from machine_tool_calibration.model.rigid_body import MachineTable, map_field, tables_content
+from machine_tool_calibration.model.rigid_body import (
+    MachineTable,
+    determined_part,
+    map_field,
+    position_errors,
+    tables_content,
+)
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.methods.direct.model import DirectModel
 
 __all__ = ["direct_map", "positioning_runs", "sensed_axes"]
 
@@ -104,31 +112,18 @@ def sensed_axes(direction: Array) -> BoolArray:
     return np.asarray(np.abs(direction).max(axis=0, initial=0.0) > _ACROSS)
 
 
-def direct_map(
-    observations: Observations,
-    tables: Sequence[MachineTable],
-    setups: SetupDatum,
-    effects: Sequence[Term],
-    fixed: Array,
-    fit: Fit,
-) -> ErrorMap:
+def direct_map(model: DirectModel, fit: Fit) -> ErrorMap:
     """The contract's content for `direct`.
 
     What the setups' unknowns leave open is taken out of the position errors by least squares over the points, so that
     neither the errors nor their uncertainties hinge on a single node. A direction that no reading senses is NaN
     everywhere: a term or an effect may move it, but nothing was measured there.
-
-    Args:
-        observations: the readings.
-        tables: machine errors in the model.
-        setups: what each setup leaves open.
-        effects: terms of added effects, which follow those of the tables; only displacements count.
-        fixed: (unknowns, q) what the readings leave open of setups and tables and the datum fixes.
-        fit: of the model.
     """
+    observations, tables, setups = model.observations, model.tables, model.setups
     own, n = len(setups.parameters), len(observations)
     fields = [map_field(tables, observations.position)]
-    for term in effects:
+    # Terms of added effects follow those of the tables; of them only displacements count.
+    for term in model.terms[len(tables) :]:
         size = len(term.parameters)
         fields.append(np.zeros((size, n, 3)) if term.field is None else term.field)
     # What is not sensed has no part in the map's least squares, and distinguishes no states of an effect.
@@ -139,17 +134,13 @@ def direct_map(
     points, field = observations.position[first], field[:, first]
     flat = field.reshape(len(field), 3 * len(points))
     mine = slice(own, own + len(field))
-    common = _common(flat[: len(fields[0])].T @ fixed[own:], setups, points, observations.direction)
+    common = _common(flat[: len(fields[0])].T @ model.fixed[own:], setups, points, observations.direction)
     if common.shape[1]:
         flat = flat - (common @ np.linalg.lstsq(common, flat.T, rcond=1e-9)[0]).T
-    error = (fit.theta[mine] @ flat).reshape(-1, 3)
     parts = flat.reshape(len(field), len(points), 3)
-    covariance = np.einsum("knd,kl,lne->nde", parts, fit.covariance[mine, mine], parts, optimize=True)
+    error, covariance = position_errors(parts, fit.theta[mine], fit.covariance[mine, mine])
     loose = np.linalg.norm(flat.T @ fit.solution.loose_directions()[fit.places][mine], axis=1).reshape(-1, 3) > _LOOSE
-    loose |= ~sensed
-    error = np.where(loose, np.nan, error)
-    uncertainty = np.where(loose, np.nan, np.sqrt(np.einsum("nii->ni", covariance).clip(0.0)))
-    covariance = np.where(loose.any(axis=1)[:, None, None], np.nan, covariance)
+    error, uncertainty, covariance = determined_part(error, covariance, loose | ~sensed)
     content: dict[str, Any] = {
         "points": points,
         "position_error": error,
@@ -196,11 +187,8 @@ def _common(tables: Array, setups: SetupDatum, points: Array, direction: Array) 
     n = len(points)
     parts = [tables]
     if setups.kind == "rigid":
-        arm = points - points.mean(axis=0)
-        shifts = np.tile(np.eye(3), (n, 1))
-        turns = np.stack([np.cross(np.eye(3)[j], arm) for j in range(3)], axis=-1).reshape(3 * n, 3)
-        seen = np.tile(sensed_axes(direction), n)[:, None]
-        parts += [shifts * seen, turns * seen]
+        moved = rigid_motions(points - points.mean(axis=0))
+        parts.append((moved * sensed_axes(direction)[:, None]).reshape(3 * n, 6))
     elif setups.kind == "offset" and np.allclose(np.abs(direction @ direction[0]), 1.0, atol=1e-9):
         parts.append(np.tile(direction[0] * sensed_axes(direction), n)[:, None])
     common = np.concatenate(parts, axis=1)

@@ -20,13 +20,19 @@ from machine_tool_calibration.estimation.problem import LinearPart, Part, group_
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.machine.error_motions import SQUARENESS, parse_motion
 from machine_tool_calibration.methods.direct.checks import refuse_mistakes
-from machine_tool_calibration.methods.direct.datum import SetupDatum, needed_rows, setup_datum, silent_directions
+from machine_tool_calibration.methods.direct.datum import (
+    SetupDatum,
+    needed_rows,
+    setup_columns,
+    setup_datum,
+    silent_directions,
+)
 from machine_tool_calibration.methods.direct.map import direct_map
 from machine_tool_calibration.model.fit import Fit
-from machine_tool_calibration.model.model import Constraint, MethodModel, NotDetermined, Parameter, Term
+from machine_tool_calibration.model.model import Constraint, MethodModel, NotDetermined, Parameter, Term, weight_row
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.result import ErrorMap
-from machine_tool_calibration.model.rigid_body import MachineTable, table_datum
+from machine_tool_calibration.model.rigid_body import MachineTable, distinct_nodes, table_datum, thinned
 from machine_tool_calibration.session.description import Direct
 from machine_tool_calibration.session.session import Readings, Session
 
@@ -36,8 +42,6 @@ __all__ = ["DirectModel", "asked_tables", "build", "build_direct", "nodes_from"]
 # Nodes of a table where the axis was read at more positions than it has readings to fill.
 _FEW = 21
 _MOST = 101
-# Positions closer than this share of the range are one node.
-_SAME = 1e-3
 
 
 def nodes_from(positions: Array, unknowns_per_node: int = 1) -> Array:
@@ -50,18 +54,9 @@ def nodes_from(positions: Array, unknowns_per_node: int = 1) -> Array:
         positions: (n,) m.
         unknowns_per_node: number of tables of this axis.
     """
-    distinct = np.unique(np.round(positions, 9)) + 0.0
-    same = max(_SAME * float(np.ptp(distinct)), 1e-9)
-    kept = [float(distinct[0])]
-    for value in distinct[1:]:
-        if value - kept[-1] > same:
-            kept.append(float(value))
-    nodes = np.array(kept)
+    nodes = distinct_nodes(positions)
     most = _MOST if len(positions) >= 2 * len(nodes) * unknowns_per_node else _FEW
-    if len(nodes) <= most:
-        return nodes
-    wanted = np.linspace(nodes[0], nodes[-1], _FEW)
-    return np.unique(nodes[np.abs(nodes[:, None] - wanted).argmin(axis=0)])
+    return nodes if len(nodes) <= most else thinned(nodes, _FEW)
 
 
 def asked_tables(chain: Chain, terms: Sequence[str], position: Array) -> tuple[MachineTable, ...]:
@@ -133,7 +128,7 @@ class DirectModel(MethodModel):
 
     def error_map(self, fit: Fit) -> ErrorMap:
         """Position error of the fitted machine errors and effects at every point that was read."""
-        return direct_map(self.observations, self.tables, self.setups, self.terms[len(self.tables) :], self.fixed, fit)
+        return direct_map(self, fit)
 
 
 def build(session: Session, model: str = "rigid_body") -> DirectModel:
@@ -216,13 +211,13 @@ def _sensed_terms(
     """The tables on which some reading depends; which of them cannot be distinguished is found by the solver."""
     kept, terms, left = [], [], []
     for table in tables:
-        columns = table.columns(observations.position, observations.direction)
-        if np.abs(columns).max(initial=0.0) < 1e-9:
+        term = table.term(observations)
+        if np.abs(term.columns).max(initial=0.0) < 1e-9:
             why = "no reading depends on it: it does not move the functional point along any measured direction"
             left.append(NotDetermined(table.name, why))
             continue
         kept.append(table)
-        terms.append(Term(table.name, table.parameters, columns))
+        terms.append(term)
     return tuple(kept), tuple(terms), tuple(left)
 
 
@@ -230,23 +225,13 @@ def _datum(
     tables: tuple[MachineTable, ...], terms: tuple[Term, ...], setups: SetupDatum, setup: IntArray, count: int
 ) -> tuple[tuple[Constraint, ...], list[str], Array]:
     """Zeros and slopes of tables, as many as the readings leave open: straightness first, positioning last."""
-    p, n = setups.columns.shape
-    own = np.zeros((count * p, n))
-    for j in range(p):
-        own[setup * p + j, np.arange(n)] = setups.columns[j]
-    columns = np.concatenate([own, *(term.columns for term in terms)])
+    columns = np.concatenate([setup_columns(setups.columns, setup, count), *(term.columns for term in terms)])
     basis, scale = silent_directions(columns)
     names = [p.name for p in setups.parameters] + [q.name for term in terms for q in term.parameters]
     place = {name: k for k, name in enumerate(names)}
     ordered = sorted(tables, key=lambda table: (not table.is_straightness, not table.is_rotation))
     candidates = [constraint for table in ordered for constraint in table_datum((table,))]
-    rows = []
-    for constraint in candidates:
-        row = np.zeros(len(names))
-        for name, weight in constraint.weights.items():
-            row[place[name]] = weight
-        rows.append(row * scale)
-    chosen, fixed = needed_rows(basis, rows)
+    chosen, fixed = needed_rows(basis, [weight_row(place, c.weights, len(names)) * scale for c in candidates])
     needed = [candidates[k] for k in chosen]
     zero = [next(iter(c.weights)) for c in needed if len(c.weights) == 1]
     slope = [next(iter(c.weights)).split("(")[0] for c in needed if len(c.weights) > 1]

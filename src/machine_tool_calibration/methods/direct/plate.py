@@ -18,7 +18,7 @@ from scipy import special
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.machine.error_motions import squareness_field
-from machine_tool_calibration.methods.direct.datum import SetupDatum
+from machine_tool_calibration.methods.direct.datum import SetupDatum, setup_columns
 from machine_tool_calibration.model.observations import Observations
 
 __all__ = ["plate_steps"]
@@ -64,7 +64,9 @@ def plate_steps(observations: Observations, setups: SetupDatum) -> dict[str, Any
     count = np.bincount(place)
     reading = np.bincount(place, observations.readings.displacement - setups.curvature) / count
     position, direction = observations.position[first], observations.direction[first]
-    own = _own(observations.readings.setup[first], setups.columns[:, first], len(observations.session.setup_ids))
+    own = setup_columns(
+        setups.columns[:, first], observations.readings.setup[first], len(observations.session.setup_ids)
+    )
     steps = _columns(position, direction, plane, _Step(_DATUM[setups.kind], own))
     if len(reading) < 2 * sum(len(step.columns) for step in steps[:-1]) + 4:
         return None
@@ -89,15 +91,6 @@ def _places(observations: Observations) -> tuple[IntArray, IntArray]:
     )
     _, first, place = np.unique(keys, axis=1, return_index=True, return_inverse=True)
     return place.reshape(-1), first
-
-
-def _own(setup: IntArray, columns: Array, count: int) -> Array:
-    """(setups p, n) what each setup leaves open."""
-    p, n = columns.shape
-    out = np.zeros((count * p, n))
-    for j in range(p):
-        out[setup * p + j, np.arange(n)] = columns[j]
-    return out
 
 
 def _columns(position: Array, direction: Array, plane: Sequence[int], first: _Step) -> list[_Step]:

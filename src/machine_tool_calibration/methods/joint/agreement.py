@@ -20,22 +20,22 @@ from scipy import special
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.effects.error_motion import polynomials
-from machine_tool_calibration.estimation.normal import covariance_root
-from machine_tool_calibration.estimation.reduction import project
-from machine_tool_calibration.estimation.solve import gram
 from machine_tool_calibration.machine.error_motions import SQUARENESS, interpolation, parse_motion
 from machine_tool_calibration.methods.joint.model import CommonModels
-from machine_tool_calibration.model.fit import JointFit
-from machine_tool_calibration.model.model import MethodModel, Parameter, Term, assemble
+from machine_tool_calibration.model.fit import JointFit, screen_joint
+from machine_tool_calibration.model.model import MethodModel, Parameter, Term
 
 __all__ = ["Agreement", "Contradiction", "agreement"]
 
+_NOTHING_SHARED = "the sessions share no error motion that could be compared"
 _LEVEL = 0.01
 _ROUNDS = 3
 _DEGREE = 4
 _CLEAR = 3.0
 # Share of the best explanation's logarithm of probability above which another is named beside it.
 _ALIKE = 0.7
+# Share of a logarithm of probability by which rounding may change it.
+_TIE = 1e-9
 # Share of a term's largest change of a reading below which a reading does not depend on it.
 _NOTHING = 1e-6
 # Positions at which a difference is looked at, and how near to each other ranges touch, m.
@@ -111,33 +111,30 @@ def agreement(joint: JointFit, common: CommonModels, labels: Sequence[str], spre
     """
     candidates = _candidates(common.models)
     if not candidates:
-        return Agreement(0, None, 1.0, (), "the sessions share no error motion that could be compared")
-    matrix, vector, start, size = _scores(joint, labels, candidates)
+        return Agreement(0, None, 1.0, (), _NOTHING_SHARED)
+    scores = _scores(joint, candidates)
     factor = max(1.0, spread)
     pending = list(range(len(candidates)))
     found: list[Contradiction] = []
     smallest, count = 1.0, 0
     for round_ in range(_ROUNDS):
-        tests = [(k, *_test(matrix, vector, _where(start, k), size)) for k in pending]
-        tests = [(k, chi, rank) for k, chi, rank in tests if rank]
+        tests = [(k, chi, rank) for k in pending for chi, rank in [scores.test(k)] if rank]
         if not tests:
             break
         logs = [_log_tail(chi / factor, rank) for _, chi, rank in tests]
-        best = int(np.argmin(logs))
+        # Of two that are as likely (each of two sessions against the other) the first, however they are rounded.
+        best = int(np.flatnonzero(np.array(logs) <= min(logs) * (1.0 - _TIE))[0])
         p = min(1.0, float(np.exp(logs[best])) * len(tests))
         if round_ == 0:
             smallest, count = p, len(tests)
         if p > _LEVEL:
             break
         chosen = tests[best][0]
-        value, uncertainty = _difference(matrix, vector, _where(start, chosen), size, candidates[chosen])
         entry = candidates[chosen]
         partners = {entry.session, *entry.others}
-        alike = [
-            candidates[k].motion
-            for (k, _, _), log in zip(tests, logs, strict=True)
-            if log < _ALIKE * logs[best] and candidates[k].session in partners and candidates[k].motion != entry.motion
-        ]
+        near = (candidates[k] for (k, _, _), log in zip(tests, logs, strict=True) if log < _ALIKE * logs[best])
+        alike = [other.motion for other in near if other.session in partners and other.motion != entry.motion]
+        value, uncertainty = scores.difference(chosen, entry.shape)
         found.append(
             Contradiction(
                 labels[entry.session],
@@ -150,16 +147,11 @@ def agreement(joint: JointFit, common: CommonModels, labels: Sequence[str], spre
                 p,
             )
         )
-        matrix, vector = _taken_in(matrix, vector, _where(start, chosen), size)
+        scores = scores.without(chosen)
         pending = [k for k in pending if k != chosen and candidates[k].columns.size]
-    if not found:
-        text = (
-            f"the sessions agree: of {count} comparisons the worst has p = {smallest:.2g}"
-            if count
-            else "the sessions share no error motion that could be compared"
-        )
-        return Agreement(count, smallest, float(np.sqrt(factor)), (), text)
-    text = "; ".join(_sentence(entry) for entry in found)
+    text = f"the sessions agree: of {count} comparisons the worst has p = {smallest:.2g}" if count else _NOTHING_SHARED
+    if found:
+        text = "; ".join(_sentence(entry) for entry in found)
     if any(len(entry.others) == 1 for entry in found):
         text += " (two sessions alone do not determine which of them is wrong)"
     return Agreement(count, smallest, float(np.sqrt(factor)), tuple(found), text)
@@ -261,65 +253,62 @@ def _difference_of(model: MethodModel, term: Term, common: Sequence[int], at: Ar
     return each, each[common]
 
 
-def _scores(
-    joint: JointFit, labels: Sequence[str], candidates: Sequence[_Candidate]
-) -> tuple[Array, Array, IntArray, Array]:
-    """Inner products of all differences, the joint model projected off, and with the residuals."""
-    models = list(joint.assembly.models)
-    names: list[str] = []
+@dataclass(frozen=True)
+class _Scores:
+    """All differences with the joint model projected off, weighted by the declared uncertainty.
+
+    Attributes:
+        gram: (k, k) their inner products.
+        right: (k,) with the residuals.
+        squares: (k,) squared norms before anything was projected off.
+        start: (differences + 1,) first column of each.
+    """
+
+    gram: Array
+    right: Array
+    squares: Array
+    start: IntArray
+
+    def _own(self, k: int) -> slice:
+        return slice(int(self.start[k]), int(self.start[k + 1]))
+
+    def _inverse(self, k: int) -> tuple[Array, int]:
+        """Pseudo-inverse of a difference's block, without what the model takes up, and its rank."""
+        own = self._own(k)
+        scale = 1.0 / np.sqrt(np.maximum(self.squares[own], 1e-300))
+        block = self.gram[own, own] * np.outer(scale, scale)
+        values, vectors = np.linalg.eigh((block + block.T) / 2)
+        good = values > _ABSORBED
+        half = vectors[:, good] / np.sqrt(values[good]) * scale[:, None]
+        return half @ half.T, int(good.sum())
+
+    def test(self, k: int) -> tuple[float, int]:
+        """The chi-square of a difference, and its degrees of freedom."""
+        (inverse, rank), right = self._inverse(k), self.right[self._own(k)]
+        return float(right @ inverse @ right), rank
+
+    def difference(self, k: int, shape: Array) -> tuple[float, float]:
+        """The largest value of a difference that is clearly one, and its standard uncertainty."""
+        inverse, _ = self._inverse(k)
+        value = shape @ (inverse @ self.right[self._own(k)])
+        uncertainty = np.sqrt(np.einsum("vi,ij,vj->v", shape, inverse, shape).clip(0.0))
+        ratio = np.abs(value) / np.maximum(uncertainty, 1e-300)
+        clear = ratio > min(_CLEAR, float(ratio.max()) * 0.999)
+        worst = int(np.argmax(np.where(clear, np.abs(value), -1.0)))
+        return float(value[worst]), float(uncertainty[worst])
+
+    def without(self, k: int) -> _Scores:
+        """The same with one difference taken into the model."""
+        own = self._own(k)
+        cross = self.gram[:, own] @ self._inverse(k)[0]
+        return replace(self, gram=self.gram - cross @ self.gram[own], right=self.right - cross @ self.right[own])
+
+
+def _scores(joint: JointFit, candidates: Sequence[_Candidate]) -> _Scores:
+    terms: list[list[Term]] = [[] for _ in joint.assembly.models]
     for number, entry in enumerate(candidates):
-        own = [f"difference {number}.{k}" for k in range(len(entry.columns))]
-        names += [f"{labels[entry.session]}/{name}" for name in own]
-        term = Term(f"difference {number}", tuple(Parameter(name, "1") for name in own), entry.columns)
-        models[entry.session] = models[entry.session].with_terms([term])
-    bare = [replace(model, constraints=(), priors=model.priors) for model in models]
-    wide = assemble(bare, labels)
-    place = {p.name: k for k, p in enumerate(wide.parameters)}
-    old = np.array([place[p.name] for p in joint.assembly.parameters])
-    new = np.array([place[name] for name in names])
-    theta = np.zeros(len(wide.parameters))
-    theta[old] = joint.solution.theta
-    total, squares = gram(wide.problem, theta, joint.solution.local)
-    order = np.concatenate([old, new, [len(theta)]])
-    total, squares = total[np.ix_(order, order)], squares[order]
-    half = covariance_root(total, squares, joint.assembly.problem.constraints)
-    projected = project(total, squares, half, len(new))
+        names = tuple(Parameter(f"difference {number}.{k}", "1") for k in range(len(entry.columns)))
+        terms[entry.session].append(Term(f"difference {number}", names, entry.columns))
+    screened = screen_joint(joint, terms)
     start = np.cumsum([0, *(len(entry.columns) for entry in candidates)])
-    return projected.gram[:-1, :-1], projected.gram[:-1, -1], start, projected.squares[:-1]
-
-
-def _where(start: IntArray, k: int) -> slice:
-    return slice(int(start[k]), int(start[k + 1]))
-
-
-def _inverse(matrix: Array, where: slice, size: Array) -> tuple[Array, int]:
-    """Pseudo-inverse of the block, without what the model takes up, and its rank."""
-    scale = 1.0 / np.sqrt(np.maximum(size[where], 1e-300))
-    block = matrix[where, where] * np.outer(scale, scale)
-    values, vectors = np.linalg.eigh((block + block.T) / 2)
-    good = values > _ABSORBED
-    half = vectors[:, good] / np.sqrt(values[good]) * scale[:, None]
-    return half @ half.T, int(good.sum())
-
-
-def _test(matrix: Array, vector: Array, where: slice, size: Array) -> tuple[float, int]:
-    inverse, rank = _inverse(matrix, where, size)
-    return float(vector[where] @ inverse @ vector[where]), rank
-
-
-def _difference(matrix: Array, vector: Array, where: slice, size: Array, entry: _Candidate) -> tuple[float, float]:
-    """The largest difference that is clearly one, and its standard uncertainty."""
-    inverse, _ = _inverse(matrix, where, size)
-    value = entry.shape @ (inverse @ vector[where])
-    uncertainty = np.sqrt(np.einsum("vi,ij,vj->v", entry.shape, inverse, entry.shape).clip(0.0))
-    ratio = np.abs(value) / np.maximum(uncertainty, 1e-300)
-    clear = ratio > min(_CLEAR, float(ratio.max()) * 0.999)
-    worst = int(np.argmax(np.where(clear, np.abs(value), -1.0)))
-    return float(value[worst]), float(uncertainty[worst])
-
-
-def _taken_in(matrix: Array, vector: Array, where: slice, size: Array) -> tuple[Array, Array]:
-    """The same with one difference taken into the model."""
-    inverse, _ = _inverse(matrix, where, size)
-    cross = matrix[:, where] @ inverse
-    return matrix - cross @ matrix[where], vector - cross @ vector[where]
+    return _Scores(screened.gram[:-1, :-1], screened.gram[:-1, -1], screened.squares[:-1], start)

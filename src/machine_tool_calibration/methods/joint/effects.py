@@ -102,7 +102,7 @@ def _shape_is_determined(fit: JointFit, effect: Effect) -> bool:
     solution, parameters = fit.solution, fit.assembly.parameters
     sigma = np.sqrt(np.diag(solution.covariance).clip(0.0) * max(fit.reduced_chi_square, 1.0))
     wanted = {f"{effect.id}.{c.name}" for c in effect.shapes if not c.discrete}
-    good = solution.is_determined()
+    good = solution.determined
     for k, p in enumerate(parameters):
         if p.name in wanted:
             value = float(p.reference + solution.theta[k])

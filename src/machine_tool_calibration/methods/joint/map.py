@@ -17,7 +17,13 @@ from machine_tool_calibration.methods.joint.small_angles import StatedAngles
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import Kind, NotDetermined
 from machine_tool_calibration.model.result import ErrorMap
-from machine_tool_calibration.model.rigid_body import MachineTable, map_field, tables_content
+from machine_tool_calibration.model.rigid_body import (
+    MachineTable,
+    determined_part,
+    map_field,
+    position_errors,
+    tables_content,
+)
 
 __all__ = ["between_nodes", "joint_map", "squared_bend"]
 
@@ -127,24 +133,13 @@ def joint_map(joint: JointFit, common: CommonModels, angles: StatedAngles | None
     open_ = open_[:, size > 1e-9] / size[size > 1e-9]
     if open_.shape[1]:
         flat = flat - (open_ @ np.linalg.lstsq(open_[inside], flat.T[inside], rcond=1e-9)[0]).T
-    error = (solution.theta[index] @ flat).reshape(n, 3)
-    parts = flat.reshape(len(field), n, 3)
-    covariance = np.einsum("knd,kl,lne->nde", parts, solution.covariance[np.ix_(index, index)], parts, optimize=True)
+    theta, own = solution.theta[index], solution.covariance[np.ix_(index, index)]
+    error, covariance = position_errors(flat.reshape(len(field), n, 3), theta, own)
     # A restated fit says what other readings do, and no reading does anything to the lines.
     if joint.given is None:
-        covariance += between_nodes(
-            common.tables,
-            solution.theta[index],
-            solution.covariance[np.ix_(index, index)],
-            points,
-            _read(common),
-            solution.is_determined()[index],
-        )
+        covariance += between_nodes(common.tables, theta, own, points, _read(common), solution.determined[index])
     loose = np.linalg.norm(flat.T @ solution.loose_directions()[index], axis=1).reshape(n, 3) > _LOOSE
-    loose |= beyond
-    error = np.where(loose, np.nan, error)
-    uncertainty = np.where(loose, np.nan, np.sqrt(np.einsum("nii->ni", covariance).clip(0.0)))
-    covariance = np.where(loose.any(axis=1)[:, None, None], np.nan, covariance)
+    error, uncertainty, covariance = determined_part(error, covariance, loose | beyond)
     content |= {
         "points": points,
         "position_error": error,
@@ -207,7 +202,7 @@ def _points(joint: JointFit, common: CommonModels) -> Array:
 
 
 def _tables(tables: Sequence[MachineTable], joint: JointFit, index: IntArray) -> dict[str, Any]:
-    good = joint.published.is_determined()[index]
+    good = joint.published.determined[index]
     value = np.where(good, joint.published.theta[index], np.nan)
     sigma = np.where(good, np.sqrt(np.diag(joint.published.covariance)[index].clip(0.0)), np.nan)
     return tables_content(tables, value, sigma)
@@ -216,7 +211,7 @@ def _tables(tables: Sequence[MachineTable], joint: JointFit, index: IntArray) ->
 def _rotary(joint: JointFit) -> dict[str, Any]:
     """Error motions of rotary axes, where a session measured them."""
     out: dict[str, Any] = {}
-    good = joint.published.is_determined()
+    good = joint.published.determined
     sigma = np.sqrt(np.diag(joint.published.covariance).clip(0.0))
     for index, parameter in enumerate(joint.assembly.parameters):
         if parameter.shared and parameter.kind is Kind.MOTION and parse_motion(parameter.owner).axis in "ABC":

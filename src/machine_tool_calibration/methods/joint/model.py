@@ -5,7 +5,7 @@ Every session's model has tables of the machine's error motions at nodes of its 
 by itself. Put together, a table must be the same function for all: the nodes are those of all sessions that have it,
 and a session's readings depend on every motion that any session has and that moves its functional point, also on those
 that it had left out because it could not tell them from others. The angular errors that a step diagonal takes for small
-random functions are such motions too (`joint_spread`).
+random functions are such motions too (`small_angles`).
 """
 
 from __future__ import annotations
@@ -19,28 +19,28 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.error_motion import sensed_lever_arms
 from machine_tool_calibration.errors import ModelError
-from machine_tool_calibration.estimation.solve import gram, solve_normal
+from machine_tool_calibration.estimation.solve import Linearised
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.machine.error_motions import SQUARENESS, interpolation, parse_motion
 from machine_tool_calibration.methods.direct.datum import needed_rows
 from machine_tool_calibration.methods.joint.small_angles import angles_of, expected, in_words, without_spread
 from machine_tool_calibration.methods.step_diagonal.small_angles import coarse_nodes
-from machine_tool_calibration.model.model import Constraint, MethodModel, Prior, Term, assemble
-from machine_tool_calibration.model.observations import Observations, together
+from machine_tool_calibration.model.model import Constraint, MethodModel, Prior, assemble, weight_row
+from machine_tool_calibration.model.observations import together
 from machine_tool_calibration.model.rigid_body import (
     MachineTable,
+    distinct_nodes,
     linear_axis_errors,
     machine_terms,
     read_nodes,
     table_datum,
+    thinned,
 )
 
-__all__ = ["CommonModels", "common_models", "machine_columns", "tables_of"]
+__all__ = ["CommonModels", "common_models", "tables_of"]
 
-# Share of the range within which nodes of two sessions are one, and the most nodes of a table.
-_SAME = 1e-3
-_MOST = 61
-_FEW = 31
+# Most nodes of a table, and about how many are taken of more.
+_MOST, _FEW = 61, 31
 _SENSED = 1e-9
 
 
@@ -114,17 +114,6 @@ def _compatible(one: Chain, other: Chain) -> bool:
     )
 
 
-def machine_columns(table: MachineTable, observations: Observations) -> Array:
-    """(k, n) change of each reading per unit of each of a table's unknowns, also through the turning of a mirror."""
-    columns = table.columns(observations.position, observations.direction)
-    turned = observations.rotation_direction
-    if turned is None or table.is_squareness or not table.is_rotation:
-        return columns
-    motion = parse_motion(table.name)
-    weights = interpolation(table.nodes, observations.position[:, "XYZ".index(motion.axis)])
-    return np.asarray(columns + weights * turned[:, "ABC".index(motion.component)])
-
-
 def tables_of(model: MethodModel) -> tuple[MachineTable, ...]:
     """A model's own tables of the linear axes' errors; none for a rotary axis or free targets."""
     return tuple(getattr(model, "tables", None) or ())
@@ -174,21 +163,13 @@ def _sensed_nodes(model: MethodModel, name: str) -> Array | None:
     if len(nodes) < 2:
         return None
     own = model.observations.session.description.machine.kinematics
-    columns = machine_columns(MachineTable(own, name, nodes), model.observations)
-    return nodes if np.abs(columns).max() > _SENSED else None
+    term = MachineTable(own, name, nodes).term(model.observations)
+    return nodes if np.abs(term.columns).max() > _SENSED else None
 
 
 def _union(nodes: Iterable[Array]) -> Array:
-    every = np.unique(np.round(np.concatenate(list(nodes)), 9)) + 0.0
-    same = max(_SAME * float(np.ptp(every)), 1e-9)
-    kept = [float(every[0])]
-    for value in every[1:]:
-        if value - kept[-1] > same:
-            kept.append(float(value))
-    out = np.array(kept)
-    if len(out) <= _MOST:
-        return out
-    return np.unique(out[np.abs(out[:, None] - np.linspace(out[0], out[-1], _FEW)).argmin(axis=0)])
+    every = distinct_nodes(np.concatenate(list(nodes)))
+    return every if len(every) <= _MOST else thinned(every, _FEW)
 
 
 def _with_tables(model: MethodModel, tables: Sequence[MachineTable]) -> MethodModel:
@@ -201,10 +182,10 @@ def _with_tables(model: MethodModel, tables: Sequence[MachineTable]) -> MethodMo
     # The lever arms of each session end at its own functional point.
     chain = model.observations.session.description.machine.kinematics
     for table in (replace(shared, chain=chain) for shared in tables):
-        columns = machine_columns(table, model.observations)
-        if np.abs(columns).max(initial=0.0) > _SENSED:
+        term = table.term(model.observations)
+        if np.abs(term.columns).max(initial=0.0) > _SENSED:
             kept.append(table)
-            terms.append(Term(table.name, table.parameters, columns))
+            terms.append(term)
     translate = _translation(own, kept)
     rest = model.terms[len(own) :]
     changed: dict[str, object] = {
@@ -276,25 +257,18 @@ def _with_datum(models: Sequence[MethodModel], labels: Sequence[str], tables: Se
     bare = [replace(model, constraints=tuple(own[k])) for k, model in enumerate(models)]
     assembly = assemble(bare, labels)
     m = assembly.problem.size
-    zero = [np.zeros((part.dimension, part.n_points)) for part in assembly.problem.parts]
-    total, squares = gram(assembly.problem, np.zeros(m), zero)
-    problem = assembly.problem
-    normal = solve_normal(total[:m, :m], total[:m, m], problem.constraints, problem.constraint_values, squares[:m])
+    start = Linearised.at(assembly.problem, *assembly.problem.zero)
+    undetermined = start.normal().undetermined
     # An unknown of which there is no reading (a setup that was declared and never read) counts like any other.
-    size = np.sqrt(squares[:m])
+    size = np.sqrt(start.squares)
     typical = float(size.max(initial=0.0)) or 1.0
     scale = 1.0 / np.where(size > 1e-13 * typical, size, typical)
-    basis = np.linalg.qr(normal.undetermined / scale[:, None])[0] if normal.undetermined.size else np.zeros((m, 0))
+    basis = np.linalg.qr(undetermined / scale[:, None])[0] if undetermined.size else np.zeros((m, 0))
     places = [
         dict(zip((p.name for p in model.parameters), where, strict=True))
         for model, where in zip(bare, assembly.places, strict=True)
     ]
-    rows = []
-    for index, constraint in candidates:
-        row = np.zeros(m)
-        for name, weight in constraint.weights.items():
-            row[places[index][name]] += weight
-        rows.append(row * scale)
+    rows = [weight_row(places[index], constraint.weights, m) * scale for index, constraint in candidates]
     families = {p.name: p.family for model in bare for p in model.parameters}
     chosen, fixed = needed_rows(basis, rows)
     out = []

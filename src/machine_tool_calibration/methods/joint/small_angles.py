@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Angular errors that a step diagonal takes for small random functions, as the machine's: shared by all sessions.
 
-A step diagonal by itself has them as unknowns of its own (`step_diagonal.spread`). They are the machine's: by their
-lever arms they also move the functional point in the other sessions' readings and everywhere in the map. So in a fit
-of several sessions they are tables like all others, with what is expected of them beside the readings: each a smooth
-random function of its axis's position that is zero next to the axis's zero, all of one size and shape. What is possible
-for these is drawn from the readings of all sessions, and what is published is the mean over it.
+A step diagonal by itself has them as unknowns of its own (`step_diagonal.small_angles`). They are the machine's: by
+their lever arms they also move the functional point in the other sessions' readings and everywhere in the map. So in a
+fit of several sessions they are tables like all others, with what is expected of them beside the readings: each a
+smooth random function of its axis's position that is zero next to the axis's zero, all of one size and shape. What is
+possible for these is drawn from the readings of all sessions, and what is published is the mean over it.
 """
 
 from __future__ import annotations

@@ -12,6 +12,8 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.machine.error_motions import interpolation
+from machine_tool_calibration.methods.probing.geometry import point_means
+from machine_tool_calibration.model.model import weight_row
 from machine_tool_calibration.model.rigid_body import MachineTable
 from machine_tool_calibration.session.description import KnownLength
 
@@ -65,10 +67,7 @@ class NullSpace:
 
     def weights(self, weights: Mapping[str, float]) -> Array:
         """(K,) a weighted sum of shared unknowns, in their units; of unit length unless it is empty."""
-        row = np.zeros(len(self.names))
-        for name, weight in weights.items():
-            k = self._index[name]
-            row[k] = weight * self.unit[k]
+        row = weight_row(self._index, weights, len(self.names)) * self.unit
         return row / (float(np.linalg.norm(row)) or 1.0)
 
     def free(self, rows: Array) -> Array:
@@ -115,10 +114,7 @@ def null_space(names: Sequence[str], dense: Array, point: IntArray, n_points: in
     typical = float(size.max(initial=0.0)) or 1.0
     unit = 1.0 / np.where(size > 1e-12 * typical, size, typical)
     columns = dense * unit[:, None]
-    count = np.bincount(point, minlength=n_points)
-    mean = np.zeros((n_points, k))
-    np.add.at(mean, point, columns.T)
-    mean /= np.maximum(count, 1)[:, None]
+    mean, count = point_means(columns, point, np.ones(len(point)), n_points)
     # The point's own unknown takes up the mean of its touches: what is left are the differences between C angles.
     rest = np.linalg.qr((columns - mean[point].T).T, mode="r")
     _, values, vectors = np.linalg.svd(rest, full_matrices=True)

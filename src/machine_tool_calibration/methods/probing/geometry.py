@@ -14,7 +14,16 @@ from machine_tool_calibration.model.rigid_body import MachineTable
 from machine_tool_calibration.session.description import Machine, Probing
 from machine_tool_calibration.session.session import Readings
 
-__all__ = ["Touches", "plane_tables", "rigid_motion", "table_nodes", "touches", "turn"]
+__all__ = [
+    "Touches",
+    "nominal_points",
+    "plane_tables",
+    "point_means",
+    "rigid_motion",
+    "table_nodes",
+    "touches",
+    "turn",
+]
 
 
 # Sine of the angle between normal and radius below which a touch says nothing of the turn of the table: a drawing's
@@ -67,6 +76,28 @@ def rigid_motion(position: Array, normal: Array) -> Array:
     return np.stack([normal[:, 0], normal[:, 1], _lever(position, normal)])
 
 
+def nominal_points(description: Probing) -> tuple[Array, Array]:
+    """(N, 2) points of the workpiece in its frame, m, and (N, 2) their outward unit normals."""
+    position = np.array([point.position for point in description.workpiece])
+    normal = np.array([point.normal for point in description.workpiece])
+    return position, normal / np.linalg.norm(normal, axis=1)[:, None]
+
+
+def point_means(columns: Array, point: IntArray, weight: Array, n_points: int) -> tuple[Array, Array]:
+    """(N, K) weighted mean of the columns over the touches of each point, 0 of none, and (N,) the sum of weights.
+
+    Args:
+        columns: (K, n).
+        point: (n,) which point was touched.
+        weight: (n,) of each touch.
+        n_points: N.
+    """
+    total = np.asarray(np.bincount(point, weight, n_points), dtype=np.float64)
+    mean = np.zeros((n_points, len(columns)))
+    np.add.at(mean, point, (columns * weight).T)
+    return mean / np.where(total > 0, total, 1.0)[:, None], total
+
+
 def touches(description: Probing, readings: Readings, rotation_sign: int) -> Touches:
     """Turn the workpiece's nominal points to where they were touched, Eqs. (1)(2).
 
@@ -85,9 +116,7 @@ def touches(description: Probing, readings: Readings, rotation_sign: int) -> Tou
             row = int(readings.row[np.flatnonzero(readings.labels["point"] == name)[0]])
             raise SessionError(f"reading {row}: the workpiece has no point {str(name)!r}")
     point = np.array([place[str(name)] for name in names], dtype=np.int64)[inverse.reshape(-1)]
-    position = np.array([entry.position for entry in description.workpiece])
-    normal = np.array([entry.normal for entry in description.workpiece])
-    normal = normal / np.linalg.norm(normal, axis=1)[:, None]
+    position, normal = nominal_points(description)
     angle = rotation_sign * readings.column("c")
     at, along = turn(position[point], angle), turn(normal[point], angle)
     zero = np.zeros(len(angle))

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
-from machine_tool_calibration.methods.probing.geometry import rigid_motion
+from machine_tool_calibration.methods.probing.geometry import nominal_points, point_means, rigid_motion
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import NotDetermined
 from machine_tool_calibration.model.result import ErrorMap
-from machine_tool_calibration.model.rigid_body import MachineTable, map_field
+from machine_tool_calibration.model.rigid_body import MachineTable, in_space, map_field, position_errors
 from machine_tool_calibration.session.description import Probing
 
 if TYPE_CHECKING:
@@ -114,14 +114,10 @@ def responses(fit: Fit, point: IntArray, n_points: int) -> Responses:
         point: (n,) place of the touched point in the workpiece's list.
         n_points: N.
     """
-    weight = fit.model.sigma**-2
-    total = np.bincount(point, weight, n_points)
-    touched = total > 0
     stated = fit.joint.stated
     columns = stated.columns(fit)
-    mean = np.zeros((n_points, len(columns)))
-    np.add.at(mean, point, (columns * weight).T)
-    mean /= np.where(touched, total, 1.0)[:, None]
+    mean, total = point_means(columns, point, fit.model.sigma**-2, n_points)
+    touched = total > 0
     values, vectors = np.linalg.eigh(stated.scatter**2 * stated.covariance(fit))
     half = mean @ (vectors * np.sqrt(np.maximum(values, 0.0)))
     free = np.zeros((len(columns), fit.undetermined.shape[1]))
@@ -176,9 +172,7 @@ def points_of_form(found: Responses, motion: Array) -> BoolArray:
 
 def common_motions(description: Probing, length_known: bool) -> Array:
     """(N, t) shift along x and y and turn of the workpiece, and its uniform growth where no length is known."""
-    position = np.array([point.position for point in description.workpiece])
-    normal = np.array([point.normal for point in description.workpiece])
-    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    position, normal = nominal_points(description)
     motion = rigid_motion(position, normal)
     if not length_known:
         motion = np.concatenate([motion, np.einsum("nd,nd->n", position, normal)[None]])
@@ -219,7 +213,7 @@ def probing_map(model: ProbingModel, fit: Fit) -> ErrorMap:
         **_axis_c(fit, [setup.id for setup in setups]),
         "datum": model.datum,
     }
-    return ErrorMap(content, places, _with_z(error), _with_z(uncertainty), _with_z_square(covariance), lost)
+    return ErrorMap(content, places, in_space(error), in_space(uncertainty), in_space(covariance), lost)
 
 
 def _workpiece(model: ProbingModel, fit: Fit) -> tuple[dict[str, Any], tuple[NotDetermined, ...]]:
@@ -253,10 +247,8 @@ def _plane(tables: tuple[MachineTable, ...], places: Array, fit: Fit) -> tuple[A
     """Position error (n, 2) of the linear axes at places (n, 3), and its covariance (n, 2, 2)."""
     field = map_field(tables, places)[:, :, :2]
     k, n, _ = field.shape
-    flat = field.reshape(k, -1)
-    error = (fit.theta[:k] @ flat).reshape(n, 2)
-    covariance = np.einsum("knd,kl,lne->nde", field, fit.covariance[:k, :k], field, optimize=True)
-    loose = np.linalg.norm(flat.T @ fit.undetermined[:k], axis=1).reshape(n, 2) > _LOOSE
+    error, covariance = position_errors(field, fit.theta[:k], fit.covariance[:k, :k])
+    loose = np.linalg.norm(field.reshape(k, -1).T @ fit.undetermined[:k], axis=1).reshape(n, 2) > _LOOSE
     error[loose] = np.nan
     covariance[loose] = np.nan
     covariance.transpose(0, 2, 1)[loose] = np.nan
@@ -272,16 +264,4 @@ def _axis_c(fit: Fit, setup_ids: list[str]) -> dict[str, Array]:
     for name in ("EXC", "EYC", "ECC"):
         pick = [names.index(f"{name}({setup_id})") for setup_id in setup_ids]
         out[name], out[f"{name}_u"] = value[pick], uncertainty[pick]
-    return out
-
-
-def _with_z(values: Array) -> Array:
-    out = np.full((len(values), 3), np.nan)
-    out[:, :2] = values
-    return out
-
-
-def _with_z_square(values: Array) -> Array:
-    out = np.full((len(values), 3, 3), np.nan)
-    out[:, :2, :2] = values
     return out

@@ -158,7 +158,7 @@ def _build(session: Session) -> ProbingModel:
     grids = {axis: table_nodes(description.machine, axis, position[:, j]) for j, axis in enumerate("XY")}
     nodes = {axis: extended for axis, (_, extended) in grids.items()}
     tables = plane_tables(description.machine.kinematics, nodes, position)
-    terms = [Term(t.name, t.parameters, t.columns(position, observations.direction)) for t in tables]
+    terms = [table.term(observations) for table in tables]
     terms += _axis_c(session, where, readings.setup)
     bare = ProbingModel(
         observations, tuple(terms), (), (), (), "", where, tables, (grids["X"][0], grids["Y"][0]), False

@@ -18,6 +18,7 @@ from machine_tool_calibration.arrays import COVERAGE, Array, standard_draws
 from machine_tool_calibration.errors import CalibrationError, ModelError
 from machine_tool_calibration.estimation.normal import solve_normal
 from machine_tool_calibration.estimation.reduction import single_blas
+from machine_tool_calibration.methods.probing.geometry import point_means
 from machine_tool_calibration.methods.probing.model import ProbingModel
 from machine_tool_calibration.model.fit import Fit
 
@@ -115,10 +116,7 @@ def _gains(fit: Fit, rows: Array) -> _Gains:
     columns = columns[kept]
     sigma = model.sigma
     weight = sigma**-2
-    total = np.bincount(point, weight, n_points)
-    mean = np.zeros((n_points, len(columns)))
-    np.add.at(mean, point, (columns * weight).T)
-    mean /= np.where(total > 0, total, 1.0)[:, None]
+    mean, total = point_means(columns, point, weight, n_points)
     centred = (columns - mean[point].T) / sigma
     wide = ((0, 0), (0, len(columns) - m))
     lengths = np.zeros((0, m)) if problem.priors is None else problem.priors.columns[:, fit.places]

@@ -15,6 +15,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray
 from machine_tool_calibration.errors import CalibrationError, did_you_mean
+from machine_tool_calibration.methods.probing.geometry import nominal_points
 from machine_tool_calibration.session.description import Probing
 
 __all__ = ["Circle", "Element", "Line", "element", "elements", "through"]
@@ -106,9 +107,7 @@ def elements(
         if point.id not in taken and point.feature not in listed:
             groups.setdefault(point.feature, []).append(place[point.id])
     groups |= {name: [place[id_] for id_ in ids] for name, ids in listed.items()}
-    position = np.array([point.position for point in description.workpiece])
-    normal = np.array([point.normal for point in description.workpiece])
-    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    position, normal = nominal_points(description)
     found, refused = [], {}
     for name, points in groups.items():
         try:

@@ -13,8 +13,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray
-from machine_tool_calibration.estimation.solve import gram, solve_normal
+from machine_tool_calibration.arrays import Array, BoolArray, gaps_around
+from machine_tool_calibration.estimation.solve import Linearised
 from machine_tool_calibration.methods.rotary_axis.geometry import TableReadings
 from machine_tool_calibration.model.model import Constraint, MethodModel, Prior, assemble
 
@@ -146,7 +146,7 @@ def unseen_motions(loose: Array, labels: Sequence[Sequence[str]], size: float) -
     """Hold what is unseen at each angle.
 
     Args:
-        loose: (K, 6, 6) from `rotary_datum.loose_motions`.
+        loose: (K, 6, 6) from `loose_motions`.
         labels: (6, K) names of the error motions' values.
         size: length by which rotations were compared with translations there, m.
     """
@@ -168,7 +168,7 @@ def unseen_names(loose: Array, labels: Sequence[Sequence[str]], sigma: float) ->
     something is unseen: single values of one that comes and goes with the angle would mean nothing.
 
     Args:
-        loose: (K, 6, 6) from `rotary_datum.loose_motions`.
+        loose: (K, 6, 6) from `loose_motions`.
         labels: (6, K) names of the error motions' values.
         sigma: standard uncertainty of a reading, m.
     """
@@ -185,9 +185,7 @@ _LOOSE = 1e-3
 
 def covered_angle(table: TableReadings) -> float:
     """Turn that the read angles cover, rad: a full turn less the largest gap."""
-    angle = np.sort(np.mod(table.nodes[np.unique(table.node)], 2 * np.pi))
-    gaps = np.diff(np.r_[angle, angle[0] + 2 * np.pi])
-    return float(2 * np.pi - gaps.max())
+    return float(2 * np.pi - gaps_around(table.nodes[np.unique(table.node)])[1].max())
 
 
 def weak_places(model: MethodModel, names: list[str], nominal: Array, within: float) -> tuple[Prior, ...]:
@@ -200,10 +198,7 @@ def weak_places(model: MethodModel, names: list[str], nominal: Array, within: fl
         within: the limit, and the standard uncertainty within which they are held, m.
     """
     assembly = assemble([model])
-    problem = assembly.problem
-    m = problem.size
-    total, squares = gram(problem, np.zeros(m), [np.zeros((part.dimension, part.n_points)) for part in problem.parts])
-    normal = solve_normal(total[:m, :m], total[:m, m], problem.constraints, problem.constraint_values, squares[:m])
+    normal = Linearised.at(assembly.problem, *assembly.problem.zero).normal()
     place = {parameter.name: k for k, parameter in enumerate(assembly.parameters)}
     index = np.array([place[name] for name in names])
     spread: Array = normal.covariance[np.ix_(index, index)]

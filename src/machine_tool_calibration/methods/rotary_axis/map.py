@@ -3,17 +3,18 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, rigid_motions
 from machine_tool_calibration.methods.rotary_axis.datum import ROTARY_DATUM
-from machine_tool_calibration.methods.rotary_axis.geometry import TableReadings
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.result import ErrorMap
-from machine_tool_calibration.session.description import RotaryAxis
+
+if TYPE_CHECKING:
+    from machine_tool_calibration.methods.rotary_axis.model import RotaryAxisModel
 
 __all__ = ["average_line", "line_names", "rotary_map"]
 
@@ -51,11 +52,7 @@ def average_line(stations: Array, covariance: Array, nominal: Array, uncertainty
     inverse = np.zeros((6, 6))
     for _ in range(_STEPS):
         seen = turn.apply(stations)
-        columns = np.zeros((len(stations), 3, 6))
-        columns[:, :, :3] = np.eye(3)
-        for j in range(3):
-            columns[:, :, 3 + j] = np.cross(np.eye(3)[j], seen)
-        flat = columns.reshape(-1, 6)
+        flat = rigid_motions(seen).reshape(-1, 6)
         carry = np.kron(np.eye(len(stations)), turn.as_matrix())
         weight = np.linalg.inv(carry @ covariance @ carry.T + np.diag(known))
         normal = flat.T @ weight @ flat
@@ -73,29 +70,17 @@ def average_line(stations: Array, covariance: Array, nominal: Array, uncertainty
 _MOVED = 1e-3
 
 
-def rotary_map(
-    table: TableReadings, description: RotaryAxis, stations: Array, targets: Array, loose: Array, size: float, fit: Fit
-) -> ErrorMap:
-    """The contract's content for `rotary_axis`.
-
-    Args:
-        table: the readings.
-        description: of the session.
-        stations: (S, 3) first estimates, m.
-        targets: (T, 3) first estimates, m.
-        loose: what each angle's readings do not sense.
-        size: length by which it compares rotations with translations, m.
-        fit: of the model.
-    """
-    k, own = len(table.nodes), len(fit.model.own)
-    theta, covariance, good = fit.theta, fit.covariance, fit.determined
-    sigma = np.sqrt(np.diag(covariance).clip(0.0))
-    theta, sigma = np.where(good, theta, np.nan), np.where(good, sigma, np.nan)
+def rotary_map(model: RotaryAxisModel, fit: Fit) -> ErrorMap:
+    """The contract's content for `rotary_axis`."""
+    table, stations, targets = model.table, model.stations, model.targets
+    k, own = len(table.nodes), len(model.own)
+    sigma = np.sqrt(np.diag(fit.covariance).clip(0.0))
+    theta, sigma = np.where(fit.determined, fit.theta, np.nan), np.where(fit.determined, sigma, np.nan)
     content: dict[str, Any] = {table.axis.lower(): table.nodes}
     for j, name in enumerate(table.motions):
         mine = slice(own + j * k, own + (j + 1) * k)
         content[name], content[f"{name}_u"] = theta[mine], sigma[mine]
-    points, error, cov = _position_errors(table, targets, loose, size, fit, own)
+    points, error, cov = _position_errors(model, fit)
     uncertainty = np.sqrt(np.einsum("nii->ni", cov).clip(0.0))
     place = slice(own + 6 * k, own + 6 * k + targets.size)
     s = stations.size
@@ -103,34 +88,29 @@ def rotary_map(
         "points": points,
         "position_error": error,
         "position_error_u": uncertainty,
-        "target_ids": [target.id for target in description.targets],
+        "target_ids": [target.id for target in model.description.targets],
         "targets": targets + theta[place].reshape(-1, 3),
         "targets_u": sigma[place].reshape(-1, 3),
-        "station_ids": [setup.id for setup in description.setups],
+        "station_ids": [setup.id for setup in model.description.setups],
         "stations": stations + theta[:s].reshape(-1, 3),
         "stations_u": sigma[:s].reshape(-1, 3),
-        "axis_average_line": _line(table, description, stations, fit),
+        "axis_average_line": _line(model, fit),
         "datum": ROTARY_DATUM,
     }
     return ErrorMap(content, points, error, uncertainty, cov)
 
 
-def _position_errors(
-    table: TableReadings, targets: Array, loose: Array, size: float, fit: Fit, own: int
-) -> tuple[Array, Array, Array]:
+def _position_errors(model: RotaryAxisModel, fit: Fit) -> tuple[Array, Array, Array]:
     """(n, 3) nominal places of every target at every angle, their errors and (n, 3, 3) covariances."""
-    k, t = len(table.nodes), len(targets)
-    arm = np.einsum("kij,tj->kti", table.node_rotation, targets).reshape(-1, 3)
-    field = np.zeros((k * t, 3, 6))
-    field[:, :, :3] = np.eye(3)
-    for j in range(3):
-        field[:, :, 3 + j] = np.cross(np.eye(3)[j], arm)
+    k, t, own = len(model.table.nodes), len(model.targets), len(model.own)
+    arm = np.einsum("kij,tj->kti", model.table.node_rotation, model.targets).reshape(-1, 3)
+    field = rigid_motions(arm)
     index = own + np.arange(6)[None, :] * k + np.repeat(np.arange(k), t)[:, None]
     error = np.einsum("nij,nj->ni", field, fit.theta[index])
     inner = fit.covariance[index[:, :, None], index[:, None, :]]
     covariance = np.einsum("nij,njk,nlk->nil", field, inner, field)
     # What is unseen at an angle does not move the targets on which it turns; others it does.
-    unseen = np.repeat(loose, t, axis=0) / np.repeat([1.0, size], 3)[:, None]
+    unseen = np.repeat(model.loose, t, axis=0) / np.repeat([1.0, model.size], 3)[:, None]
     open_ = np.linalg.norm(np.einsum("nij,njk->nik", field, unseen), axis=(1, 2)) > _MOVED
     if fit.undetermined.size:
         open_ |= np.linalg.norm(np.einsum("nij,njk->nik", field, fit.undetermined[index]), axis=(1, 2)) > 1e-6
@@ -138,25 +118,25 @@ def _position_errors(
     return arm, error, covariance
 
 
-def _line(table: TableReadings, description: RotaryAxis, stations: Array, fit: Fit) -> dict[str, Any]:
+def _line(model: RotaryAxisModel, fit: Fit) -> dict[str, Any]:
     """Position and orientation of the axis average line in the machine frame; None where stations do not give it."""
-    names = line_names(table.axis)
+    setups = model.description.setups
     known = [
         s
-        for s, setup in enumerate(description.setups)
+        for s, setup in enumerate(setups)
         if setup.position_uncertainty is not None and fit.determined[3 * s : 3 * s + 3].all()
     ]
     result = None
     if known:
         index = np.concatenate([3 * s + np.arange(3) for s in known])
         result = average_line(
-            stations[known] + fit.theta[index].reshape(-1, 3),
+            model.stations[known] + fit.theta[index].reshape(-1, 3),
             fit.covariance[np.ix_(index, index)],
-            np.array([description.setups[s].position for s in known]),
-            np.array([description.setups[s].position_uncertainty for s in known]),
+            np.array([setups[s].position for s in known]),
+            np.array([setups[s].position_uncertainty for s in known]),
         )
     out: dict[str, Any] = {}
-    for name, j in names:
+    for name, j in line_names(model.table.axis):
         out[name] = None if result is None else float(result[0][j])
         out[f"{name}_u"] = None if result is None else float(np.sqrt(result[1][j, j]))
     return out

@@ -72,7 +72,7 @@ class RotaryAxisModel(MethodModel):
         table: the readings sorted by angle, target and run.
         stations: (S, 3) first estimates, in the frame of the axis, m.
         targets: (T, 3) first estimates, table frame at zero, m.
-        loose: (K, 6, 6) what the readings at each angle do not sense, see `rotary_datum.loose_motions`.
+        loose: (K, 6, 6) what the readings at each angle do not sense, see `datum.loose_motions`.
         size: length by which rotations were compared with translations there, m.
     """
 
@@ -183,7 +183,7 @@ class RotaryAxisModel(MethodModel):
 
     def error_map(self, fit: Fit) -> ErrorMap:
         """Six error motions at every angle, the targets' position errors, and where the axis average line stands."""
-        return rotary_map(self.table, self.description, self.stations, self.targets, self.loose, self.size, fit)
+        return rotary_map(self, fit)
 
 
 def _why_loose(seen: list[str], stations: list[str]) -> str:
@@ -255,8 +255,7 @@ def _check_places(model: RotaryAxisModel) -> None:
     Raises:
         ModelError: stations and targets are not where they are said to be, nor near.
     """
-    problem = assemble([model]).problem
-    residuals = robust_start(problem, problem.size - len(problem.constraints)).residuals[0]
+    residuals = robust_start(assemble([model]).problem).residuals[0]
     missed = float(np.median(np.abs(residuals))) * model.observations.session.sigma
     if not missed <= _LOST * model.observations.session.sigma:
         by = f" by {missed * 1e6:.3g} µm in the middle" if np.isfinite(missed) else ""
@@ -283,8 +282,7 @@ def _held(model: RotaryAxisModel) -> RotaryAxisModel:
 
 def _moved(start: Start, model: RotaryAxisModel) -> Start:
     """Stations and targets where a fit puts them."""
-    problem = assemble([model]).problem
-    theta = robust_start(problem, problem.size - len(problem.constraints)).theta
+    theta = robust_start(assemble([model]).problem).theta
     s, first = start.stations.size, len(model.own) + 6 * len(model.table.nodes)
     targets = theta[first : first + start.targets.size].reshape(-1, 3)
     return replace(start, stations=start.stations + theta[:s].reshape(-1, 3), targets=start.targets + targets)

@@ -22,8 +22,8 @@ from machine_tool_calibration.methods.step_diagonal.geometry import (
 from machine_tool_calibration.methods.step_diagonal.model import DATUM, Spread, StepDiagonalModel
 from machine_tool_calibration.methods.step_diagonal.orders import free_angles
 from machine_tool_calibration.methods.step_diagonal.small_angles import LARGEST, NONE, SMALLEST, coarse_nodes
-from machine_tool_calibration.methods.step_diagonal.terms import angle_term, sensed_tables, tilt_terms
-from machine_tool_calibration.model.model import Constraint, Kind, NotDetermined, Parameter, Term, assemble
+from machine_tool_calibration.methods.step_diagonal.terms import Angle, sensed_tables, tilt_terms
+from machine_tool_calibration.model.model import Constraint, Kind, NotDetermined, Parameter, assemble
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.rigid_body import MachineTable, linear_axis_errors, map_field, table_datum
 from machine_tool_calibration.session.session import Readings, Session
@@ -100,8 +100,8 @@ def build(session: Session, model: str = "small_angles") -> StepDiagonalModel:
     translations = [t for t in candidates if t.is_squareness or not t.is_rotation]
     rotations = [t for t in candidates if t.is_rotation and not t.is_squareness]
     observations, displacement = _observations(session, readings, runs)
-    tables, left_out = sensed_tables(translations, blocks, observations, observations.position)
-    terms = tuple(Term(t.name, t.parameters, t.columns(observations.position, observations.direction)) for t in tables)
+    tables, left_out = sensed_tables(translations, blocks, observations)
+    terms = tuple(table.term(observations) for table in tables)
     if model != "aligned_mirror":
         terms += tilt_terms(runs, observations, displacement, model == "angular_one_mirror")
     base = StepDiagonalModel(
@@ -119,7 +119,8 @@ def build(session: Session, model: str = "small_angles") -> StepDiagonalModel:
         nominal=observations.path,
         offsets=_offsets(session, readings),
     )
-    base = replace(base, constraints=_datum(base))
+    if not _complete(base, description.blocks):
+        base = replace(base, constraints=_datum(base))
     base = replace(base, nominal=base.nominal + _second_order(base, displacement))
     if model in ("translations", "aligned_mirror"):
         return replace(base, left_out=base.left_out + tuple(NotDetermined(t.name, _ZERO) for t in rotations))
@@ -153,8 +154,15 @@ def _offsets(session: Session, readings: Readings) -> tuple[Parameter, ...]:
     )
 
 
+def _complete(model: StepDiagonalModel, blocks: int) -> bool:
+    """Whether every run that was made was read at as many places as its moves lead to."""
+    setup = model.observations.readings.setup[np.unique(model.observations.run, return_index=True)[1]]
+    planned = np.array([len(run.order) * blocks + 1 for run in model.runs])
+    return bool((np.bincount(model.observations.run) >= planned[setup]).all())
+
+
 def _datum(model: StepDiagonalModel) -> tuple[Constraint, ...]:
-    """The tables' datum, of those values that the readings determine.
+    """The tables' datum, of those values that the readings determine; where none was lost, of all.
 
     A lost last reading of a diagonal leaves some open; the line of a straightness is then that of the others.
     """
@@ -199,7 +207,7 @@ def _second_order(model: StepDiagonalModel, displacement: Array) -> Array:
     """(n,) what the first-order readings leave out, at the solution of the first-order model."""
     assembly = assemble([model])
     # Gross errors have no say: their squares would bend the nominal path.
-    theta = robust_start(assembly.problem, assembly.problem.size - len(assembly.problem.constraints)).theta
+    theta = robust_start(assembly.problem).theta
     theta = theta[assembly.places[0]]
     first, count = len(model.own), sum(len(table.labels) for table in model.tables)
     table_theta = theta[first : first + count]
@@ -231,8 +239,8 @@ def _with_spread(base: StepDiagonalModel, rotations: list[MachineTable]) -> Step
     angles = []
     for table in rotations:
         nodes = coarse_nodes(base.blocks["XYZ".index(table.name[2])])
-        angle = angle_term(replace(table, nodes=nodes), base.observations, base.observations.position)
-        if _matters(angle.columns):
+        angle = Angle.of(replace(table, nodes=nodes), base.observations)
+        if np.abs(angle.columns).max(initial=0.0) > 1e-9:
             angles.append(angle)
     left_out = base.left_out + tuple(NotDetermined(t.name, _SMALL) for t in rotations)
     if not angles:
@@ -240,7 +248,3 @@ def _with_spread(base: StepDiagonalModel, rotations: list[MachineTable]) -> Step
     spread = Spread(tuple(angles))
     whole = replace(base, terms=base.terms + spread.terms, spread=spread, left_out=left_out, datum=base.datum + _RANDOM)
     return whole.settled()
-
-
-def _matters(columns: Array) -> bool:
-    return bool(np.abs(columns).max(initial=0.0) > 1e-9)

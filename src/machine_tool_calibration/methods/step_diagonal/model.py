@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -17,12 +18,12 @@ from machine_tool_calibration.methods.step_diagonal.profiles import Profiles, eq
 from machine_tool_calibration.methods.step_diagonal.small_angles import (
     AngularPosterior,
     SmallAngles,
-    angular_posterior,
     angular_priors,
+    normal_posterior,
 )
 from machine_tool_calibration.methods.step_diagonal.terms import Angle
 from machine_tool_calibration.model.fit import Fit
-from machine_tool_calibration.model.model import MethodModel, NotDetermined, Parameter, Term, motion_value
+from machine_tool_calibration.model.model import MethodModel, NotDetermined, Parameter, Term, motion_value, weight_row
 from machine_tool_calibration.model.result import ErrorMap
 from machine_tool_calibration.model.rigid_body import MachineTable, map_field
 
@@ -52,11 +53,16 @@ class Spread:
         return 0.0 if self.posterior is None else self.posterior.size
 
     @property
+    def nodes(self) -> tuple[tuple[Array, int], ...]:
+        """For each its nodes, m, and the index of the one at which it is zero."""
+        return tuple((angle.table.nodes, 0) for angle in self.angles)
+
+    @property
     def names(self) -> list[list[str]]:
         """Names of their unknowns."""
         return [[parameter.name for parameter in term.parameters] for term in self.terms]
 
-    @property
+    @cached_property
     def terms(self) -> tuple[Term, ...]:
         """Their terms."""
         return tuple(
@@ -118,23 +124,15 @@ class StepDiagonalModel(MethodModel):
         if self.spread is None:
             return self
         random = {term.name for term in self.spread.terms}
-        others = [term for term in self.terms if term.name not in random]
-        n = len(self.observations)
-        offsets = np.zeros((len(self.offsets), n))
-        offsets[self.observations.run, np.arange(n)] = 1.0
-        names = [p.name for p in self.own] + [p.name for term in others for p in term.parameters]
-        place = {name: k for k, name in enumerate(names)}
-        rows = np.zeros((len(self.constraints), len(names)))
-        for k, constraint in enumerate(self.constraints):
-            for name, weight in constraint.weights.items():
-                rows[k, place[name]] = weight
-        posterior = angular_posterior(
-            self.spread.angles,
-            np.concatenate([offsets, *(term.columns for term in others)]),
-            rows,
-            self.observations.readings.displacement - self.nominal,
-            self.sigma,
+        plain = replace(self, terms=tuple(term for term in self.terms if term.name not in random))
+        place = {parameter.name: k for k, parameter in enumerate(plain.parameters)}
+        rows = [weight_row(place, constraint.weights, len(place)) for constraint in self.constraints]
+        offsets = (self.observations.run == np.arange(len(self.offsets))[:, None]).astype(float)
+        columns = (
+            np.concatenate([offsets, plain.dense(), *(angle.columns for angle in self.spread.angles)]) / self.sigma
         )
+        right = columns @ ((self.observations.readings.displacement - self.nominal) / self.sigma)
+        posterior = normal_posterior(self.spread.nodes, columns @ columns.T, right, np.array(rows))
         spread = Spread(self.spread.angles, posterior)
         return replace(self, spread=spread, priors=angular_priors(spread.names, posterior.priors))
 
@@ -144,7 +142,7 @@ class StepDiagonalModel(MethodModel):
         if self.spread is None or self.spread.posterior is None:
             return None
         names = tuple(label for labels in self.spread.names for label in labels)
-        return SmallAngles(names, tuple((angle.table.nodes, 0) for angle in self.spread.angles))
+        return SmallAngles(names, self.spread.nodes)
 
     def _mapped(self) -> tuple[tuple[MachineTable, ...], list[str]]:
         """Error motions that make up the position errors, and the names of their unknowns."""
@@ -236,26 +234,22 @@ class StepDiagonalModel(MethodModel):
         """Free angular errors at the block positions: x_angular … (N + 1, 3) EA, EB, EC with `_u`."""
         if not self.angles:
             return {}
-        names = [p.name for p in self.parameters]
-        place = {name: k for k, name in enumerate(names)}
+        place = {p.name: k for k, p in enumerate(self.parameters)}
         out: dict[str, Any] = {}
         for axis, letter in enumerate("xyz"):
             nodes = self.blocks[axis]
             value, uncertainty = np.full((len(nodes), 3), np.nan), np.full((len(nodes), 3), np.nan)
             for angle in self.angles:
                 motion = parse_motion(angle.table.name)
-                if motion.axis != letter.upper():
-                    continue
                 at = [place[label] for label in angle.table.labels]
+                if motion.axis != letter.upper() or not fit.determined[at].all():
+                    continue
                 weights = interpolation(angle.table.nodes, nodes)
                 column = "ABC".index(motion.component)
                 value[:, column] = weights.T @ fit.theta[at]
                 uncertainty[:, column] = np.sqrt(
                     np.maximum(np.einsum("kn,kl,ln->n", weights, fit.covariance[np.ix_(at, at)], weights), 0.0)
                 )
-                lost = ~fit.determined[at].all()
-                value[:, column] = np.nan if lost else value[:, column]
-                uncertainty[:, column] = np.nan if lost else uncertainty[:, column]
             out[f"{letter}_angular"], out[f"{letter}_angular_u"] = value, uncertainty
         return out
 

@@ -23,7 +23,7 @@ from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.solve import solve
 from machine_tool_calibration.methods.step_diagonal.model import StepDiagonalModel
-from machine_tool_calibration.methods.step_diagonal.terms import Angle, angle_term
+from machine_tool_calibration.methods.step_diagonal.terms import Angle
 from machine_tool_calibration.model.model import Constraint, NotDetermined, Term, assemble
 from machine_tool_calibration.model.rigid_body import MachineTable, table_datum
 
@@ -81,10 +81,8 @@ def free_angles(model: StepDiagonalModel, rotations: Sequence[MachineTable]) -> 
     Raises:
         ModelError: the moves were made in one order only.
     """
-    candidates = []
-    for table in rotations:
-        nodes = model.blocks["XYZ".index(table.name[2])]
-        candidates.append(angle_term(replace(table, nodes=nodes), model.observations, model.observations.position))
+    own = (replace(table, nodes=model.blocks["XYZ".index(table.name[2])]) for table in rotations)
+    candidates = [Angle.of(table, model.observations) for table in own]
     kept = angles_shown_by_orders(model, candidates)
     if not kept:
         orders = sorted({run.order for run in model.runs if run.diagonal})

@@ -99,8 +99,8 @@ class Profiles:
         out = []
         for axis in self.moved:
             letter = "XYZ"[axis]
-            row = self._pick(axis, axis, -1) - self._pick(axis, axis, 0)
-            out.append(self._figure(f"E{letter}{letter}", "positioning", row))
+            ends = self._row(self._places(axis, axis)[[-1, 0]], np.array([1.0, -1.0]))
+            out.append(self._figure(f"E{letter}{letter}", "positioning", ends))
         for axis in self.moved:
             for component in self.moved:
                 if component != axis:
@@ -116,49 +116,39 @@ class Profiles:
         found = self._figure(name, kind, row(self.value))
         return found if np.isfinite(found.value) else self._figure(name, kind, row(self._known))
 
-    def _first(self, axis: int) -> int:
-        return 3 * sum(len(blocks) for blocks in self.blocks[:axis])
+    def _places(self, component: int, axis: int) -> IntArray:
+        """Places, among all values, of those of an error along its axis."""
+        first = 3 * sum(len(blocks) for blocks in self.blocks[:axis])
+        return np.asarray(first + 3 * np.arange(len(self.blocks[axis])) + component, dtype=np.int64)
 
-    def _pick(self, component: int, axis: int, number: int) -> Array:
-        row = np.zeros(len(self.value))
-        row[self._first(axis) + 3 * (number % len(self.blocks[axis])) + component] = 1.0
+    def _row(self, places: IntArray, weights: Array) -> Array:
+        """(M,) weights of some of the values; NaN where these are too few for a line."""
+        row = np.full(len(self.value), np.nan if len(places) < 2 else 0.0)
+        row[places] = weights
         return row
 
-    def _places(self, component: int, axis: int) -> IntArray:
-        count = len(self.blocks[axis])
-        return np.asarray(self._first(axis) + 3 * np.arange(count) + component, dtype=np.int64)
-
-    def _line(self, values: Array, component: int, axis: int) -> tuple[IntArray, Array]:
-        """Places of the values that there are and, for them, the least-squares line's (2, k) operator."""
+    def _line(self, values: Array, component: int, axis: int) -> tuple[IntArray, Array, Array]:
+        """Places of the values that there are, and for them the least-squares line's columns (k, 2) and operator."""
         places = self._places(component, axis)
         good = np.isfinite(values[places])
-        design = np.column_stack([np.ones(good.sum()), self.blocks[axis][good]])
-        return places[good], np.linalg.pinv(design) if good.sum() > 1 else np.full((2, int(good.sum())), np.nan)
+        columns = np.column_stack([np.ones(good.sum()), self.blocks[axis][good]])
+        return places[good], columns, np.linalg.pinv(columns)
 
     def _slope(self, values: Array, component: int, axis: int) -> Array:
-        places, operator = self._line(values, component, axis)
-        row = np.zeros(len(self.value))
-        if len(places) < 2:
-            row[:] = np.nan
-        else:
-            row[places] = operator[1]
-        return row
+        places, _, operator = self._line(values, component, axis)
+        return self._row(places, operator[1])
 
     def _squareness(self, values: Array, name: str) -> Array:
         sign, one, other = _SQUARENESS[name]
         return sign * (self._slope(values, *one) + self._slope(values, *other))
 
     def _extent(self, values: Array, component: int, axis: int) -> Array:
-        places, operator = self._line(values, component, axis)
-        row = np.zeros(len(self.value))
-        if len(places) < 2:
-            row[:] = np.nan
-            return row
-        where = self.blocks[axis][(places - self._first(axis)) // 3]
-        residual = np.eye(len(places)) - np.column_stack([np.ones(len(places)), where]) @ operator
+        places, columns, operator = self._line(values, component, axis)
+        if not len(places):
+            return self._row(places, np.zeros(0))
+        residual = np.eye(len(places)) - columns @ operator
         deviation = residual @ self.value[places]
-        row[places] = residual[int(np.argmax(deviation))] - residual[int(np.argmin(deviation))]
-        return row
+        return self._row(places, residual[int(np.argmax(deviation))] - residual[int(np.argmin(deviation))])
 
     def _figure(self, name: str, kind: str, row: Array) -> Figure:
         used = row != 0

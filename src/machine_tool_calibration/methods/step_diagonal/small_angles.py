@@ -44,9 +44,9 @@ from scipy.linalg import block_diag
 from scipy.special import logsumexp
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.estimation.solve import solve_normal
-from machine_tool_calibration.methods.step_diagonal.terms import Angle
+from machine_tool_calibration.estimation.normal import solve_normal
 from machine_tool_calibration.model.model import Prior
+from machine_tool_calibration.model.stated import RandomPosterior
 
 __all__ = [
     "LARGEST",
@@ -54,7 +54,6 @@ __all__ = [
     "SMALLEST",
     "AngularPosterior",
     "SmallAngles",
-    "angular_posterior",
     "angular_priors",
     "coarse_nodes",
     "mean_shape",
@@ -79,22 +78,14 @@ _FLOOR = 1e-6
 
 
 @dataclass(frozen=True)
-class AngularPosterior:
+class AngularPosterior(RandomPosterior):
     """What the readings say of the angular errors.
 
     Attributes:
-        size: root mean square of the size over all that is possible, rad.
-        probability: that they are not zero.
         priors: for each error (k, k): the covariance of the random function, its mean over all that is possible, rad^2.
-        theta: (K + q,) mean of all unknowns: the others, then those of the angular errors.
-        covariance: (K + q, K + q) of these.
     """
 
-    size: float
-    probability: float
     priors: tuple[Array, ...]
-    theta: Array
-    covariance: Array
 
 
 @dataclass(frozen=True)
@@ -218,23 +209,6 @@ def _shaped(root: Array, gram: Array, right: Array, variance: Array) -> _Shape:
     return _Shape(directions, told, along, likelihood)
 
 
-def angular_posterior(
-    angles: Sequence[Angle], columns: Array, constraints: Array, residual: Array, sigma: Array
-) -> AngularPosterior:
-    """Angular errors and all other unknowns from the readings, over all sizes and shapes that are possible.
-
-    Args:
-        angles: the angular error motions, at least one.
-        columns: (K, n) everything else in the model.
-        constraints: (c, K) its datum.
-        residual: (n,) measured minus predicted with all unknowns zero, m.
-        sigma: (n,) standard uncertainty of a reading, m.
-    """
-    every = np.concatenate([columns, *(angle.columns for angle in angles)]) / sigma
-    nodes = [(angle.table.nodes, 0) for angle in angles]
-    return normal_posterior(nodes, every @ every.T, every @ (residual / sigma), constraints)
-
-
 def normal_posterior(
     nodes: Sequence[tuple[Array, int]],
     matrix: Array,
@@ -243,7 +217,9 @@ def normal_posterior(
     values: Array | None = None,
     squares: Array | None = None,
 ) -> AngularPosterior:
-    """The same from normal equations N x = b of all unknowns, those of the angular errors last and from zero.
+    """Angular errors and all other unknowns over all sizes and shapes that are possible, from normal equations N x = b.
+
+    The unknowns of the angular errors are the last, and count from zero.
 
     Args:
         nodes: for each angular error its nodes, m, and the index of the one at which it is zero.

@@ -25,7 +25,7 @@ from machine_tool_calibration.model.model import Kind, NotDetermined, Parameter,
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.model.rigid_body import MachineTable
 
-__all__ = ["Angle", "angle_term", "sensed_tables", "tilt_groups", "tilt_terms"]
+__all__ = ["Angle", "sensed_tables", "tilt_groups", "tilt_terms"]
 
 _SENSED = 1e-6
 
@@ -42,9 +42,18 @@ class Angle:
     table: MachineTable
     columns: Array
 
+    @classmethod
+    def of(cls, table: MachineTable, observations: Observations) -> Angle:
+        """What the motion displaces and turns in these readings."""
+        motion, position = parse_motion(table.name), observations.position
+        turned = observations.rotation_direction
+        assert turned is not None
+        along = table.scalar(position, observations.direction) + turned[:, "ABC".index(motion.component)]
+        return cls(table, table.weights(position) * along)
+
 
 def sensed_tables(
-    tables: Sequence[MachineTable], blocks: Sequence[Array], observations: Observations, position: Array
+    tables: Sequence[MachineTable], blocks: Sequence[Array], observations: Observations
 ) -> tuple[tuple[MachineTable, ...], tuple[NotDetermined, ...]]:
     """Tables of translations at those block positions at which a reading senses them; squareness as it is.
 
@@ -52,15 +61,14 @@ def sensed_tables(
         tables: translations and squareness errors of the machine.
         blocks: block positions of x, y, z, m.
         observations: the readings.
-        position: (n, 3) commanded positions.
 
     Returns:
         The tables that readings depend on, and what no reading depends on.
     """
-    kept, left_out = [], []
+    kept, left_out, position = [], [], observations.position
     for table in tables:
         if table.is_squareness:
-            if np.abs(table.columns(position, observations.direction)).max() < 1e-12:
+            if np.abs(table.term(observations).columns).max() < 1e-12:
                 left_out.append(NotDetermined(table.name, "no reading depends on it"))
             else:
                 kept.append(table)
@@ -130,19 +138,3 @@ def tilt_terms(
         if columns:
             out.append(Term(f"{name}.tilt", tuple(parameters), np.array(columns)))
     return tuple(out)
-
-
-def angle_term(table: MachineTable, observations: Observations, position: Array) -> Angle:
-    """Columns of an angular error motion: what it displaces, and what it turns.
-
-    Args:
-        table: the motion with its nodes.
-        observations: the readings; `rotation_direction` is the effect of the mirror's rotation.
-        position: (n, 3) commanded positions, m.
-    """
-    motion = parse_motion(table.name)
-    turned = observations.rotation_direction
-    assert turned is not None
-    along = table.scalar(position, observations.direction) + turned[:, "ABC".index(motion.component)]
-    weights = interpolation(table.nodes, position[:, "XYZ".index(motion.axis)])
-    return Angle(table, weights * along)

@@ -15,7 +15,7 @@ from machine_tool_calibration.methods.tracking.datum import MAP_DATUM, turned_ba
 from machine_tool_calibration.model.fit import Fit
 from machine_tool_calibration.model.model import NotDetermined
 from machine_tool_calibration.model.result import ErrorMap
-from machine_tool_calibration.model.rigid_body import MachineTable, map_field
+from machine_tool_calibration.model.rigid_body import MachineTable, in_space, map_field, position_errors
 from machine_tool_calibration.session.description import TrackingInterferometer
 from machine_tool_calibration.session.session import Session
 
@@ -127,14 +127,12 @@ def table_map(model: TrackingModel, fit: Fit, tables: tuple[MachineTable, ...]) 
         # What is not determined at some targets must not shift and turn all others.
         fitted, flat = without_common(sure)
     good = told(flat)
-    blocks = flat.reshape(len(field), n, d)
-    covariance = np.einsum("knd,kl,lne->nde", blocks, fit.covariance[place, place], blocks, optimize=True)
+    error, covariance = position_errors(flat.reshape(len(field), n, d), fit.theta[place], fit.covariance[place, place])
     # The stations move with the common motion that is taken out of the targets.
     change = np.eye(len(fit.theta))[:first]
     change[:, place] -= model.motion.of_stations(model.stations[:, :d]) @ fitted
     own_u = np.sqrt(np.einsum("ij,jk,ik->i", change, fit.covariance, change))
     why = {int(k): "an error motion that it needs is not determined" for k in np.flatnonzero(~good)}
-    error = (fit.theta[place] @ flat).reshape(n, d)
     return _published(model, fit, _Network(error, covariance, good, change @ fit.theta, own_u, why))
 
 
@@ -156,19 +154,17 @@ def _published(model: TrackingModel, fit: Fit, network: _Network) -> ErrorMap:
         "position_error": error,
         "position_error_u": uncertainty,
         "station_ids": [setup.id for setup in model.description.setups],
-        "stations": _three(model.stations[:, :d] + own[:, :d]),
-        "stations_u": _three(own_u[:, :d]),
+        "stations": in_space(model.stations[:, :d] + own[:, :d]),
+        "stations_u": in_space(own_u[:, :d]),
         "dead_path": model.path + own[:, d],
         "dead_path_u": own_u[:, d],
         "datum": MAP_DATUM,
     }
     lost = tuple(NotDetermined(f"target {_place(model.targets[k])}", why) for k, why in network.why.items())
     lost += tuple(_vague(model, vague, j) for j in range(d) if vague[:, j].any())
-    full = np.full((len(covariance), 3, 3), np.nan)
-    full[:, :d, :d] = covariance
     names = [parameter.name for parameter in model.own]
     moved = dict(zip(names, zip(network.own.tolist(), network.own_u.tolist(), strict=True), strict=True))
-    return ErrorMap(content, model.targets, _three(error), _three(uncertainty), full, lost, moved)
+    return ErrorMap(content, model.targets, in_space(error), in_space(uncertainty), in_space(covariance), lost, moved)
 
 
 def _vague(model: TrackingModel, vague: BoolArray, j: int) -> NotDetermined:
@@ -188,12 +184,6 @@ def _vague(model: TrackingModel, vague: BoolArray, j: int) -> NotDetermined:
 
 def _place(position: Array) -> str:
     return "(" + ", ".join(f"{1e3 * v:.6g}" for v in position) + ") mm"
-
-
-def _three(values: Array) -> Array:
-    out = np.full((len(values), 3), np.nan)
-    out[:, : values.shape[1]] = values
-    return out
 
 
 def refuse_moved_stations(session: Session, error_map: ErrorMap, impossible: float, known: float) -> None:

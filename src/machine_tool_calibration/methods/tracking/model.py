@@ -7,7 +7,7 @@ error motions and squareness; what these cannot explain stays in the residuals.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -97,6 +97,11 @@ class TrackingModel(MethodModel):
             out.append(dead_path_of(setup.id, float(path)))
         return tuple(out)
 
+    @property
+    def own_names(self) -> np.ndarray:
+        """(S, d + 1) their names."""
+        return np.array([parameter.name for parameter in self.own]).reshape(len(self.stations), -1)
+
     @cached_property
     def loose_stations(self) -> list[tuple[int, Array]]:
         """Motions that the own readings of a station hardly sense; stations that nothing holds are left out."""
@@ -106,7 +111,7 @@ class TrackingModel(MethodModel):
     @cached_property
     def declared(self) -> frozenset[str]:
         """Coordinates of stations for which the declared position stands."""
-        names = np.array([parameter.name for parameter in self.own]).reshape(len(self.stations), -1)
+        names = self.own_names
         return frozenset(str(n) for k, v in self.loose_stations for n in names[k][np.abs(v) > _INVOLVED])
 
     def why_not_determined(self, name: str) -> str | None:
@@ -143,19 +148,11 @@ class TrackingModel(MethodModel):
                 block_index,
                 dense_index,
             )
-        linearise = self._linearise(path, beam)
+        nominal = (self.targets[self.point] - self.stations[readings.setup])[:, :d].T
+        linearise = partial(_linearised, path, nominal, self.dense(), readings.setup, beam)
         return FunctionPart(
             group_rows(readings.setup), self.sigma, linearise, block_index, dense_index, not self.follows
         )
-
-    def _linearise(self, path: Array, beam: Array | None) -> Callable[[Array, Array], tuple[Array, Array, Array]]:
-        d = self.dimension
-        setup = self.observations.readings.setup
-        dense = self.dense()
-        along = self.observations.direction.T[:d]
-        nominal = self.targets[self.point][:, :d].T - self.stations[setup][:, :d].T
-
-        return partial(_linearised, path, nominal, dense, setup, None if beam is None else along)
 
     def error_map(self, fit: Fit) -> ErrorMap:
         """Position error of every target in the datum in which they have no common motion."""
@@ -163,17 +160,17 @@ class TrackingModel(MethodModel):
 
 
 def _linearised(
-    path: Array, nominal: Array, dense: Array, setup: IntArray, along: Array | None, own: Array, shared: Array
+    path: Array, nominal: Array, dense: Array, setup: IntArray, beam: Array | None, own: Array, shared: Array
 ) -> tuple[Array, Array, Array]:
     """Residuals and their columns at a place of the unknowns: a function that goes from process to process."""
     d = len(nominal)
     line = nominal - own[:, :d][setup].T
-    if along is None:
+    if beam is None:
         # The tables' share of the length is linear; the beam follows the target where it was commanded.
         length = np.linalg.norm(line, axis=0)
         direction = line / length
     else:
-        length, direction = np.einsum("dn,dn->n", line, along), along
+        length, direction = np.einsum("dn,dn->n", line, beam), beam
     residual = path - length + own[:, d][setup] - shared @ dense
     return residual, np.concatenate([-direction, -np.ones((1, len(path)))]), dense
 
@@ -255,7 +252,7 @@ def _station_datum(model: TrackingModel) -> tuple[Constraint, ...]:
 
 def _known_places(model: TrackingModel) -> Iterator[Prior]:
     """What is declared of stations, for those motions of theirs that their own readings hardly sense."""
-    names = np.array([parameter.name for parameter in model.own]).reshape(len(model.stations), -1)
+    names = model.own_names
     for k, vector in model.loose_stations:
         weights = {str(n): float(v) for n, v in zip(names[k], vector, strict=True) if v}
         yield Prior(weights, 0.0, float(model.known[k]))

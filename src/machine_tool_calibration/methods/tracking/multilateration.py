@@ -40,7 +40,7 @@ class MultilaterationPart(Part):
         """Lay the readings out in slots.
 
         Args:
-            groups: from `layout.group_points`, blocks are stations.
+            groups: from `group_points`, blocks are stations.
             path: (n,) reading plus first estimate of the station's dead path, m.
             sigma: (n,) standard uncertainty of a reading, m.
             target: (d, n_points) nominal positions, m.

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray, groups
+from machine_tool_calibration.arrays import Array, IntArray, gaps_around, groups
 from machine_tool_calibration.errors import ModelError
 
 __all__ = ["HIGHEST_ORDER", "Centre", "ZeroAngle", "rotation_centre", "zero_angle"]
@@ -112,7 +112,7 @@ def rotation_centre(
     own = _constants(np.zeros(len(angle), dtype=np.int64) if run is None else run)
     fixed = np.column_stack([np.cos(angle), np.sin(angle), own])
     waves = [wave(order * angle) for order in range(2, HIGHEST_ORDER + 1) for wave in (np.cos, np.sin)]
-    turned = _covered(angle)
+    turned = 2 * np.pi - float(gaps_around(angle)[1].max())
     if turned < _LEAST_TURN:
         raise ModelError(
             f"the beam turns by {np.degrees(turned):.0f}° only: over less than half a turn the radial error motion of "
@@ -147,12 +147,6 @@ def rotation_centre(
         scatter=float(np.sqrt(variance)),
         residuals=displacement - fixed @ found,
     )
-
-
-def _covered(angle: Array) -> float:
-    """Angle over which a beam has turned, rad: a full turn less the largest gap."""
-    places = np.unique(np.round(np.mod(angle, 2 * np.pi) / _NOTHING)) * _NOTHING
-    return float(2 * np.pi - np.diff(np.append(places, places[0] + 2 * np.pi)).max())
 
 
 @dataclass(frozen=True)
