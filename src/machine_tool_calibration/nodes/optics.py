@@ -168,9 +168,9 @@ class FlatMirror:
             ends = np.array([[run[k][axis] for axis in "xyz"] for k in (0, -1)])
             first, last = self._site.machine.functional_point(ends)
             beam = (last - first) / np.linalg.norm(last - first)
-            off = self._site.mirror_tilt(moment.setup)
-            effect = self._site.live.disturbance(self._site.scene(moment)).mirror
-            normal = tilted(beam[None], (off if effect is None else off + effect[0])[None])[0]
+            disturbance = self._site.live.disturbance(self._site.scene(moment))
+            off = self._site.mirror_tilt(moment.setup) + disturbance.mirror
+            normal = tilted(beam[None], np.atleast_2d(off))[0]
             fixed = self._site.machine.tool_rotation(ends[:1])[0].T @ normal
             self._made[moment.setup] = first - _LASER * beam, beam, fixed
         return self._made[moment.setup]

@@ -106,7 +106,21 @@ class VirtualMachine:
         Returns:
             (n, 3), m.
         """
-        return self._follow(np.atleast_2d(np.asarray(command, float)), shift, errors)
+        at = np.atleast_2d(np.asarray(command, float))
+        order: tuple[str, ...] = self._order  # type: ignore[attr-defined]
+        point: Array = np.broadcast_to(np.asarray(self.tool_offset), at.shape)
+        for axis in reversed(order):
+            along = at[:, "XYZ".index(axis)]
+            error = self._errors(axis, along, errors)
+            if error is not None:
+                point = rotate(point, error[:, 3:]) + error[:, :3]
+            if shift is not None and axis in shift:
+                along = along + shift[axis]
+            point = point + along[:, None] * self._directions[axis]  # type: ignore[attr-defined]
+        for index, axis in enumerate("XYZ"):  # an axis that the chain lacks stands where it is said to be
+            if axis not in order:
+                point = point + at[:, index : index + 1] * np.eye(3)[index]
+        return point
 
     def functional_point(
         self, command: Array, shift: Mapping[str, Array] | None = None, errors: Mapping[str, Array] | None = None
@@ -148,24 +162,6 @@ class VirtualMachine:
         if own is None or more is None:
             return more if own is None else own
         return np.asarray(own + more)
-
-    def _follow(
-        self, at: Array, shift: Mapping[str, Array] | None, errors: Mapping[str, Array] | None = None
-    ) -> Array:
-        order: tuple[str, ...] = self._order  # type: ignore[attr-defined]
-        point: Array = np.broadcast_to(np.asarray(self.tool_offset), at.shape)
-        for axis in reversed(order):
-            along = at[:, "XYZ".index(axis)]
-            error = self._errors(axis, along, errors)
-            if error is not None:
-                point = rotate(point, error[:, 3:]) + error[:, :3]
-            if shift is not None and axis in shift:
-                along = along + shift[axis]
-            point = point + along[:, None] * self._directions[axis]  # type: ignore[attr-defined]
-        for index, axis in enumerate("XYZ"):  # an axis that the chain lacks stands where it is said to be
-            if axis not in order:
-                point = point + at[:, index : index + 1] * np.eye(3)[index]
-        return point
 
     def on_table(self, point: Array, angle: Array, axis: str = "C", shift: Array | float = 0.0) -> Array:
         """Where a point of the table really is in the machine frame.

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -94,7 +95,8 @@ def build_machine(
         parsed = Chain.parse(text)
     except ValueError as error:
         raise ModelError(str(error)) from None
-    ends = {a.upper(): (float(lo), float(hi)) for a, (lo, hi) in {**(travel or {}), **_upper(spec.travel)}.items()}
+    named = (*(travel or {}).items(), *spec.travel.items())
+    ends = {axis.upper(): (float(low), float(high)) for axis, (low, high) in named}
     for axis, (low, high) in ends.items():
         if not high - low >= _SHORTEST_TRAVEL:
             raise ModelError(
@@ -121,13 +123,7 @@ def build_machine(
     line = dict(machine.average_line)
     for name, value in spec.average_line.items():
         line[name] = line.get(name, 0.0) + value
-    return VirtualMachine(
-        parsed, machine.motions, machine.squareness, line, ends, sign, spec.tool_offset
-    )
-
-
-def _upper(travel: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
-    return {name.upper(): ends for name, ends in travel.items()}
+    return replace(machine, average_line=line, tool_offset=spec.tool_offset)
 
 
 def read_machine(path: Path | str) -> MachineSpec:

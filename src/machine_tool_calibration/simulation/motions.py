@@ -250,10 +250,9 @@ def random_smooth(
     high: float,
     amplitudes: Sequence[float],
     *,
-    zero: float | None = None,
     knots: int = 7,
 ) -> list[Table]:
-    """Smooth random motions over [low, high]: zero at `zero`, each with its largest absolute value.
+    """Smooth random motions over [low, high]: zero at 0 if that is inside, else at `low`; each with its largest value.
 
     Natural splines through a random walk at `knots` nodes with a random slope, as guideways and ball
     screws show: long waves with some shorter ones.
@@ -263,15 +262,13 @@ def random_smooth(
         low: lower end of the travel, m or rad.
         high: upper end.
         amplitudes: largest absolute value of each, m or rad.
-        zero: position where the motions are zero by definition; by default 0 if inside, else `low`.
         knots: number of nodes; more give shorter waves.
     """
     nodes, slope = np.linspace(low, high, knots), np.linspace(-1, 1, knots)
     walks = [
         np.cumsum(rng.normal(size=knots)) + rng.normal() * slope + rng.normal(size=knots) * 0.5 for _ in amplitudes
     ]
-    reference = zero if zero is not None else (0.0 if low <= 0.0 <= high else low)
-    return _normalised(nodes, np.array(walks).T, amplitudes, reference, "cubic")
+    return _normalised(nodes, np.array(walks).T, amplitudes, 0.0 if low <= 0.0 <= high else low, "cubic")
 
 
 _ORDERS = 4  # harmonics of a rotary axis's motion

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from string import ascii_uppercase
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -16,7 +17,17 @@ from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.random_machine import Amplitudes
 from machine_tool_calibration.simulation.scene import Scene
 
-__all__ = ["Finite", "Measurement", "Plan", "Positive", "Vector3", "since_first", "spanned"]
+__all__ = [
+    "Finite",
+    "Measurement",
+    "Plan",
+    "Positive",
+    "Vector3",
+    "axis_columns",
+    "since_first",
+    "spanned",
+    "station_name",
+]
 
 
 @dataclass(frozen=True)
@@ -82,6 +93,10 @@ class Plan(BaseModel):
         """Ends of the linear axes' travel, by letter, m."""
         return {}
 
+    def machine(self) -> dict[str, Any]:
+        """What the session says of the machine: its chain and travel."""
+        return {"chain": self.chain, "travel": {axis.lower(): list(ends) for axis, ends in self.travel().items()}}
+
     def prepared(self, machine: VirtualMachine) -> VirtualMachine:
         """The machine as the plan wants it."""
         return machine
@@ -89,6 +104,19 @@ class Plan(BaseModel):
     def errors(self) -> Amplitudes | None:
         """Sizes of random errors that suit the method; None for the usual ones."""
         return None
+
+
+def station_name(index: int) -> str:
+    """Id of an instrument's setup: A to Z, then S27 and so on."""
+    return ascii_uppercase[index] if index < len(ascii_uppercase) else f"S{index + 1}"
+
+
+def axis_columns(position: Array, direction: Mapping[str, Array]) -> dict[str, Array]:
+    """A session's columns of X, Y and Z: position (n, 3), m, and the sign of the last move by letter."""
+    return {
+        **{axis: position[:, index] for index, axis in enumerate("xyz")},
+        **{f"dir_{axis.lower()}": signs for axis, signs in direction.items()},
+    }
 
 
 def spanned(points: Array) -> dict[str, tuple[float, float]]:

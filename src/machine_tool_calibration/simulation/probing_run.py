@@ -16,7 +16,7 @@ from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.motions import turn
 from machine_tool_calibration.simulation.plan import Finite, Measurement, Plan, Positive
 from machine_tool_calibration.simulation.random_machine import Amplitudes
-from machine_tool_calibration.simulation.scene import Scene, ordered_times
+from machine_tool_calibration.simulation.scene import Scene, last_sign, ordered_times
 from machine_tool_calibration.simulation.sensors import probed
 
 __all__ = ["WORKPIECES", "PartPoint", "ProbingPlan", "cam", "cross", "disc", "pins", "plan_probing"]
@@ -219,20 +219,17 @@ def plan_probing(plan: ProbingPlan, environment: Environment, rng: np.random.Gen
     radius = 0.5 * plan.stylus_diameter
     centre = contact + radius * normal
     command = centre if plan.columns == "centre" else contact
-    direction = {axis: _approach(-normal[:, i]) for i, axis in enumerate("XY")}
-    moved = np.sign(np.diff(turns, prepend=turns[0] - 1.0))
-    direction["C"] = moved[setup]
-    scene = Scene(time, setup, repeat, command, angle, direction, environment(time), label,
-                  rates=environment.rate(time), lagged=environment.behind(time), ends=plan.travel())
+    # an approach at right angles to an axis leaves it where it was
+    direction = {axis: last_sign(-normal[:, i], 1e-9) for i, axis in enumerate("XY")}
+    direction["C"] = np.sign(np.diff(turns, prepend=turns[0] - 1.0))[setup]
+    scene = Scene(time, setup, repeat, command, angle, direction, environment, ends=plan.travel())
 
     def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
         place = disturbance.grown(nominal[label], "C") + form[label][:, None] * outward[label]
-        shift = disturbance.axis.get("C", np.zeros(len(angle)))
+        shift = disturbance.axis.get("C", 0.0)
         surface = disturbance.with_table(machine.on_table(place, angle, "C", shift))
         facing = machine.table_direction(outward[label], angle, "C", shift)
-        actual = centre + machine.functional_point(command, disturbance.axis, disturbance.errors) - command
-        if disturbance.point is not None:
-            actual = actual + disturbance.point
+        actual = centre + disturbance.functional_point(machine, command) - command
         touched = probed(actual, normal, surface, facing, radius, bend[label])
         sight = Sight(np.zeros(len(angle)), -normal, np.arctan2(normal[:, 1], normal[:, 0]),
                       np.zeros(len(angle)), np.zeros(len(angle)))
@@ -281,13 +278,6 @@ def plan_probing(plan: ProbingPlan, environment: Environment, rng: np.random.Gen
     }
     labels = {"point": np.array([p.id for p in part], dtype=object)[label]}
     return Measurement(describe, scene, read, None, columns, labels, judged)
-
-
-def _approach(move: Array) -> Array:
-    """Sign of the last move of one axis, where an approach at right angles to it leaves it where it was."""
-    sign = np.where(np.abs(move) < 1e-9, 0.0, np.sign(move))
-    last = np.maximum.accumulate(np.where(sign != 0, np.arange(len(sign)), -1))
-    return np.where(last >= 0, sign[np.maximum(last, 0)], 1.0)
 
 
 def _table_errors(machine: VirtualMachine, angle: Array) -> dict[str, list[float]]:

@@ -109,7 +109,6 @@ class Pointer:
         elevation: Array,
         station: Array,
         turn: Array | float = 0.0,
-        radial: Array | float = 0.0,
     ) -> tuple[Array, Array]:
         """Origin and direction of the true beam.
 
@@ -118,13 +117,12 @@ class Pointer:
             elevation: (n,) commanded, rad.
             station: (n, 3) true rotation centre, m.
             turn: further turn of the azimuth, rad.
-            radial: further radial error motion (as `radial` of the class), m.
 
         Returns:
             (n, 3) origin, m, and (n, 3) unit direction.
         """
         direction = beam_direction(azimuth + self.zero_offset + turn, elevation + self.elevation_offset)
-        back: Array | float = radial
+        back: Array | float = 0.0
         for order, (cosine, sine) in self.radial.items():
             back = back + cosine * np.cos(order * azimuth) + sine * np.sin(order * azimuth)
         left = np.stack([-direction[..., 1], direction[..., 0], np.zeros_like(direction[..., 0])], axis=-1)

@@ -247,7 +247,7 @@ def _readings(measurement: Measurement, displacement: Array) -> Readings:
         setup=scene.setup,
         repeat=scene.repeat,
         displacement=displacement,
-        columns={"time": scene.time, **measurement.columns, **scene.environment},
+        columns={"time": scene.time, **measurement.columns, **scene.environment(scene.time)},
         labels=measurement.labels,
         row=np.arange(len(scene)),
     )
