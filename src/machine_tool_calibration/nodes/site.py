@@ -16,13 +16,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.session.defects import first_defect
 from machine_tool_calibration.session.description import Description, StationSetup, Target
+from machine_tool_calibration.session.record import Finite, NotNegative, Record
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
 from machine_tool_calibration.simulation.environment import Environment, random_environment
@@ -40,8 +41,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Beam", "Moment", "PointerSpec", "Site", "SiteSpec", "declare_site", "read_site"]
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Size = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 _STREAMS = ("machine", "environment", "effects", "stations")
 _DEFAULT_TRAVEL = {"x": (0.0, 0.4), "y": (0.0, 0.4), "z": (0.0, 0.4)}
 _DEFAULT_CHAIN = "w-C-b-Y-X-Z-t"
@@ -49,20 +48,16 @@ _NOISE = 3e-7
 _TURNS = (-20.0 * np.pi, 20.0 * np.pi)
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class PointerSpec(_Record):
+class PointerSpec(Record):
     """True errors of the rotary pointer: angles in rad, lengths in m, `radial` (cos, sin) by order of the azimuth."""
 
     zero_offset: Finite = 0.0
     elevation_offset: Finite = 0.0
     eccentricity: Finite = 0.0
-    radial: dict[int, tuple[Finite, Finite]] = {}
+    radial: dict[int, tuple[Finite, Finite]] = Field(default_factory=dict)
 
 
-class SiteSpec(_Record):
+class SiteSpec(Record):
     """What is true in the simulated workshop.
 
     Attributes:
@@ -83,12 +78,12 @@ class SiteSpec(_Record):
     machine: MachineSpec = MachineSpec()
     effects: tuple[FlawSpec, ...] = ()
     pointer: PointerSpec = PointerSpec()
-    station_uncertainty: Size | None = None
-    target_uncertainty: Size | None = None
-    mirror_tilt: Size = 1e-3
-    noise: Size | None = None
-    repeatability: Size = 0.0
-    environment_swing: Size = 1.0
+    station_uncertainty: NotNegative | None = None
+    target_uncertainty: NotNegative | None = None
+    mirror_tilt: NotNegative = 1e-3
+    noise: NotNegative | None = None
+    repeatability: NotNegative = 0.0
+    environment_swing: NotNegative = 1.0
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from machine_tool_calibration.errors import CalibrationError, ModelError
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.session.defects import first_defect
 from machine_tool_calibration.session.description import Finite
+from machine_tool_calibration.session.record import Record
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
 from machine_tool_calibration.simulation.flaw import ALL_METHODS
@@ -27,11 +28,7 @@ R = TypeVar("R", bound=BaseModel)
 _SHORTEST_TRAVEL = 1e-6  # m or rad
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class TableSpec(_Record):
+class TableSpec(Record):
     """One error motion: values at nodes of the axis, m or rad."""
 
     nodes: Annotated[tuple[Finite, ...], Field(min_length=2, max_length=100_000)]
@@ -39,7 +36,7 @@ class TableSpec(_Record):
     interpolation: Literal["cubic", "linear", "periodic"] = "cubic"
 
 
-class MachineSpec(_Record):
+class MachineSpec(Record):
     """A machine's true errors.
 
     Attributes:
@@ -56,13 +53,13 @@ class MachineSpec(_Record):
     """
 
     chain: str | None = None
-    travel: dict[str, tuple[Finite, Finite]] = {}
+    travel: dict[str, tuple[Finite, Finite]] = Field(default_factory=dict)
     rotation_sign: Literal[-1, 1] | None = None
     seed: Annotated[int, Field(ge=0)] | None = None
     random: Amplitudes | None = Amplitudes()
-    motions: dict[str, TableSpec] = {}
-    squareness: dict[str, Finite] = {}
-    average_line: dict[str, Finite] = {}
+    motions: dict[str, TableSpec] = Field(default_factory=dict)
+    squareness: dict[str, Finite] = Field(default_factory=dict)
+    average_line: dict[str, Finite] = Field(default_factory=dict)
     tool_offset: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
 
 

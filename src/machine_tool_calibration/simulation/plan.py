@@ -9,19 +9,18 @@ from string import ascii_uppercase
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.session.record import Finite, NotNegative, Positive, Record
 from machine_tool_calibration.simulation.disturbance import Disturbance
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.random_machine import Amplitudes
 from machine_tool_calibration.simulation.scene import Scene
 
 __all__ = [
-    "Finite",
     "Measurement",
     "Plan",
-    "Positive",
     "Vector3",
     "axis_columns",
     "since_first",
@@ -63,12 +62,10 @@ def since_first(values: Array, group: IntArray | None) -> Array:
     return change
 
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Vector3 = tuple[Finite, Finite, Finite]
 
 
-class Plan(BaseModel):
+class Plan(Record):
     """Where and when readings are taken.
 
     Attributes:
@@ -80,11 +77,9 @@ class Plan(BaseModel):
         chain: chain of axes.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     repeats: Annotated[int, Field(ge=1, le=10000)] = 1
     interval: Positive = 4.0
-    pause: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 600.0
+    pause: NotNegative = 600.0
     noise: Positive = 3e-7
     sign: Literal[-1, 1] = 1
     chain: str = "w-C-b-Y-X-Z-t"

@@ -7,14 +7,15 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.session.record import Finite, Positive, Record
 from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
 from machine_tool_calibration.simulation.environment import Environment
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.motions import turn
-from machine_tool_calibration.simulation.plan import Finite, Measurement, Plan, Positive
+from machine_tool_calibration.simulation.plan import Measurement, Plan
 from machine_tool_calibration.simulation.random_machine import Amplitudes
 from machine_tool_calibration.simulation.scene import Scene, last_sign, ordered_times
 from machine_tool_calibration.simulation.sensors import probed
@@ -22,7 +23,7 @@ from machine_tool_calibration.simulation.sensors import probed
 __all__ = ["WORKPIECES", "PartPoint", "ProbingPlan", "cam", "cross", "disc", "pins", "plan_probing"]
 
 
-class PartPoint(BaseModel):
+class PartPoint(Record):
     """A nominal point of a part's surface in the workpiece frame at c = 0.
 
     Attributes:
@@ -32,8 +33,6 @@ class PartPoint(BaseModel):
         normal: outward from the material, unit.
         curvature: of the surface, 1/m: positive for a pin, negative for a hole.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     id: str
     feature: str = "work"

@@ -9,19 +9,11 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.session.record import Finite, NotNegative, Positive
 from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
 from machine_tool_calibration.simulation.environment import Environment
 from machine_tool_calibration.simulation.machine import VirtualMachine
-from machine_tool_calibration.simulation.plan import (
-    Finite,
-    Measurement,
-    Plan,
-    Positive,
-    Vector3,
-    axis_columns,
-    spanned,
-    station_name,
-)
+from machine_tool_calibration.simulation.plan import Measurement, Plan, Vector3, axis_columns, spanned, station_name
 from machine_tool_calibration.simulation.scene import Scene, last_direction, ordered_times
 from machine_tool_calibration.simulation.sensors import Pointer, aim, distance, sensed_path
 
@@ -58,7 +50,7 @@ class TrackingPlan(Plan):
     y: Line | None = None
     z: Line | None = None
     points: tuple[Vector3, ...] | None = None
-    station_uncertainty: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 1.2e-5
+    station_uncertainty: NotNegative = 1.2e-5
     order: Literal["alternate", "same"] = "alternate"
     repeats: Annotated[int, Field(ge=1, le=10000)] = 2
     noise: Positive = 3e-7

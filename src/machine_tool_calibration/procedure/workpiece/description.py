@@ -24,7 +24,7 @@ from pydantic import Field, ValidationError
 
 from machine_tool_calibration.arrays import BoolArray
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.procedure.workpiece.features import Circle, Feature, File, Line, Outline, Points, Record
+from machine_tool_calibration.procedure.workpiece.features import Circle, Feature, File, Line, Outline, Points
 from machine_tool_calibration.procedure.workpiece.outline import (
     Contour,
     Material,
@@ -36,6 +36,7 @@ from machine_tool_calibration.procedure.workpiece.outline import (
 from machine_tool_calibration.procedure.workpiece.outline_files import read_csv_outline, read_dxf_outline
 from machine_tool_calibration.session.defects import first_defect
 from machine_tool_calibration.session.description import WorkpiecePoint
+from machine_tool_calibration.session.record import Positive, Record
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
 
@@ -57,7 +58,7 @@ class Workpiece(Record):
 
     format: Literal["mtcal-workpiece/1"]
     unit: Literal["m", "mm", "inch"] = "m"
-    stylus_diameter: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
+    stylus_diameter: Positive | None = None
     features: Annotated[tuple[Feature, ...], Field(min_length=1)]
 
 
