@@ -27,7 +27,7 @@ from machine_tool_calibration.nodes.probe import Probe
 from machine_tool_calibration.nodes.procedure import ProcedureNode
 from machine_tool_calibration.nodes.ros.messages import READINGS, Level, status, to_message, values
 from machine_tool_calibration.nodes.ros.process import post, say_unknown_parameters
-from machine_tool_calibration.nodes.ros.services import Answer, DeferredService
+from machine_tool_calibration.nodes.ros.services import Answer, deferred_service
 
 from .conftest import ORIGIN, PATIENCE, PROCEDURE
 
@@ -163,7 +163,7 @@ def test_a_fault_in_a_timer_or_a_service_is_logged_and_the_node_goes_on(made, ca
         raise ZeroDivisionError("an axis without length")
 
     timer = node.create_timer(1.0, stumble)
-    service = DeferredService(node, Trigger, "walk", stumble).service
+    service = deferred_service(node, "walk", stumble)
     for _ in range(3):
         timer.callback()
         answer = service.callback(Trigger.Request(), Trigger.Response())

@@ -76,8 +76,8 @@ class AxisSimulator(GuardedNode):
         self._states = self.create_publisher(JointState, "joint_states", STATE)
         self._status = StatusTopic(
             self,
-            self.create_publisher(DiagnosticArray, "axes/status", STATE),
             "axes",
+            publisher=self.create_publisher(DiagnosticArray, "axes/status", STATE),
             hardware_id=f"simulated machine {self.site.chain}",
             clock=self._now,
         )

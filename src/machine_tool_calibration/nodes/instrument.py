@@ -18,13 +18,11 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, String
-from std_srvs.srv import Trigger
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.instruments.drivers import load_driver
@@ -97,11 +95,10 @@ class Instrument(GuardedNode):
             raise CalibrationError("a real driver needs real time: use_sim_time must be false")
         else:
             self.source = DriverSource(load_driver(Path(self._driver)), clock_offset(now(self)))
-        own = OwnPublisher(self, "instrument", "status", DiagnosticArray, LATCHED)
         hardware_id = self.source.hardware_id or Path(self._driver).stem
-        self._status = StatusTopic(self, own, "instrument", hardware_id=hardware_id)
-        offer(self, "instrument", "datum", Trigger, lambda answer: self._requested(answer, is_datum=True))
-        offer(self, "instrument", "capture", Trigger, lambda answer: self._requested(answer, is_datum=False))
+        self._status = StatusTopic(self, "instrument", hardware_id=hardware_id)
+        offer(self, "instrument", "datum", lambda answer: self._requested(answer, is_datum=True))
+        offer(self, "instrument", "capture", lambda answer: self._requested(answer, is_datum=False))
         self.every(0.1, self._check)
         if not self._simulated_time:
             self.every(1.0 / self._batch_rate, self._flow)

@@ -18,7 +18,6 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from machine_tool_calibration.arrays import Array
@@ -43,7 +42,7 @@ from machine_tool_calibration.nodes.ros.messages import (
 from machine_tool_calibration.nodes.ros.names import OwnPublisher
 from machine_tool_calibration.nodes.ros.node import GuardedNode
 from machine_tool_calibration.nodes.ros.process import STOP_GRACE, run_process
-from machine_tool_calibration.nodes.ros.services import Answer, DeferredService
+from machine_tool_calibration.nodes.ros.services import Answer, deferred_service
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.site import Site, declare_site
 from machine_tool_calibration.session.description import Probing
@@ -167,15 +166,15 @@ class Probe(GuardedNode):
 
         # it stands in the instrument's place, whatever its own name is
         told = self.create_publisher(DiagnosticArray, "instrument/status", LATCHED)
-        self._status = StatusTopic(self, told, "probe", hardware_id="simulated probe")
+        self._status = StatusTopic(self, "probe", publisher=told, hardware_id="simulated probe")
         self._triggers = OwnPublisher(self, "probe", "trigger", JointState, STATE)
         self._commands = self.create_publisher(JointTrajectory, "axes/joint_trajectory", COMMAND)
         self._environment = EnvironmentTopics(self, self._sensed)
         self.create_subscription(String, "session", self._described, LATCHED)
         self.create_subscription(JointState, "joint_states", self._moved, STATE)
         self.create_subscription(DiagnosticArray, "axes/status", self._axes_status, STATE)
-        DeferredService(self, Trigger, "instrument/datum", self._no_datum)
-        DeferredService(self, Trigger, "instrument/capture", self._requested)
+        deferred_service(self, "instrument/datum", self._no_datum)
+        deferred_service(self, "instrument/capture", self._requested)
         self.every(_CHECK, self._check)
         self._show()
 

@@ -42,7 +42,7 @@ from machine_tool_calibration.nodes.ros.messages import (
     trajectory,
     values,
 )
-from machine_tool_calibration.nodes.ros.names import OwnPublisher, offer
+from machine_tool_calibration.nodes.ros.names import offer
 from machine_tool_calibration.nodes.ros.node import GuardedNode
 from machine_tool_calibration.nodes.ros.process import STOP_GRACE, run_process
 from machine_tool_calibration.nodes.ros.services import Answer
@@ -206,8 +206,7 @@ class ProcedureNode(GuardedNode):
 
         self._session = self.create_publisher(String, "session", LATCHED)
         self._readings = self.create_publisher(JointState, "reading", READINGS)
-        own = OwnPublisher(self, "procedure", "status", DiagnosticArray, LATCHED)
-        self._status = StatusTopic(self, own, "procedure")
+        self._status = StatusTopic(self, "procedure")
         # Before the subscription to its status: an instrument whose status came knows these clients, else it would drop
         # its first answers.
         self._datum = self.create_client(Trigger, "instrument/datum")
@@ -226,7 +225,7 @@ class ProcedureNode(GuardedNode):
             ("resume", self._resume),
             ("abort", self._abort),
         ):
-            offer(self, "procedure", name, Trigger, partial(_answer_by, handler))
+            offer(self, "procedure", name, partial(_answer_by, handler))
         self.every(_TICK, self._tick)
         self._publish_session()
         self._show()

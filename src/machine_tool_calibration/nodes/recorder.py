@@ -7,11 +7,9 @@ from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 
-from diagnostic_msgs.msg import DiagnosticArray
-
 from machine_tool_calibration.errors import CalibrationError, RecordingError
-from machine_tool_calibration.nodes.ros.messages import LATCHED, Level, now, status
-from machine_tool_calibration.nodes.ros.names import OwnPublisher, own_names
+from machine_tool_calibration.nodes.ros.messages import Level, now, status
+from machine_tool_calibration.nodes.ros.names import own_names
 from machine_tool_calibration.nodes.ros.node import GuardedNode
 from machine_tool_calibration.nodes.ros.process import run_process
 from machine_tool_calibration.nodes.ros.status import StatusTopic
@@ -44,8 +42,7 @@ class Recorder(GuardedNode):
         split_bytes = self.declare("split_size", 0, "size at which a new file begins; 0 never", unit="B", low=0)
         split_time = self.declare("split_duration", 0.0, "duration of a file; 0 endless", unit="s", low=0.0)
         flush = self.declare("flush_period", 0.4, "longest age of what a kill may cost", unit="s", low=0.02, high=0.8)
-        told = OwnPublisher(self, "recorder", "status", DiagnosticArray, LATCHED)
-        self._status = StatusTopic(self, told, "recorder")
+        self._status = StatusTopic(self, "recorder")
         self._ignored = {*_NEVER, *map(self.resolve_topic_name, own_names(self, "recorder", "status"))}
         self._refused: dict[str, str] = {}
         self._taken = 0

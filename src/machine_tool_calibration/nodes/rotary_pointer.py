@@ -73,7 +73,7 @@ class RotaryPointer(GuardedNode):
 
         self._states = self.create_publisher(JointState, "pointer/state", STATE)
         own = self.create_publisher(DiagnosticArray, "pointer/status", LATCHED)
-        self._status = StatusTopic(self, own, "pointer", hardware_id="simulated pointer")
+        self._status = StatusTopic(self, "pointer", publisher=own, hardware_id="simulated pointer")
         self._truth = self.create_publisher(PoseStamped, "truth/beam", STATE)
         self.create_subscription(String, "session", self._described, LATCHED)
         hear_targets(self, self._commanded)
