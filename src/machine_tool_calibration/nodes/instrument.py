@@ -35,7 +35,7 @@ from machine_tool_calibration.nodes.ros.node import GuardedNode
 from machine_tool_calibration.nodes.ros.process import STOP_GRACE, run_process
 from machine_tool_calibration.nodes.ros.services import Answer
 from machine_tool_calibration.nodes.ros.status import StatusTopic
-from machine_tool_calibration.nodes.samples import DriverSource, SimulatedSource, clock_offset
+from machine_tool_calibration.nodes.samples import DriverSource, SimulatedSource
 from machine_tool_calibration.nodes.setups import Pairs, Target, hear_targets, setup_named
 from machine_tool_calibration.nodes.site import Beam, declare_site
 from machine_tool_calibration.session.parse import parse_description
@@ -94,7 +94,7 @@ class Instrument(GuardedNode):
         elif self._simulated_time:
             raise CalibrationError("a real driver needs real time: use_sim_time must be false")
         else:
-            self.source = DriverSource(load_driver(Path(self._driver)), clock_offset(now(self)))
+            self.source = DriverSource(load_driver(Path(self._driver)), now(self) - time.monotonic_ns())
         hardware_id = self.source.hardware_id or Path(self._driver).stem
         self._status = StatusTopic(self, "instrument", hardware_id=hardware_id)
         offer(self, "instrument", "datum", lambda answer: self._requested(answer, is_datum=True))
@@ -261,19 +261,14 @@ class Instrument(GuardedNode):
         return self._recent.window(self._averaging, self._tolerance)
 
     def _refuse_or_wait(self, request: _Request, reason: NotYet) -> None:
-        patience = self._timeout
-        if self._simulated_time:
-            patience = _GRACE  # simulated time does not go on by itself
-        waited = time.monotonic() - request.since
-        if waited < patience and not self._lost_for_good(reason):
+        patience = _GRACE if self._simulated_time else self._timeout  # simulated time does not go on by itself
+        is_blocked = reason.kind == "beam" and self._simulated is not None and self._simulated.blocked
+        if time.monotonic() - request.since < patience and not is_blocked:
             self._requests.append(request)
             return
         if reason.kind == "beam":
             self._lose_datum(str(reason))
         _refuse(request.answer, reason.kind, str(reason))
-
-    def _lost_for_good(self, reason: NotYet) -> bool:
-        return self._simulated is not None and self._simulated.blocked and reason.kind == "beam"
 
     def _set_datum(self, answer: Answer, window: Window) -> None:
         self._datums += 1

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -17,7 +17,6 @@ from machine_tool_calibration.session.description import Finite
 from machine_tool_calibration.session.record import Record
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
-from machine_tool_calibration.simulation.flaw import ALL_METHODS
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.motions import AxisMotion, Table
 from machine_tool_calibration.simulation.random_machine import Amplitudes, random_machine
@@ -132,8 +131,8 @@ def read_machine(path: Path | str) -> MachineSpec:
     return read_record(Path(path), MachineSpec)
 
 
-def read_record(path: Path, record: type[R]) -> R:
-    """A record from a YAML file.
+def read_record(path: Path, record: type[R], unnamed: Container[object] = ()) -> R:
+    """A record from a YAML file; `unnamed` as for `first_defect`.
 
     Raises:
         CalibrationError: the file cannot be read, or a key or value is wrong; one line names file, line and key.
@@ -142,7 +141,7 @@ def read_record(path: Path, record: type[R]) -> R:
     try:
         return record.model_validate(document.value if document.value is not None else {})
     except ValidationError as error:
-        raise CalibrationError(first_defect(error, str(path), document, record, ALL_METHODS)) from None
+        raise CalibrationError(first_defect(error, str(path), document, record, unnamed)) from None
 
 
 def machine_document(machine: VirtualMachine) -> dict[str, Any]:
