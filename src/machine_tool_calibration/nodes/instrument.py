@@ -29,7 +29,16 @@ from machine_tool_calibration.instruments.drivers import load_driver
 from machine_tool_calibration.nodes.averaging import Batch, NotYet, Recent, Source, Window
 from machine_tool_calibration.nodes.environment import EnvironmentTopics
 from machine_tool_calibration.nodes.optics import make_optics
-from machine_tool_calibration.nodes.ros.messages import LATCHED, STATE, Level, from_message, now, rotation_of, seconds
+from machine_tool_calibration.nodes.ros.messages import (
+    LATCHED,
+    STATE,
+    Level,
+    from_message,
+    now,
+    place_of,
+    rotation_of,
+    seconds,
+)
 from machine_tool_calibration.nodes.ros.names import OwnPublisher, offer
 from machine_tool_calibration.nodes.ros.node import GuardedNode
 from machine_tool_calibration.nodes.ros.process import STOP_GRACE, run_process
@@ -182,9 +191,8 @@ class Instrument(GuardedNode):
     def _body(self, message: PoseStamped, body: str) -> None:
         if self._simulated.optics.body != body:
             return
-        place, stamp = message.pose.position, from_message(message.header.stamp)
-        rotation = rotation_of(message.pose.orientation)
-        self._simulated.add_pose(stamp, np.array([place.x, place.y, place.z]), rotation)
+        stamp = from_message(message.header.stamp)
+        self._simulated.add_pose(stamp, place_of(message.pose.position), rotation_of(message.pose.orientation))
         if self._simulated_time:
             self._environment.tell(stamp)
             if self._requests:
@@ -199,11 +207,10 @@ class Instrument(GuardedNode):
         if pair is None:
             return
         truth, state = pair
-        place, setup = truth.pose.position, setup_named(state, self._setups)
+        setup = setup_named(state, self._setups)
         if self._simulated.setup and not setup:
             return  # a pointer that has just started again: the instrument stands where it stood
-        direction = rotation_of(truth.pose.orientation)[:, 0]
-        beam = Beam(np.array([place.x, place.y, place.z]), direction)
+        beam = Beam(place_of(truth.pose.position), rotation_of(truth.pose.orientation)[:, 0])
         self._stand(stamp, setup, beam)
 
     def _commanded(self, target: Target) -> None:

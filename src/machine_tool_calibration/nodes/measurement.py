@@ -162,7 +162,6 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
             progress("closing the recording", total, total)
             graph.stop(["recorder"])
             session = _save(operator, output)
-            assert session is not None
             counters = {
                 name: operator.procedure.number(name)
                 for name in ("resent", "stale", "unstable", "recoveries", "restarts")

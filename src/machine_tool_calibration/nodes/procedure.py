@@ -20,6 +20,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped
+from rclpy.client import Client
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -37,6 +38,7 @@ from machine_tool_calibration.nodes.ros.messages import (
     from_message,
     joint_state,
     now,
+    point,
     positions,
     stamp_among,
     trajectory,
@@ -127,7 +129,7 @@ class ProcedureNode(GuardedNode):
 
     def __init__(self) -> None:
         super().__init__("procedure")
-        simulated = self.lives_in_simulated_time
+        self._simulated_time = self.lives_in_simulated_time
         file: str = self.declare("procedure", "", "YAML file of the procedure")
         if not file:
             raise CalibrationError("the parameter procedure must name a procedure's YAML file")
@@ -137,7 +139,7 @@ class ProcedureNode(GuardedNode):
             ),
             answer=self.declare(
                 "answer",
-                2.0 if simulated else 5.0,
+                2.0 if self._simulated_time else 5.0,
                 "a request to the instrument without an answer is sent again after this",
                 unit="s",
                 low=0.05,
@@ -151,7 +153,7 @@ class ProcedureNode(GuardedNode):
                 low=0.1,
                 high=1e5,
             ),
-            paced=not simulated,
+            paced=not self._simulated_time,
             pointing_tolerance=self.declare(
                 "pointing_tolerance",
                 1e-4,
@@ -193,7 +195,6 @@ class ProcedureNode(GuardedNode):
             True,
             "whether procedure/start and procedure/resume are carried out; false: they are refused",
         )
-        self._simulated_time = self.lives_in_simulated_time
         self.sequencer = Sequencer(plan(read_procedure(Path(file))), timing)
         self._setups = [setup.id for setup in self.sequencer.plan.procedure.session.setups]
         self._environment = EnvironmentWatch(self, maximum_age)
@@ -368,7 +369,7 @@ class ProcedureNode(GuardedNode):
                     self._axes.publish(trajectory(action.stamp, ()))
                 case Aim():
                     self._pointer.publish(target_message(action, self._setups))
-                    self._point.publish(_point(action))
+                    self._point.publish(dated(PointStamped(point=point(action.point)), action.stamp))
                 case SetDatum():
                     self._call(self._datum, action.token, is_datum=True)
                 case Capture():
@@ -378,9 +379,9 @@ class ProcedureNode(GuardedNode):
         if self.sequencer.state is not state or state is not State.RUNNING:
             self._show()
 
-    def _call(self, client: object, token: int, *, is_datum: bool) -> None:
+    def _call(self, client: Client, token: int, *, is_datum: bool) -> None:
         # an instrument that is not there never answers: the deadline notices
-        future = client.call_async(Trigger.Request())  # type: ignore[attr-defined]
+        future = client.call_async(Trigger.Request())
         future.add_done_callback(lambda done: self._answer(token, done.result(), is_datum=is_datum))
 
     def _publish_session(self) -> None:
@@ -402,7 +403,6 @@ class ProcedureNode(GuardedNode):
         step, total = sequencer.step, len(sequencer.plan.steps)
         missing = self._partners() if sequencer.state in (State.IDLE, State.FINISHED, State.ABORTED) else ""
         waiting = sequencer.waiting_for or missing
-        counters = {name: number for name, number in vars(sequencer.counters).items()}
         entries: dict[str, object] = {
             "state": sequencer.state.value,
             "phase": sequencer.phase.value,
@@ -412,7 +412,7 @@ class ProcedureNode(GuardedNode):
             "repeat": step.repeat if step is not None else "",
             "waiting_for": waiting,
             "duration": f"{sequencer.plan.duration:.0f}",
-            **counters,
+            **vars(sequencer.counters),
         }
         text = sequencer.message
         if waiting and sequencer.state in (State.RUNNING, State.IDLE):
@@ -429,12 +429,6 @@ def _answer_by(handler: Callable[[], str], answer: Answer) -> None:
         answer.send(True, handler())
     except CalibrationError as error:
         answer.send(False, str(error))
-
-
-def _point(aim: Aim) -> PointStamped:
-    message = dated(PointStamped(), aim.stamp)
-    message.point.x, message.point.y, message.point.z = aim.point
-    return message
 
 
 def main(args: list[str] | None = None) -> int:
