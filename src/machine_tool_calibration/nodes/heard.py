@@ -118,7 +118,16 @@ class Published:
 
 
 class Heard:
-    """Everything as it was said last."""
+    """Everything as it was said last.
+
+    Attributes:
+        ignored: how many messages meant nothing, and why the last one did not.
+        description: of the session.
+        setups: ids of its setups.
+        published: what the estimator published last.
+        offers: services that may be asked for.
+        refusing: nodes that do not allow their services to move axes.
+    """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -131,7 +140,7 @@ class Heard:
         self._said: dict[str, NodeState] = {}
         self._calls: dict[int, Call] = {}
         self._asked = 0
-        self._ignored = (0, "")
+        self.ignored = (0, "")
         self.description = ""
         self.setups: tuple[str, ...] = ()
         self.published = Published()
@@ -213,10 +222,6 @@ class Heard:
                 if call.success is None and call.service not in there:
                     self._calls[number] = replace(call, success=False, message="no answer: the node has gone")
 
-    def ignore(self, count: int, last: str) -> None:
-        """So many messages meant nothing, the last one for this reason."""
-        self._ignored = count, last
-
     def ask(self, service: str) -> int:
         """A service is asked for; gives the number by which `answer` knows it."""
         with self._lock:
@@ -264,11 +269,6 @@ class Heard:
         """Readings of the session that never came, as far as those that came tell."""
         with self._lock:
             return self._received.missing
-
-    @property
-    def ignored(self) -> tuple[int, str]:
-        """How many messages meant nothing, and why the last one did not."""
-        return self._ignored
 
     @property
     def calls(self) -> list[Call]:

@@ -140,7 +140,7 @@ class Listener:
     def _look_around(self) -> None:
         """Which services there are, and whether their nodes allow them to move axes."""
         node, heard = self._node, self._heard
-        heard.ignore(sum(node.ignored.values()), str(node.ignored_entries["ignored_last"]))
+        heard.ignored = sum(node.ignored.values()), str(node.ignored_entries["ignored_last"])
         offers, refusing = [], []
         for state in heard.nodes():
             if state.kind not in SERVICES:

@@ -15,7 +15,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.nodes.heard import whole_number
+from machine_tool_calibration.nodes.heard import SERVICES, whole_number
 from machine_tool_calibration.nodes.ros.guest import Guest
 from machine_tool_calibration.nodes.ros.messages import LATCHED, READINGS, values
 
@@ -24,10 +24,7 @@ __all__ = ["Operator", "Status"]
 _SPIN = 0.05  # s
 # Of a server that is heard without a status: it may hear of a client later than the client of it, and drops its answer.
 _SETTLE = 3.0  # s
-_SERVICES = (
-    *(f"procedure/{name}" for name in ("start", "pause", "resume", "abort")),
-    *(f"estimator/{name}" for name in ("identify", "compare", "diagnose", "improve")),
-)
+_SERVICES = [f"{node}/{verb}" for node, verbs in SERVICES.items() for verb in verbs]
 
 
 @dataclass(frozen=True)

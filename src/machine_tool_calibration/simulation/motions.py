@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -184,16 +185,12 @@ class AxisMotion:
         for name, _ in self.tables:
             if name not in names:
                 raise ModelError(f"{name} is not an error motion of the {self.axis} axis; these are {' '.join(names)}")
-        periodic = {table.interpolation == "periodic" for _, table in self.tables}
-        if len(periodic) == 2:
+        if len({table.interpolation == "periodic" for _, table in self.tables}) == 2:
             raise ModelError(f"the error motions of {self.axis} mix periodic and other tables")
-        breaks, coefficients = self._merge()
-        object.__setattr__(self, "_periodic", periodic == {True})
-        object.__setattr__(self, "_breaks", breaks)
-        object.__setattr__(self, "_coefficients", coefficients)
 
-    def _merge(self) -> tuple[Array, Array]:
-        """One set of breakpoints for all motions, so that one look-up gives all six."""
+    @cached_property
+    def _merged(self) -> tuple[Array, Array]:
+        """One set of breakpoints for all motions, so that one look-up gives all six, and the pieces between them."""
         if not self.tables:
             return np.array([0.0, 1.0]), np.zeros((4, 1, 6))
         breaks = np.unique(np.concatenate([table.nodes for _, table in self.tables]))
@@ -225,14 +222,13 @@ class AxisMotion:
 
     def __call__(self, position: Array) -> Array:
         """(n, 6) EX, EY, EZ (m) and EA, EB, EC (rad) at positions (n,), m or rad."""
-        breaks: Array = self._breaks  # type: ignore[attr-defined]
-        coefficients: Array = self._coefficients  # type: ignore[attr-defined]
+        breaks, pieces = self._merged
         low, high = breaks[0], breaks[-1]
-        if self._periodic:  # type: ignore[attr-defined]
+        if any(table.interpolation == "periodic" for _, table in self.tables):
             x = low + np.mod(position - low, high - low)
         else:
             x = np.minimum(np.maximum(position, low), high)
-        return _value(breaks, coefficients, x)
+        return _value(breaks, pieces, x)
 
     def with_tables(self, extra: Iterable[tuple[str, Table]]) -> AxisMotion:
         """The same axis with further tables added."""

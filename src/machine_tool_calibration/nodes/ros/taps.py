@@ -143,11 +143,13 @@ class Taps:
             CalibrationError: the message type is not installed.
         """
         if request is None:
-            found = self._node.get_publishers_info_by_topic(topic)
-            request = request_for(offered_qos(info.qos_profile) for info in found)
+            request = request_for(self._offered(topic))
         tap = Tap(topic, message_type, request, self._subscribe(topic, message_type, request))
         self.taps[topic] = tap
         return tap
+
+    def _offered(self, topic: str) -> list[Qos]:
+        return [offered_qos(info.qos_profile) for info in self._node.get_publishers_info_by_topic(topic)]
 
     def discover(self, topic: str) -> bool:
         """Learn what a topic's publishers offer, and ask for what they can give.
@@ -175,7 +177,7 @@ class Taps:
         if not self._clocks or self._clocks[-1].request.reliability == "reliable":
             return
         topic, kind = self._clocks[-1].topic, self._clocks[-1].type
-        offered = [offered_qos(info.qos_profile) for info in self._node.get_publishers_info_by_topic(topic)]
+        offered = self._offered(topic)
         if offered and all(profile.reliability == "reliable" for profile in offered):
             request = replace(_CLOCK, reliability="reliable")
             self._clocks.append(Tap(topic, kind, request, self._subscribe(topic, kind, request)))
