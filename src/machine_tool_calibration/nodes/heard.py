@@ -206,7 +206,7 @@ class Heard:
 
     def publish(self, **changes: Mapping[str, Array] | str) -> None:
         """The estimator published a part of its result; the arguments are fields of `Published`."""
-        self.published = replace(self.published, number=self.published.number + 1, **changes)  # type: ignore[arg-type]
+        self.published = replace(self.published, number=self.published.number + 1, **changes)
 
     def offer(self, offers: Iterable[Offer], refusing: Iterable[str] = ()) -> None:
         """These services are there; those that ask for one that is not any more get no answer.

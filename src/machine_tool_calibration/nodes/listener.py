@@ -184,7 +184,7 @@ class Listener:
         self._asked[name] = self._asked.get(name, 0) - 1
         return self._allowed.get(name)
 
-    def _permitted(self, name: str, values: list) -> None:  # type: ignore[type-arg]
+    def _permitted(self, name: str, values: list) -> None:
         self._allowed[name] = bool(values and values[0].bool_value)
 
 

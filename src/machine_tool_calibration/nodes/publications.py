@@ -17,6 +17,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.machine.error_motions import SQUARENESS
+from machine_tool_calibration.maps import FIELDS
 from machine_tool_calibration.methods.axis_tables import axis_tables
 from machine_tool_calibration.model.result import ErrorMap, Estimate, Result
 from machine_tool_calibration.nodes.calculation import Diagnosed, Identified, Improved
@@ -247,14 +248,8 @@ class Publications:
 
 
 def _map_fields(result: Result) -> dict[str, Array]:
-    fields = {}
-    for names, values in (
-        (("x", "y", "z"), result.error_map.points),
-        (("ex", "ey", "ez"), result.error_map.error),
-        (("ux", "uy", "uz"), result.error_map.uncertainty),
-    ):
-        fields |= {name: np.asarray(values[:, index]) for index, name in enumerate(names)}
-    return fields
+    found = result.error_map
+    return dict(zip(FIELDS, np.hstack([found.points, found.error, found.uncertainty]).T, strict=True))
 
 
 def _residual_fields(result: Result) -> dict[str, Array]:

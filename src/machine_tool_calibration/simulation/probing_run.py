@@ -47,16 +47,18 @@ class PartPoint(Record):
         return self
 
 
-def _numbered(points: Iterable[tuple[str, float, float, float, float, float]]) -> tuple[PartPoint, ...]:
+_Point = tuple[str, float, float, float, float, float]
+"""Feature, position and normal in x and y, curvature."""
+
+
+def _numbered(points: Iterable[_Point]) -> tuple[PartPoint, ...]:
     return tuple(
         PartPoint(id=str(i), feature=feature, position=(x, y), normal=(nx, ny), curvature=bend)
         for i, (feature, x, y, nx, ny, bend) in enumerate(points)
     )
 
 
-def _circle(
-    feature: str, x: float, y: float, radius: float, count: int
-) -> list[tuple[str, float, float, float, float, float]]:
+def _circle(feature: str, x: float, y: float, radius: float, count: int) -> list[_Point]:
     out = []
     for k in range(count):
         angle = 2.0 * np.pi * k / count
@@ -65,9 +67,7 @@ def _circle(
     return out
 
 
-def _spheres(
-    first: tuple[float, float], second: tuple[float, float], radius: float
-) -> list[tuple[str, float, float, float, float, float]]:
+def _spheres(first: tuple[float, float], second: tuple[float, float], radius: float) -> list[_Point]:
     return [*_circle("sphere1", *first, radius, 8), *_circle("sphere2", *second, radius, 8)]
 
 

@@ -70,7 +70,7 @@ def deferred_service(node: Node, name: str, handler: Callable[[Answer], None]) -
         else:
             answer._send = lambda response: now(response, header)
 
-    service.send_response = later  # type: ignore[method-assign]
+    service.send_response = later
     return service
 
 
