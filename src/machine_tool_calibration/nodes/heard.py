@@ -18,7 +18,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.session.collect import Reading, Received
 from machine_tool_calibration.session.parse import parse_description
 
-__all__ = ["SERVICES", "Call", "Heard", "NodeState", "Offer", "Published", "whole_number"]
+__all__ = ["SERVICES", "Call", "Heard", "NodeState", "Offer", "Published"]
 
 SERVICES: Mapping[str, Mapping[str, bool]] = {
     "estimator": dict.fromkeys(("identify", "compare", "diagnose", "improve", "reset"), False),
@@ -29,11 +29,6 @@ SERVICES: Mapping[str, Mapping[str, bool]] = {
 _SILENT = 5.0  # s; a node says how it is once a second
 _NODES = 200  # that are kept
 _CALLS = 6
-
-
-def whole_number(text: str) -> int:
-    """A count as a status holds it; 0 for anything else."""
-    return int(text) if re.fullmatch("[0-9]{1,18}", text) else 0
 
 
 @dataclass(frozen=True)
@@ -53,8 +48,8 @@ class NodeState:
 
     node: str
     kind: str
-    level: int
-    message: str
+    level: int = 0
+    message: str = ""
     entries: Mapping[str, str] = field(default_factory=dict)
     device: str = ""
     at: float = 0.0
@@ -62,7 +57,8 @@ class NodeState:
 
     def number(self, key: str) -> int:
         """A count among the values; 0 where it is missing or none."""
-        return whole_number(self.entries.get(key, ""))
+        text = self.entries.get(key, "")
+        return int(text) if re.fullmatch("[0-9]{1,18}", text) else 0
 
     def silent(self, now: float) -> float:
         """How long a node has said nothing that should have spoken, s; 0 if it speaks."""

@@ -133,46 +133,7 @@ class ProcedureNode(GuardedNode):
         file: str = self.declare("procedure", "", "YAML file of the procedure")
         if not file:
             raise CalibrationError("the parameter procedure must name a procedure's YAML file")
-        timing = Timing(
-            resend=self.declare(
-                "resend", 1.0, "a command without an answer is sent again after this", unit="s", low=0.05, high=100.0
-            ),
-            answer=self.declare(
-                "answer",
-                2.0 if self._simulated_time else 5.0,
-                "a request to the instrument without an answer is sent again after this",
-                unit="s",
-                low=0.05,
-                high=1e4,
-            ),
-            patience=self.declare(
-                "patience",
-                15.0,
-                "a partner that does not answer for this long is an error",
-                unit="s",
-                low=0.1,
-                high=1e5,
-            ),
-            paced=not self._simulated_time,
-            pointing_tolerance=self.declare(
-                "pointing_tolerance",
-                1e-4,
-                "greatest deviation of the beam's angles from the command",
-                unit="rad",
-                low=1e-9,
-                high=0.1,
-            ),
-            revisits=self.declare(
-                "revisits",
-                4,
-                "targets measured again after a lost beam, to tie the new datum to the old",
-                low=0,
-                high=1000,
-            ),
-            wait_between_setups=self.declare(
-                "wait_between_setups", False, "pause before each new setup, so that the instrument can be moved"
-            ),
-        )
+        timing = self._declare_timing()
         self._arrival_source: str = self.declare(
             "arrival",
             "status",
@@ -230,6 +191,48 @@ class ProcedureNode(GuardedNode):
         self.every(_TICK, self._tick)
         self._publish_session()
         self._show()
+
+    def _declare_timing(self) -> Timing:
+        return Timing(
+            resend=self.declare(
+                "resend", 1.0, "a command without an answer is sent again after this", unit="s", low=0.05, high=100.0
+            ),
+            answer=self.declare(
+                "answer",
+                2.0 if self._simulated_time else 5.0,
+                "a request to the instrument without an answer is sent again after this",
+                unit="s",
+                low=0.05,
+                high=1e4,
+            ),
+            patience=self.declare(
+                "patience",
+                15.0,
+                "a partner that does not answer for this long is an error",
+                unit="s",
+                low=0.1,
+                high=1e5,
+            ),
+            paced=not self._simulated_time,
+            pointing_tolerance=self.declare(
+                "pointing_tolerance",
+                1e-4,
+                "greatest deviation of the beam's angles from the command",
+                unit="rad",
+                low=1e-9,
+                high=0.1,
+            ),
+            revisits=self.declare(
+                "revisits",
+                4,
+                "targets measured again after a lost beam, to tie the new datum to the old",
+                low=0,
+                high=1000,
+            ),
+            wait_between_setups=self.declare(
+                "wait_between_setups", False, "pause before each new setup, so that the instrument can be moved"
+            ),
+        )
 
     # --- requests of people
 
