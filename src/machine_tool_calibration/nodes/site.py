@@ -22,7 +22,7 @@ from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.session.description import Description, StationSetup, Target
-from machine_tool_calibration.session.record import Finite, NotNegative, Record
+from machine_tool_calibration.session.record import NotNegative, Record
 from machine_tool_calibration.simulation.environment import Environment, random_environment
 from machine_tool_calibration.simulation.flaw import Chosen
 from machine_tool_calibration.simulation.flaws import choose_flaw
@@ -36,21 +36,12 @@ from machine_tool_calibration.simulation.spec import FlawSpec
 if TYPE_CHECKING:
     from machine_tool_calibration.nodes.ros.node import GuardedNode
 
-__all__ = ["Beam", "Moment", "PointerSpec", "Site", "SiteSpec", "declare_site", "read_site"]
+__all__ = ["Beam", "Moment", "Site", "SiteSpec", "declare_site", "read_site"]
 
 _DEFAULT_TRAVEL = {"x": (0.0, 0.4), "y": (0.0, 0.4), "z": (0.0, 0.4)}
 _DEFAULT_CHAIN = "w-C-b-Y-X-Z-t"
 _NOISE = 3e-7
 _TURNS = (-20.0 * np.pi, 20.0 * np.pi)
-
-
-class PointerSpec(Record):
-    """True errors of the rotary pointer: angles in rad, lengths in m, `radial` (cos, sin) by order of the azimuth."""
-
-    zero_offset: Finite = 0.0
-    elevation_offset: Finite = 0.0
-    eccentricity: Finite = 0.0
-    radial: dict[int, tuple[Finite, Finite]] = Field(default_factory=dict)
 
 
 class SiteSpec(Record):
@@ -73,7 +64,7 @@ class SiteSpec(Record):
     seed: Annotated[int, Field(ge=0)] = 0
     machine: MachineSpec = MachineSpec()
     effects: tuple[FlawSpec, ...] = ()
-    pointer: PointerSpec = PointerSpec()
+    pointer: Pointer = Pointer()
     station_uncertainty: NotNegative | None = None
     target_uncertainty: NotNegative | None = None
     mirror_tilt: NotNegative = 1e-3
@@ -142,7 +133,7 @@ class Site:
         )
         self.live = LiveMachine.prepare(machine, self.chosen, self.environment)
         self.machine: VirtualMachine = self.live.machine
-        self.pointer = Pointer(**spec.pointer.model_dump())
+        self.pointer = spec.pointer
 
     def _choose(self, effect: FlawSpec, index: int) -> Chosen:
         if effect.amplitude is not None:

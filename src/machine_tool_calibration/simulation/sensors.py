@@ -3,12 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-
 import numpy as np
+from pydantic import Field
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.session.record import Finite, Record
 from machine_tool_calibration.simulation.motions import cross
 
 __all__ = ["Pointer", "across", "aim", "beam_direction", "distance", "mirror_path", "probed", "sensed_path", "tilted"]
@@ -85,8 +84,7 @@ def distance(target: Array, origin: Array) -> Array:
     return length
 
 
-@dataclass(frozen=True)
-class Pointer:
+class Pointer(Record):
     """The true errors of the rotary pointer.
 
     Attributes:
@@ -98,10 +96,10 @@ class Pointer:
         eccentricity: the beam passes this far beside the rotation centre, to its left, m.
     """
 
-    zero_offset: float = 0.0
-    elevation_offset: float = 0.0
-    radial: Mapping[int, tuple[float, float]] = field(default_factory=dict)
-    eccentricity: float = 0.0
+    zero_offset: Finite = 0.0
+    elevation_offset: Finite = 0.0
+    radial: dict[int, tuple[Finite, Finite]] = Field(default_factory=dict)
+    eccentricity: Finite = 0.0
 
     def beam(
         self,

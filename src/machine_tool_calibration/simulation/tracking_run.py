@@ -87,7 +87,7 @@ class TrackingPlan(Plan):
 
     def pointer(self) -> Pointer:
         """The pointer's true errors."""
-        return Pointer(self.zero_offset, self.elevation_offset, self.radial, self.eccentricity)
+        return Pointer(**{name: getattr(self, name) for name in Pointer.model_fields})
 
 
 def plan_tracking(plan: TrackingPlan, environment: Environment, rng: np.random.Generator) -> Measurement:
