@@ -132,8 +132,7 @@ def plan_diagonals(plan: DiagonalPlan, environment: Environment, rng: np.random.
         axis: np.concatenate([last_direction(position[block == b, i]) for b in range(block[-1] + 1)])
         for i, axis in enumerate("XYZ")
     }
-    scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, environment,
-                  ends=plan.travel())
+    scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, environment, ends=plan.travel())
     start = np.array([run.start for run in runs])
     end = np.array([run.positions()[-1] for run in runs])
 

@@ -126,8 +126,7 @@ def plan_direct(plan: DirectPlan, environment: Environment, rng: np.random.Gener
         time = visit * plan.interval + setup * plan.pause
     direction = {axis: last_direction(position[:, i]) for i, axis in enumerate("XYZ")}
     _approach_from_below(plan, direction, len(forth))
-    scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, environment,
-                  ends=plan.travel())
+    scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, environment, ends=plan.travel())
     datum = plan.datum or _DATUM[plan.kind]
     place, turned = rng.normal(size=(2, plan.mountings, 3))
     place = plan.misplacement * place * (datum != "none")

@@ -241,12 +241,7 @@ def constant(low: float, high: float, value: float) -> Table:
 
 
 def random_smooth(
-    rng: np.random.Generator,
-    low: float,
-    high: float,
-    amplitudes: Sequence[float],
-    *,
-    knots: int = 7,
+    rng: np.random.Generator, low: float, high: float, amplitudes: Sequence[float], *, knots: int = 7
 ) -> list[Table]:
     """Smooth random motions over [low, high]: zero at 0 if that is inside, else at `low`; each with its largest value.
 

@@ -18,15 +18,7 @@ from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.random_machine import Amplitudes
 from machine_tool_calibration.simulation.scene import Scene
 
-__all__ = [
-    "Measurement",
-    "Plan",
-    "Vector3",
-    "axis_columns",
-    "since_first",
-    "spanned",
-    "station_name",
-]
+__all__ = ["Measurement", "Plan", "Vector3", "axis_columns", "since_first", "spanned", "station_name"]
 
 
 @dataclass(frozen=True)

@@ -120,8 +120,7 @@ def plan_rotary(plan: RotaryPlan, environment: Environment, rng: np.random.Gener
     angle = turns[step]
     run = groups(setup, repeat, label)
     direction = plan.senses()[step]
-    scene = Scene(time, setup, repeat, np.zeros((len(time), 3)), angle, {plan.axis: direction}, environment,
-                  plan.axis)
+    scene = Scene(time, setup, repeat, np.zeros((len(time), 3)), angle, {plan.axis: direction}, environment, plan.axis)
     first, second = (("ABC".index(plan.axis) + k) % 3 for k in (1, 2))
 
     def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:

@@ -98,8 +98,8 @@ class Pointer(Record):
 
     zero_offset: Finite = 0.0
     elevation_offset: Finite = 0.0
-    radial: dict[int, tuple[Finite, Finite]] = Field(default_factory=dict)
     eccentricity: Finite = 0.0
+    radial: dict[int, tuple[Finite, Finite]] = Field(default_factory=dict)
 
     def beam(
         self,

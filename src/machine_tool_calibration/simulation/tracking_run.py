@@ -106,8 +106,7 @@ def plan_tracking(plan: TrackingPlan, environment: Environment, rng: np.random.G
     time = ordered_times(setup, plan.interval, plan.pause)
     position = targets[index]
     direction = {axis: last_direction(position[:, i]) for i, axis in enumerate("XYZ")}
-    scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, environment,
-                  ends=plan.travel())
+    scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, environment, ends=plan.travel())
     azimuth, elevation = aim(estimate[setup], position, plan.dimension)
     pointer = plan.pointer()
 
