@@ -55,9 +55,9 @@ class Sequencer:
         timing: deadlines.
     """
 
-    def __init__(self, plan: Plan, timing: Timing | None = None) -> None:
+    def __init__(self, plan: Plan, timing: Timing) -> None:
         self.plan = plan
-        self.timing = timing or Timing()
+        self.timing = timing
         self.state = State.IDLE
         self.message = "ready to start"
         self.waiting_for = ""

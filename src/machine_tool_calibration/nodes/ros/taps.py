@@ -131,7 +131,7 @@ class Taps:
         self._ticks: list[tuple[int, int]] = []  # when each was sent, and what it shows
         self._undated: list[Taken] = []
 
-    def add(self, topic: str, message_type: str, request: Qos | None = None) -> Tap:
+    def add(self, topic: str, message_type: str, request: Qos | None = None) -> None:
         """Subscribe to a topic by its absolute name.
 
         Args:
@@ -144,9 +144,7 @@ class Taps:
         """
         if request is None:
             request = request_for(self._offered(topic))
-        tap = Tap(topic, message_type, request, self._subscribe(topic, message_type, request))
-        self.taps[topic] = tap
-        return tap
+        self.taps[topic] = Tap(topic, message_type, request, self._subscribe(topic, message_type, request))
 
     def _offered(self, topic: str) -> list[Qos]:
         return [offered_qos(info.qos_profile) for info in self._node.get_publishers_info_by_topic(topic)]
