@@ -22,12 +22,12 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes import measurement
 from machine_tool_calibration.nodes.axis_simulator import AxisSimulator
 from machine_tool_calibration.nodes.estimator import Estimator
-from machine_tool_calibration.nodes.operator import Status
+from machine_tool_calibration.nodes.heard import NodeState
 from machine_tool_calibration.nodes.probe import Probe
 from machine_tool_calibration.nodes.procedure import ProcedureNode
 from machine_tool_calibration.nodes.ros.messages import READINGS, Level, status, to_message, values
 from machine_tool_calibration.nodes.ros.process import post, say_unknown_parameters
-from machine_tool_calibration.nodes.ros.services import Answer, DeferredService
+from machine_tool_calibration.nodes.ros.services import Answer, deferred_service
 
 from .conftest import ORIGIN, PATIENCE, PROCEDURE
 
@@ -163,7 +163,7 @@ def test_a_fault_in_a_timer_or_a_service_is_logged_and_the_node_goes_on(made, ca
         raise ZeroDivisionError("an axis without length")
 
     timer = node.create_timer(1.0, stumble)
-    service = DeferredService(node, Trigger, "walk", stumble).service
+    service = deferred_service(node, "walk", stumble)
     for _ in range(3):
         timer.callback()
         answer = service.callback(Trigger.Request(), Trigger.Response())
@@ -332,7 +332,7 @@ def test_a_reset_of_the_estimator_during_a_run_is_said_at_once(made):
 class Gone:
     """An operator that hears no procedure any more."""
 
-    procedure = Status("measuring", {"state": "running", "captured": "40"})
+    procedure = NodeState("procedure", "procedure", message="measuring", entries={"state": "running", "captured": "40"})
     readings = ()
 
     def call(self, service, timeout):
@@ -355,11 +355,13 @@ def test_a_run_whose_procedure_has_gone_ends(monkeypatch):
 
 def test_a_run_whose_estimator_was_reset_does_not_wait_for_readings():
     operator = Gone()
-    operator.estimator = Status("", {"readings": "28", "missing": "100", "resets": "1", "session": "described"})
+    operator.estimator = NodeState(
+        "estimator", "estimator", entries={"readings": "28", "missing": "100", "resets": "1", "session": "described"}
+    )
     with pytest.raises(CalibrationError, match="100 of 128 readings are lost to the estimator"):
         measurement._identify(operator, None, 128, lambda text, done, total: None)
 
 
 def test_a_count_that_is_none_is_zero():
-    status = Status("", {"captured": "soon", "total": "9" * 400, "resent": "7"})
+    status = NodeState("procedure", "procedure", entries={"captured": "soon", "total": "9" * 400, "resent": "7"})
     assert [status.number(name) for name in ("captured", "total", "resent", "stale")] == [0, 0, 7, 0]

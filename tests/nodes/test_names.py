@@ -20,7 +20,7 @@ def made(bench, name, **parameters):
     operator._guest.executor.add_node(node)
     bench.stack.callback(node.destroy_node)
     OwnPublisher(node, "estimator", "words", String, LATCHED).publish(String(data=name))
-    offer(node, "estimator", "reset", Trigger, lambda answer: answer.send(True, name))
+    offer(node, "estimator", "reset", lambda answer: answer.send(True, name))
     return operator, node
 
 

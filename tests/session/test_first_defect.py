@@ -11,6 +11,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.importing.text_table import parse_form
 from machine_tool_calibration.nodes.site import read_site
 from machine_tool_calibration.reports.history_file import read_history
+from machine_tool_calibration.simulation.machine_file import read_machine
 from machine_tool_calibration.simulation.options import read_spec, spec_from
 
 EFFECT = "effects:\n- {{id: creep, enters: reading, formula: r * time, coefficients: {{r: {{unit: m/s, {} 1e-9}}}}}}\n"
@@ -23,6 +24,8 @@ EFFECT = "effects:\n- {{id: creep, enters: reading, formula: r * time, coefficie
         (read_effects, EFFECT.format("low: -1e-9, hihg:"), "(did you mean 'high'?)"),
         (read_spec, "plan: {method: direct}\nnoise: -1\n", "line 2: noise must be greater than 0, not -1"),
         (read_spec, "plan: {method: direct}\nnoize: 1e-7\n", "line 2: unknown key 'noize' (did you mean 'noise'?)"),
+        (read_spec, "plan: {method: direct}\ndirect: 1\n", "line 2: unknown key 'direct'"),
+        (read_machine, "probing: 1\n", "line 1: unknown key 'probing'"),
         (lambda path: read_site(str(path)), "seed: -1\n", "line 1: seed must be at least 0, not -1"),
         (lambda path: read_site(str(path)), "sead: 1\n", "line 1: unknown key 'sead' (did you mean 'seed'?)"),
         (read_history, "format: mtcal-history/1\nmodels: 3\n", "line 2: models must be a list, not 3; mend the file"),

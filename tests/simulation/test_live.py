@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """One reading at a time gives what a whole session gives."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 
 from machine_tool_calibration.simulation import (
+    Drift,
     Environment,
     FlawSpec,
     LiveMachine,
@@ -15,6 +18,7 @@ from machine_tool_calibration.simulation import (
     random_environment,
     simulate,
 )
+from machine_tool_calibration.simulation.environment import COLUMNS
 from machine_tool_calibration.simulation.sensors import sensed_path
 
 
@@ -27,17 +31,15 @@ def test_live_readings_are_those_of_the_session():
     plain = simulate(SimulationSpec(plan=plan, seed=3, noise_factor=0))
     session, column = simulated.session, simulated.session.readings.columns
 
-    def recorded(time):
-        row = int(np.flatnonzero(column["time"] == time[0])[0])
-        return {k: v[row : row + 1] for k, v in column.items() if k in environment.drifts}
+    @dataclass(frozen=True)
+    class Recorded(Drift):
+        values: np.ndarray | None = None
 
-    environment = random_environment(np.random.default_rng(0))
-
-    class Recorded(Environment):
         def __call__(self, time):
-            return recorded(time)
+            return self.values[column["time"] == time[0]]
 
-    live = LiveMachine.prepare(plain.truth.machine, simulated.truth.effects, Recorded(environment.drifts))
+    environment = Environment({name: Recorded(np.nan, values=column[name]) for name in COLUMNS})
+    live = LiveMachine.prepare(plain.truth.machine, simulated.truth.effects, environment)
     path, first = [], {}
     for row in range(len(session.readings)):
         setup = int(session.readings.setup[row])
@@ -61,8 +63,7 @@ def test_live_table_is_that_of_the_session():
     simulated = simulate(SimulationSpec(plan=RotaryPlan(both_ways=True), seed=3, noise_factor=0, effects=effects))
     column, judged = simulated.session.readings.columns, simulated.truth.expected
     row = 25
-    warm = Environment({})
-    live = LiveMachine.prepare(simulated.truth.machine, simulated.truth.effects, warm)
+    live = LiveMachine.prepare(simulated.truth.machine, simulated.truth.effects)
     now = live.scene(column["time"][row], np.zeros(3), {"C": column["dir_c"][row]}, angle=column["c"][row])
     moved = live.on_table(now, np.array(judged["targets"]["P"]))[0]
     still = simulated.truth.machine.on_table(np.array(judged["targets"]["P"]), column["c"][row : row + 1])[0]
@@ -86,9 +87,10 @@ def test_many_moments_at_once_are_each_alone():
 def test_environment_drifts_smoothly_and_its_rate_is_its_slope():
     environment = random_environment(np.random.default_rng(5))
     time = np.linspace(0, 5000, 5001)
-    values, rates = environment(time), environment.rate(time)
+    values = environment(time)
     for name, value in values.items():
-        np.testing.assert_allclose(np.gradient(value, time)[1:-1], rates[name][1:-1], atol=1e-5 * np.ptp(value))
+        rate = environment.drifts[name].rate(time)
+        np.testing.assert_allclose(np.gradient(value, time)[1:-1], rate[1:-1], atol=1e-5 * np.ptp(value))
     assert 15 < values["temperature_air"].mean() < 25
     still = random_environment(np.random.default_rng(5), swing=0.0)(time)
     assert all(np.ptp(v) == 0 for v in still.values())

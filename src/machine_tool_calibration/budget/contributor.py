@@ -18,8 +18,9 @@ from pydantic import Field, model_validator
 
 from machine_tool_calibration.arrays import HALF_WIDTHS, Array, standard_draws
 from machine_tool_calibration.errors import ModelError, did_you_mean
-from machine_tool_calibration.session.description import Finite, Instrument, Positive, Record
+from machine_tool_calibration.session.description import Finite, Instrument, Positive
 from machine_tool_calibration.session.parse import parse_record
+from machine_tool_calibration.session.record import Record
 from machine_tool_calibration.session.text import read_text
 
 __all__ = [

@@ -10,7 +10,7 @@ import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
 
-__all__ = ["Batch", "NotYet", "Recent", "Source", "Window", "is_steady"]
+__all__ = ["NOTHING", "Batch", "NotYet", "Recent", "Source", "Window", "is_steady"]
 
 _PARTS = 4
 
@@ -29,6 +29,9 @@ class Batch:
 
     def __len__(self) -> int:
         return len(self.time)
+
+
+NOTHING = Batch(np.zeros(0, np.int64), np.zeros(0))
 
 
 @dataclass(frozen=True)

@@ -53,10 +53,7 @@ class AxisSimulator(GuardedNode):
         self._declare()
         travel = self.site.travel
         rotary = {axis.lower() for axis in self.site.chain.rotary}
-        self.limits = {
-            name: AxisLimits(*self._rotary_limits) if name in rotary else AxisLimits(*self._linear_limits)
-            for name in travel
-        }
+        self.limits = {name: self._rotary_limits if name in rotary else self._linear_limits for name in travel}
         self._names = sorted(travel, key="xyzabc".index)
         home = {name: min(max(0.0, low), high) for name, (low, high) in travel.items()}
         self._motion = Trajectory.through(home, [], self.limits)
@@ -76,8 +73,8 @@ class AxisSimulator(GuardedNode):
         self._states = self.create_publisher(JointState, "joint_states", STATE)
         self._status = StatusTopic(
             self,
-            self.create_publisher(DiagnosticArray, "axes/status", STATE),
             "axes",
+            publisher=self.create_publisher(DiagnosticArray, "axes/status", STATE),
             hardware_id=f"simulated machine {self.site.chain}",
             clock=self._now,
         )
@@ -105,11 +102,11 @@ class AxisSimulator(GuardedNode):
         self._rate: float = self.declare(
             "state_rate", 100.0, "rate of joint_states in real time", unit="Hz", low=1.0, high=1000.0
         )
-        self._linear_limits = (
+        self._linear_limits = AxisLimits(
             self.declare("speed", 0.5, "greatest speed of a linear axis", unit="m/s", low=1e-6, high=10.0),
             self.declare("acceleration", 2.0, "its greatest acceleration", unit="m/s^2", low=1e-6, high=100.0),
         )
-        self._rotary_limits = (
+        self._rotary_limits = AxisLimits(
             self.declare("rotary_speed", 2.0, "greatest speed of a rotary axis", unit="rad/s", low=1e-6, high=1e3),
             self.declare("rotary_acceleration", 10.0, "its greatest acceleration", unit="rad/s^2", low=1e-6, high=1e5),
         )
@@ -161,10 +158,11 @@ class AxisSimulator(GuardedNode):
         held = self._start + nanoseconds(self._motion.end)
         self._simulated_now = held
         self._publish_clock()  # first: what others do on hearing of the arrival belongs to this time
-        for stamp in (arrival, held) if held > arrival else (arrival,):
+        stamps = sorted({arrival, held})
+        for stamp in stamps:
             self._publish_truth(stamp)
         self._set_report(Level.OK, "arrived", state="arrived", arrived=arrival, held=held)
-        for stamp in (arrival, held) if held > arrival else (arrival,):
+        for stamp in stamps:
             self._publish_state(stamp)
 
     def _tick(self) -> None:
@@ -193,13 +191,16 @@ class AxisSimulator(GuardedNode):
         if self._ticks is not None:
             self._ticks.publish(ClockMessage(clock=to_message(self._simulated_now)))
 
-    def _publish_truth(self, stamp: int) -> None:
+    def _moment(self, stamp: int) -> Moment:
         since = seconds(stamp - self._start)
-        position, directions = self._motion.position(since), self._motion.directions(since, self._directions)
+        directions = self._motion.directions(since, self._directions)
+        return Moment(seconds(stamp - self._origin), self._motion.position(since), directions)
+
+    def _publish_truth(self, stamp: int) -> None:
+        moment = self._moment(stamp)
         # without effects the errors depend on the position alone
-        known = (position, directions, stamp if self.site.chosen else 0)
+        known = (moment.position, moment.direction, stamp if self.site.chosen else 0)
         if known != self._known:
-            moment = Moment(time=seconds(stamp - self._origin), position=position, direction=directions)
             self._known, self._point = known, self.site.functional_point(moment)
             self._rotation = quaternion_of(self.site.tool_rotation(moment))
             self._turned = None
@@ -211,17 +212,15 @@ class AxisSimulator(GuardedNode):
         if not self.site.table_axis:
             return
         if self._turned is None:
-            since = seconds(stamp - self._start)
-            position, directions = self._motion.position(since), self._motion.directions(since, self._directions)
-            place, rotation = self.site.table(Moment(seconds(stamp - self._origin), position, directions))
+            place, rotation = self.site.table(self._moment(stamp))
             self._turned = place, quaternion_of(rotation)
         self._table.publish(pose_message(stamp, *self._turned))
 
     def _publish_state(self, stamp: int) -> None:
         since = seconds(stamp - self._start)
-        position, velocity = self._motion.position(since), self._motion.velocity(since)
+        position = self._motion.position(since)
         here = {name: position[name] for name in self._names}
-        self._states.publish(joint_state(stamp, here, velocity))
+        self._states.publish(joint_state(stamp, here, self._motion.velocity(since)))
 
     def _set_report(self, level: Level, text: str, **entries: object) -> None:
         self._report = (level, text, entries)

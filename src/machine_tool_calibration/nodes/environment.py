@@ -5,7 +5,10 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
 
+import numpy as np
 from rclpy.node import Node
 from sensor_msgs.msg import FluidPressure, RelativeHumidity, Temperature
 
@@ -64,15 +67,10 @@ class EnvironmentWatch:
         self._age = nanoseconds(maximum_age)
         self._samples: dict[str, deque[tuple[int, float]]] = {name: deque(maxlen=_KEPT) for name in TOPICS}
         for name, (kind, field) in TOPICS.items():
-            node.create_subscription(kind, f"environment/{name}", self._keeper(name, field), SLOW)
+            node.create_subscription(kind, f"environment/{name}", partial(self._keep, name, field), SLOW)
 
-    def _keeper(self, name: str, field: str):  # type: ignore[no-untyped-def]
-        samples = self._samples[name]
-
-        def keep(message) -> None:  # type: ignore[no-untyped-def]
-            samples.append((from_message(message.header.stamp), float(getattr(message, field))))
-
-        return keep
+    def _keep(self, name: str, field: str, message: Any) -> None:
+        self._samples[name].append((from_message(message.header.stamp), float(getattr(message, field))))
 
     def at(self, stamp: int) -> dict[str, float]:
         """What each sensor showed at a time, ns; sensors that did not speak near it are left out."""
@@ -88,12 +86,5 @@ def interpolate(samples: deque[tuple[int, float]], stamp: int, age: int) -> floa
         stamp: the time, ns.
         age: greatest distance of a sample, ns.
     """
-    near = sorted(sample for sample in samples if abs(sample[0] - stamp) <= age)
-    before = [sample for sample in near if sample[0] <= stamp]
-    after = [sample for sample in near if sample[0] > stamp]
-    if before and after:
-        (t0, v0), (t1, v1) = before[-1], after[0]
-        return v0 + (v1 - v0) * (stamp - t0) / (t1 - t0)
-    if before:
-        return before[-1][1]
-    return after[0][1] if after else None
+    near = sorted((time - stamp, value) for time, value in samples if abs(time - stamp) <= age)
+    return float(np.interp(0.0, *zip(*near, strict=True))) if near else None

@@ -11,12 +11,10 @@ import json
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.event_handler import QoSSubscriptionMatchedInfo, SubscriptionEventCallbacks
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
 
 from machine_tool_calibration.effects.catalogue import find_effects, own_effects
 from machine_tool_calibration.errors import CalibrationError
@@ -33,7 +31,7 @@ from machine_tool_calibration.nodes.calculation import (
 )
 from machine_tool_calibration.nodes.publications import Publications, in_words
 from machine_tool_calibration.nodes.ros.messages import LATCHED, READINGS, Level, from_message
-from machine_tool_calibration.nodes.ros.names import OwnPublisher, offer
+from machine_tool_calibration.nodes.ros.names import offer
 from machine_tool_calibration.nodes.ros.node import GuardedNode
 from machine_tool_calibration.nodes.ros.process import STOP_GRACE, run_process
 from machine_tool_calibration.nodes.ros.services import Answer, Background, Progress
@@ -64,8 +62,7 @@ class Estimator(GuardedNode):
         self.background = Background(self)
         self._last, self._level = "no identification yet", Level.OK
         self._results = Publications(self)
-        own = OwnPublisher(self, "estimator", "status", DiagnosticArray, LATCHED)
-        self._status = StatusTopic(self, own, "estimator")
+        self._status = StatusTopic(self, "estimator")
         self.create_subscription(String, "session", self._described, LATCHED)
         matched = SubscriptionEventCallbacks(matched=self._matched)
         self.create_subscription(JointState, "reading", self._read, READINGS, event_callbacks=matched)
@@ -76,7 +73,7 @@ class Estimator(GuardedNode):
             ("improve", "improving the model", improved, self._improved),
         ):
             self._offer(name, doing, work, done)
-        offer(self, "estimator", "reset", Trigger, self._reset)
+        offer(self, "estimator", "reset", self._reset)
         self.every(_PERIOD, self._show)
         self._show()
 
@@ -194,7 +191,7 @@ class Estimator(GuardedNode):
             )
             self._show()
 
-        offer(self, "estimator", name, Trigger, called)
+        offer(self, "estimator", name, called)
 
     def _request(self) -> Request:
         values = {

@@ -18,7 +18,7 @@ from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.session.collect import Reading, Received
 from machine_tool_calibration.session.parse import parse_description
 
-__all__ = ["SERVICES", "Call", "Heard", "NodeState", "Offer", "Published", "whole_number"]
+__all__ = ["SERVICES", "Call", "Heard", "NodeState", "Offer", "Published"]
 
 SERVICES: Mapping[str, Mapping[str, bool]] = {
     "estimator": dict.fromkeys(("identify", "compare", "diagnose", "improve", "reset"), False),
@@ -29,11 +29,6 @@ SERVICES: Mapping[str, Mapping[str, bool]] = {
 _SILENT = 5.0  # s; a node says how it is once a second
 _NODES = 200  # that are kept
 _CALLS = 6
-
-
-def whole_number(text: str) -> int:
-    """A count as a status holds it; 0 for anything else."""
-    return int(text) if re.fullmatch("[0-9]{1,18}", text) else 0
 
 
 @dataclass(frozen=True)
@@ -53,8 +48,8 @@ class NodeState:
 
     node: str
     kind: str
-    level: int
-    message: str
+    level: int = 0
+    message: str = ""
     entries: Mapping[str, str] = field(default_factory=dict)
     device: str = ""
     at: float = 0.0
@@ -62,7 +57,8 @@ class NodeState:
 
     def number(self, key: str) -> int:
         """A count among the values; 0 where it is missing or none."""
-        return whole_number(self.entries.get(key, ""))
+        text = self.entries.get(key, "")
+        return int(text) if re.fullmatch("[0-9]{1,18}", text) else 0
 
     def silent(self, now: float) -> float:
         """How long a node has said nothing that should have spoken, s; 0 if it speaks."""
@@ -118,7 +114,16 @@ class Published:
 
 
 class Heard:
-    """Everything as it was said last."""
+    """Everything as it was said last.
+
+    Attributes:
+        ignored: how many messages meant nothing, and why the last one did not.
+        description: of the session.
+        setups: ids of its setups.
+        published: what the estimator published last.
+        offers: services that may be asked for.
+        refusing: nodes that do not allow their services to move axes.
+    """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -131,7 +136,7 @@ class Heard:
         self._said: dict[str, NodeState] = {}
         self._calls: dict[int, Call] = {}
         self._asked = 0
-        self._ignored = (0, "")
+        self.ignored = (0, "")
         self.description = ""
         self.setups: tuple[str, ...] = ()
         self.published = Published()
@@ -197,7 +202,7 @@ class Heard:
 
     def publish(self, **changes: Mapping[str, Array] | str) -> None:
         """The estimator published a part of its result; the arguments are fields of `Published`."""
-        self.published = replace(self.published, number=self.published.number + 1, **changes)  # type: ignore[arg-type]
+        self.published = replace(self.published, number=self.published.number + 1, **changes)
 
     def offer(self, offers: Iterable[Offer], refusing: Iterable[str] = ()) -> None:
         """These services are there; those that ask for one that is not any more get no answer.
@@ -212,10 +217,6 @@ class Heard:
             for number, call in self._calls.items():
                 if call.success is None and call.service not in there:
                     self._calls[number] = replace(call, success=False, message="no answer: the node has gone")
-
-    def ignore(self, count: int, last: str) -> None:
-        """So many messages meant nothing, the last one for this reason."""
-        self._ignored = count, last
 
     def ask(self, service: str) -> int:
         """A service is asked for; gives the number by which `answer` knows it."""
@@ -264,11 +265,6 @@ class Heard:
         """Readings of the session that never came, as far as those that came tell."""
         with self._lock:
             return self._received.missing
-
-    @property
-    def ignored(self) -> tuple[int, str]:
-        """How many messages meant nothing, and why the last one did not."""
-        return self._ignored
 
     @property
     def calls(self) -> list[Call]:

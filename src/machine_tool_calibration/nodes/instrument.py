@@ -18,26 +18,33 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, String
-from std_srvs.srv import Trigger
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.instruments.drivers import load_driver
 from machine_tool_calibration.nodes.averaging import Batch, NotYet, Recent, Source, Window
 from machine_tool_calibration.nodes.environment import EnvironmentTopics
 from machine_tool_calibration.nodes.optics import make_optics
-from machine_tool_calibration.nodes.ros.messages import LATCHED, STATE, Level, from_message, now, rotation_of, seconds
+from machine_tool_calibration.nodes.ros.messages import (
+    LATCHED,
+    STATE,
+    Level,
+    from_message,
+    now,
+    place_of,
+    rotation_of,
+    seconds,
+)
 from machine_tool_calibration.nodes.ros.names import OwnPublisher, offer
 from machine_tool_calibration.nodes.ros.node import GuardedNode
 from machine_tool_calibration.nodes.ros.process import STOP_GRACE, run_process
 from machine_tool_calibration.nodes.ros.services import Answer
 from machine_tool_calibration.nodes.ros.status import StatusTopic
-from machine_tool_calibration.nodes.samples import DriverSource, SimulatedSource, clock_offset
+from machine_tool_calibration.nodes.samples import DriverSource, SimulatedSource
 from machine_tool_calibration.nodes.setups import Pairs, Target, hear_targets, setup_named
 from machine_tool_calibration.nodes.site import Beam, declare_site
 from machine_tool_calibration.session.parse import parse_description
@@ -96,12 +103,11 @@ class Instrument(GuardedNode):
         elif self._simulated_time:
             raise CalibrationError("a real driver needs real time: use_sim_time must be false")
         else:
-            self.source = DriverSource(load_driver(Path(self._driver)), clock_offset(now(self)))
-        own = OwnPublisher(self, "instrument", "status", DiagnosticArray, LATCHED)
+            self.source = DriverSource(load_driver(Path(self._driver)), now(self) - time.monotonic_ns())
         hardware_id = self.source.hardware_id or Path(self._driver).stem
-        self._status = StatusTopic(self, own, "instrument", hardware_id=hardware_id)
-        offer(self, "instrument", "datum", Trigger, lambda answer: self._requested(answer, is_datum=True))
-        offer(self, "instrument", "capture", Trigger, lambda answer: self._requested(answer, is_datum=False))
+        self._status = StatusTopic(self, "instrument", hardware_id=hardware_id)
+        offer(self, "instrument", "datum", lambda answer: self._requested(answer, is_datum=True))
+        offer(self, "instrument", "capture", lambda answer: self._requested(answer, is_datum=False))
         self.every(0.1, self._check)
         if not self._simulated_time:
             self.every(1.0 / self._batch_rate, self._flow)
@@ -185,9 +191,8 @@ class Instrument(GuardedNode):
     def _body(self, message: PoseStamped, body: str) -> None:
         if self._simulated.optics.body != body:
             return
-        place, stamp = message.pose.position, from_message(message.header.stamp)
-        rotation = rotation_of(message.pose.orientation)
-        self._simulated.add_pose(stamp, np.array([place.x, place.y, place.z]), rotation)
+        stamp = from_message(message.header.stamp)
+        self._simulated.add_pose(stamp, place_of(message.pose.position), rotation_of(message.pose.orientation))
         if self._simulated_time:
             self._environment.tell(stamp)
             if self._requests:
@@ -202,11 +207,10 @@ class Instrument(GuardedNode):
         if pair is None:
             return
         truth, state = pair
-        place, setup = truth.pose.position, setup_named(state, self._setups)
+        setup = setup_named(state, self._setups)
         if self._simulated.setup and not setup:
             return  # a pointer that has just started again: the instrument stands where it stood
-        direction = rotation_of(truth.pose.orientation)[:, 0]
-        beam = Beam(np.array([place.x, place.y, place.z]), direction)
+        beam = Beam(place_of(truth.pose.position), rotation_of(truth.pose.orientation)[:, 0])
         self._stand(stamp, setup, beam)
 
     def _commanded(self, target: Target) -> None:
@@ -264,19 +268,14 @@ class Instrument(GuardedNode):
         return self._recent.window(self._averaging, self._tolerance)
 
     def _refuse_or_wait(self, request: _Request, reason: NotYet) -> None:
-        patience = self._timeout
-        if self._simulated_time:
-            patience = _GRACE  # simulated time does not go on by itself
-        waited = time.monotonic() - request.since
-        if waited < patience and not self._lost_for_good(reason):
+        patience = _GRACE if self._simulated_time else self._timeout  # simulated time does not go on by itself
+        is_blocked = reason.kind == "beam" and self._simulated is not None and self._simulated.blocked
+        if time.monotonic() - request.since < patience and not is_blocked:
             self._requests.append(request)
             return
         if reason.kind == "beam":
             self._lose_datum(str(reason))
         _refuse(request.answer, reason.kind, str(reason))
-
-    def _lost_for_good(self, reason: NotYet) -> bool:
-        return self._simulated is not None and self._simulated.blocked and reason.kind == "beam"
 
     def _set_datum(self, answer: Answer, window: Window) -> None:
         self._datums += 1

@@ -140,7 +140,7 @@ class Listener:
     def _look_around(self) -> None:
         """Which services there are, and whether their nodes allow them to move axes."""
         node, heard = self._node, self._heard
-        heard.ignore(sum(node.ignored.values()), str(node.ignored_entries["ignored_last"]))
+        heard.ignored = sum(node.ignored.values()), str(node.ignored_entries["ignored_last"])
         offers, refusing = [], []
         for state in heard.nodes():
             if state.kind not in SERVICES:
@@ -184,7 +184,7 @@ class Listener:
         self._asked[name] = self._asked.get(name, 0) - 1
         return self._allowed.get(name)
 
-    def _permitted(self, name: str, values: list) -> None:  # type: ignore[type-arg]
+    def _permitted(self, name: str, values: list) -> None:
         self._allowed[name] = bool(values and values[0].bool_value)
 
 

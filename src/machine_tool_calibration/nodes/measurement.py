@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import shutil
 import time
@@ -162,7 +161,6 @@ def measure(file: Path, setting: Setting, progress: Progress = lambda text, done
             progress("closing the recording", total, total)
             graph.stop(["recorder"])
             session = _save(operator, output)
-            assert session is not None
             counters = {
                 name: operator.procedure.number(name)
                 for name in ("resent", "stale", "unstable", "recoveries", "restarts")
@@ -224,8 +222,8 @@ def _programs(setting: Setting, procedure: Path, site: Path, method: str) -> lis
         left_out.add("estimator")
     return [
         Program(name, parameters[name], grace=_CLOSE if name == "recorder" else 2.0)
-        for name in ("recorder", *(name for name in nodes if name != "recorder"))
-        if name not in left_out and importlib.util.find_spec(f"machine_tool_calibration.nodes.{name}") is not None
+        for name in sorted(nodes, key=lambda name: name != "recorder")  # which is to hear the others from their start
+        if name not in left_out
     ]
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from functools import partial
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -15,31 +14,17 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from machine_tool_calibration.errors import CalibrationError
-from machine_tool_calibration.nodes.heard import whole_number
+from machine_tool_calibration.nodes.heard import SERVICES, NodeState
 from machine_tool_calibration.nodes.ros.guest import Guest
 from machine_tool_calibration.nodes.ros.messages import LATCHED, READINGS, values
 
-__all__ = ["Operator", "Status"]
+__all__ = ["Operator"]
 
 _SPIN = 0.05  # s
 # Of a server that is heard without a status: it may hear of a client later than the client of it, and drops its answer.
 _SETTLE = 3.0  # s
-_SERVICES = (
-    *(f"procedure/{name}" for name in ("start", "pause", "resume", "abort")),
-    *(f"estimator/{name}" for name in ("identify", "compare", "diagnose", "improve")),
-)
-
-
-@dataclass(frozen=True)
-class Status:
-    """The newest status of a node: its sentence and its values."""
-
-    message: str = ""
-    entries: dict[str, str] = field(default_factory=dict)
-
-    def number(self, key: str) -> int:
-        """A count among the values; 0 where it is missing or none."""
-        return whole_number(self.entries.get(key, ""))
+_STATUSES = ("procedure", "estimator", "recorder")
+_SERVICES = [f"{node}/{verb}" for node, verbs in SERVICES.items() for verb in verbs]
 
 
 class Operator:
@@ -55,9 +40,7 @@ class Operator:
         self._watch = watch
         self._guest = Guest(f"mtcal_{int(time.monotonic() * 1e3) % 1_000_000}", domain, namespace)
         self._node = self._guest.node
-        self.procedure = Status()
-        self.estimator = Status()
-        self.recorder = Status()
+        self.procedure, self.estimator, self.recorder = (NodeState(node, node) for node in _STATUSES)
         self.session = ""
         self.readings: list[JointState] = []
         self.document = ""
@@ -66,10 +49,7 @@ class Operator:
         # Before the subscriptions: nodes hear of both in this order, so one whose status came knows the clients.
         self._clients = {name: self._node.create_client(Trigger, name) for name in _SERVICES}
         for topic, kind, keep, qos in (
-            *(
-                (f"{node}/status", DiagnosticArray, partial(self._keep_status, node), LATCHED)
-                for node in ("procedure", "estimator", "recorder")
-            ),
+            *((f"{node}/status", DiagnosticArray, partial(self._keep_status, node), LATCHED) for node in _STATUSES),
             ("session", String, self._keep_session, LATCHED),
             ("reading", JointState, self.readings.append, READINGS),
             ("error_map/result", String, self._keep_document, LATCHED),
@@ -84,7 +64,8 @@ class Operator:
         self._guest.close()
 
     def _keep_status(self, node: str, message: DiagnosticArray) -> None:
-        setattr(self, node, Status(message.status[0].message, values(message)))
+        status = message.status[0]
+        setattr(self, node, NodeState(node, status.name, status.level[0], status.message, values(message)))
 
     def _keep_session(self, message: String) -> None:
         self.session = message.data

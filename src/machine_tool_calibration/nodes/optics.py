@@ -6,8 +6,8 @@ A target is where the light turns round; its path is computed from the true geom
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from machine_tool_calibration.session.description import (
 from machine_tool_calibration.session.method import load
 from machine_tool_calibration.simulation.sensors import mirror_path, tilted
 
-__all__ = ["Look", "OnTable", "OnTool", "Optics", "Pose", "along", "make_optics", "on_tool"]
+__all__ = ["Along", "FlatMirror", "Look", "OnTable", "OnTool", "Optics", "Pose", "make_optics", "on_tool"]
 
 _LASER = 0.3  # m from the laser to a flat mirror at the start of its run
 
@@ -49,59 +49,54 @@ class Look:
     incidence: float
 
 
-class Optics(Protocol):
-    """How the instrument sees its target.
+class Optics(ABC):
+    """How the instrument sees its target: by default a fixed beam, wide enough, on what the tool carries.
 
     Attributes:
         body: whose true pose counts: `functional_point` or `table`.
-        aims: whether a pointer directs the beam; otherwise it is fixed for each setup.
+        aims: whether a pointer directs the beam; otherwise it is fixed for each setup, and no beam is told.
     """
 
-    body: str
-    aims: bool
+    body = "functional_point"
+    aims = False
 
     def target(self, pose: Pose, beam: Beam | None, moment: Moment) -> Array:
         """(3,) where the target is, m, machine frame."""
+        return pose.place
 
+    @abstractmethod
     def paths(self, targets: Array, pose: Pose, beam: Beam | None, moment: Moment) -> Array:
         """(n,) geometric paths to targets (n, 3), m; `pose` is the newest."""
 
     def beside(self, target: Array, beam: Beam | None) -> float:
         """How far the target is off the beam, m; 0 where the beam follows it or is wide enough."""
+        return 0.0
 
+    @abstractmethod
     def look(self, target: Array, pose: Pose, beam: Beam | None, moment: Moment) -> Look:
         """The direction of a reading."""
 
 
-class OnTool:
+class OnTool(Optics):
     """A retroreflector on the spindle, a pointer at a station: open loop, or with a beam that follows."""
 
-    body, aims = "functional_point", True
+    aims = True
 
     def __init__(self, site: Site, tracking: bool) -> None:
         self._site, self.tracking = site, tracking
         self._middle = [0.5 * sum(site.travel.get(axis, (0.0, 0.0))) for axis in "xyz"]
 
-    def target(self, pose: Pose, beam: Beam | None, moment: Moment) -> Array:
-        """See `Optics`."""
-        return pose.place
-
-    def paths(self, targets: Array, pose: Pose, beam: Beam | None, moment: Moment) -> Array:
+    def paths(self, targets: Array, pose: Pose, beam: Beam, moment: Moment) -> Array:
         """See `Optics`; held on its direction the beam senses the projection (cosine error)."""
-        assert beam is not None
         line = targets - beam.origin
-        return np.asarray(np.linalg.norm(line, axis=1) if self.tracking else line @ beam.direction)
+        return np.linalg.norm(line, axis=1) if self.tracking else line @ beam.direction
 
-    def beside(self, target: Array, beam: Beam | None) -> float:
+    def beside(self, target: Array, beam: Beam) -> float:
         """See `Optics`."""
-        assert beam is not None
-        if self.tracking:
-            return 0.0
-        return float(np.linalg.norm(np.cross(target - beam.origin, beam.direction)))
+        return 0.0 if self.tracking else float(beam.off(target))
 
-    def look(self, target: Array, pose: Pose, beam: Beam | None, moment: Moment) -> Look:
+    def look(self, target: Array, pose: Pose, beam: Beam, moment: Moment) -> Look:
         """See `Optics`."""
-        assert beam is not None
         line = target - beam.origin
         direction = line / np.linalg.norm(line) if self.tracking else beam.direction
         azimuth = float(np.arctan2(direction[1], direction[0]))
@@ -110,7 +105,7 @@ class OnTool:
         return Look(direction, azimuth, float(np.angle(np.exp(1j * (azimuth - facing)))))
 
 
-class OnTable:
+class OnTable(Optics):
     """Retroreflectors on a rotary table, a tracker at a station; the one nearest to the beam is followed."""
 
     body, aims = "table", True
@@ -120,31 +115,23 @@ class OnTable:
         self._targets = np.array([site.target(target, k) for k, target in enumerate(description.targets)])
         self._axis = site.table_axis
 
-    def _placed(self, pose: Pose, moment: Moment) -> Array:
+    def target(self, pose: Pose, beam: Beam, moment: Moment) -> Array:
+        """See `Optics`."""
         disturbance = self._site.live.disturbance(self._site.scene(moment))
-        return np.asarray(disturbance.grown(self._targets, self._axis) @ pose.rotation.T + pose.place)
+        places = disturbance.grown(self._targets, self._axis) @ pose.rotation.T + pose.place
+        is_ahead = (places - beam.origin) @ beam.direction > 0
+        return places[np.argmin(np.where(is_ahead, beam.off(places), np.inf))]
 
-    def target(self, pose: Pose, beam: Beam | None, moment: Moment) -> Array:
+    def paths(self, targets: Array, pose: Pose, beam: Beam, moment: Moment) -> Array:
         """See `Optics`."""
-        assert beam is not None
-        places = self._placed(pose, moment)
-        off = np.linalg.norm(np.cross(places - beam.origin, beam.direction), axis=1)
-        ahead = (places - beam.origin) @ beam.direction > 0
-        return np.asarray(places[np.argmin(np.where(ahead, off, np.inf))])
+        return np.linalg.norm(targets - beam.origin, axis=1)
 
-    def paths(self, targets: Array, pose: Pose, beam: Beam | None, moment: Moment) -> Array:
-        """See `Optics`."""
-        assert beam is not None
-        return np.asarray(np.linalg.norm(targets - beam.origin, axis=1))
-
-    def beside(self, target: Array, beam: Beam | None) -> float:
+    def beside(self, target: Array, beam: Beam) -> float:
         """See `Optics`: a tracker finds its target near where it is sent."""
-        assert beam is not None
-        return float(np.linalg.norm(np.cross(target - beam.origin, beam.direction)))
+        return float(beam.off(target))
 
-    def look(self, target: Array, pose: Pose, beam: Beam | None, moment: Moment) -> Look:
+    def look(self, target: Array, pose: Pose, beam: Beam, moment: Moment) -> Look:
         """See `Optics`; the retroreflectors turn with the table."""
-        assert beam is not None
         line = target - beam.origin
         i, j = (("ABC".index(self._axis) + k) % 3 for k in (1, 2))
         turned = float(np.arctan2(pose.rotation[j, i], pose.rotation[i, i]))
@@ -152,10 +139,8 @@ class OnTable:
         return Look(line / np.linalg.norm(line), float(np.arctan2(line[1], line[0])), incidence)
 
 
-class FlatMirror:
+class FlatMirror(Optics):
     """A flat mirror on the spindle; the laser is aligned on the actual diagonal motion of its setup."""
-
-    body, aims = "functional_point", False
 
     def __init__(self, site: Site, description: StepDiagonal) -> None:
         self._site, self._description = site, description
@@ -168,52 +153,34 @@ class FlatMirror:
             ends = np.array([[run[k][axis] for axis in "xyz"] for k in (0, -1)])
             first, last = self._site.machine.functional_point(ends)
             beam = (last - first) / np.linalg.norm(last - first)
-            off = self._site.mirror_tilt(moment.setup)
-            effect = self._site.live.disturbance(self._site.scene(moment)).mirror
-            normal = tilted(beam[None], (off if effect is None else off + effect[0])[None])[0]
+            disturbance = self._site.live.disturbance(self._site.scene(moment))
+            off = self._site.mirror_tilt(moment.setup) + disturbance.mirror
+            normal = tilted(beam[None], np.atleast_2d(off))[0]
             fixed = self._site.machine.tool_rotation(ends[:1])[0].T @ normal
             self._made[moment.setup] = first - _LASER * beam, beam, fixed
         return self._made[moment.setup]
 
-    def target(self, pose: Pose, beam: Beam | None, moment: Moment) -> Array:
-        """See `Optics`."""
-        return pose.place
-
-    def paths(self, targets: Array, pose: Pose, beam: Beam | None, moment: Moment) -> Array:
+    def paths(self, targets: Array, pose: Pose, beam: None, moment: Moment) -> Array:
         """See `Optics`."""
         source, direction, fixed = self._setup(moment)
-        return np.asarray(mirror_path(source, direction, targets, pose.rotation @ fixed))
+        return mirror_path(source, direction, targets, pose.rotation @ fixed)
 
-    def beside(self, target: Array, beam: Beam | None) -> float:
-        """See `Optics`: the mirror is as wide as its run."""
-        return 0.0
-
-    def look(self, target: Array, pose: Pose, beam: Beam | None, moment: Moment) -> Look:
+    def look(self, target: Array, pose: Pose, beam: None, moment: Moment) -> Look:
         """See `Optics`."""
         return Look(self._setup(moment)[1], 0.0, 0.0)
 
 
-class Along:
+class Along(Optics):
     """A linear interferometer, aligned with the axis that moves."""
 
-    body, aims = "functional_point", False
+    def __init__(self, site: Site, description: Direct) -> None:
+        self._direction = sensing_direction(description)
 
-    def __init__(self, direction: Array) -> None:
-        self._direction = direction
-
-    def target(self, pose: Pose, beam: Beam | None, moment: Moment) -> Array:
+    def paths(self, targets: Array, pose: Pose, beam: None, moment: Moment) -> Array:
         """See `Optics`."""
-        return pose.place
+        return targets @ self._direction
 
-    def paths(self, targets: Array, pose: Pose, beam: Beam | None, moment: Moment) -> Array:
-        """See `Optics`."""
-        return np.asarray(targets @ self._direction)
-
-    def beside(self, target: Array, beam: Beam | None) -> float:
-        """See `Optics`."""
-        return 0.0
-
-    def look(self, target: Array, pose: Pose, beam: Beam | None, moment: Moment) -> Look:
+    def look(self, target: Array, pose: Pose, beam: None, moment: Moment) -> Look:
         """See `Optics`."""
         return Look(self._direction, 0.0, 0.0)
 
@@ -234,8 +201,3 @@ def make_optics(site: Site, description: Description) -> Optics:
 def on_tool(site: Site, description: TrackingInterferometer) -> OnTool:
     """The optics of a tracking interferometer."""
     return OnTool(site, description.pointing == "tracking")
-
-
-def along(site: Site, description: Direct) -> Along:
-    """The optics of deviations along one direction."""
-    return Along(sensing_direction(description))

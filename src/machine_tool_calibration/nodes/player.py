@@ -14,16 +14,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.duration import Duration
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock as ClockMessage
-from std_srvs.srv import Trigger
 
 from machine_tool_calibration.errors import CalibrationError, RecordingError
-from machine_tool_calibration.nodes.ros.messages import LATCHED, Level, to_message
-from machine_tool_calibration.nodes.ros.names import OwnPublisher, offer
+from machine_tool_calibration.nodes.ros.messages import Level, to_message
+from machine_tool_calibration.nodes.ros.names import offer
 from machine_tool_calibration.nodes.ros.node import GuardedNode
 from machine_tool_calibration.nodes.ros.process import run_process
 from machine_tool_calibration.nodes.ros.services import Answer
@@ -141,10 +139,9 @@ class Player(GuardedNode):
         self._time_topic = self.create_publisher(ClockMessage, "/clock", 10) if frequency else None
         self._period = round(1e9 / frequency) if frequency else 0
         self._last_clock: int | None = None
-        own = OwnPublisher(self, "player", "status", DiagnosticArray, LATCHED)
-        self._status = StatusTopic(self, own, "player", clock=time.time_ns)
+        self._status = StatusTopic(self, "player", clock=time.time_ns)
         for name, action in (("pause", self._pause), ("resume", self._resume), ("step", self._step)):
-            offer(self, "player", name, Trigger, action)
+            offer(self, "player", name, action)
         self._pace = Pace(self._rate, self._start, time.monotonic_ns(), paused=paused)
         self._begin: int | None = time.monotonic_ns() + round(delay * 1e9) if delay else None
         self._messages: Iterator[Message] = iter(())

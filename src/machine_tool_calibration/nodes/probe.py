@@ -18,7 +18,6 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from machine_tool_calibration.arrays import Array
@@ -43,7 +42,7 @@ from machine_tool_calibration.nodes.ros.messages import (
 from machine_tool_calibration.nodes.ros.names import OwnPublisher
 from machine_tool_calibration.nodes.ros.node import GuardedNode
 from machine_tool_calibration.nodes.ros.process import STOP_GRACE, run_process
-from machine_tool_calibration.nodes.ros.services import Answer, DeferredService
+from machine_tool_calibration.nodes.ros.services import Answer, deferred_service
 from machine_tool_calibration.nodes.ros.status import StatusTopic
 from machine_tool_calibration.nodes.site import Site, declare_site
 from machine_tool_calibration.session.description import Probing
@@ -167,15 +166,15 @@ class Probe(GuardedNode):
 
         # it stands in the instrument's place, whatever its own name is
         told = self.create_publisher(DiagnosticArray, "instrument/status", LATCHED)
-        self._status = StatusTopic(self, told, "probe", hardware_id="simulated probe")
+        self._status = StatusTopic(self, "probe", publisher=told, hardware_id="simulated probe")
         self._triggers = OwnPublisher(self, "probe", "trigger", JointState, STATE)
         self._commands = self.create_publisher(JointTrajectory, "axes/joint_trajectory", COMMAND)
         self._environment = EnvironmentTopics(self, self._sensed)
         self.create_subscription(String, "session", self._described, LATCHED)
         self.create_subscription(JointState, "joint_states", self._moved, STATE)
         self.create_subscription(DiagnosticArray, "axes/status", self._axes_status, STATE)
-        DeferredService(self, Trigger, "instrument/datum", self._no_datum)
-        DeferredService(self, Trigger, "instrument/capture", self._requested)
+        deferred_service(self, "instrument/datum", self._no_datum)
+        deferred_service(self, "instrument/capture", self._requested)
         self.every(_CHECK, self._check)
         self._show()
 
@@ -278,7 +277,7 @@ class Probe(GuardedNode):
 
     def _requested(self, answer: Answer) -> None:
         if not self._moves:
-            answer.send(False, json.dumps({"kind": "other", "reason": "services_move_axes is false"}))
+            answer.send(False, _refusal("services_move_axes is false"))
             return
         # Asked again while a touch is under way: its answer is for all who ask.
         self._answers.append(answer)
@@ -297,7 +296,6 @@ class Probe(GuardedNode):
 
     def _begin(self, attempt: int, begin: int, position: dict[str, float]) -> None:
         """Set off from a position in front of a point."""
-        assert self._part is not None and self._surface is not None
         try:
             touch = self._part.meant(position, self._farthest)
         except CalibrationError as error:
@@ -307,30 +305,23 @@ class Probe(GuardedNode):
         setup = min(self._setups.items(), key=lambda entry: abs(entry[0] - c))[1]
         time = seconds(begin - self._origin)
         exact = self._surface.trigger(touch, c, z, time, setup)
-        displacement = exact + self._spread() * self._random.normal()
+        declared = self._part.description.standard_uncertainty.displacement
+        spread = declared if self._repeatability < 0 else self._repeatability
+        displacement = exact + spread * self._random.normal()
         problem = judge(displacement, touch.standoff, self._limits)
         goes_to = max(displacement, -self._limits.search)
-        if displacement < touch.standoff:
-            turn = max(goes_to - self._speed * self._reaction, -self._limits.search - self._speed * self._reaction)
-        else:
-            turn = touch.standoff  # in contact before it moved
+        is_clear = displacement < touch.standoff  # else in contact before it moved
+        turn = goes_to - self._speed * self._reaction if is_clear else touch.standoff
         travel = (touch.standoff - turn) / self._speed
         moment = begin + nanoseconds(max(touch.standoff - goes_to, 0.0) / self._speed)
-        command = max(begin, self._floor + 1)
-        self._floor = command
+        command = self._floor = max(begin, self._floor + 1)
         deepest = {**position, **touch.at(turn)}
         self._cycle = _Cycle(touch, position, command, displacement, problem, attempt, begin, moment)
         self._commands.publish(trajectory(command, ((deepest, travel), (position, 2.0 * travel))))
 
-    def _spread(self) -> float:
-        assert self._part is not None
-        declared = self._part.description.standard_uncertainty.displacement
-        return declared if self._repeatability < 0 else self._repeatability
-
     def _finish(self, cycle: _Cycle, held: int) -> None:
         """The axes are back where the touch began."""
         self._cycle = None
-        assert self._part is not None
         point = self._part.description.workpiece[cycle.touch.point].id
         if cycle.problem:
             early = cycle.problem.startswith("touch too early")
@@ -344,9 +335,9 @@ class Probe(GuardedNode):
         else:
             self._touches += 1
             self._last = ""
-            self._publish_trigger(cycle)
+            latched = {**cycle.position, **cycle.touch.at(cycle.displacement), "point_index": float(cycle.touch.point)}
+            self._triggers.publish(joint_state(cycle.moment, latched))
         self._show()
-        sensed = self._sensed(cycle.moment)
         document = {
             "datum": "",
             "stamp": cycle.moment,
@@ -358,7 +349,7 @@ class Probe(GuardedNode):
             "attempt": cycle.attempt,
             # X and Y are those of the sphere's centre at the nominal surface.
             "environment": {
-                **sensed,
+                **self._sensed(cycle.moment),
                 **cycle.touch.at(0.0),
                 "c": cycle.position.get("c", 0.0),
                 "point_index": float(cycle.touch.point),
@@ -366,12 +357,8 @@ class Probe(GuardedNode):
         }
         self._send(True, json.dumps(document))
 
-    def _publish_trigger(self, cycle: _Cycle) -> None:
-        latched = {**cycle.position, **cycle.touch.at(cycle.displacement), "point_index": float(cycle.touch.point)}
-        self._triggers.publish(joint_state(cycle.moment, latched))
-
     def _refuse(self, reason: str) -> None:
-        self._send(False, json.dumps({"kind": "other", "reason": reason}))
+        self._send(False, _refusal(reason))
 
     def _send(self, success: bool, message: str) -> None:
         answers, self._answers = self._answers, []
@@ -400,6 +387,10 @@ class Probe(GuardedNode):
         level = Level.WARN if problem or self._last else Level.OK
         state = "no signal" if problem else "measuring"
         self._status.show(level, text, {"state": state, "datum": "", **counters})
+
+
+def _refusal(reason: str) -> str:
+    return json.dumps({"kind": "other", "reason": reason})
 
 
 def main(args: list[str] | None = None) -> int:

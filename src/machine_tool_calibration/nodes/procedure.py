@@ -20,6 +20,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped
+from rclpy.client import Client
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -37,12 +38,13 @@ from machine_tool_calibration.nodes.ros.messages import (
     from_message,
     joint_state,
     now,
+    point,
     positions,
     stamp_among,
     trajectory,
     values,
 )
-from machine_tool_calibration.nodes.ros.names import OwnPublisher, offer
+from machine_tool_calibration.nodes.ros.names import offer
 from machine_tool_calibration.nodes.ros.node import GuardedNode
 from machine_tool_calibration.nodes.ros.process import STOP_GRACE, run_process
 from machine_tool_calibration.nodes.ros.services import Answer
@@ -127,50 +129,11 @@ class ProcedureNode(GuardedNode):
 
     def __init__(self) -> None:
         super().__init__("procedure")
-        simulated = self.lives_in_simulated_time
+        self._simulated_time = self.lives_in_simulated_time
         file: str = self.declare("procedure", "", "YAML file of the procedure")
         if not file:
             raise CalibrationError("the parameter procedure must name a procedure's YAML file")
-        timing = Timing(
-            resend=self.declare(
-                "resend", 1.0, "a command without an answer is sent again after this", unit="s", low=0.05, high=100.0
-            ),
-            answer=self.declare(
-                "answer",
-                2.0 if simulated else 5.0,
-                "a request to the instrument without an answer is sent again after this",
-                unit="s",
-                low=0.05,
-                high=1e4,
-            ),
-            patience=self.declare(
-                "patience",
-                15.0,
-                "a partner that does not answer for this long is an error",
-                unit="s",
-                low=0.1,
-                high=1e5,
-            ),
-            paced=not simulated,
-            pointing_tolerance=self.declare(
-                "pointing_tolerance",
-                1e-4,
-                "greatest deviation of the beam's angles from the command",
-                unit="rad",
-                low=1e-9,
-                high=0.1,
-            ),
-            revisits=self.declare(
-                "revisits",
-                4,
-                "targets measured again after a lost beam, to tie the new datum to the old",
-                low=0,
-                high=1000,
-            ),
-            wait_between_setups=self.declare(
-                "wait_between_setups", False, "pause before each new setup, so that the instrument can be moved"
-            ),
-        )
+        timing = self._declare_timing()
         self._arrival_source: str = self.declare(
             "arrival",
             "status",
@@ -193,7 +156,6 @@ class ProcedureNode(GuardedNode):
             True,
             "whether procedure/start and procedure/resume are carried out; false: they are refused",
         )
-        self._simulated_time = self.lives_in_simulated_time
         self.sequencer = Sequencer(plan(read_procedure(Path(file))), timing)
         self._setups = [setup.id for setup in self.sequencer.plan.procedure.session.setups]
         self._environment = EnvironmentWatch(self, maximum_age)
@@ -206,8 +168,7 @@ class ProcedureNode(GuardedNode):
 
         self._session = self.create_publisher(String, "session", LATCHED)
         self._readings = self.create_publisher(JointState, "reading", READINGS)
-        own = OwnPublisher(self, "procedure", "status", DiagnosticArray, LATCHED)
-        self._status = StatusTopic(self, own, "procedure")
+        self._status = StatusTopic(self, "procedure")
         # Before the subscription to its status: an instrument whose status came knows these clients, else it would drop
         # its first answers.
         self._datum = self.create_client(Trigger, "instrument/datum")
@@ -226,10 +187,52 @@ class ProcedureNode(GuardedNode):
             ("resume", self._resume),
             ("abort", self._abort),
         ):
-            offer(self, "procedure", name, Trigger, partial(_answer_by, handler))
+            offer(self, "procedure", name, partial(_answer_by, handler))
         self.every(_TICK, self._tick)
         self._publish_session()
         self._show()
+
+    def _declare_timing(self) -> Timing:
+        return Timing(
+            resend=self.declare(
+                "resend", 1.0, "a command without an answer is sent again after this", unit="s", low=0.05, high=100.0
+            ),
+            answer=self.declare(
+                "answer",
+                2.0 if self._simulated_time else 5.0,
+                "a request to the instrument without an answer is sent again after this",
+                unit="s",
+                low=0.05,
+                high=1e4,
+            ),
+            patience=self.declare(
+                "patience",
+                15.0,
+                "a partner that does not answer for this long is an error",
+                unit="s",
+                low=0.1,
+                high=1e5,
+            ),
+            paced=not self._simulated_time,
+            pointing_tolerance=self.declare(
+                "pointing_tolerance",
+                1e-4,
+                "greatest deviation of the beam's angles from the command",
+                unit="rad",
+                low=1e-9,
+                high=0.1,
+            ),
+            revisits=self.declare(
+                "revisits",
+                4,
+                "targets measured again after a lost beam, to tie the new datum to the old",
+                low=0,
+                high=1000,
+            ),
+            wait_between_setups=self.declare(
+                "wait_between_setups", False, "pause before each new setup, so that the instrument can be moved"
+            ),
+        )
 
     # --- requests of people
 
@@ -369,7 +372,7 @@ class ProcedureNode(GuardedNode):
                     self._axes.publish(trajectory(action.stamp, ()))
                 case Aim():
                     self._pointer.publish(target_message(action, self._setups))
-                    self._point.publish(_point(action))
+                    self._point.publish(dated(PointStamped(point=point(action.point)), action.stamp))
                 case SetDatum():
                     self._call(self._datum, action.token, is_datum=True)
                 case Capture():
@@ -379,9 +382,9 @@ class ProcedureNode(GuardedNode):
         if self.sequencer.state is not state or state is not State.RUNNING:
             self._show()
 
-    def _call(self, client: object, token: int, *, is_datum: bool) -> None:
+    def _call(self, client: Client, token: int, *, is_datum: bool) -> None:
         # an instrument that is not there never answers: the deadline notices
-        future = client.call_async(Trigger.Request())  # type: ignore[attr-defined]
+        future = client.call_async(Trigger.Request())
         future.add_done_callback(lambda done: self._answer(token, done.result(), is_datum=is_datum))
 
     def _publish_session(self) -> None:
@@ -403,7 +406,6 @@ class ProcedureNode(GuardedNode):
         step, total = sequencer.step, len(sequencer.plan.steps)
         missing = self._partners() if sequencer.state in (State.IDLE, State.FINISHED, State.ABORTED) else ""
         waiting = sequencer.waiting_for or missing
-        counters = {name: number for name, number in vars(sequencer.counters).items()}
         entries: dict[str, object] = {
             "state": sequencer.state.value,
             "phase": sequencer.phase.value,
@@ -413,7 +415,7 @@ class ProcedureNode(GuardedNode):
             "repeat": step.repeat if step is not None else "",
             "waiting_for": waiting,
             "duration": f"{sequencer.plan.duration:.0f}",
-            **counters,
+            **vars(sequencer.counters),
         }
         text = sequencer.message
         if waiting and sequencer.state in (State.RUNNING, State.IDLE):
@@ -430,12 +432,6 @@ def _answer_by(handler: Callable[[], str], answer: Answer) -> None:
         answer.send(True, handler())
     except CalibrationError as error:
         answer.send(False, str(error))
-
-
-def _point(aim: Aim) -> PointStamped:
-    message = dated(PointStamped(), aim.stamp)
-    message.point.x, message.point.y, message.point.z = aim.point
-    return message
 
 
 def main(args: list[str] | None = None) -> int:

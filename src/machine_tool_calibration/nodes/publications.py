@@ -17,10 +17,11 @@ from visualization_msgs.msg import Marker, MarkerArray
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.machine.error_motions import SQUARENESS
+from machine_tool_calibration.maps import FIELDS
 from machine_tool_calibration.methods.axis_tables import axis_tables
 from machine_tool_calibration.model.result import ErrorMap, Estimate, Result
 from machine_tool_calibration.nodes.calculation import Diagnosed, Identified, Improved
-from machine_tool_calibration.nodes.ros.messages import LATCHED, Level, cloud, dated, stamp_now, status
+from machine_tool_calibration.nodes.ros.messages import LATCHED, Level, cloud, dated, point, stamp_now, status
 from machine_tool_calibration.reports.quantities import sizes_in_words
 from machine_tool_calibration.reports.verdict import verdict_words
 
@@ -80,11 +81,7 @@ def arrows(stamp: int, error_map: ErrorMap, magnification: float = 0.0) -> Marke
     """
     known = np.isfinite(error_map.error)
     some = np.flatnonzero(known.any(axis=1))
-    chosen = (
-        some[np.unique(np.linspace(0, len(some) - 1, min(len(some), MOST_ARROWS)).round().astype(int))]
-        if len(some)
-        else some
-    )
+    chosen = some[np.linspace(0, len(some) - 1, min(len(some), MOST_ARROWS)).round().astype(int)]
     points = error_map.points[chosen]
     error = np.where(known, error_map.error, 0.0)[chosen]
     spread = np.where(known, error_map.uncertainty, 0.0)[chosen]
@@ -97,13 +94,13 @@ def arrows(stamp: int, error_map: ErrorMap, magnification: float = 0.0) -> Marke
         zip(points, scale * error, length > 2 * np.linalg.norm(spread, axis=1), strict=True)
     ):
         marker = _marker(stamp, k, Marker.ARROW, _SURE if sure else _UNSURE)
-        marker.points = [_point(start), _point(start + vector)]
+        marker.points = [point(start), point(start + vector)]
         marker.scale.x, marker.scale.y, marker.scale.z = 0.004 * size, 0.01 * size, 0.015 * size
         array.markers.append(marker)
     words = _marker(stamp, len(chosen), Marker.TEXT_VIEW_FACING, _UNSURE)
     words.text = f"errors x {scale:g}, largest {1e6 * float(length.max(initial=0.0)):.1f} um"
     words.pose.position = (
-        _point(np.append(points[:, :2].mean(axis=0), points[:, 2].max() + 0.1 * size)) if len(points) else Point()
+        point(np.append(points[:, :2].mean(axis=0), points[:, 2].max() + 0.1 * size)) if len(points) else Point()
     )
     words.scale.z = 0.04 * size
     array.markers.append(words)
@@ -123,10 +120,6 @@ def _marker(
     marker.pose.orientation.w = 1.0
     marker.color = ColorRGBA(r=color[0], g=color[1], b=color[2], a=1.0)
     return dated(marker, stamp)
-
-
-def _point(position: Array) -> Point:
-    return Point(x=float(position[0]), y=float(position[1]), z=float(position[2]))
 
 
 _UNKNOWN = "not determined"
@@ -255,14 +248,8 @@ class Publications:
 
 
 def _map_fields(result: Result) -> dict[str, Array]:
-    fields = {}
-    for names, values in (
-        (("x", "y", "z"), result.error_map.points),
-        (("ex", "ey", "ez"), result.error_map.error),
-        (("ux", "uy", "uz"), result.error_map.uncertainty),
-    ):
-        fields |= {name: np.asarray(values[:, index]) for index, name in enumerate(names)}
-    return fields
+    found = result.error_map
+    return dict(zip(FIELDS, np.hstack([found.points, found.error, found.uncertainty]).T, strict=True))
 
 
 def _residual_fields(result: Result) -> dict[str, Array]:

@@ -7,11 +7,9 @@ from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 
-from diagnostic_msgs.msg import DiagnosticArray
-
 from machine_tool_calibration.errors import CalibrationError, RecordingError
-from machine_tool_calibration.nodes.ros.messages import LATCHED, Level, now, status
-from machine_tool_calibration.nodes.ros.names import OwnPublisher, own_names
+from machine_tool_calibration.nodes.ros.messages import Level, now, status
+from machine_tool_calibration.nodes.ros.names import own_names
 from machine_tool_calibration.nodes.ros.node import GuardedNode
 from machine_tool_calibration.nodes.ros.process import run_process
 from machine_tool_calibration.nodes.ros.status import StatusTopic
@@ -38,14 +36,14 @@ class Recorder(GuardedNode):
             CalibrationError: the bag cannot be created, or a parameter is wrong.
         """
         super().__init__("recorder")
-        self._wanted = [name for name in self._declare_topics() if name]
+        topics = self.declare("topics", [""], "names of the topics to record; those of a measurement if there are none")
+        self._wanted = {self.resolve_topic_name(name) for name in topics if name}
         self._everything = self.declare("all_topics", False, "record every topic that is discovered")
         folder = self.declare("folder", "", "folder of the bag; recording_<date>_<time> if empty")
         split_bytes = self.declare("split_size", 0, "size at which a new file begins; 0 never", unit="B", low=0)
         split_time = self.declare("split_duration", 0.0, "duration of a file; 0 endless", unit="s", low=0.0)
         flush = self.declare("flush_period", 0.4, "longest age of what a kill may cost", unit="s", low=0.02, high=0.8)
-        told = OwnPublisher(self, "recorder", "status", DiagnosticArray, LATCHED)
-        self._status = StatusTopic(self, told, "recorder")
+        self._status = StatusTopic(self, "recorder")
         self._ignored = {*_NEVER, *map(self.resolve_topic_name, own_names(self, "recorder", "status"))}
         self._refused: dict[str, str] = {}
         self._taken = 0
@@ -87,28 +85,22 @@ class Recorder(GuardedNode):
         """Messages that never came or could not be written."""
         return self._taken - self.bag.messages + sum(tap.lost for tap in self.taps.taps.values())
 
-    def _declare_topics(self) -> list[str]:
-        return list(
-            self.declare("topics", [""], "names of the topics to record; those of a measurement if there are none")
-        )
-
     def _subscribe_known(self) -> None:
         """Topics whose type is known need no publisher to be subscribed to."""
         for topic in GRAPH_TOPICS:
             name = self.resolve_topic_name(topic.name)
-            if not self._wanted or name in map(self.resolve_topic_name, self._wanted):
+            if not self._wanted or name in self._wanted:
                 durability = "transient_local" if topic.latched else "volatile"
                 self._add(name, topic.type, Qos(depth=20000 if topic.latched else 1000, durability=durability))
 
     def _discover(self) -> None:
         self.taps.follow_clock()
-        wanted = {self.resolve_topic_name(name) for name in self._wanted}
         for name, types in self.get_topic_names_and_types():
             if name in self._ignored or name in self._refused:
                 continue
             if name not in self.taps.taps:
-                of_graph = not wanted and belongs_to_graph(name, self.get_namespace())
-                if not (name in wanted or of_graph or self._everything) or not self.count_publishers(name):
+                of_graph = not self._wanted and belongs_to_graph(name, self.get_namespace())
+                if not (name in self._wanted or of_graph or self._everything) or not self.count_publishers(name):
                     continue
                 self._add(name, types[0])
             if name in self.taps.taps and self.taps.discover(name):

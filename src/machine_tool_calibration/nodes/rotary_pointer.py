@@ -73,12 +73,11 @@ class RotaryPointer(GuardedNode):
 
         self._states = self.create_publisher(JointState, "pointer/state", STATE)
         own = self.create_publisher(DiagnosticArray, "pointer/status", LATCHED)
-        self._status = StatusTopic(self, own, "pointer", hardware_id="simulated pointer")
+        self._status = StatusTopic(self, "pointer", publisher=own, hardware_id="simulated pointer")
         self._truth = self.create_publisher(PoseStamped, "truth/beam", STATE)
         self.create_subscription(String, "session", self._described, LATCHED)
         hear_targets(self, self._commanded)
-        period = _HEARTBEAT if self._simulated else 1.0 / rate
-        self.every(period, self._tick)
+        self.every(_HEARTBEAT if self._simulated else 1.0 / rate, self._tick)
 
     def _described(self, message: String) -> None:
         self._session = parse_description(message.data, "session")
@@ -109,10 +108,10 @@ class RotaryPointer(GuardedNode):
         if setup != self._setup:
             self._setup = setup
             self._setup_starts[setup] = max(stamp, now(self))
-        station = np.array(self._session.setups[ids.index(setup)].position)  # type: ignore[union-attr]
+        station = np.array(self._session.setups[ids.index(setup)].position)
         azimuth, elevation = pointing(target.point[None], station)
         flat = getattr(self._session, "dimension", 3) == 2
-        begin = max(stamp, now(self)) if not self._simulated else stamp
+        begin = stamp if self._simulated else max(stamp, now(self))
         here = self._motion.position(seconds(begin - self._start))
         goal = {"azimuth": float(azimuth[0]), "elevation": 0.0 if flat else float(elevation[0])}
         turn = math.remainder(goal["azimuth"] - here["azimuth"], math.tau)  # the shorter way round
@@ -136,18 +135,14 @@ class RotaryPointer(GuardedNode):
         self._status.show(level, text, entries)
 
     def _publish(self, stamp: int) -> None:
-        since = seconds(stamp - self._start) if self._simulated is False else self._motion.duration
+        since = self._motion.duration if self._simulated else seconds(stamp - self._start)
         place, rate = self._motion.position(since), self._motion.velocity(since)
-        azimuth = math.remainder(place["azimuth"], math.tau)
-        self._publish_truth(stamp, azimuth, place["elevation"])
-        values = {"azimuth": azimuth, "elevation": place["elevation"]}
+        values = {"azimuth": math.remainder(place["azimuth"], math.tau), "elevation": place["elevation"]}
+        beam = self._beam(stamp, **values)
+        self._truth.publish(pose_message(stamp, beam.origin, quaternion_along(beam.direction)))
         if self._setup:
             values[SETUP], rate = float(self._ids().index(self._setup)), {**rate, SETUP: 0.0}
         self._states.publish(joint_state(stamp, values, rate))
-
-    def _publish_truth(self, stamp: int, azimuth: float, elevation: float) -> None:
-        beam = self._beam(stamp, azimuth, elevation)
-        self._truth.publish(pose_message(stamp, beam.origin, quaternion_along(beam.direction)))
 
     def _beam(self, stamp: int, azimuth: float, elevation: float) -> Beam:
         """The true beam; from the machine's zero as long as no setup has been commanded."""

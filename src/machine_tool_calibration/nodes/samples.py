@@ -3,15 +3,15 @@
 
 from __future__ import annotations
 
+import math
 import threading
-import time
 from collections import deque
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.instruments.drivers import Driver, InstrumentError
-from machine_tool_calibration.nodes.averaging import Batch, NotYet, Window
+from machine_tool_calibration.nodes.averaging import NOTHING, Batch, NotYet, Window
 from machine_tool_calibration.nodes.optics import OnTool, Optics, Pose
 from machine_tool_calibration.nodes.ros.messages import nanoseconds, seconds
 from machine_tool_calibration.nodes.site import Beam, Moment, Site
@@ -63,8 +63,8 @@ class DriverSource:
             for sample in samples:
                 if not sample.beam:
                     self._reason = f"the instrument says that the beam is broken {sample.status}".rstrip()
-                valid = sample.beam and sample.displacement is not None
-                value = float(sample.displacement) if valid and sample.displacement is not None else float("nan")
+                is_valid = sample.beam and sample.displacement is not None
+                value = float(sample.displacement) if is_valid else math.nan
                 self._samples.append((round(sample.time * 1e9) + self._offset, value))
             health = self._driver.health()
             self._problem = "" if health.state == "streaming" else health.problem or f"the instrument is {health.state}"
@@ -74,12 +74,8 @@ class DriverSource:
 
     def take(self, now: int) -> Batch:
         """See `Source`."""
-        rows = []
-        while self._samples:
-            rows.append(self._samples.popleft())
-        if not rows:
-            return Batch(np.zeros(0, np.int64), np.zeros(0))
-        return Batch(np.array([row[0] for row in rows]), np.array([row[1] for row in rows]))
+        rows = [self._samples.popleft() for _ in range(len(self._samples))]
+        return Batch(*map(np.array, zip(*rows, strict=True))) if rows else NOTHING
 
     def lost(self) -> str:
         """See `Source`."""
@@ -95,11 +91,6 @@ class DriverSource:
         self._stopped.set()
         self._driver.close()
         self._thread.join(timeout=1.0)
-
-
-def clock_offset(ros_now: int) -> int:
-    """ROS time minus `time.monotonic`, ns."""
-    return ros_now - time.monotonic_ns()
 
 
 _IDENTITY = np.eye(3)
@@ -165,14 +156,14 @@ class SimulatedSource:
             self._next = 0
         self.optics = optics
 
-    def add_pose(self, stamp: int, place: Array, rotation: Array | None = None) -> None:
+    def add_pose(self, stamp: int, place: Array, rotation: Array = _IDENTITY) -> None:
         """The true pose of what carries the target (tool or table) at a time, ns."""
         if self._poses and stamp < self._poses[-1].stamp:
             self._poses.clear()  # the axes started anew, or simulated time did
             self._next = 0
         if self._poses and stamp == self._poses[-1].stamp:
             self._poses.pop()
-        self._poses.append(Pose(stamp, place, _IDENTITY if rotation is None else rotation))
+        self._poses.append(Pose(stamp, place, rotation))
 
     def set_setup(self, stamp: int, setup: str, index: int, beam: Beam | None = None) -> str:
         """The setup at which the instrument stands from a time on, and the true beam where it has a pointer.
@@ -251,7 +242,9 @@ class SimulatedSource:
         Raises:
             NotYet: the axes or the beam are not where a reading is possible.
         """
-        self._check_blocked()
+        if self.blocked:
+            self.lose("the beam is blocked")
+            raise NotYet("beam", self._lost)
         self.need_answers()
         if not self.setup:
             raise NotYet("other", "it is not known at which setup the instrument stands")
@@ -287,28 +280,22 @@ class SimulatedSource:
         """The count is lost."""
         self._lost = reason
 
-    def _check_blocked(self) -> None:
-        if self.blocked:
-            self._lost = "the beam is blocked"
-            raise NotYet("beam", self._lost)
-
     # --- real time: the stream
 
     def take(self, now: int) -> Batch:
         """See `Source`; as far as true positions are known."""
-        empty = Batch(np.zeros(0, np.int64), np.zeros(0))
         if not self._poses or (self.optics.aims and self._beam is None):
-            return empty
+            return NOTHING
         until = self._poses[-1].stamp
         oldest = self._poses[0].stamp
         if not self._next or self._next < oldest or until - self._next > _STARVED:
             if self._next:
                 self._lost = "the true position was not known for a while"
             self._next = until
-            return empty
+            return NOTHING
         times = np.arange(self._next, until + 1, self._step)
         if not len(times):
-            return empty
+            return NOTHING
         self._next = int(times[-1]) + self._step
         self._watch_beam(now)
         if self.blocked:

@@ -17,7 +17,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.nodes.ros.messages import COMMAND, from_message, joint_state, positions
+from machine_tool_calibration.nodes.ros.messages import COMMAND, from_message, joint_state, place_of, positions
 from machine_tool_calibration.procedure.events import Aim
 from machine_tool_calibration.recording.graph import MACHINE
 
@@ -80,8 +80,8 @@ def hear_targets(node: Node, heard: Callable[[Target], None]) -> None:
 
     def command(message: PointStamped) -> None:
         if message.header.frame_id != MACHINE:  # else it only shows where a target is
-            point = np.array([message.point.x, message.point.y, message.point.z])
-            heard(Target(from_message(message.header.stamp), point, None, message.header.frame_id))
+            stamp, point = from_message(message.header.stamp), place_of(message.point)
+            heard(Target(stamp, point, None, message.header.frame_id))
 
     node.create_subscription(JointState, "pointer/target", target, COMMAND)
     node.create_subscription(PointStamped, "pointer/command", command, COMMAND)
@@ -94,7 +94,6 @@ class Pairs:
     """Brings together the messages of two topics that have the same stamp, in whichever order they come."""
 
     def __init__(self) -> None:
-        """Start without messages."""
         self._sides: tuple[dict[int, Any], dict[int, Any]] = ({}, {})
 
     def put(self, side: int, stamp: int, content: Any) -> tuple[Any, Any] | None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
@@ -20,12 +21,10 @@ def _shares() -> Iterator[Path]:
     source = Path(__file__).parents[3]
     if (source / "package.xml").is_file():
         yield source
-    try:
+    with suppress(PackageNotFoundError):
         for file in distribution(_PACKAGE).files or ():
             if file.name == "package.xml" and file.parent.name == _PACKAGE:
                 yield Path(str(file.locate())).resolve().parent
-    except PackageNotFoundError:
-        pass
     yield Path(sys.prefix, "share", _PACKAGE)
     for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
         if prefix:
@@ -53,10 +52,8 @@ def procedure_file(name: str) -> Path:
     path = Path(name)
     if path.is_file() or path.suffix or path.parent != Path():
         return path
-    for share in _shares():
-        file = share / "config" / "procedures" / f"{name}.yaml"
-        if file.is_file():
-            return file
+    with suppress(CalibrationError):
+        return shared_file(f"config/procedures/{name}.yaml")
     known = ", ".join(procedure_names())
     raise CalibrationError(f"{name}: no such file, and no procedure of that name; known are {known}")
 

@@ -16,21 +16,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.machine.chain import Chain
-from machine_tool_calibration.session.defects import validated
 from machine_tool_calibration.session.description import Description, StationSetup, Target
-from machine_tool_calibration.session.text import read_text
-from machine_tool_calibration.session.yaml_text import load_yaml
+from machine_tool_calibration.session.record import NotNegative, Record
 from machine_tool_calibration.simulation.environment import Environment, random_environment
 from machine_tool_calibration.simulation.flaw import Chosen
 from machine_tool_calibration.simulation.flaws import choose_flaw
 from machine_tool_calibration.simulation.live import LiveMachine
 from machine_tool_calibration.simulation.machine import VirtualMachine
-from machine_tool_calibration.simulation.machine_file import MachineSpec, build_machine
+from machine_tool_calibration.simulation.machine_file import MachineSpec, build_machine, read_record
 from machine_tool_calibration.simulation.scene import Scene
 from machine_tool_calibration.simulation.sensors import Pointer
 from machine_tool_calibration.simulation.spec import FlawSpec
@@ -38,31 +36,15 @@ from machine_tool_calibration.simulation.spec import FlawSpec
 if TYPE_CHECKING:
     from machine_tool_calibration.nodes.ros.node import GuardedNode
 
-__all__ = ["Beam", "Moment", "PointerSpec", "Site", "SiteSpec", "declare_site", "read_site"]
+__all__ = ["Beam", "Moment", "Site", "SiteSpec", "declare_site", "read_site"]
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Size = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-_STREAMS = ("machine", "environment", "effects", "stations")
 _DEFAULT_TRAVEL = {"x": (0.0, 0.4), "y": (0.0, 0.4), "z": (0.0, 0.4)}
 _DEFAULT_CHAIN = "w-C-b-Y-X-Z-t"
 _NOISE = 3e-7
 _TURNS = (-20.0 * np.pi, 20.0 * np.pi)
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class PointerSpec(_Record):
-    """True errors of the rotary pointer: angles in rad, lengths in m, `radial` (cos, sin) by order of the azimuth."""
-
-    zero_offset: Finite = 0.0
-    elevation_offset: Finite = 0.0
-    eccentricity: Finite = 0.0
-    radial: dict[int, tuple[Finite, Finite]] = {}
-
-
-class SiteSpec(_Record):
+class SiteSpec(Record):
     """What is true in the simulated workshop.
 
     Attributes:
@@ -82,13 +64,13 @@ class SiteSpec(_Record):
     seed: Annotated[int, Field(ge=0)] = 0
     machine: MachineSpec = MachineSpec()
     effects: tuple[FlawSpec, ...] = ()
-    pointer: PointerSpec = PointerSpec()
-    station_uncertainty: Size | None = None
-    target_uncertainty: Size | None = None
-    mirror_tilt: Size = 1e-3
-    noise: Size | None = None
-    repeatability: Size = 0.0
-    environment_swing: Size = 1.0
+    pointer: Pointer = Pointer()
+    station_uncertainty: NotNegative | None = None
+    target_uncertainty: NotNegative | None = None
+    mirror_tilt: NotNegative = 1e-3
+    noise: NotNegative | None = None
+    repeatability: NotNegative = 0.0
+    environment_swing: NotNegative = 1.0
 
 
 @dataclass(frozen=True)
@@ -117,6 +99,10 @@ class Beam:
     origin: Array
     direction: Array
 
+    def off(self, points: Array) -> Array:
+        """(n,) distance of points (n, 3) from the beam, m."""
+        return np.linalg.norm(np.cross(points - self.origin, self.direction), axis=-1)
+
 
 class Site:
     """The simulated world.
@@ -137,18 +123,17 @@ class Site:
 
     def __init__(self, spec: SiteSpec) -> None:
         self.spec = spec
-        children = np.random.SeedSequence(spec.seed).spawn(len(_STREAMS))
-        seeds = dict(zip(_STREAMS, children, strict=True))
+        of_machine, of_environment = np.random.SeedSequence(spec.seed).spawn(2)
         self.chosen: tuple[Chosen, ...] = tuple(self._choose(effect, i) for i, effect in enumerate(spec.effects))
         self.environment: Environment = random_environment(
-            np.random.default_rng(seeds["environment"]), swing=spec.environment_swing
+            np.random.default_rng(of_environment), swing=spec.environment_swing
         )
         machine = build_machine(
-            spec.machine, chain=_DEFAULT_CHAIN, travel=_DEFAULT_TRAVEL, seed=np.random.default_rng(seeds["machine"])
+            spec.machine, chain=_DEFAULT_CHAIN, travel=_DEFAULT_TRAVEL, seed=np.random.default_rng(of_machine)
         )
         self.live = LiveMachine.prepare(machine, self.chosen, self.environment)
         self.machine: VirtualMachine = self.live.machine
-        self.pointer = Pointer(**spec.pointer.model_dump())
+        self.pointer = spec.pointer
 
     def _choose(self, effect: FlawSpec, index: int) -> Chosen:
         if effect.amplitude is not None:
@@ -197,24 +182,23 @@ class Site:
     def functional_point(self, moment: Moment) -> Array:
         """(3,) where the functional point really is, m, workpiece frame."""
         if not self.chosen:  # the errors depend on the position alone
-            return np.asarray(self.machine.functional_point(_linear(moment))[0])
-        return np.asarray(self.live.functional_point(self.scene(moment))[0])
+            return self.machine.functional_point(_linear(moment))[0]
+        return self.live.functional_point(self.scene(moment))[0]
 
     def tool_rotation(self, moment: Moment) -> Array:
         """(3, 3) rotation of the tool with respect to the workpiece."""
         if not self.chosen:
-            return np.asarray(self.machine.tool_rotation(_linear(moment))[0])
-        return np.asarray(self.live.tool_rotation(self.scene(moment))[0])
+            return self.machine.tool_rotation(_linear(moment))[0]
+        return self.live.tool_rotation(self.scene(moment))[0]
 
     def table(self, moment: Moment) -> tuple[Array, Array]:
         """Where the table's frame really is: (3,) its origin, m, and (3, 3) its rotation, in the machine frame."""
         scene = self.scene(moment)
         disturbance = self.live.disturbance(scene)
-        shift = disturbance.axis.get(scene.axis, np.zeros(1))
         corners = np.vstack([np.zeros(3), np.eye(3)])
-        angle, shifts = np.repeat(scene.angle, 4), np.repeat(shift, 4)
-        placed = disturbance.with_table(self.machine.on_table(corners, angle, scene.axis, shifts))
-        return placed[0], np.asarray((placed[1:] - placed[0]).T)
+        angle, shift = np.repeat(scene.angle, 4), disturbance.axis.get(scene.axis, 0.0)
+        placed = disturbance.with_table(self.machine.on_table(corners, angle, scene.axis, shift))
+        return placed[0], (placed[1:] - placed[0]).T
 
     def station(self, description: Description, index: int) -> Array:
         """(3,) the true rotation centre of a setup, m: its estimate and a deviation drawn from the seed."""
@@ -224,16 +208,16 @@ class Site:
         drawn = self._drawn(11, index, self.spec.station_uncertainty, setup.position_uncertainty)
         if getattr(description, "dimension", 3) == 2:
             drawn[2] = 0.0
-        return np.asarray(np.array(setup.position) + drawn)
+        return np.array(setup.position) + drawn
 
     def target(self, target: Target, index: int) -> Array:
         """(3,) the true position of a target on the table, m, table frame: its estimate and a deviation."""
         drawn = self._drawn(13, index, self.spec.target_uncertainty, target.position_uncertainty)
-        return np.asarray(np.array(target.position) + drawn)
+        return np.array(target.position) + drawn
 
     def _drawn(self, stream: int, index: int, spread: float | None, stated: float | None) -> Array:
         size = (stated or 0.0) if spread is None else spread
-        return np.asarray(np.random.default_rng([self.spec.seed, stream, index]).normal(size=3) * size)
+        return np.random.default_rng([self.spec.seed, stream, index]).normal(size=3) * size
 
     def mirror_tilt(self, index: int) -> Array:
         """(2,) tilt of a setup's flat mirror off its beam, rad, in a direction drawn from the seed."""
@@ -297,6 +281,4 @@ def read_site(path: str) -> SiteSpec:
     """
     if not path:
         return SiteSpec()
-    document = load_yaml(read_text(Path(path)), path)
-    content = document.value if document.value is not None else {}
-    return validated(SiteSpec, content, path, document, refusal=CalibrationError)
+    return read_record(Path(path), SiteSpec)

@@ -6,13 +6,14 @@ from __future__ import annotations
 from pathlib import Path as FilePath
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.session.catalogue import method_spec
 from machine_tool_calibration.session.defects import validated
 from machine_tool_calibration.session.description import Description
 from machine_tool_calibration.session.parse import describe
+from machine_tool_calibration.session.record import Finite, NotNegative, Positive, Record
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import Document, load_yaml
 
@@ -22,18 +23,9 @@ _MOST_REPEATS = 1000
 
 FORMAT = "mtcal-procedure/1"
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 _MAX_POINTS = 1_000_000
 # Names of records: no keys of the file.
 _UNNAMED = ("Spread", "tuple[float, ...]")
-
-
-class Record(BaseModel):
-    """A frozen record that accepts no unknown key."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 class Spread(Record):
@@ -108,8 +100,8 @@ class Motion(Record):
         approach: length of the short move that takes up the play before the first target, m or rad.
     """
 
-    speed: dict[str, Positive] = {}
-    acceleration: dict[str, Positive] = {}
+    speed: dict[str, Positive] = Field(default_factory=dict)
+    acceleration: dict[str, Positive] = Field(default_factory=dict)
     dwell: Positive = 1.0
     approach: NotNegative = 0.005
 

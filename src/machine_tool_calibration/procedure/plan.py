@@ -3,10 +3,9 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import islice, product
 
 import numpy as np
 
@@ -86,12 +85,17 @@ def _held(procedure: Procedure) -> dict[str, float]:
 
 def _check(procedure: Procedure, position: dict[str, float], point: str) -> None:
     for name, value in position.items():
-        low, high = procedure.session.machine.travel.get(name, (float("-inf"), float("inf")))
+        low, high = _travel(procedure, name)
         if not low <= value <= high:
             raise SessionError(
                 f"procedure {procedure.name}: point {point!r} is touched from {name} = {value:.6g}, outside the travel "
                 f"{low:g} to {high:g}"
             )
+
+
+def _travel(procedure: Procedure, axis: str) -> tuple[float, float]:
+    """Lower and upper end of an axis; without end where the session does not say."""
+    return procedure.session.machine.travel.get(axis, (-np.inf, np.inf))
 
 
 def diagonal_positions(description: StepDiagonal, index: int) -> list[dict[str, float]]:
@@ -108,13 +112,13 @@ def diagonal_positions(description: StepDiagonal, index: int) -> list[dict[str, 
     moving = [axis for axis in order if signs[axis]]
     steps, start = dict(zip("xyz", description.step, strict=True)), dict(zip("xyz", setup.start, strict=True))
     made = dict.fromkeys("xyz", 0)
-    positions = [dict(start)]
+    positions = [start.copy()]
     for _ in range(description.blocks):
         for axis in moving:
             made[axis] += 1
             # From the start, so that no rounding adds up, and to the picometre, so that none is beyond the travel.
-            positions.append({a: round(start[a] + made[a] * steps[a] * np.sign(signs[a]), 12) for a in "xyz"})
-    return [{axis: float(value) for axis, value in place.items()} for place in positions]
+            positions.append({a: round(start[a] + made[a] * steps[a] * signs[a], 12) for a in "xyz"})
+    return positions
 
 
 def sensing_direction(description: Direct) -> Array:
@@ -225,14 +229,13 @@ def _steps(
 
 
 def _beyond(procedure: Procedure, position: Mapping[str, float], sense: Mapping[str, float]) -> dict[str, float]:
-    """A place beside a position, in a sense on each axis; on the other side where the travel ends."""
-    approach = procedure.motion.approach
+    """A place beside a position, in a sense on each axis, by default below; on the other side where the travel ends."""
     place = {}
     for axis, value in position.items():
-        low, high = procedure.session.machine.travel.get(axis, (float("-inf"), float("inf")))
-        there = value + approach * np.sign(sense.get(axis, -1.0))
-        other = value - approach * np.sign(sense.get(axis, -1.0))
-        place[axis] = float(there if low <= there <= high else min(max(other, low), high))
+        low, high = _travel(procedure, axis)
+        step = procedure.motion.approach * sense.get(axis, -1.0)
+        there, other = value + step, value - step
+        place[axis] = there if low <= there <= high else min(max(other, low), high)
     return place
 
 
@@ -335,7 +338,7 @@ def plan(procedure: Procedure, most: int | None = None) -> Plan:
             f"procedure {procedure.name}: path.azimuth is for an open-loop pointer in the plane, to find its rotation "
             "centre and zero angle"
         )
-    steps = tuple(itertools.islice(load(maker)(procedure), None if most is None else most + 1))
+    steps = tuple(islice(load(maker)(procedure), None if most is None else most + 1))
     if most is not None and len(steps) > most:
         raise SessionError(
             f"procedure {procedure.name}: has more than {most} readings, which are too many to forecast; fewer repeats "
@@ -402,9 +405,8 @@ def targets_of(procedure: Procedure) -> list[dict[str, float]]:
     Raises:
         SessionError: a target is outside the travel, or names an axis that the machine does not have.
     """
-    machine, path = procedure.session.machine, procedure.path
-    axes = {axis.lower() for axis in Chain.parse(machine.chain).axes}
-    targets = list(_ordered(path))
+    axes = {axis.lower() for axis in Chain.parse(procedure.session.machine.chain).axes}
+    targets = list(_ordered(procedure.path))
     for name in targets[0]:
         if name not in axes:
             raise SessionError(
@@ -412,7 +414,7 @@ def targets_of(procedure: Procedure) -> list[dict[str, float]]:
             )
     for number, target in enumerate(targets):
         for name, value in target.items():
-            low, high = machine.travel.get(name, (float("-inf"), float("inf")))
+            low, high = _travel(procedure, name)
             if not low <= value <= high:
                 raise SessionError(
                     f"procedure {procedure.name}: target {number} at {name} = {value:g} is outside the travel "
@@ -431,7 +433,7 @@ def _ordered(path: Path) -> Iterator[dict[str, float]]:
     names = list(grid)
     slow = names[:0:-1]  # all but the first, the slowest first
     back = False
-    for outer in itertools.product(*(grid[name] for name in slow)):
+    for outer in product(*(grid[name] for name in slow)):
         line = grid[names[0]]
         for value in reversed(line) if back else line:
             yield {names[0]: value, **dict(zip(reversed(slow), reversed(outer), strict=True))}
@@ -454,7 +456,7 @@ def _directed(procedure: Procedure, runs: Iterator[tuple[str, int, dict[str, flo
     for number, (setup, repeat, target) in enumerate(runs):
         via: tuple[Position, ...] = ()
         if before is None:  # where the axes stand is not known: a short move makes the direction certain
-            before = _beside(procedure, target)
+            before = _beyond(procedure, target, {})
             via = (before,) if before != target else ()
             direction = dict.fromkeys(target, 1)
         for name, value in target.items():
@@ -471,16 +473,6 @@ def _directed(procedure: Procedure, runs: Iterator[tuple[str, int, dict[str, flo
             datum=setup != setup_before,
         )
         before, setup_before = target, setup
-
-
-def _beside(procedure: Procedure, target: Mapping[str, float]) -> dict[str, float]:
-    """A place near the target: below it on each axis, or above where the travel ends below."""
-    approach = procedure.motion.approach
-    place = {}
-    for name, value in target.items():
-        low, high = procedure.session.machine.travel.get(name, (float("-inf"), float("inf")))
-        place[name] = value - approach if value - approach >= low else min(value + approach, high)
-    return place
 
 
 def _ends(steps: tuple[Step, ...], limits: Mapping[str, AxisLimits], dwell: float) -> tuple[float, ...]:

@@ -55,9 +55,9 @@ class Sequencer:
         timing: deadlines.
     """
 
-    def __init__(self, plan: Plan, timing: Timing | None = None) -> None:
+    def __init__(self, plan: Plan, timing: Timing) -> None:
         self.plan = plan
-        self.timing = timing or Timing()
+        self.timing = timing
         self.state = State.IDLE
         self.message = "ready to start"
         self.waiting_for = ""
@@ -138,7 +138,7 @@ class Sequencer:
                 return self._moved_away(event, now, wall)
             case Refused():
                 if self._pending.motion is not None and event.command == self._pending.motion.stamp:
-                    self._fail(f"axes: {event.reason}")
+                    return self._fail(f"axes: {event.reason}")
                 return []
             case Aimed():
                 return self._aimed(event, now, wall)
@@ -166,8 +166,7 @@ class Sequencer:
         else:
             self.waiting_for = "instrument"
         if wall - pending.since > self.timing.patience + pending.expected:
-            self._fail(pending.reason or f"no answer from {self.waiting_for} for {wall - pending.since:.0f} s")
-            return []
+            return self._fail(pending.reason or f"no answer from {self.waiting_for} for {wall - pending.since:.0f} s")
         self.counters.resent += 1
         pending.sent = wall
         if pending.phase is not Phase.MOVE:
@@ -186,15 +185,13 @@ class Sequencer:
         step = self.step
         if step is None:
             self.state, self.message = State.FINISHED, f"{self.done} readings"
-            self._forget()
-            return []
+            return self._forget()
         if step.datum:
             self._group = Group()
             new_setup = self.done > 0 and self.plan.steps[self.done - 1].setup != step.setup
             if new_setup and self.timing.wait_between_setups and not resumed:
                 self.state, self.message = State.PAUSED, f"bring the instrument to setup {step.setup}, then resume"
-                self._forget()
-                return []
+                return self._forget()
         self._visits = deque([Visit(step, step.datum)])
         return self._begin(now, wall, again=resumed)
 
@@ -216,11 +213,11 @@ class Sequencer:
             self._here = place
         dwell = self.plan.procedure.motion.dwell
         points.append(Waypoint(step.position, clock + dwell))
-        stamp = max(now, self._floor + 1)
-        self._floor = stamp
-        pending = Pending(Phase.MOVE, Motion(stamp, tuple(points)), since=wall, sent=wall)
+        stamp = self._floor = max(now, self._floor + 1)
+        motion = Motion(stamp, tuple(points))
+        pending = Pending(Phase.MOVE, motion, since=wall, sent=wall)
         pending.expected = clock + dwell if self.timing.paced else 0.0
-        actions: list[Action] = [pending.motion] if pending.motion else []
+        actions: list[Action] = [motion]
         if step.aim is not None:
             aim = Aim(stamp, step.setup, step.aim)
             actions.append(aim)  # a fixed instrument learns from it at which setup it stands
@@ -256,11 +253,8 @@ class Sequencer:
             return []
         if event.epoch == there.epoch and event.stamp <= there.held:
             return []  # said before, and late
-        self.counters.unstable += 1
-        self._unstable += 1
-        if self._unstable > _UNSTABLE_BEFORE_ERROR:
-            self._fail("axes: another command moves them while a reading is taken")
-            return []
+        if self._unstable_too_often():
+            return self._fail("axes: another command moves them while a reading is taken")
         return self._begin(max(now, event.stamp), wall, again=True)
 
     def _aimed(self, event: Aimed, now: int, wall: float) -> list[Action]:
@@ -270,9 +264,8 @@ class Sequencer:
         off = max(
             abs(math.remainder(event.azimuth - pending.angles[0], math.tau)), abs(event.elevation - pending.angles[1])
         )
-        if event.setup != pending.aim.setup or event.stamp < pending.aim.stamp:
-            return []
-        if not off <= self.timing.pointing_tolerance:
+        is_of_this_aim = event.setup == pending.aim.setup and event.stamp >= pending.aim.stamp
+        if not (is_of_this_aim and off <= self.timing.pointing_tolerance):
             return []
         pending.aimed = event.stamp
         return self._at_rest(now, wall)
@@ -327,11 +320,10 @@ class Sequencer:
             return self._recover("the instrument has lost its datum", now, wall)
         if self._is_stale(event):
             return self._ask_again(now, wall)
+        self._floor = max(self._floor, event.end)
         if _is_elsewhere(self._visits[0].step, event):
             self.counters.stale += 1
-            self._floor = max(self._floor, event.end)
             return self._begin(max(now, event.end), wall, again=True)
-        self._floor = max(self._floor, event.end)
         visit = self._visits.popleft()
         if math.isnan(visit.revisit):
             return self._measured(visit.step, event, now, wall)
@@ -373,11 +365,10 @@ class Sequencer:
             self._group.offset = float(differences.mean())
             sigma = self.plan.procedure.session.standard_uncertainty.displacement
             if float(np.ptp(differences)) > 10.0 * sigma:
-                self._fail(
+                return self._fail(
                     "the datum could not be found again: targets measured before and after differ by "
                     f"{np.ptp(differences) * 1e6:.2f} um among themselves"
                 )
-                return []
         return self._begin(now, wall, again=False)
 
     # --- what goes wrong
@@ -386,11 +377,8 @@ class Sequencer:
         if self._pending.phase not in (Phase.DATUM, Phase.CAPTURE) or not self._is_asked(event.token):
             return []
         if event.kind == "unstable":
-            self.counters.unstable += 1
-            self._unstable += 1
-            if self._unstable > _UNSTABLE_BEFORE_ERROR:
-                self._fail(f"instrument: {event.reason}")
-                return []
+            if self._unstable_too_often():
+                return self._fail(f"instrument: {event.reason}")
             return self._hold(now, wall)
         if event.kind in ("beam", "datum"):
             return self._recover(event.reason, now, wall)
@@ -399,13 +387,18 @@ class Sequencer:
         self._pending.sent = wall
         return []
 
+    def _unstable_too_often(self) -> bool:
+        """Count an attempt at the step that was not stable; whether there were too many."""
+        self.counters.unstable += 1
+        self._unstable += 1
+        return self._unstable > _UNSTABLE_BEFORE_ERROR
+
     def _recover(self, reason: str, now: int, wall: float) -> list[Action]:
         """Zero the path again at a target measured before, and measure a few of them to tie the datums."""
         self.counters.recoveries += 1
         self._recoveries += 1
         if self._recoveries > _RECOVERIES_BEFORE_ERROR:
-            self._fail(f"instrument: {reason}")
-            return []
+            return self._fail(f"instrument: {reason}")
         self.message = f"{reason}; measuring again from a known target"
         step = self.step
         assert step is not None
@@ -419,14 +412,15 @@ class Sequencer:
             self._group.offset = 0.0
         return self._begin(now, wall, again=True)
 
-    def _fail(self, reason: str) -> None:
+    def _fail(self, reason: str) -> list[Action]:
         self.state, self.message = State.ERROR, reason
-        self._forget()
+        return self._forget()
 
-    def _forget(self) -> None:
-        """Answers that are still under way no longer belong to anything."""
+    def _forget(self) -> list[Action]:
+        """Answers that are still under way no longer belong to anything, and nothing is to be done."""
         self._pending = Pending()
         self.waiting_for = ""
+        return []
 
     # --- the reading
 

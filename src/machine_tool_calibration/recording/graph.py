@@ -88,20 +88,7 @@ GRAPH_TOPICS = (
 )
 """Subscribed from the start, so that a node that comes later loses nothing."""
 
-_GROUPS = (
-    "axes",
-    "pointer",
-    "truth",
-    "instrument",
-    "environment",
-    "probe",
-    "procedure",
-    "estimator",
-    "error_map",
-    "comparison",
-    "diagnosis",
-    "improvement",
-)
+_GROUPS = {topic.name.partition("/")[0] for topic in GRAPH_TOPICS if "/" in topic.name}
 
 
 def belongs_to_graph(name: str, namespace: str) -> bool:
@@ -180,11 +167,10 @@ def find_topics(path: Path, topics: Mapping[str, Topic], names: Mapping[str, str
     if len(candidates[READING]) > 1 or len(candidates[SESSION]) > 1:
         pairs = _pairs(candidates[SESSION], candidates[READING])
         if len(pairs) != 1:
-            several = candidates[READING] if len(candidates[READING]) > 1 else candidates[SESSION]
             role = READING if len(candidates[READING]) > 1 else SESSION
+            several = sorted(candidates[role])
             raise RecordingError(
-                f"{path}: several measurements: {', '.join(sorted(several))}; say which, as in "
-                f"{role}={sorted(several)[0]}"
+                f"{path}: several measurements: {', '.join(several)}; say which, as in {role}={several[0]}"
             )
         return {SESSION: pairs[0][0], READING: pairs[0][1]}
     return {role: found[0] for role, found in candidates.items()}

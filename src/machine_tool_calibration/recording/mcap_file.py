@@ -60,7 +60,7 @@ class McapFile:
     (a full disk) leaves the file at the end of its last whole record.
     """
 
-    def __init__(self, path: Path, level: int = 3) -> None:
+    def __init__(self, path: Path) -> None:
         """Create the file.
 
         Raises:
@@ -68,7 +68,7 @@ class McapFile:
         """
         self.path = path
         self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o644)
-        self._compressor = zstandard.ZstdCompressor(level=level)
+        self._compressor = zstandard.ZstdCompressor(level=3)
         self._size = 0
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}

@@ -15,7 +15,7 @@ from machine_tool_calibration.recording.records import (
     Budget,
     RawMessage,
     RawRecord,
-    check_ends,
+    footer_of,
     message_of,
     messages_in,
     parse,
@@ -56,11 +56,6 @@ class Channels:
         if self.kept > _DEFINITIONS:
             raise RecordingError(f"{self.path}: more than {_DEFINITIONS >> 20} MiB of message definitions")
 
-    def type_of(self, channel: Channel) -> str:
-        """The message type's name; empty without a schema."""
-        schema = self.schemas.get(channel.schema_id)
-        return schema.name if schema is not None else ""
-
 
 @dataclass
 class Summary:
@@ -89,8 +84,7 @@ class McapReader:
             UnfinishedError: its end is missing.
         """
         self.path = path
-        check_ends(path)
-        self.summary = self._summary()
+        self.summary = self._summary(footer_of(path))
 
     def messages(self, wanted: Callable[[Channel], bool] | None = None) -> Iterator[tuple[Channel, RawMessage]]:
         """The messages of the channels that are wanted (all if None), with their channel.
@@ -130,7 +124,7 @@ class McapReader:
         except OSError as error:
             raise RecordingError(f"{self.path}: cannot be read: {error.strerror}") from None
 
-    def _summary(self) -> Summary:
+    def _summary(self, end: RawRecord) -> Summary:
         with self.path.open("rb") as stream:
             for record in records(self.path, stream):
                 if record.opcode == Opcode.HEADER:
@@ -138,9 +132,7 @@ class McapReader:
                     if header.profile not in ("ros2", ""):
                         raise RecordingError(f"{self.path}: holds messages of {header.profile!r}, not of ros2")
                 break
-            stream.seek(-(8 + 9 + 20), 2)
-            tail = stream.read(9 + 20)
-            footer = parse(self.path, RawRecord(Opcode.FOOTER, 0, 20, tail[9:]), Footer.read)
+        footer = parse(self.path, end, Footer.read)
         summary = self._read_summary(footer.summary_start) if footer.summary_start else None
         return summary if summary is not None else self._count()
 

@@ -23,7 +23,6 @@ __all__ = [
     "bag_information_text",
     "metadata_text",
     "parse_qos",
-    "qos_records",
     "qos_text",
 ]
 
@@ -85,14 +84,10 @@ def _time(nanoseconds: int) -> dict[str, int]:
     return {"sec": sec, "nsec": nsec}
 
 
-def qos_records(profiles: Sequence[Qos]) -> list[dict[str, Any]]:
-    """The list that stands in `metadata.yaml`."""
-    return [profile.record() for profile in profiles]
-
-
 def qos_text(profiles: Sequence[Qos]) -> str:
     """The YAML text that stands in a channel's metadata."""
-    return yaml.safe_dump(qos_records(profiles), sort_keys=False, default_flow_style=False).rstrip("\n")
+    records = [profile.record() for profile in profiles]
+    return yaml.safe_dump(records, sort_keys=False, default_flow_style=False).rstrip("\n")
 
 
 _CODES = {
@@ -141,25 +136,20 @@ class OfferedQos:
 
 def _profile(entry: Mapping[str, Any]) -> Qos:
     depth = entry.get("depth")
-    return Qos(
-        history=_policy("history", entry, "keep_last"),
-        depth=depth if isinstance(depth, int) and depth >= 0 else 10,
-        reliability=_policy("reliability", entry, "reliable"),
-        durability=_policy("durability", entry, "volatile"),
-        liveliness=_policy("liveliness", entry, "automatic"),
-    )
+    told: dict[str, Any] = {name: _policy(entry.get(name), names) for name, names in _CODES.items()}
+    told["depth"] = depth if isinstance(depth, int) and depth >= 0 else None
+    return Qos(**{name: value for name, value in told.items() if value is not None})
 
 
-def _policy(name: str, entry: Mapping[str, Any], default: str) -> str:
-    value, names = entry.get(name), _CODES[name]
-    if isinstance(value, bool):
-        return default
-    if isinstance(value, int):
-        return names[value] if 0 <= value < len(names) else default
-    return value if isinstance(value, str) and value in names else default
+def _policy(value: Any, names: Sequence[str]) -> str | None:
+    """The name of a policy that is given by name or by number; None where it is neither."""
+    if isinstance(value, int) and not isinstance(value, bool):
+        return names[value] if 0 <= value < len(names) else None
+    return value if isinstance(value, str) and value in names else None
 
 
 VERSION = 9
+_DISTRO = "jazzy"
 NEVER = 9_223_372_036_854_775_807  # ns: start of a recording without messages, as rosbag2 has it
 
 
@@ -191,9 +181,7 @@ class FileSummary:
         return max(0, self.last - self.first) if self.messages else 0
 
 
-def bag_information(
-    files: Sequence[FileSummary], topics: Sequence[TopicSummary], distro: str, custom: Mapping[str, str] | None = None
-) -> dict[str, Any]:
+def bag_information(files: Sequence[FileSummary], topics: Sequence[TopicSummary]) -> dict[str, Any]:
     """Content of `rosbag2_bagfile_information`."""
     first = min((entry.first for entry in files), default=NEVER)
     last = max((entry.last for entry in files if entry.messages), default=first)
@@ -209,7 +197,7 @@ def bag_information(
                     "name": topic.name,
                     "type": topic.type,
                     "serialization_format": topic.encoding,
-                    "offered_qos_profiles": qos_records(topic.qos),
+                    "offered_qos_profiles": [profile.record() for profile in topic.qos],
                     "type_description_hash": topic.type_hash,
                 },
                 "message_count": topic.messages,
@@ -228,8 +216,8 @@ def bag_information(
             }
             for entry in files
         ],
-        "custom_data": dict(custom) if custom else None,
-        "ros_distro": distro,
+        "custom_data": None,
+        "ros_distro": _DISTRO,
     }
 
 

@@ -35,8 +35,6 @@ class Topic:
         name: absolute name.
         type: such as `sensor_msgs/msg/JointState`; empty if the bag does not say.
         encoding: of its messages, `cdr`.
-        definition: text of the message definition.
-        schema_encoding: form of the definition, `ros2msg`.
         type_hash: `RIHS01_…`; empty if the bag does not say.
         qos: what the publishers offered.
         messages: how many there are.
@@ -45,8 +43,6 @@ class Topic:
     name: str
     type: str
     encoding: str
-    definition: str
-    schema_encoding: str
     type_hash: str
     qos: tuple[Qos, ...]
     messages: int
@@ -214,7 +210,7 @@ def _merge(readers: list[McapReader]) -> dict[str, Topic]:
         for number, channel in known.channels.items():
             count = reader.summary.counts.get(number, 0)
             schema = known.schemas.get(channel.schema_id)
-            kind = known.type_of(channel)
+            kind = schema.name if schema is not None else ""
             before = topics.get(channel.topic)
             if before is not None and before.type != kind:
                 raise RecordingError(f"{reader.path}: {channel.topic} has two types, {before.type!r} and {kind!r}")
@@ -222,8 +218,6 @@ def _merge(readers: list[McapReader]) -> dict[str, Topic]:
                 name=channel.topic,
                 type=kind,
                 encoding=channel.message_encoding,
-                definition=schema.data.decode("utf-8", "replace") if schema else "",
-                schema_encoding=schema.encoding if schema else "",
                 type_hash=channel.metadata.get("topic_type_hash", ""),
                 qos=offered.of(channel.metadata),
                 messages=count + (before.messages if before else 0),

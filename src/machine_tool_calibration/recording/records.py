@@ -26,7 +26,7 @@ __all__ = [
     "Budget",
     "RawMessage",
     "RawRecord",
-    "check_ends",
+    "footer_of",
     "message_of",
     "messages_in",
     "parse",
@@ -38,7 +38,8 @@ __all__ = [
 
 _HEAD = struct.Struct("<BQ")
 _LARGEST_RECORD = 256 << 20
-_FOOTER = 8 + 9 + 20  # magic and footer record
+_FOOTER_LENGTH = 20
+_FOOTER = _HEAD.size + _FOOTER_LENGTH + len(MAGIC)
 
 Parsed = TypeVar("Parsed", covariant=True)
 
@@ -57,8 +58,8 @@ class RawRecord:
     content: bytes
 
 
-def check_ends(path: Path) -> None:
-    """Check that this is an MCAP file and that it was finished.
+def footer_of(path: Path) -> RawRecord:
+    """The footer of an MCAP file that was finished.
 
     Raises:
         RecordingError: cannot be read, or is no MCAP file.
@@ -80,6 +81,7 @@ def check_ends(path: Path) -> None:
         raise RecordingError(f"{path}: is not an MCAP file")
     if len(tail) < _FOOTER or not tail.endswith(MAGIC) or tail[0] != Opcode.FOOTER:
         raise UnfinishedError(f"{path}: was not finished (the recorder was killed?); `mtcal recover` makes it whole")
+    return RawRecord(Opcode.FOOTER, size - _FOOTER, _FOOTER_LENGTH, tail[_HEAD.size : -len(MAGIC)])
 
 
 def records(
@@ -189,12 +191,10 @@ def unpack_chunk(path: Path, record: RawRecord, budget: Budget) -> bytes:
     where = f"{path}: the chunk at byte {record.offset}"
     content = record.content
     try:
-        _, _, size, crc, name_length = _CHUNK.unpack_from(content)
-        name = content[_CHUNK.size : _CHUNK.size + name_length].decode("ascii")
-        (length,) = struct.unpack_from("<Q", content, _CHUNK.size + name_length)
+        size, crc, name, length, start = _chunk_head(content)
     except (struct.error, ValueError):
         raise RecordingError(f"{where} is damaged; `mtcal recover` saves the others") from None
-    packed = memoryview(content)[_CHUNK.size + name_length + 8 :]
+    packed = memoryview(content)[start:]
     if size > _LARGEST_CHUNK:
         raise RecordingError(f"{where} unpacks to {size} bytes; at most {_LARGEST_CHUNK >> 20} MiB are accepted")
     budget.take(size)
@@ -211,12 +211,10 @@ def unpack_chunk(path: Path, record: RawRecord, budget: Budget) -> bytes:
 def unpack_cut_chunk(content: bytes, limit: int) -> bytes:
     """As much of a chunk as can be unpacked when its end is missing; at most `limit` bytes."""
     try:
-        _, _, _, _, name_length = _CHUNK.unpack_from(content)
-        start = _CHUNK.size + name_length
-        name = content[_CHUNK.size : start].decode("ascii")
+        _, _, name, _, start = _chunk_head(content)
     except (struct.error, ValueError):
         return b""
-    packed = content[start + 8 :]
+    packed = content[start:]
     if name == "":
         return packed[:limit]
     data = bytearray()
@@ -228,6 +226,14 @@ def unpack_cut_chunk(content: bytes, limit: int) -> bytes:
             while len(data) < limit and (piece := stream.read(1 << 16)):
                 data += piece
     return bytes(data[:limit])
+
+
+def _chunk_head(content: bytes) -> tuple[int, int, str, int, int]:
+    """Size and checksum of what is packed, how, and how many bytes from where on are packed."""
+    _, _, size, crc, name_length = _CHUNK.unpack_from(content)
+    end = _CHUNK.size + name_length
+    (length,) = struct.unpack_from("<Q", content, end)
+    return size, crc, content[_CHUNK.size : end].decode("ascii"), length, end + 8
 
 
 def _decompress(where: str, name: str, packed: memoryview, size: int) -> bytes:

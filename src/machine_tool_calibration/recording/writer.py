@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
@@ -25,8 +25,6 @@ from machine_tool_calibration.recording.metadata import (
 )
 
 __all__ = ["BagWriter"]
-
-_DISTRO = "jazzy"
 
 
 @dataclass
@@ -52,8 +50,6 @@ class BagWriter:
         chunk_bytes: int = 768 << 10,
         split_bytes: int = 0,
         split_seconds: float = 0.0,
-        custom: Mapping[str, str] | None = None,
-        distro: str = _DISTRO,
     ) -> None:
         """Create the folder and the first file.
 
@@ -63,8 +59,6 @@ class BagWriter:
             chunk_bytes: size at which a chunk ends.
             split_bytes: size at which a new file begins; 0 never.
             split_seconds: duration at which a new file begins, by the messages' times, s; 0 never.
-            custom: values of one's own for `metadata.yaml`.
-            distro: name of the ROS distribution that is recorded.
 
         Raises:
             RecordingError: the folder is there already or cannot be made.
@@ -74,7 +68,6 @@ class BagWriter:
         self._chunk_bytes = chunk_bytes
         self._split_bytes, self._split_time = split_bytes, int(split_seconds * 1e9)
         self._splits = bool(self._split_bytes or self._split_time)
-        self._custom, self._distro = custom, distro
         self._topics: dict[str, _Topic] = {}
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
@@ -304,7 +297,7 @@ class BagWriter:
         return self._file
 
     def _information(self) -> dict[str, object]:
-        return bag_information(self._files, self.topics, self._distro, self._custom)
+        return bag_information(self._files, self.topics)
 
     def _failed(self, error: OSError) -> RecordingError:
         return RecordingError(

@@ -64,7 +64,8 @@ def first_defect(
     defects = error.errors(include_url=False)
     defects.sort(key=lambda d: order.index(d["type"]) if d["type"] in order else len(order))
     defect: dict[str, Any] = dict(defects[0])
-    defect["loc"] = tuple(part for part in defect["loc"] if part not in unnamed)
+    path, end = defect["loc"], len(defect["loc"]) - (defect["type"] in order)  # those end in a key
+    defect["loc"] = (*(part for part in path[:end] if part not in unnamed), *path[end:])
     place = place_in(source, document or Document(None, {}), defect["loc"])
     return f"{place}: {_words(defect, record)}" if place else _words(defect, record)
 

@@ -12,9 +12,10 @@ from dataclasses import dataclass, replace
 from datetime import date
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from machine_tool_calibration.machine.chain import Chain
+from machine_tool_calibration.session.record import Record
 
 __all__ = [
     "DESCRIPTION_FILE",
@@ -110,12 +111,6 @@ Vector3 = tuple[Finite, Finite, Finite]
 Vector2 = tuple[Finite, Finite]
 
 
-class Record(BaseModel):
-    """A frozen record that accepts no unknown key; its checks are made when one is first read, as that takes long."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
-
-
 Instrument = Literal[
     "laser_interferometer",
     "tracking_interferometer",
@@ -163,7 +158,7 @@ class Machine(Record):
     """
 
     chain: str
-    travel: dict[str, Vector2] = {}
+    travel: dict[str, Vector2] = Field(default_factory=dict)
     table_grid: dict[str, Annotated[tuple[Finite, ...], Field(min_length=2)]] | None = None
     rotation_sign: Literal[-1, 1] | None = None
     axis: str | None = None
@@ -210,7 +205,7 @@ class StandardUncertainty(DeclaredUncertainty):
         setups: by id, for setups whose readings are better or worse than the others.
     """
 
-    setups: dict[str, DeclaredUncertainty] = {}
+    setups: dict[str, DeclaredUncertainty] = Field(default_factory=dict)
 
 
 class KnownLength(Record):
@@ -299,7 +294,7 @@ class Description(Record):
     repeats: Annotated[int, Field(ge=1)] = 1
     standard_uncertainty: StandardUncertainty
     trust_units: bool = False
-    about: About = {}
+    about: About = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _check_ids(self) -> Any:
@@ -349,7 +344,7 @@ class Probing(Description):
     workpiece: Annotated[tuple[WorkpiecePoint, ...], Field(min_length=1)]
     probe: Probe | None = None
     setups: Annotated[tuple[IndexSetup, ...], Field(min_length=1)]
-    known: dict[str, KnownLength] = {}
+    known: dict[str, KnownLength] = Field(default_factory=dict)
 
 
 class Direct(Description):

@@ -10,10 +10,11 @@ import numpy as np
 from pydantic import Field
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.session.record import Positive
 from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
 from machine_tool_calibration.simulation.environment import Environment
 from machine_tool_calibration.simulation.machine import VirtualMachine
-from machine_tool_calibration.simulation.plan import Measurement, Plan, Positive, Vector3, since_first
+from machine_tool_calibration.simulation.plan import Measurement, Plan, Vector3, axis_columns, since_first
 from machine_tool_calibration.simulation.random_machine import Amplitudes
 from machine_tool_calibration.simulation.scene import Scene, blocks, last_direction, ordered_times
 from machine_tool_calibration.simulation.sensors import mirror_path, tilted
@@ -131,8 +132,7 @@ def plan_diagonals(plan: DiagonalPlan, environment: Environment, rng: np.random.
         axis: np.concatenate([last_direction(position[block == b, i]) for b in range(block[-1] + 1)])
         for i, axis in enumerate("XYZ")
     }
-    scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, environment(time),
-                  rates=environment.rate(time), lagged=environment.behind(time), ends=plan.travel())
+    scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, environment, ends=plan.travel())
     start = np.array([run.start for run in runs])
     end = np.array([run.positions()[-1] for run in runs])
 
@@ -140,11 +140,8 @@ def plan_diagonals(plan: DiagonalPlan, environment: Environment, rng: np.random.
         first, last = machine.functional_point(start), machine.functional_point(end)
         beam = tilted((last - first) / np.linalg.norm(last - first, axis=1, keepdims=True), aside)
         source = first - plan.distance * beam
-        actual = machine.functional_point(position, disturbance.axis, disturbance.errors)
-        if disturbance.point is not None:
-            actual = actual + disturbance.point
-        off = tilt[setup] if disturbance.mirror is None else tilt[setup] + disturbance.mirror
-        normal = tilted(beam[setup], off)
+        actual = disturbance.functional_point(machine, position)
+        normal = tilted(beam[setup], tilt[setup] + disturbance.mirror)
         fixed = np.einsum("nji,nj->ni", machine.tool_rotation(start)[setup], normal)  # in the spindle's frame
         path = mirror_path(source[setup], beam[setup], actual, machine.carried(position, fixed, disturbance.errors))
         moved = path - plan.distance
@@ -163,7 +160,7 @@ def plan_diagonals(plan: DiagonalPlan, environment: Environment, rng: np.random.
 
     description = {
         "method": "step_diagonal",
-        "machine": {"chain": plan.chain, "travel": {a.lower(): list(e) for a, e in plan.travel().items()}},
+        "machine": plan.machine(),
         "step": list(plan.step),
         "blocks": plan.blocks,
         "setups": [
@@ -171,8 +168,5 @@ def plan_diagonals(plan: DiagonalPlan, environment: Environment, rng: np.random.
             for r in runs
         ],
     }
-    columns = {
-        **{axis.lower(): position[:, i] for i, axis in enumerate("XYZ")},
-        **{f"dir_{axis.lower()}": values for axis, values in direction.items()},
-    }
+    columns = axis_columns(position, direction)
     return Measurement(lambda machine: description, scene, read, block, columns, truth=judged)

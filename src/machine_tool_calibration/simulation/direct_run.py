@@ -11,11 +11,12 @@ from pydantic import Field
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.session.description import Instrument
+from machine_tool_calibration.session.record import Finite, Positive
 from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
 from machine_tool_calibration.simulation.environment import Environment
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.motions import rotate
-from machine_tool_calibration.simulation.plan import Finite, Measurement, Plan, Positive, Vector3, spanned
+from machine_tool_calibration.simulation.plan import Measurement, Plan, Vector3, axis_columns, spanned
 from machine_tool_calibration.simulation.scene import Scene, blocks, last_direction, ordered_times
 
 __all__ = ["DirectPlan", "plan_direct"]
@@ -125,20 +126,15 @@ def plan_direct(plan: DirectPlan, environment: Environment, rng: np.random.Gener
         time = visit * plan.interval + setup * plan.pause
     direction = {axis: last_direction(position[:, i]) for i, axis in enumerate("XYZ")}
     _approach_from_below(plan, direction, len(forth))
-    scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, environment(time),
-                  rates=environment.rate(time), lagged=environment.behind(time), ends=plan.travel())
+    scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, environment, ends=plan.travel())
     datum = plan.datum or _DATUM[plan.kind]
     place, turned = rng.normal(size=(2, plan.mountings, 3))
     place = plan.misplacement * place * (datum != "none")
     turned = plan.misplacement * 20.0 * turned * (datum == "rigid")
 
     def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
-        actual = machine.functional_point(position, disturbance.axis, disturbance.errors)
-        if disturbance.point is not None:
-            actual = actual + disturbance.point
-        if disturbance.growth is not None:
-            # made or compared while the part is warm: at 20 degrees Celsius the distances are smaller
-            actual = actual / (1.0 + disturbance.growth[:, None])
+        # made or compared while the part is warm: at 20 degrees Celsius the distances are smaller
+        actual = disturbance.functional_point(machine, position) / np.reshape(1.0 + disturbance.growth, (-1, 1))
         seen = rotate(actual, turned[setup]) + place[setup]
         deviation: Array = np.einsum("ni,ni->n", sense, seen - position)
         nothing = np.zeros(len(deviation))
@@ -158,16 +154,12 @@ def plan_direct(plan: DirectPlan, environment: Environment, rng: np.random.Gener
     description = {
         "method": "direct",
         **({"instrument": instrument} if instrument else {}),
-        "machine": {"chain": plan.chain, "travel": {a.lower(): list(e) for a, e in plan.travel().items()}},
+        "machine": plan.machine(),
         "datum": datum,
         "terms": list(plan.asked()),
         "setups": [{"id": name if plan.mountings == 1 else f"{name}{i + 1}"} for i in range(plan.mountings)],
     }
-    columns = {
-        **{axis.lower(): position[:, i] for i, axis in enumerate("XYZ")},
-        **{f"dir_{axis.lower()}": values for axis, values in direction.items()},
-        **{f"g{axis.lower()}": sense[:, i] for i, axis in enumerate("XYZ")},
-    }
+    columns = axis_columns(position, direction) | {f"g{axis}": sense[:, i] for i, axis in enumerate("xyz")}
     return Measurement(lambda machine: description, scene, read, None, columns, truth=judged)
 
 

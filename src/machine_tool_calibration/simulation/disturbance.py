@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.motions import Table, rotate
 
 __all__ = ["Disturbance", "Sight", "combine"]
@@ -38,7 +39,7 @@ class Sight:
 
 @dataclass(frozen=True)
 class Disturbance:
-    """Deviations from the ideal, each (n,) unless said otherwise; absent means none.
+    """Deviations from the ideal, each (n,) unless said otherwise; 0.0 where there are none.
 
     Attributes:
         axis: carriage or table ahead of its command along its own motion, by axis letter, m or rad.
@@ -61,45 +62,44 @@ class Disturbance:
     """
 
     axis: Mapping[str, Array] = field(default_factory=dict)
-    point: Array | None = None
-    station: Array | None = None
-    turn: Array | None = None
-    optical: Array | None = None
-    dead: Array | None = None
-    mirror: Array | None = None
-    growth: Array | None = None
-    table_radial: Array | None = None
-    table_axial: Array | None = None
+    point: Array | float = 0.0
+    station: Array | float = 0.0
+    turn: Array | float = 0.0
+    optical: Array | float = 0.0
+    dead: Array | float = 0.0
+    mirror: Array | float = 0.0
+    growth: Array | float = 0.0
+    table_radial: Array | float = 0.0
+    table_axial: Array | float = 0.0
     reading: tuple[Callable[[Sight], Array], ...] = ()
     tables: tuple[tuple[str, Table], ...] = ()
     squareness: Mapping[str, float] = field(default_factory=dict)
     errors: Mapping[str, Array] = field(default_factory=dict)
-    table_shift: Array | None = None
-    table_tilt: Array | None = None
+    table_shift: Array | float = 0.0
+    table_tilt: Array | float = 0.0
+
+    def functional_point(self, machine: VirtualMachine, command: Array) -> Array:
+        """(n, 3) where the functional point really is in the workpiece frame when x, y, z (n, 3) are commanded, m."""
+        return np.asarray(machine.functional_point(command, self.axis, self.errors) + self.point)
+
+    def on_table(self, machine: VirtualMachine, point: Array, angle: Array, axis: str) -> Array:
+        """(n, 3) where points (n, 3) of the table, given in its own frame, really are in the machine frame, m."""
+        return self.with_table(machine.on_table(self.grown(point, axis), angle, axis, self.axis.get(axis, 0.0)))
 
     def grown(self, points: Array, axis: str) -> Array:
         """Where points (n, 3) of the table are in its own frame when it, or the part on it, has grown, m."""
         axial = np.eye(3)["ABC".index(axis)]
-        place = points
-        for growth, part in (
-            (self.growth, np.ones(3)), (self.table_radial, 1.0 - axial), (self.table_axial, axial),
-        ):
-            if growth is not None:
-                place = place + growth[:, None] * points * part
-        return place
+        radial_growth = np.multiply.outer(self.growth + self.table_radial, 1.0 - axial)
+        axial_growth = np.multiply.outer(self.growth + self.table_axial, axial)
+        return np.asarray(points + (radial_growth + axial_growth) * points)
 
     def with_table(self, place: Array) -> Array:
         """Where points (n, 3) that the table carries are when its axis has moved, m."""
-        turned = place if self.table_tilt is None else rotate(place, self.table_tilt)
-        return turned if self.table_shift is None else turned + self.table_shift
+        return np.asarray(rotate(place, np.broadcast_to(self.table_tilt, place.shape)) + self.table_shift)
 
     def added(self, sight: Sight) -> Array:
         """(n,) the sum of what is added to the reading, m: excess of the optical path and the rest."""
-        total = np.zeros(len(sight.path))
-        if self.optical is not None:
-            total = total + self.optical * sight.path
-        if self.dead is not None:
-            total = total + self.dead
+        total: Array = self.optical * sight.path + self.dead
         for function in self.reading:
             total = total + function(sight)
         return total
@@ -107,19 +107,11 @@ class Disturbance:
 
 def combine(parts: tuple[Disturbance, ...]) -> Disturbance:
     """The sum of several disturbances."""
-    total: dict[str, Any] = {}
+    total: dict[str, Any] = vars(Disturbance()).copy()
     for part in parts:
-        for entry in fields(part):
-            value, old = getattr(part, entry.name), total.get(entry.name)
-            if value is None:
-                continue
-            if old is None:
-                total[entry.name] = value
-            elif isinstance(value, Mapping):
-                merged = dict(old)
-                for key, item in value.items():
-                    merged[key] = merged[key] + item if key in merged else item
-                total[entry.name] = merged
+        for name, value in vars(part).items():
+            if isinstance(value, Mapping):
+                total[name] = total[name] | {key: total[name].get(key, 0.0) + item for key, item in value.items()}
             else:
-                total[entry.name] = old + value
+                total[name] = total[name] + value
     return Disturbance(**total)

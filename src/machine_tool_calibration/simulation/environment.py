@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -78,40 +78,11 @@ class Drift:
 class Environment:
     """What the sensors around the machine would show, by column name; others stand at 20 °C, 101325 Pa, 50 %."""
 
-    drifts: Mapping[str, Drift]
-
-    def __post_init__(self) -> None:
-        waves = max((len(drift.waves) for drift in self.drifts.values()), default=0)
-        table = np.zeros((3, len(self.drifts), waves))
-        table[1] = 1.0
-        for row, drift in enumerate(self.drifts.values()):
-            for column, wave in enumerate(drift.waves):
-                table[:, row, column] = wave
-        object.__setattr__(self, "_waves", table)  # all columns at once: nodes ask for one moment at a time
+    drifts: Mapping[str, Drift] = field(default_factory=dict)
 
     def __call__(self, time: Array) -> dict[str, Array]:
         """Every recorded column at times (n,), s."""
-        amplitude, turns, phase = self._parts(time)
-        swing = np.einsum("cw,cwn->cn", amplitude, np.sin(turns + phase[..., None]))
-        return {
-            name: drift.mean + drift.slope * time + swing[row]
-            for row, (name, drift) in enumerate(self.drifts.items())
-        }
-
-    def behind(self, time: Array) -> Callable[[str, float], Array]:
-        """What follows a column, by its name, with a lag in s, at times (n,)."""
-        return lambda name, lag: self.drifts[name].lagged(time, lag)
-
-    def rate(self, time: Array) -> dict[str, Array]:
-        """How fast every recorded column changes at times (n,), per second."""
-        amplitude, turns, phase = self._parts(time)
-        speed = amplitude * 2.0 * np.pi / self._waves[1]  # type: ignore[attr-defined]
-        rates = np.einsum("cw,cwn->cn", speed, np.cos(turns + phase[..., None]))
-        return {name: drift.slope + rates[row] for row, (name, drift) in enumerate(self.drifts.items())}
-
-    def _parts(self, time: Array) -> tuple[Array, Array, Array]:
-        amplitude, period, phase = self._waves  # type: ignore[attr-defined]
-        return amplitude, 2.0 * np.pi * time / period[..., None], phase
+        return {name: drift(time) for name, drift in self.drifts.items()}
 
 
 def random_environment(

@@ -12,6 +12,7 @@ from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
 from machine_tool_calibration.simulation.flaw import Flaw, Parameters
 from machine_tool_calibration.simulation.scene import Scene
+from machine_tool_calibration.simulation.sensors import beam_direction
 
 __all__ = ["READING_FLAWS", "STANDARD", "deviation", "refractivity", "vapour_pressure"]
 
@@ -91,8 +92,7 @@ def _station_drift(size: float, parameters: Parameters, scene: Scene) -> Disturb
 
     def velocity(rng: np.random.Generator) -> Array:
         way = rng.normal(size=3) * np.array([1.0, 1.0, parameters["vertical"]])
-        way = way / np.linalg.norm(way) * rng.uniform(0.5, 1.5)
-        return np.asarray(way)
+        return np.asarray(way / np.linalg.norm(way) * rng.uniform(0.5, 1.5))
 
     moved = _by_setup(parameters["seed"], scene.setup, velocity) * scene.since_setup()[:, None]
     return Disturbance(station=size * moved)
@@ -126,13 +126,17 @@ def _seed(rng: np.random.Generator, _: Scene | None) -> dict[str, Any]:
     return {"seed": int(rng.integers(2**31))}
 
 
+def _level(sight: Sight) -> Array:
+    """(n, 3) unit vectors of level beams of the same azimuth."""
+    return beam_direction(sight.azimuth, np.zeros_like(sight.azimuth))
+
+
 def _pointer_radial(size: float, parameters: Parameters, _: Scene) -> Disturbance:
     """The rotation centre moves in the plane of azimuth as the pointer turns: against the beam, as seen from above."""
 
     def along(sight: Sight) -> Array:
-        flat = np.column_stack([np.cos(sight.azimuth), np.sin(sight.azimuth), np.zeros_like(sight.azimuth)])
-        back = -size * _harmonics(sight.azimuth, parameters)[:, None] * flat
-        return np.asarray(-np.einsum("ni,ni->n", back, sight.direction))
+        back = size * _harmonics(sight.azimuth, parameters)
+        return np.asarray(back * np.einsum("ni,ni->n", _level(sight), sight.direction))
 
     return Disturbance(reading=(along,))
 
@@ -148,8 +152,7 @@ def _pointer_axes(size: float, parameters: Parameters, _: Scene) -> Disturbance:
     """
 
     def path(sight: Sight) -> Array:
-        flat = np.column_stack([np.cos(sight.azimuth), np.sin(sight.azimuth), np.zeros_like(sight.azimuth)])
-        line = sight.path[:, None] * sight.direction - size * flat
+        line = sight.path[:, None] * sight.direction - size * _level(sight)
         square = np.einsum("ni,ni->n", line, line) - parameters["beam"] ** 2
         return np.asarray(np.sqrt(square) - sight.path)
 
@@ -157,10 +160,7 @@ def _pointer_axes(size: float, parameters: Parameters, _: Scene) -> Disturbance:
 
 
 def _retroreflector(size: float, parameters: Parameters, _: Scene) -> Disturbance:
-    def form(sight: Sight) -> Array:
-        return size * _harmonics(sight.incidence, parameters)
-
-    return Disturbance(reading=(form,))
+    return Disturbance(reading=(lambda sight: size * _harmonics(sight.incidence, parameters),))
 
 
 def _table_growth(size: float, parameters: Parameters, scene: Scene) -> Disturbance:
@@ -174,11 +174,7 @@ def _workpiece_growth(size: float, parameters: Parameters, scene: Scene) -> Dist
 
 def _pretravel(size: float, parameters: Parameters, _: Scene) -> Disturbance:
     """The stylus gives way by an amount that depends on the direction before the probe triggers."""
-
-    def lobes(sight: Sight) -> Array:
-        return size * _harmonics(sight.azimuth, parameters)
-
-    return Disturbance(reading=(lobes,))
+    return Disturbance(reading=(lambda sight: size * _harmonics(sight.azimuth, parameters),))
 
 
 READING_FLAWS: tuple[Flaw, ...] = (

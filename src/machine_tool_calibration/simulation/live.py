@@ -16,7 +16,7 @@ Everything takes many moments at once as well (a stretch of the displacement str
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -43,18 +43,16 @@ class LiveMachine:
 
     machine: VirtualMachine
     flaws: tuple[Chosen, ...] = ()
-    environment: Environment = field(default_factory=lambda: Environment({}))
+    environment: Environment = field(default_factory=Environment)
 
     @classmethod
     def prepare(
         cls, machine: VirtualMachine, flaws: Iterable[Chosen] = (), environment: Environment | None = None
     ) -> LiveMachine:
         """A live machine whose flaws' error motions are put into the machine once."""
-        chosen = tuple(flaws)
-        surroundings = environment or Environment({})
-        idle = cls(machine, chosen, surroundings)
+        idle = cls(machine, tuple(flaws), environment or Environment())
         fixed = idle.disturbance(idle.scene(0.0, np.zeros(3)))
-        return cls(machine.with_tables(fixed.tables).with_squareness(fixed.squareness), chosen, surroundings)
+        return replace(idle, machine=machine.with_tables(fixed.tables).with_squareness(fixed.squareness))
 
     def scene(
         self,
@@ -80,23 +78,20 @@ class LiveMachine:
         """
         at = np.atleast_2d(np.asarray(position, float))
         n = max(len(at), np.size(time))
-        moments = np.broadcast_to(np.asarray(time, float), n)
 
         def each(value: Array | float) -> Array:
             return np.broadcast_to(np.asarray(value, float), n)
 
         return Scene(
-            time=moments,
+            time=each(time),
             setup=np.full(n, setup),
             repeat=np.zeros(n, np.int64),
             position=np.broadcast_to(at, (n, 3)),
             angle=each(angle),
             direction={name: each(value) for name, value in (direction or {}).items()},
-            environment=self.environment(moments),
+            environment=self.environment,
             axis=axis,
             ends=self.machine.travel,
-            rates=self.environment.rate(moments),
-            lagged=self.environment.behind(moments),
             start=each(start),
         )
 
@@ -106,9 +101,7 @@ class LiveMachine:
 
     def functional_point(self, scene: Scene) -> Array:
         """(n, 3) where the functional point really is in the workpiece frame, m."""
-        disturbance = self.disturbance(scene)
-        point = self.machine.functional_point(scene.position, disturbance.axis, disturbance.errors)
-        return point if disturbance.point is None else point + disturbance.point
+        return self.disturbance(scene).functional_point(self.machine, scene.position)
 
     def tool_rotation(self, scene: Scene) -> Array:
         """(n, 3, 3) rotation of the tool with respect to the workpiece."""
@@ -116,25 +109,15 @@ class LiveMachine:
 
     def on_table(self, scene: Scene, point: Array) -> Array:
         """(n, 3) where a point of the table (its target, the workpiece) really is in the machine frame, m."""
-        disturbance = self.disturbance(scene)
-        place = disturbance.grown(np.broadcast_to(np.asarray(point, float), (len(scene), 3)), scene.axis)
-        shift = disturbance.axis.get(scene.axis, np.zeros(len(scene)))
-        return disturbance.with_table(self.machine.on_table(place, scene.angle, scene.axis, shift))
-
-    def station(self, scene: Scene, station: Array) -> Array:
-        """(n, 3) where a station's rotation centre really is, m."""
-        shift = self.disturbance(scene).station
-        place = np.broadcast_to(np.asarray(station, float), (len(scene), 3))
-        return place if shift is None else place + shift
+        return self.disturbance(scene).on_table(self.machine, point, scene.angle, scene.axis)
 
     def beam(
         self, scene: Scene, pointer: Pointer, azimuth: Array | float, elevation: Array | float, station: Array
     ) -> tuple[Array, Array]:
         """(n, 3) origin, m, and (n, 3) direction of the beam that is commanded to an azimuth and elevation, rad."""
-        turn = self.disturbance(scene).turn
-        n = len(scene)
+        n, disturbance = len(scene), self.disturbance(scene)
         flat, up = np.broadcast_to(azimuth, n), np.broadcast_to(elevation, n)
-        return pointer.beam(flat, up, self.station(scene, station), 0.0 if turn is None else turn)
+        return pointer.beam(flat, up, station + disturbance.station, disturbance.turn)
 
     def sight(
         self,

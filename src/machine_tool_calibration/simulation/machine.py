@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -83,14 +84,12 @@ class VirtualMachine:
                 raise ModelError(f"{name!r} is no error of an axis average line; these are X0C, Y0C, A0C, B0C, C0C")
         if self.rotation_sign not in (-1, 1):
             raise ModelError(f"rotation_sign must be 1 or -1, not {self.rotation_sign}")
-        unit = {a: np.eye(3)[i] for i, a in enumerate("XYZ")}
-        order = self.chain.linear
-        directions = {a: rotate(unit[a], self._tilt(a)) for a in order}
-        object.__setattr__(self, "_order", order)
-        object.__setattr__(self, "_directions", directions)
 
-    def _tilt(self, axis: str) -> Array:
-        return np.array([self.squareness.get(f"{r}0{axis}", 0.0) for r in "ABC"])
+    @cached_property
+    def _directions(self) -> dict[str, Array]:
+        """Unit vectors of the linear axes' motions, from the workpiece to the tool."""
+        unit = dict(zip("XYZ", np.eye(3), strict=True))
+        return {axis: rotate(unit[axis], _of_axis(self.squareness, "ABC", axis)) for axis in self.chain.linear}
 
     def position(
         self, command: Array, shift: Mapping[str, Array] | None = None, errors: Mapping[str, Array] | None = None
@@ -106,7 +105,20 @@ class VirtualMachine:
         Returns:
             (n, 3), m.
         """
-        return self._follow(np.atleast_2d(np.asarray(command, float)), shift, errors)
+        at = np.atleast_2d(np.asarray(command, float))
+        point: Array = np.broadcast_to(np.asarray(self.tool_offset), at.shape)
+        for axis in reversed(self._directions):
+            along = at[:, "XYZ".index(axis)]
+            error = self._errors(axis, along, errors)
+            if error is not None:
+                point = rotate(point, error[:, 3:]) + error[:, :3]
+            if shift is not None and axis in shift:
+                along = along + shift[axis]
+            point = point + along[:, None] * self._directions[axis]
+        for index, axis in enumerate("XYZ"):  # an axis that the chain lacks stands where it is said to be
+            if axis not in self._directions:
+                point = point + at[:, index : index + 1] * np.eye(3)[index]
+        return point
 
     def functional_point(
         self, command: Array, shift: Mapping[str, Array] | None = None, errors: Mapping[str, Array] | None = None
@@ -125,7 +137,7 @@ class VirtualMachine:
         """(n, 3, 3) rotation of the tool (mirror, retroreflector) with respect to the workpiece; `errors` as above."""
         at = np.atleast_2d(np.asarray(command, float))
         total = np.broadcast_to(np.eye(3), (len(at), 3, 3))
-        for axis in self._order:  # type: ignore[attr-defined]
+        for axis in self._directions:
             error = self._errors(axis, at[:, "XYZ".index(axis)], errors)
             if error is not None:
                 total = total @ matrix(error[:, 3:])
@@ -135,7 +147,7 @@ class VirtualMachine:
         """A vector fixed to the tool, (3,) or (n, 3), as turned by the angular errors, (n, 3); `errors` as above."""
         at = np.atleast_2d(np.asarray(command, float))
         turned = np.broadcast_to(np.asarray(vector, float), at.shape)
-        for axis in reversed(self._order):  # type: ignore[attr-defined]
+        for axis in reversed(self._directions):
             error = self._errors(axis, at[:, "XYZ".index(axis)], errors)
             if error is not None:
                 turned = rotate(turned, error[:, 3:])
@@ -148,24 +160,6 @@ class VirtualMachine:
         if own is None or more is None:
             return more if own is None else own
         return np.asarray(own + more)
-
-    def _follow(
-        self, at: Array, shift: Mapping[str, Array] | None, errors: Mapping[str, Array] | None = None
-    ) -> Array:
-        order: tuple[str, ...] = self._order  # type: ignore[attr-defined]
-        point: Array = np.broadcast_to(np.asarray(self.tool_offset), at.shape)
-        for axis in reversed(order):
-            along = at[:, "XYZ".index(axis)]
-            error = self._errors(axis, along, errors)
-            if error is not None:
-                point = rotate(point, error[:, 3:]) + error[:, :3]
-            if shift is not None and axis in shift:
-                along = along + shift[axis]
-            point = point + along[:, None] * self._directions[axis]  # type: ignore[attr-defined]
-        for index, axis in enumerate("XYZ"):  # an axis that the chain lacks stands where it is said to be
-            if axis not in order:
-                point = point + at[:, index : index + 1] * np.eye(3)[index]
-        return point
 
     def on_table(self, point: Array, angle: Array, axis: str = "C", shift: Array | float = 0.0) -> Array:
         """Where a point of the table really is in the machine frame.
@@ -200,10 +194,7 @@ class VirtualMachine:
         return turned
 
     def _line(self, q: Array, axis: str) -> Array:
-        line = self.average_line
-        tilt = np.array([line.get(f"{r}0{axis}", 0.0) for r in "ABC"])
-        place = np.array([line.get(f"{t}0{axis}", 0.0) for t in "XYZ"])
-        placed: Array = (rotate(q, tilt) if tilt.any() else q) + place
+        placed: Array = rotate(q, _of_axis(self.average_line, "ABC", axis)) + _of_axis(self.average_line, "XYZ", axis)
         return placed
 
     def with_tables(self, extra: Iterable[tuple[str, Table]]) -> VirtualMachine:
@@ -236,3 +227,8 @@ class VirtualMachine:
         axis, component = name[-1], COMPONENTS.index(name[:2])
         at = np.atleast_1d(np.asarray(position, float))
         return self.motions[axis](at)[:, component] if axis in self.motions else np.zeros(len(at))
+
+
+def _of_axis(errors: Mapping[str, float], components: str, axis: str) -> Array:
+    """(3,) errors such as A0C, B0C, C0C of an axis; zero where none is given."""
+    return np.array([errors.get(f"{component}0{axis}", 0.0) for component in components])

@@ -3,19 +3,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from machine_tool_calibration.errors import CalibrationError, ModelError
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.session.defects import validated
 from machine_tool_calibration.session.description import Finite
+from machine_tool_calibration.session.record import Record
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
-from machine_tool_calibration.simulation.flaw import ALL_METHODS
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.motions import AxisMotion, Table
 from machine_tool_calibration.simulation.random_machine import Amplitudes, random_machine
@@ -26,11 +27,7 @@ R = TypeVar("R", bound=BaseModel)
 _SHORTEST_TRAVEL = 1e-6  # m or rad
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class TableSpec(_Record):
+class TableSpec(Record):
     """One error motion: values at nodes of the axis, m or rad."""
 
     nodes: Annotated[tuple[Finite, ...], Field(min_length=2, max_length=100_000)]
@@ -38,7 +35,7 @@ class TableSpec(_Record):
     interpolation: Literal["cubic", "linear", "periodic"] = "cubic"
 
 
-class MachineSpec(_Record):
+class MachineSpec(Record):
     """A machine's true errors.
 
     Attributes:
@@ -55,13 +52,13 @@ class MachineSpec(_Record):
     """
 
     chain: str | None = None
-    travel: dict[str, tuple[Finite, Finite]] = {}
+    travel: dict[str, tuple[Finite, Finite]] = Field(default_factory=dict)
     rotation_sign: Literal[-1, 1] | None = None
     seed: Annotated[int, Field(ge=0)] | None = None
     random: Amplitudes | None = Amplitudes()
-    motions: dict[str, TableSpec] = {}
-    squareness: dict[str, Finite] = {}
-    average_line: dict[str, Finite] = {}
+    motions: dict[str, TableSpec] = Field(default_factory=dict)
+    squareness: dict[str, Finite] = Field(default_factory=dict)
+    average_line: dict[str, Finite] = Field(default_factory=dict)
     tool_offset: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
 
 
@@ -94,7 +91,8 @@ def build_machine(
         parsed = Chain.parse(text)
     except ValueError as error:
         raise ModelError(str(error)) from None
-    ends = {a.upper(): (float(lo), float(hi)) for a, (lo, hi) in {**(travel or {}), **_upper(spec.travel)}.items()}
+    named = (*(travel or {}).items(), *spec.travel.items())
+    ends = {axis.upper(): (float(low), float(high)) for axis, (low, high) in named}
     for axis, (low, high) in ends.items():
         if not high - low >= _SHORTEST_TRAVEL:
             raise ModelError(
@@ -121,13 +119,7 @@ def build_machine(
     line = dict(machine.average_line)
     for name, value in spec.average_line.items():
         line[name] = line.get(name, 0.0) + value
-    return VirtualMachine(
-        parsed, machine.motions, machine.squareness, line, ends, sign, spec.tool_offset
-    )
-
-
-def _upper(travel: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
-    return {name.upper(): ends for name, ends in travel.items()}
+    return replace(machine, average_line=line, tool_offset=spec.tool_offset)
 
 
 def read_machine(path: Path | str) -> MachineSpec:
@@ -139,15 +131,15 @@ def read_machine(path: Path | str) -> MachineSpec:
     return read_record(Path(path), MachineSpec)
 
 
-def read_record(path: Path, record: type[R]) -> R:
-    """A record from a YAML file.
+def read_record(path: Path, record: type[R], unnamed: Container[object] = ()) -> R:
+    """A record from a YAML file; `unnamed` as for `first_defect`.
 
     Raises:
         CalibrationError: the file cannot be read, or a key or value is wrong; one line names file, line and key.
     """
     document = load_yaml(read_text(path), str(path))
     content = document.value if document.value is not None else {}
-    return validated(record, content, str(path), document, unnamed=ALL_METHODS, refusal=CalibrationError)
+    return validated(record, content, str(path), document, unnamed=unnamed, refusal=CalibrationError)
 
 
 def machine_document(machine: VirtualMachine) -> dict[str, Any]:

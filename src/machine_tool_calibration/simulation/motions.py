@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -184,16 +185,12 @@ class AxisMotion:
         for name, _ in self.tables:
             if name not in names:
                 raise ModelError(f"{name} is not an error motion of the {self.axis} axis; these are {' '.join(names)}")
-        periodic = {table.interpolation == "periodic" for _, table in self.tables}
-        if len(periodic) == 2:
+        if len({table.interpolation == "periodic" for _, table in self.tables}) == 2:
             raise ModelError(f"the error motions of {self.axis} mix periodic and other tables")
-        breaks, coefficients = self._merge()
-        object.__setattr__(self, "_periodic", periodic == {True})
-        object.__setattr__(self, "_breaks", breaks)
-        object.__setattr__(self, "_coefficients", coefficients)
 
-    def _merge(self) -> tuple[Array, Array]:
-        """One set of breakpoints for all motions, so that one look-up gives all six."""
+    @cached_property
+    def _merged(self) -> tuple[Array, Array]:
+        """One set of breakpoints for all motions, so that one look-up gives all six, and the pieces between them."""
         if not self.tables:
             return np.array([0.0, 1.0]), np.zeros((4, 1, 6))
         breaks = np.unique(np.concatenate([table.nodes for _, table in self.tables]))
@@ -225,14 +222,13 @@ class AxisMotion:
 
     def __call__(self, position: Array) -> Array:
         """(n, 6) EX, EY, EZ (m) and EA, EB, EC (rad) at positions (n,), m or rad."""
-        breaks: Array = self._breaks  # type: ignore[attr-defined]
-        coefficients: Array = self._coefficients  # type: ignore[attr-defined]
+        breaks, pieces = self._merged
         low, high = breaks[0], breaks[-1]
-        if self._periodic:  # type: ignore[attr-defined]
+        if any(table.interpolation == "periodic" for _, table in self.tables):
             x = low + np.mod(position - low, high - low)
         else:
             x = np.minimum(np.maximum(position, low), high)
-        return _value(breaks, coefficients, x)
+        return _value(breaks, pieces, x)
 
     def with_tables(self, extra: Iterable[tuple[str, Table]]) -> AxisMotion:
         """The same axis with further tables added."""
@@ -245,15 +241,9 @@ def constant(low: float, high: float, value: float) -> Table:
 
 
 def random_smooth(
-    rng: np.random.Generator,
-    low: float,
-    high: float,
-    amplitudes: Sequence[float],
-    *,
-    zero: float | None = None,
-    knots: int = 7,
+    rng: np.random.Generator, low: float, high: float, amplitudes: Sequence[float], *, knots: int = 7
 ) -> list[Table]:
-    """Smooth random motions over [low, high]: zero at `zero`, each with its largest absolute value.
+    """Smooth random motions over [low, high]: zero at 0 if that is inside, else at `low`; each with its largest value.
 
     Natural splines through a random walk at `knots` nodes with a random slope, as guideways and ball
     screws show: long waves with some shorter ones.
@@ -263,15 +253,13 @@ def random_smooth(
         low: lower end of the travel, m or rad.
         high: upper end.
         amplitudes: largest absolute value of each, m or rad.
-        zero: position where the motions are zero by definition; by default 0 if inside, else `low`.
         knots: number of nodes; more give shorter waves.
     """
     nodes, slope = np.linspace(low, high, knots), np.linspace(-1, 1, knots)
     walks = [
         np.cumsum(rng.normal(size=knots)) + rng.normal() * slope + rng.normal(size=knots) * 0.5 for _ in amplitudes
     ]
-    reference = zero if zero is not None else (0.0 if low <= 0.0 <= high else low)
-    return _normalised(nodes, np.array(walks).T, amplitudes, reference, "cubic")
+    return _normalised(nodes, np.array(walks).T, amplitudes, 0.0 if low <= 0.0 <= high else low, "cubic")
 
 
 _ORDERS = 4  # harmonics of a rotary axis's motion

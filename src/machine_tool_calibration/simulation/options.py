@@ -67,7 +67,7 @@ def read_spec(path: Path | str) -> SimulationSpec:
     Raises:
         CalibrationError: one line that names file, line and key.
     """
-    return read_record(Path(path), SimulationSpec)
+    return read_record(Path(path), SimulationSpec, ALL_METHODS)
 
 
 def parse_setting(text: str) -> tuple[str, Any]:

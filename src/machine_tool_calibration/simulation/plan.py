@@ -5,18 +5,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from string import ascii_uppercase
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.session.record import Finite, NotNegative, Positive, Record
 from machine_tool_calibration.simulation.disturbance import Disturbance
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.random_machine import Amplitudes
 from machine_tool_calibration.simulation.scene import Scene
 
-__all__ = ["Finite", "Measurement", "Plan", "Positive", "Vector3", "since_first", "spanned"]
+__all__ = ["Measurement", "Plan", "Vector3", "axis_columns", "since_first", "spanned", "station_name"]
 
 
 @dataclass(frozen=True)
@@ -52,12 +54,10 @@ def since_first(values: Array, group: IntArray | None) -> Array:
     return change
 
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Vector3 = tuple[Finite, Finite, Finite]
 
 
-class Plan(BaseModel):
+class Plan(Record):
     """Where and when readings are taken.
 
     Attributes:
@@ -69,11 +69,9 @@ class Plan(BaseModel):
         chain: chain of axes.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     repeats: Annotated[int, Field(ge=1, le=10000)] = 1
     interval: Positive = 4.0
-    pause: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 600.0
+    pause: NotNegative = 600.0
     noise: Positive = 3e-7
     sign: Literal[-1, 1] = 1
     chain: str = "w-C-b-Y-X-Z-t"
@@ -82,6 +80,10 @@ class Plan(BaseModel):
         """Ends of the linear axes' travel, by letter, m."""
         return {}
 
+    def machine(self) -> dict[str, Any]:
+        """What the session says of the machine: its chain and travel."""
+        return {"chain": self.chain, "travel": {axis.lower(): list(ends) for axis, ends in self.travel().items()}}
+
     def prepared(self, machine: VirtualMachine) -> VirtualMachine:
         """The machine as the plan wants it."""
         return machine
@@ -89,6 +91,19 @@ class Plan(BaseModel):
     def errors(self) -> Amplitudes | None:
         """Sizes of random errors that suit the method; None for the usual ones."""
         return None
+
+
+def station_name(index: int) -> str:
+    """Id of an instrument's setup: A to Z, then S27 and so on."""
+    return ascii_uppercase[index] if index < len(ascii_uppercase) else f"S{index + 1}"
+
+
+def axis_columns(position: Array, direction: Mapping[str, Array]) -> dict[str, Array]:
+    """A session's columns of X, Y and Z: position (n, 3), m, and the sign of the last move by letter."""
+    return {
+        **{axis: position[:, index] for index, axis in enumerate("xyz")},
+        **{f"dir_{axis.lower()}": signs for axis, signs in direction.items()},
+    }
 
 
 def spanned(points: Array) -> dict[str, tuple[float, float]]:

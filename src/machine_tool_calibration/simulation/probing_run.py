@@ -7,22 +7,23 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.session.record import Finite, Positive, Record
 from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
 from machine_tool_calibration.simulation.environment import Environment
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.motions import turn
-from machine_tool_calibration.simulation.plan import Finite, Measurement, Plan, Positive
+from machine_tool_calibration.simulation.plan import Measurement, Plan
 from machine_tool_calibration.simulation.random_machine import Amplitudes
-from machine_tool_calibration.simulation.scene import Scene, ordered_times
+from machine_tool_calibration.simulation.scene import Scene, last_sign, ordered_times
 from machine_tool_calibration.simulation.sensors import probed
 
 __all__ = ["WORKPIECES", "PartPoint", "ProbingPlan", "cam", "cross", "disc", "pins", "plan_probing"]
 
 
-class PartPoint(BaseModel):
+class PartPoint(Record):
     """A nominal point of a part's surface in the workpiece frame at c = 0.
 
     Attributes:
@@ -32,8 +33,6 @@ class PartPoint(BaseModel):
         normal: outward from the material, unit.
         curvature: of the surface, 1/m: positive for a pin, negative for a hole.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     id: str
     feature: str = "work"
@@ -48,16 +47,18 @@ class PartPoint(BaseModel):
         return self
 
 
-def _numbered(points: Iterable[tuple[str, float, float, float, float, float]]) -> tuple[PartPoint, ...]:
+_Point = tuple[str, float, float, float, float, float]
+"""Feature, position and normal in x and y, curvature."""
+
+
+def _numbered(points: Iterable[_Point]) -> tuple[PartPoint, ...]:
     return tuple(
         PartPoint(id=str(i), feature=feature, position=(x, y), normal=(nx, ny), curvature=bend)
         for i, (feature, x, y, nx, ny, bend) in enumerate(points)
     )
 
 
-def _circle(
-    feature: str, x: float, y: float, radius: float, count: int
-) -> list[tuple[str, float, float, float, float, float]]:
+def _circle(feature: str, x: float, y: float, radius: float, count: int) -> list[_Point]:
     out = []
     for k in range(count):
         angle = 2.0 * np.pi * k / count
@@ -66,9 +67,7 @@ def _circle(
     return out
 
 
-def _spheres(
-    first: tuple[float, float], second: tuple[float, float], radius: float
-) -> list[tuple[str, float, float, float, float, float]]:
+def _spheres(first: tuple[float, float], second: tuple[float, float], radius: float) -> list[_Point]:
     return [*_circle("sphere1", *first, radius, 8), *_circle("sphere2", *second, radius, 8)]
 
 
@@ -219,20 +218,17 @@ def plan_probing(plan: ProbingPlan, environment: Environment, rng: np.random.Gen
     radius = 0.5 * plan.stylus_diameter
     centre = contact + radius * normal
     command = centre if plan.columns == "centre" else contact
-    direction = {axis: _approach(-normal[:, i]) for i, axis in enumerate("XY")}
-    moved = np.sign(np.diff(turns, prepend=turns[0] - 1.0))
-    direction["C"] = moved[setup]
-    scene = Scene(time, setup, repeat, command, angle, direction, environment(time), label,
-                  rates=environment.rate(time), lagged=environment.behind(time), ends=plan.travel())
+    # an approach at right angles to an axis leaves it where it was
+    direction = {axis: last_sign(-normal[:, i], 1e-9) for i, axis in enumerate("XY")}
+    direction["C"] = np.sign(np.diff(turns, prepend=turns[0] - 1.0))[setup]
+    scene = Scene(time, setup, repeat, command, angle, direction, environment, ends=plan.travel())
 
     def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
         place = disturbance.grown(nominal[label], "C") + form[label][:, None] * outward[label]
-        shift = disturbance.axis.get("C", np.zeros(len(angle)))
+        shift = disturbance.axis.get("C", 0.0)
         surface = disturbance.with_table(machine.on_table(place, angle, "C", shift))
         facing = machine.table_direction(outward[label], angle, "C", shift)
-        actual = centre + machine.functional_point(command, disturbance.axis, disturbance.errors) - command
-        if disturbance.point is not None:
-            actual = actual + disturbance.point
+        actual = centre + disturbance.functional_point(machine, command) - command
         touched = probed(actual, normal, surface, facing, radius, bend[label])
         sight = Sight(np.zeros(len(angle)), -normal, np.arctan2(normal[:, 1], normal[:, 0]),
                       np.zeros(len(angle)), np.zeros(len(angle)))
@@ -281,13 +277,6 @@ def plan_probing(plan: ProbingPlan, environment: Environment, rng: np.random.Gen
     }
     labels = {"point": np.array([p.id for p in part], dtype=object)[label]}
     return Measurement(describe, scene, read, None, columns, labels, judged)
-
-
-def _approach(move: Array) -> Array:
-    """Sign of the last move of one axis, where an approach at right angles to it leaves it where it was."""
-    sign = np.where(np.abs(move) < 1e-9, 0.0, np.sign(move))
-    last = np.maximum.accumulate(np.where(sign != 0, np.arange(len(sign)), -1))
-    return np.where(last >= 0, sign[np.maximum(last, 0)], 1.0)
 
 
 def _table_errors(machine: VirtualMachine, angle: Array) -> dict[str, list[float]]:

@@ -7,10 +7,11 @@ from collections.abc import Mapping
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.machine.chain import Chain
+from machine_tool_calibration.session.record import NotNegative, Record
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.motions import (
     AxisMotion,
@@ -22,10 +23,8 @@ from machine_tool_calibration.simulation.motions import (
 
 __all__ = ["Amplitudes", "random_machine"]
 
-Size = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
-
-class Amplitudes(BaseModel):
+class Amplitudes(Record):
     """Largest absolute value of each kind of error; the sizes of a good machining centre by default.
 
     Attributes:
@@ -41,17 +40,15 @@ class Amplitudes(BaseModel):
         knots: nodes of a linear axis's splines; more give shorter waves.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    positioning: Size = 5e-6
-    straightness: Size = 3e-6
-    angular: Size = 1e-5
-    squareness: Size = 1e-5
-    rotary_translation: Size = 4e-6
-    rotary_tilt: Size = 1e-5
-    rotary_angle: Size = 1.5e-5
-    line_position: Size = 0.0
-    line_orientation: Size = 0.0
+    positioning: NotNegative = 5e-6
+    straightness: NotNegative = 3e-6
+    angular: NotNegative = 1e-5
+    squareness: NotNegative = 1e-5
+    rotary_translation: NotNegative = 4e-6
+    rotary_tilt: NotNegative = 1e-5
+    rotary_angle: NotNegative = 1.5e-5
+    line_position: NotNegative = 0.0
+    line_orientation: NotNegative = 0.0
     knots: Annotated[int, Field(ge=2, le=200)] = 7
 
 

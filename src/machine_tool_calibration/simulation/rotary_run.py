@@ -9,11 +9,12 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from machine_tool_calibration.arrays import Array, groups
+from machine_tool_calibration.session.record import Finite, Positive
 from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
 from machine_tool_calibration.simulation.environment import Environment
 from machine_tool_calibration.simulation.machine import VirtualMachine
 from machine_tool_calibration.simulation.motions import motion_names
-from machine_tool_calibration.simulation.plan import Finite, Measurement, Plan, Positive, Vector3, since_first
+from machine_tool_calibration.simulation.plan import Measurement, Plan, Vector3, since_first, station_name
 from machine_tool_calibration.simulation.scene import Scene, last_direction, ordered_times
 from machine_tool_calibration.simulation.sensors import aim, distance
 
@@ -119,17 +120,12 @@ def plan_rotary(plan: RotaryPlan, environment: Environment, rng: np.random.Gener
     angle = turns[step]
     run = groups(setup, repeat, label)
     direction = plan.senses()[step]
-    scene = Scene(time, setup, repeat, np.zeros((len(time), 3)), angle, {plan.axis: direction}, environment(time),
-                  label, plan.axis, rates=environment.rate(time), lagged=environment.behind(time))
+    scene = Scene(time, setup, repeat, np.zeros((len(time), 3)), angle, {plan.axis: direction}, environment, plan.axis)
     first, second = (("ABC".index(plan.axis) + k) % 3 for k in (1, 2))
 
     def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
-        place = disturbance.grown(target[label], plan.axis)
-        shift = disturbance.axis.get(plan.axis, np.zeros(len(angle)))
-        actual = disturbance.with_table(machine.on_table(place, angle, plan.axis, shift))
-        if disturbance.point is not None:
-            actual = actual + disturbance.point
-        source = station[setup] if disturbance.station is None else station[setup] + disturbance.station
+        actual = disturbance.on_table(machine, target[label], angle, plan.axis) + disturbance.point
+        source = station[setup] + disturbance.station
         path = distance(actual, source)
         azimuth, _ = aim(source, actual)
         # the retroreflectors turn with the table
@@ -159,8 +155,7 @@ def plan_rotary(plan: RotaryPlan, environment: Environment, rng: np.random.Gener
             for i, name in enumerate(names)
         ],
         "setups": [
-            {"id": chr(ord("A") + i) if i < 26 else f"S{i + 1}", "position": p.tolist(),
-             **uncertain(plan.station_uncertainty)}
+            {"id": station_name(i), "position": p.tolist(), **uncertain(plan.station_uncertainty)}
             for i, p in enumerate(estimate)
         ],
     }

@@ -3,14 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.simulation.environment import Drift, Environment
 
-__all__ = ["Scene", "blocks", "last_direction", "ordered_times"]
+__all__ = ["Scene", "blocks", "last_direction", "last_sign", "ordered_times"]
 
 _STANDARD = {"air_pressure": 101325.0, "relative_humidity": 0.5}
 
@@ -26,12 +27,9 @@ class Scene:
         position: (n, 3) commanded x, y, z, m; zero for an axis that does not move.
         angle: (n,) commanded angle of the rotary axis, rad.
         direction: sign of the last move by axis letter, (n,).
-        environment: columns by name, (n,).
-        label: (n,) index of the target or point.
+        environment: temperatures, pressure and humidity over time.
         axis: letter of the rotary axis.
         ends: lower and upper end of each axis's travel by letter.
-        rates: how fast environment columns change, per second.
-        lagged: a column's name and a lag, s -> (n,) what follows that column with a first-order lag.
         start: (n,) time of the first reading of that setup, s; found from the readings if absent.
     """
 
@@ -41,12 +39,9 @@ class Scene:
     position: Array
     angle: Array
     direction: Mapping[str, Array] = field(default_factory=dict)
-    environment: Mapping[str, Array] = field(default_factory=dict)
-    label: IntArray | None = None
+    environment: Environment = field(default_factory=Environment)
     axis: str = "C"
     ends: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    rates: Mapping[str, Array] = field(default_factory=dict)
-    lagged: Callable[[str, float], Array] | None = None
     start: Array | None = None
 
     def __len__(self) -> int:
@@ -58,19 +53,18 @@ class Scene:
 
     def sensed(self, column: str) -> Array:
         """(n,) an environment column; 20 °C, 101325 Pa or 50 % where it is not recorded."""
-        if column in self.environment:
-            return self.environment[column]
-        return np.full(len(self), _STANDARD.get(column, 20.0))
+        return self._drift(column)(self.time)
 
     def sensed_late(self, column: str, lag: float) -> Array:
         """(n,) what follows an environment column with a first-order lag, s."""
-        if column not in self.environment or self.lagged is None:
-            return self.sensed(column)
-        return self.lagged(column, lag)
+        return self._drift(column).lagged(self.time, lag)
 
     def rate(self, column: str) -> Array:
         """(n,) change of an environment column, per second; 0 where it is not known."""
-        return self.rates.get(column, np.zeros(len(self)))
+        return self._drift(column).rate(self.time)
+
+    def _drift(self, column: str) -> Drift:
+        return self.environment.drifts.get(column, Drift(_STANDARD.get(column, 20.0)))
 
     def toward(self, axis: str) -> Array:
         """(n,) sign of the last move of an axis; +1 where it did not move."""
@@ -88,10 +82,14 @@ class Scene:
 
 def last_direction(command: Array, initial: float = 1.0) -> Array:
     """(n,) sign of the last move of one axis up to each reading; `initial` before it has moved."""
-    move = np.sign(np.diff(command, prepend=command[:1]))
-    move[np.abs(np.diff(command, prepend=command[:1])) < 1e-12] = 0.0
-    last = np.maximum.accumulate(np.where(move != 0, np.arange(len(command)), -1))
-    return np.where(last >= 0, move[np.maximum(last, 0)], initial)
+    return last_sign(np.diff(command, prepend=command[:1]), 1e-12, initial)
+
+
+def last_sign(moves: Array, least: float, initial: float = 1.0) -> Array:
+    """(n,) sign of the last of the moves (n,) so far that was no less than `least`; `initial` before there was one."""
+    counts = np.abs(moves) >= least
+    last = np.maximum.accumulate(np.where(counts, np.arange(len(moves)), -1))
+    return np.where(last >= 0, np.sign(moves[last]), initial)
 
 
 def blocks(*keys: IntArray) -> IntArray:

@@ -3,12 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-
 import numpy as np
+from pydantic import Field
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.session.record import Finite, Record
 from machine_tool_calibration.simulation.motions import cross
 
 __all__ = ["Pointer", "across", "aim", "beam_direction", "distance", "mirror_path", "probed", "sensed_path", "tilted"]
@@ -85,8 +84,7 @@ def distance(target: Array, origin: Array) -> Array:
     return length
 
 
-@dataclass(frozen=True)
-class Pointer:
+class Pointer(Record):
     """The true errors of the rotary pointer.
 
     Attributes:
@@ -98,10 +96,10 @@ class Pointer:
         eccentricity: the beam passes this far beside the rotation centre, to its left, m.
     """
 
-    zero_offset: float = 0.0
-    elevation_offset: float = 0.0
-    radial: Mapping[int, tuple[float, float]] = field(default_factory=dict)
-    eccentricity: float = 0.0
+    zero_offset: Finite = 0.0
+    elevation_offset: Finite = 0.0
+    eccentricity: Finite = 0.0
+    radial: dict[int, tuple[Finite, Finite]] = Field(default_factory=dict)
 
     def beam(
         self,
@@ -109,7 +107,6 @@ class Pointer:
         elevation: Array,
         station: Array,
         turn: Array | float = 0.0,
-        radial: Array | float = 0.0,
     ) -> tuple[Array, Array]:
         """Origin and direction of the true beam.
 
@@ -118,13 +115,12 @@ class Pointer:
             elevation: (n,) commanded, rad.
             station: (n, 3) true rotation centre, m.
             turn: further turn of the azimuth, rad.
-            radial: further radial error motion (as `radial` of the class), m.
 
         Returns:
             (n, 3) origin, m, and (n, 3) unit direction.
         """
         direction = beam_direction(azimuth + self.zero_offset + turn, elevation + self.elevation_offset)
-        back: Array | float = radial
+        back: Array | float = 0.0
         for order, (cosine, sine) in self.radial.items():
             back = back + cosine * np.cos(order * azimuth) + sine * np.sin(order * azimuth)
         left = np.stack([-direction[..., 1], direction[..., 0], np.zeros_like(direction[..., 0])], axis=-1)

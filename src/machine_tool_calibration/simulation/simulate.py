@@ -179,14 +179,13 @@ def _choose(
     without = since_first(measurement.read(machine, Disturbance()), measurement.datum)
 
     def peak(size: float) -> float:
-        sized = Chosen(chosen.flaw, size, chosen.parameters)
-        flawed, disturbance = _apply(machine, measurement, [sized], Disturbance())
+        flawed, disturbance = _apply(machine, measurement, [replace(chosen, size=size)], Disturbance())
         change = since_first(measurement.read(flawed, disturbance), measurement.datum) - without
         return float(np.max(np.abs(change), initial=0.0))
 
     if peak(chosen.size) < _UNSEEN:
         raise CalibrationError(f"effect {effect.id} changes no reading of this plan; an amplitude cannot be met")
-    return Chosen(chosen.flaw, _solve(peak, chosen.size, effect.amplitude), chosen.parameters)
+    return replace(chosen, size=_solve(peak, chosen.size, effect.amplitude))
 
 
 def _solve(peak: Callable[[float], float], size: float, amplitude: float) -> float:
@@ -247,7 +246,7 @@ def _readings(measurement: Measurement, displacement: Array) -> Readings:
         setup=scene.setup,
         repeat=scene.repeat,
         displacement=displacement,
-        columns={"time": scene.time, **measurement.columns, **scene.environment},
+        columns={"time": scene.time, **measurement.columns, **scene.environment(scene.time)},
         labels=measurement.labels,
         row=np.arange(len(scene)),
     )

@@ -5,22 +5,17 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
+from machine_tool_calibration.session.record import Finite, NotNegative, Positive, Record
 from machine_tool_calibration.simulation.environment import COLUMNS
 from machine_tool_calibration.simulation.machine_file import MachineSpec
 from machine_tool_calibration.simulation.plans import AnyPlan
 
 __all__ = ["Chips", "FlawSpec", "SimulationSpec", "Spread"]
 
-Size = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
-
-class _Record(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class FlawSpec(_Record):
+class FlawSpec(Record):
     """One effect to put in.
 
     Attributes:
@@ -31,9 +26,9 @@ class FlawSpec(_Record):
     """
 
     id: str
-    size: Annotated[float, Field(allow_inf_nan=False)] | None = None
-    amplitude: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
-    parameters: dict[str, Any] = {}
+    size: Finite | None = None
+    amplitude: Positive | None = None
+    parameters: dict[str, Any] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _check(self) -> FlawSpec:
@@ -42,7 +37,7 @@ class FlawSpec(_Record):
         return self
 
 
-class Spread(_Record):
+class Spread(Record):
     """Irreproducibility between setups (mounting, slow heat): standard deviations per mounting, m.
 
     A mounting is a stretch of consecutive readings of one setup.
@@ -53,12 +48,12 @@ class Spread(_Record):
         bow: a parabola over the setup, from +bow through -bow/2 to +bow.
     """
 
-    offset: Size = 0.0
-    slope: Size = 0.0
-    bow: Size = 0.0
+    offset: NotNegative = 0.0
+    slope: NotNegative = 0.0
+    bow: NotNegative = 0.0
 
 
-class Chips(_Record):
+class Chips(Record):
     """Readings that are wrong by a gross amount: a chip under the stylus, a broken beam.
 
     Attributes:
@@ -67,10 +62,10 @@ class Chips(_Record):
     """
 
     fraction: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = 0.02
-    size: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 2e-5
+    size: Positive = 2e-5
 
 
-class SimulationSpec(_Record):
+class SimulationSpec(Record):
     """Everything that decides a simulated session; the same spec gives the same session.
 
     Attributes:
@@ -93,13 +88,13 @@ class SimulationSpec(_Record):
     seed: Annotated[int, Field(ge=0)] = 0
     machine: MachineSpec = MachineSpec()
     effects: tuple[FlawSpec, ...] = ()
-    noise: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
-    noise_factor: Size = 1.0
-    repeatability: Size = 0.0
+    noise: Positive | None = None
+    noise_factor: NotNegative = 1.0
+    repeatability: NotNegative = 0.0
     spread: Spread = Spread()
     chips: Chips | None = None
     missing: Annotated[float, Field(ge=0, lt=1, allow_inf_nan=False)] = 0.0
-    environment_swing: Size = 1.0
+    environment_swing: NotNegative = 1.0
     environment_columns: tuple[str, ...] = COLUMNS
 
     @model_validator(mode="after")

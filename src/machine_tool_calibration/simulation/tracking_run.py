@@ -9,10 +9,11 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.session.record import Finite, NotNegative, Positive
 from machine_tool_calibration.simulation.disturbance import Disturbance, Sight
 from machine_tool_calibration.simulation.environment import Environment
 from machine_tool_calibration.simulation.machine import VirtualMachine
-from machine_tool_calibration.simulation.plan import Finite, Measurement, Plan, Positive, Vector3, spanned
+from machine_tool_calibration.simulation.plan import Measurement, Plan, Vector3, axis_columns, spanned, station_name
 from machine_tool_calibration.simulation.scene import Scene, last_direction, ordered_times
 from machine_tool_calibration.simulation.sensors import Pointer, aim, distance, sensed_path
 
@@ -49,7 +50,7 @@ class TrackingPlan(Plan):
     y: Line | None = None
     z: Line | None = None
     points: tuple[Vector3, ...] | None = None
-    station_uncertainty: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 1.2e-5
+    station_uncertainty: NotNegative = 1.2e-5
     order: Literal["alternate", "same"] = "alternate"
     repeats: Annotated[int, Field(ge=1, le=10000)] = 2
     noise: Positive = 3e-7
@@ -86,12 +87,7 @@ class TrackingPlan(Plan):
 
     def pointer(self) -> Pointer:
         """The pointer's true errors."""
-        return Pointer(self.zero_offset, self.elevation_offset, self.radial, self.eccentricity)
-
-
-def _name(index: int) -> str:
-    letters = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
-    return letters[index] if index < 26 else f"S{index + 1}"
+        return Pointer(**{name: getattr(self, name) for name in Pointer.model_fields})
 
 
 def plan_tracking(plan: TrackingPlan, environment: Environment, rng: np.random.Generator) -> Measurement:
@@ -110,22 +106,18 @@ def plan_tracking(plan: TrackingPlan, environment: Environment, rng: np.random.G
     time = ordered_times(setup, plan.interval, plan.pause)
     position = targets[index]
     direction = {axis: last_direction(position[:, i]) for i, axis in enumerate("XYZ")}
-    scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, environment(time),
-                  rates=environment.rate(time), lagged=environment.behind(time), ends=plan.travel())
+    scene = Scene(time, setup, repeat, position, np.zeros(len(time)), direction, environment, ends=plan.travel())
     azimuth, elevation = aim(estimate[setup], position, plan.dimension)
     pointer = plan.pointer()
 
     def read(machine: VirtualMachine, disturbance: Disturbance) -> Array:
-        actual = machine.functional_point(position, disturbance.axis, disturbance.errors)
-        if disturbance.point is not None:
-            actual = actual + disturbance.point
-        station = truth[setup] if disturbance.station is None else truth[setup] + disturbance.station
+        actual = disturbance.functional_point(machine, position)
+        station = truth[setup] + disturbance.station
         if plan.pointing == "tracking":
             direction = (actual - station) / distance(actual, station)[:, None]
             path = distance(actual, station)
         else:
-            turn = 0.0 if disturbance.turn is None else disturbance.turn
-            origin, direction = pointer.beam(azimuth, elevation, station, turn)
+            origin, direction = pointer.beam(azimuth, elevation, station, disturbance.turn)
             path = sensed_path(actual, origin, direction)
         # the spindle does not turn: in the plane the beam's azimuth counts, in space its angle to the spindle
         incidence = azimuth if plan.dimension == 2 else np.arccos(np.clip(direction[:, 2], -1.0, 1.0))
@@ -144,17 +136,12 @@ def plan_tracking(plan: TrackingPlan, environment: Environment, rng: np.random.G
         "method": "tracking_interferometer",
         "dimension": plan.dimension,
         "pointing": plan.pointing,
-        "machine": {"chain": plan.chain, "travel": {a.lower(): list(e) for a, e in plan.travel().items()}},
+        "machine": plan.machine(),
         "setups": [
-            {"id": _name(i), "position": [float(v) for v in p]}
+            {"id": station_name(i), "position": [float(v) for v in p]}
             | ({"position_uncertainty": plan.station_uncertainty} if plan.station_uncertainty > 0 else {})
             for i, p in enumerate(estimate)
         ],
     }
-    columns = {
-        **{axis.lower(): position[:, i] for i, axis in enumerate("XYZ")},
-        **{f"dir_{axis.lower()}": values for axis, values in direction.items()},
-        "azimuth": azimuth,
-        "elevation": elevation,
-    }
+    columns = axis_columns(position, direction) | {"azimuth": azimuth, "elevation": elevation}
     return Measurement(lambda machine: description, scene, read, setup, columns, truth=judged)

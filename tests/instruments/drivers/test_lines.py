@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from machine_tool_calibration.instruments.drivers.ascii_line import LineParser, LineSplitter, Parsed
+from machine_tool_calibration.instruments.drivers.ascii_line import LineParser, LineSplitter
+from machine_tool_calibration.instruments.drivers.driver import Sample
 from machine_tool_calibration.instruments.drivers.settings import Line, Value
 
 PATTERN = r"(?P<value>\S+)\s+(?P<status>\w+)\s+(?P<beam>[01])"
@@ -46,19 +47,19 @@ def test_a_line_without_end_is_handed_out_once_and_dropped() -> None:
 
 
 def test_value_is_scaled_to_metres() -> None:
-    parsed = parser().parse("+12.5 OK 1")
-    assert parsed == Parsed(-0.5 * 12.5e-3, beam=True, status="OK")
+    parsed = parser().parse("+12.5 OK 1", 7.0)
+    assert parsed == Sample(7.0, -0.5 * 12.5e-3, beam=True, status="OK")
 
 
 @pytest.mark.parametrize("text", ["nan OK 1", "inf OK 1", "1e999 OK 1", "12.5.1 OK 1", "12.5 OK", "1 OK 1 1", "1 OK 2"])
 def test_garbage_is_no_reading(text: str) -> None:
-    assert parser().parse(text) is None
+    assert parser().parse(text, 7.0) is None
 
 
 def test_broken_beam_and_bad_status_have_no_value() -> None:
-    assert parser().parse("12.5 OK 0") == Parsed(None, beam=False, status="OK")
-    assert parser().parse("12.5 OVERSPEED 1") == Parsed(None, beam=True, status="OVERSPEED")
-    assert parser(beam_broken="BEAM").parse("BEAM") == Parsed(None, beam=False, status="")
+    assert parser().parse("12.5 OK 0", 7.0) == Sample(7.0, None, beam=False, status="OK")
+    assert parser().parse("12.5 OVERSPEED 1", 7.0) == Sample(7.0, None, beam=True, status="OVERSPEED")
+    assert parser(beam_broken="BEAM").parse("BEAM", 7.0) == Sample(7.0, None, beam=False, status="")
 
 
 def test_greetings_and_empty_lines_are_ignored() -> None:
@@ -69,5 +70,5 @@ def test_greetings_and_empty_lines_are_ignored() -> None:
 
 @given(st.text(max_size=40))
 def test_any_text_is_a_finite_reading_or_none(text: str) -> None:
-    parsed = parser(pattern="(?P<value>.*)", beam_ok=[], status_ok=None).parse(text)
+    parsed = parser(pattern="(?P<value>.*)", beam_ok=[], status_ok=None).parse(text, 7.0)
     assert parsed is None or (parsed.displacement is not None and math.isfinite(parsed.displacement))

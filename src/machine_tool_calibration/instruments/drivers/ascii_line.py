@@ -8,13 +8,13 @@ import re
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from machine_tool_calibration.instruments.drivers.driver import Health, InstrumentError, Sample
 from machine_tool_calibration.instruments.drivers.settings import UNITS, AsciiLineSettings, Connection, Line, Value
 from machine_tool_calibration.instruments.drivers.transport import Transport, connect
 
-__all__ = ["AsciiLineDriver", "LineParser", "LineSplitter", "Parsed"]
+__all__ = ["AsciiLineDriver", "LineParser", "LineSplitter"]
 
 
 class LineSplitter:
@@ -49,15 +49,6 @@ class LineSplitter:
             self._buffer = self._buffer[-len(self._terminator) :]
 
 
-@dataclass(frozen=True)
-class Parsed:
-    """What one line says: displacement in m (None: not valid), whether the beam is whole, the status word."""
-
-    displacement: float | None
-    beam: bool
-    status: str
-
-
 class LineParser:
     """Reads a line by the instrument's pattern."""
 
@@ -72,10 +63,10 @@ class LineParser:
         """Whether the line is known to be no reading."""
         return not text or (self._ignore is not None and self._ignore.fullmatch(text) is not None)
 
-    def parse(self, text: str) -> Parsed | None:
-        """What the line says; None if it is garbage."""
+    def parse(self, text: str, time: float) -> Sample | None:
+        """What a line that came at a time, s, says; None if it is garbage."""
         if self._broken is not None and self._broken.fullmatch(text):
-            return Parsed(None, beam=False, status="")
+            return Sample(time, None, beam=False)
         match = self._pattern.fullmatch(text)
         if match is None:
             return None
@@ -83,12 +74,12 @@ class LineParser:
         beam = "beam" not in fields or fields["beam"] in self._line.beam_ok
         status = fields.get("status") or ""
         if not beam or (self._line.status_ok is not None and status not in self._line.status_ok):
-            return Parsed(None, beam=beam, status=status)
+            return Sample(time, None, beam, status)
         try:
             number = float(fields["value"])
         except (TypeError, ValueError):
             return None
-        return Parsed(number * self._factor, beam, status) if math.isfinite(number) else None
+        return Sample(time, number * self._factor, beam, status) if math.isfinite(number) else None
 
 
 # A wait is cut into pieces of this length, so that `close` from another thread is noticed.
@@ -219,11 +210,11 @@ class AsciiLineDriver:
             if self._parser.ignored(text):
                 continue
             self._asked = None
-            parsed = self._parser.parse(text) if len(line) <= self._settings.line.max_length else None
-            if parsed is None:
+            sample = self._parser.parse(text, now) if len(line) <= self._settings.line.max_length else None
+            if sample is None:
                 rejected.append(text[:SHOWN])
             else:
-                samples.append(Sample(now, parsed.displacement, parsed.beam, parsed.status))
+                samples.append(sample)
         if samples:
             self._last_sample = now
         if samples or rejected:

@@ -6,14 +6,13 @@ from __future__ import annotations
 import re
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
+
+from machine_tool_calibration.session.record import Finite, NotNegative, Positive, Record
 
 __all__ = ["UNITS", "AsciiLineSettings", "Connection", "Line", "Request", "Serial", "Tcp", "Timeouts", "Value"]
 
 UNITS = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "in": 0.0254}
-
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 def _ascii(text: str) -> str:
@@ -23,12 +22,6 @@ def _ascii(text: str) -> str:
 
 
 Ascii = Annotated[str, Field(min_length=1), AfterValidator(_ascii)]
-
-
-class Record(BaseModel):
-    """A frozen record that accepts no unknown key."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 class Tcp(Record):
@@ -131,7 +124,7 @@ class Value(Record):
     """
 
     unit: Literal["m", "mm", "um", "nm", "in"]
-    scale: Annotated[float, Field(allow_inf_nan=False)] = 1.0
+    scale: Finite = 1.0
 
     @field_validator("scale")
     @classmethod

@@ -116,7 +116,7 @@ class SerialTransport:
                 exclusive=True,
             )
             self._port.reset_input_buffer()
-        except (serial.SerialException, OSError, ValueError) as error:
+        except (OSError, ValueError) as error:
             raise InstrumentError(f"cannot open the serial port {self._name}: {_reason(error)}") from error
 
     def read(self, timeout: float) -> bytes:
@@ -125,21 +125,21 @@ class SerialTransport:
             self._port.timeout = timeout
             first = self._port.read(1)
             return first + self._port.read(self._port.in_waiting) if first else first
-        except (serial.SerialException, OSError, TypeError) as error:
+        except (OSError, TypeError) as error:
             raise InstrumentError(f"lost the serial port {self._name}: {_reason(error)}") from error
 
     def write(self, data: bytes) -> None:
         """See `Transport`."""
         try:
             self._port.write(data)
-        except (serial.SerialException, OSError) as error:
+        except OSError as error:
             raise InstrumentError(f"cannot send to {self._name}: {_reason(error)}") from error
 
     def discard_input(self) -> None:
         """See `Transport`."""
         try:
             self._port.reset_input_buffer()
-        except (serial.SerialException, OSError) as error:
+        except OSError as error:
             raise InstrumentError(f"lost the serial port {self._name}: {_reason(error)}") from error
 
     def close(self) -> None:

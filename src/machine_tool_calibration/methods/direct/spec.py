@@ -28,7 +28,7 @@ SPEC = MethodSpec(
     no_tables="the session names no terms (such as terms: [EXX, C0Y]) to be determined",
     steps="machine_tool_calibration.procedure.plan:direct_steps",
     planned="machine_tool_calibration.planning.forecast:directly",
-    optics="machine_tool_calibration.nodes.optics:along",
+    optics="machine_tool_calibration.nodes.optics:Along",
     pictures="machine_tool_calibration.plots.direct",
     unneeded=("rotary_pointer", "probe"),
 )

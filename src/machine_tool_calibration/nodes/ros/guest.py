@@ -45,7 +45,7 @@ class Guest:
         self.node = GuardedNode(name, context=self.context, namespace=space)
         self.executor = EventsExecutor(context=self.context)
         self.executor.add_node(self.node)
-        self.node._post = self.executor.create_task  # type: ignore[attr-defined]
+        self.node._post = self.executor.create_task
 
     def hear(self, timeout: float) -> None:
         """Handle what comes next, or nothing within the timeout, s."""

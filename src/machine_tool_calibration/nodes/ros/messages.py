@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Pose, PoseStamped, Quaternion
+from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState, PointCloud2, PointField
@@ -40,6 +40,8 @@ __all__ = [
     "joint_state",
     "nanoseconds",
     "now",
+    "place_of",
+    "point",
     "pose_message",
     "positions",
     "quaternion_along",
@@ -250,10 +252,18 @@ def trajectory(stamp: int, points: Iterable[tuple[Mapping[str, float], float]]) 
 
 def pose_message(stamp: int, place: Array, turn: Quaternion) -> PoseStamped:
     """A pose in the machine's frame at a time, ns."""
-    message = PoseStamped(pose=Pose(orientation=turn))
-    position = message.pose.position
-    position.x, position.y, position.z = map(float, place)
-    return dated(message, stamp)
+    return dated(PoseStamped(pose=Pose(position=point(place), orientation=turn)), stamp)
+
+
+def point(place: Iterable[float]) -> Point:
+    """A place (3,)."""
+    x, y, z = map(float, place)
+    return Point(x=x, y=y, z=z)
+
+
+def place_of(point: Point) -> Array:
+    """(3,) place of a point."""
+    return np.array([point.x, point.y, point.z])
 
 
 def cloud(stamp: int, fields: Mapping[str, Array]) -> PointCloud2:

@@ -13,7 +13,7 @@ from typing import Any
 from rclpy.qos import QoSProfile
 
 from machine_tool_calibration.nodes.ros.node import GuardedNode
-from machine_tool_calibration.nodes.ros.services import Answer, DeferredService
+from machine_tool_calibration.nodes.ros.services import Answer, deferred_service
 
 __all__ = ["OwnPublisher", "offer", "own_names"]
 
@@ -45,7 +45,7 @@ class OwnPublisher:
             publisher.publish(message)
 
 
-def offer(node: GuardedNode, kind: str, name: str, service: Any, handler: Callable[[Answer], None]) -> None:
-    """Offer a service of the node's own, with a handler as `DeferredService` takes it."""
+def offer(node: GuardedNode, kind: str, name: str, handler: Callable[[Answer], None]) -> None:
+    """Offer a service of the node's own, with a handler as `deferred_service` takes it."""
     for own in own_names(node, kind, name):
-        DeferredService(node, service, own, handler)
+        deferred_service(node, own, handler)

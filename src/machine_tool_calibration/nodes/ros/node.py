@@ -105,7 +105,7 @@ class GuardedNode(Node):
         """Have a function called every so many seconds of a clock that neither jumps nor follows `/clock`."""
         return self.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def create_subscription(  # type: ignore[override]
+    def create_subscription(
         self, msg_type: Any, topic: str, callback: Callable[[Any], None], qos_profile: Any, **more: Any
     ) -> Subscription:
         """As of any node; the callback gets sound messages only, and may refuse one by an exception."""
@@ -123,7 +123,7 @@ class GuardedNode(Node):
 
         return super().create_subscription(msg_type, topic, guarded, qos_profile, raw=True, **more)
 
-    def create_timer(  # type: ignore[override]
+    def create_timer(
         self, timer_period_sec: float, callback: Callable[[], None], *arguments: Any, **more: Any
     ) -> Timer:
         """As of any node; an exception does not end the node."""
@@ -140,9 +140,7 @@ class GuardedNode(Node):
 
         return call
 
-    def create_service(  # type: ignore[override]
-        self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **more: Any
-    ) -> Service:
+    def create_service(self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **more: Any) -> Service:
         """As of any node; a handler that fails answers so, where the answer has room for it."""
 
         def guarded(request: Any, response: Any) -> Any:

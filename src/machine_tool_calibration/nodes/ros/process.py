@@ -94,7 +94,7 @@ def run(create: Callable[[], GuardedNode], args: list[str] | None = None, *, gra
         say_unknown_parameters(node)
         executor = EventsExecutor()
         executor.add_node(node)
-        node._post = executor.create_task  # type: ignore[attr-defined]
+        node._post = executor.create_task
         while not stop.is_set() and rclpy.ok() and not getattr(node, "done", False):
             # spin() of this executor hangs in Jazzy
             executor.spin_once(timeout_sec=_TICK)
@@ -227,4 +227,4 @@ def post(node: GuardedNode, function: Callable[[], None]) -> None:
 
     An exception in the function is logged: this executor would crash on it.
     """
-    node._post(node.guarded(function))  # type: ignore[attr-defined]
+    node._post(node.guarded(function))

@@ -9,38 +9,40 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 from rclpy.node import Node
+from rclpy.service import Service
+from std_srvs.srv import Trigger
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.nodes.ros.process import post
 
-__all__ = ["Answer", "Background", "DeferredService", "Progress"]
+__all__ = ["Answer", "Background", "Progress", "deferred_service"]
 
 
 class Answer:
-    """The answer that a handler owes; `send` it once, from the node's own thread."""
+    """The answer that a handler owes; `send` it once, from the node's own thread.
 
-    def __init__(self, response: Any) -> None:
+    Attributes:
+        response: what is answered.
+        sent: whether it has been.
+    """
+
+    def __init__(self, response: Trigger.Response) -> None:
         self.response = response
-        self._send: Callable[[Any], None] | None = None
-        self._sent = False
+        self.sent = False
+        self._send: Callable[[Trigger.Response], None] | None = None
 
     def send(self, success: bool, message: str) -> None:
         """Answer the request; a second answer is ignored."""
-        if self._sent:
+        if self.sent:
             return
-        self._sent = True
+        self.sent = True
         self.response.success, self.response.message = success, message
         if self._send is not None:
             self._send(self.response)
 
-    @property
-    def sent(self) -> bool:
-        """Whether it has been answered."""
-        return self._sent
 
-
-class DeferredService:
-    """A `std_srvs/Trigger`-like service.
+def deferred_service(node: Node, name: str, handler: Callable[[Answer], None]) -> Service:
+    """Offer a `std_srvs/Trigger` whose answer may come later.
 
     The events executor of Jazzy knows neither coroutines nor callback groups, and a handler that waits would stop
     the whole node. Executors hand what the handler returns to `Service.send_response` together with the request's
@@ -48,29 +50,28 @@ class DeferredService:
 
     Args:
         node: that offers the service.
-        kind: the service's type; its response has `success` and `message`.
         name: the service's name.
         handler: called with an `Answer`; may send it at once or later.
     """
 
-    def __init__(self, node: Node, kind: Any, name: str, handler: Callable[[Answer], None]) -> None:
-        def called(request: Any, response: Any) -> Answer:
-            answer = Answer(response)
-            handler(answer)
-            return answer
+    def called(_: Trigger.Request, response: Trigger.Response) -> Answer:
+        answer = Answer(response)
+        handler(answer)
+        return answer
 
-        self.service = node.create_service(kind, name, called)
-        now = self.service.send_response
+    service = node.create_service(Trigger, name, called)
+    now = service.send_response
 
-        def later(answer: Any, header: Any) -> None:
-            if not isinstance(answer, Answer):  # the response itself, of a handler that failed
-                now(answer, header)
-            elif answer.sent:
-                now(answer.response, header)
-            else:
-                answer._send = lambda response: now(response, header)
+    def later(answer: Answer | Trigger.Response, header: Any) -> None:
+        if not isinstance(answer, Answer):  # of a handler that failed
+            now(answer, header)
+        elif answer.sent:
+            now(answer.response, header)
+        else:
+            answer._send = lambda response: now(response, header)
 
-        self.service.send_response = later  # type: ignore[method-assign]
+    service.send_response = later
+    return service
 
 
 Outcome = TypeVar("Outcome")

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Protocol
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.publisher import Publisher
 
-from machine_tool_calibration.nodes.ros.messages import NO_HARDWARE, SLOW, Level, now, status, to_message
+from machine_tool_calibration.nodes.ros.messages import LATCHED, NO_HARDWARE, SLOW, Level, now, status, to_message
+from machine_tool_calibration.nodes.ros.names import OwnPublisher
 from machine_tool_calibration.nodes.ros.node import GuardedNode
 
 __all__ = ["StatusTopic"]
@@ -21,18 +22,13 @@ __all__ = ["StatusTopic"]
 _PERIOD = 1.0  # s of the wall clock; an aggregator takes a node for silent after 5 s
 
 
-class _Publisher(Protocol):
-    def publish(self, message: DiagnosticArray) -> None:
-        """Publish a message."""
-
-
 class StatusTopic:
     """Says how a node is.
 
     Args:
         node: the node.
-        publisher: of the topic of its own.
         name: what the status is about.
+        publisher: of the topic of its own; by default that of `~/status`, latched.
         hardware_id: of the device behind the node.
         clock: gives the stamps, ns; by default ROS time. As long as it gives 0, the wall clock does.
     """
@@ -40,13 +36,14 @@ class StatusTopic:
     def __init__(
         self,
         node: GuardedNode,
-        publisher: _Publisher,
         name: str,
         *,
+        publisher: Publisher | None = None,
         hardware_id: str = NO_HARDWARE,
         clock: Callable[[], int] | None = None,
     ) -> None:
-        self._node, self._publisher = node, publisher
+        self._node = node
+        self._publisher = publisher or OwnPublisher(node, name, "status", DiagnosticArray, LATCHED)
         self._name, self._hardware = name, hardware_id
         self._clock = clock or (lambda: now(node))
         self._said: tuple[Level, str, Mapping[str, object], Sequence[DiagnosticStatus]] | None = None
@@ -85,14 +82,8 @@ class StatusTopic:
         if is_dated_now or self._ignored != self._node.ignored_entries:
             self.say(*self._said)
         own = self._own(*self._said[:3])
-        entry = DiagnosticStatus(
-            level=own.level,
-            name=f"{self._node.get_fully_qualified_name().lstrip('/')}: {own.name}",
-            message=own.message,
-            hardware_id=own.hardware_id,
-            values=own.values,
-        )
-        self._common.publish(self._message([entry]))
+        own.name = f"{self._node.get_fully_qualified_name().lstrip('/')}: {own.name}"
+        self._common.publish(self._message([own]))
 
     def _message(self, entries: list[DiagnosticStatus]) -> DiagnosticArray:
         message = DiagnosticArray(status=entries)

@@ -131,7 +131,7 @@ class Taps:
         self._ticks: list[tuple[int, int]] = []  # when each was sent, and what it shows
         self._undated: list[Taken] = []
 
-    def add(self, topic: str, message_type: str, request: Qos | None = None) -> Tap:
+    def add(self, topic: str, message_type: str, request: Qos | None = None) -> None:
         """Subscribe to a topic by its absolute name.
 
         Args:
@@ -143,11 +143,11 @@ class Taps:
             CalibrationError: the message type is not installed.
         """
         if request is None:
-            found = self._node.get_publishers_info_by_topic(topic)
-            request = request_for(offered_qos(info.qos_profile) for info in found)
-        tap = Tap(topic, message_type, request, self._subscribe(topic, message_type, request))
-        self.taps[topic] = tap
-        return tap
+            request = request_for(self._offered(topic))
+        self.taps[topic] = Tap(topic, message_type, request, self._subscribe(topic, message_type, request))
+
+    def _offered(self, topic: str) -> list[Qos]:
+        return [offered_qos(info.qos_profile) for info in self._node.get_publishers_info_by_topic(topic)]
 
     def discover(self, topic: str) -> bool:
         """Learn what a topic's publishers offer, and ask for what they can give.
@@ -175,7 +175,7 @@ class Taps:
         if not self._clocks or self._clocks[-1].request.reliability == "reliable":
             return
         topic, kind = self._clocks[-1].topic, self._clocks[-1].type
-        offered = [offered_qos(info.qos_profile) for info in self._node.get_publishers_info_by_topic(topic)]
+        offered = self._offered(topic)
         if offered and all(profile.reliability == "reliable" for profile in offered):
             request = replace(_CLOCK, reliability="reliable")
             self._clocks.append(Tap(topic, kind, request, self._subscribe(topic, kind, request)))

@@ -22,13 +22,11 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from machine_tool_calibration.arrays import BoolArray
 from machine_tool_calibration.errors import SessionError
-from machine_tool_calibration.procedure.workpiece.features import Circle, Feature, File, Line, Outline, Points, Record
+from machine_tool_calibration.procedure.workpiece.features import Circle, Feature, File, Outline, Points
 from machine_tool_calibration.procedure.workpiece.outline import (
     Contour,
     Material,
-    Segment,
     Touched,
     probe_points,
     reachable,
@@ -36,6 +34,7 @@ from machine_tool_calibration.procedure.workpiece.outline import (
 from machine_tool_calibration.procedure.workpiece.outline_files import read_csv_outline, read_dxf_outline
 from machine_tool_calibration.session.defects import validated
 from machine_tool_calibration.session.description import WorkpiecePoint
+from machine_tool_calibration.session.record import Positive, Record
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
 
@@ -57,7 +56,7 @@ class Workpiece(Record):
 
     format: Literal["mtcal-workpiece/1"]
     unit: Literal["m", "mm", "inch"] = "m"
-    stylus_diameter: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
+    stylus_diameter: Positive | None = None
     features: Annotated[tuple[Feature, ...], Field(min_length=1)]
 
 
@@ -89,7 +88,7 @@ def workpiece_points(workpiece: Workpiece, folder: Path) -> tuple[WorkpiecePoint
     obstacles = [segment for _, contours, _, _ in parts for contour in contours for segment in contour.segments]
     found: list[tuple[str, Touched]] = []
     for feature, _, touched, clearance in parts:
-        kept = touched.select(_free(touched, obstacles, radius, clearance))
+        kept = touched.select(reachable(touched, obstacles, radius, clearance)) if radius else touched
         if isinstance(feature, Circle) and feature.kind == "hole" and feature.diameter * unit <= 2 * radius:
             raise SessionError(f"feature {feature.name}: the stylus does not fit into a hole of {feature.diameter:g}")
         found.append((feature.name, kept))
@@ -113,8 +112,8 @@ def _parts(feature: Feature, unit: float, folder: Path) -> Iterator[_Part]:
         touched = Touched(np.array(feature.positions) * unit, normal / np.linalg.norm(normal, axis=1)[:, None])
         yield feature, [], touched, 0.0
         return
-    if isinstance(feature, File):
-        for contour in _file(feature, folder):
+    if isinstance(feature, File | Outline):
+        for contour in _file(feature, folder) if isinstance(feature, File) else [feature.contour(unit)]:
             touched = probe_points(contour, feature.material, feature.spacing * unit)
             yield feature, [contour], touched, feature.clearance * unit
         return
@@ -122,13 +121,9 @@ def _parts(feature: Feature, unit: float, folder: Path) -> Iterator[_Part]:
     if isinstance(feature, Circle):
         material: Material = "outside" if feature.kind == "hole" else "inside"
         yield feature, [contour], probe_points(contour, material, contour.segments[0].length / feature.count), 0.0
-    elif isinstance(feature, Line):
+    else:
         spacing = feature.spacing * unit if feature.spacing else contour.segments[0].length / (feature.count or 1)
         yield feature, [contour], probe_points(contour, feature.material, spacing), 0.0
-    else:
-        assert isinstance(feature, Outline)
-        touched = probe_points(contour, feature.material, feature.spacing * unit)
-        yield feature, [contour], touched, feature.clearance * unit
 
 
 def _file(feature: File, folder: Path) -> list[Contour]:
@@ -142,12 +137,6 @@ def _file(feature: File, folder: Path) -> list[Contour]:
             )
         return read_csv_outline(path, _UNITS[feature.unit], closed=feature.closed)
     raise SessionError(f"{path}: outlines are read from .dxf and .csv files")
-
-
-def _free(touched: Touched, obstacles: list[Segment], radius: float, clearance: float) -> BoolArray:
-    if radius == 0.0:
-        return np.ones(len(touched.position), dtype=bool)
-    return reachable(touched, obstacles, radius, clearance)
 
 
 def _numbered(found: list[tuple[str, Touched]]) -> Iterator[WorkpiecePoint]:

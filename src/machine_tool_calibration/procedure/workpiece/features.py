@@ -6,22 +6,17 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from machine_tool_calibration.procedure.workpiece.outline import Arc, Contour, Material, Straight
+from machine_tool_calibration.session.record import NotNegative, Record
 
-__all__ = ["Circle", "Feature", "File", "Line", "Outline", "Points", "Record"]
+__all__ = ["Circle", "Feature", "File", "Line", "Outline", "Points"]
 
 _LARGEST, _SMALLEST = 1e6, 1e-6  # in the unit of the file: a kilometre and a nanometre in mm
 Finite = Annotated[float, Field(ge=-_LARGEST, le=_LARGEST, allow_inf_nan=False)]
 Positive = Annotated[float, Field(ge=_SMALLEST, le=_LARGEST, allow_inf_nan=False)]
 Vector2 = tuple[Finite, Finite]
-
-
-class Record(BaseModel):
-    """A frozen record that accepts no unknown key."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 class Line(Record):
@@ -100,7 +95,7 @@ class Outline(Record):
     closed: bool = True
     material: Material
     spacing: Positive
-    clearance: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    clearance: NotNegative = 0.0
 
     def contour(self, unit: float) -> Contour:
         """The polygon, m; corners given twice are taken once."""
@@ -132,7 +127,7 @@ class File(Record):
     closed: bool = True
     material: Material
     spacing: Positive
-    clearance: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    clearance: NotNegative = 0.0
 
 
 class Points(Record):

@@ -73,7 +73,7 @@ _FLAT = 1e-7  # m
 _SHORTEST = 1e-9  # m
 # DXF $INSUNITS: metres per unit.
 _UNITS = {1: 0.0254, 2: 0.3048, 4: 1e-3, 5: 1e-2, 6: 1.0, 13: 1e-6, 14: 0.1}
-_LARGEST_DXF_OUTLINE = 256 << 20
+_LARGEST_DXF = 256 << 20  # bytes
 
 
 def read_dxf_outline(file: Path, unit: float | None, layer: str | None) -> list[Contour]:
@@ -92,8 +92,8 @@ def read_dxf_outline(file: Path, unit: float | None, layer: str | None) -> list[
     except ImportError:
         raise SessionError(f"{file}: reading DXF needs the package ezdxf: pip install ezdxf") from None
     try:
-        if file.stat().st_size > _LARGEST_DXF_OUTLINE:
-            raise SessionError(f"{file}: is larger than {_LARGEST >> 20} MB")
+        if file.stat().st_size > _LARGEST_DXF:
+            raise SessionError(f"{file}: is larger than {_LARGEST_DXF >> 20} MB")
         drawing = ezdxf.readfile(str(file))
     except (OSError, UnicodeDecodeError) as error:
         raise SessionError(f"{file}: cannot be read as DXF: {' '.join(str(error).split())}") from None

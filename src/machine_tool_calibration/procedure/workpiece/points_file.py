@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -42,16 +44,16 @@ _Dumper.add_representer(_Flow, lambda dumper, data: dumper.represent_mapping("ta
 
 def points_csv(points: Sequence[WorkpiecePoint]) -> str:
     """A table with the columns id, feature, x, y, nx, ny; m."""
-    rows = ["id,feature,x,y,nx,ny"]
-    rows += [
-        ",".join([_field(p.id), _field(p.feature), *(repr(float(v)) for v in (*p.position, *p.normal))]) for p in points
-    ]
-    return "\n".join(rows) + "\n"
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(["id", "feature", "x", "y", "nx", "ny"])
+    rows.writerows([p.id, p.feature, *p.position, *p.normal] for p in points)
+    return text.getvalue()
 
 
 def points_yaml(points: Sequence[WorkpiecePoint]) -> str:
     """The key `workpiece` of a session."""
-    return _dumped({"workpiece": [_Flow(entry) for entry in workpiece_entries(tuple(points))]})
+    return _dumped(_workpiece(points))
 
 
 def procedure_with(file: Path, points: Sequence[WorkpiecePoint]) -> str:
@@ -63,18 +65,15 @@ def procedure_with(file: Path, points: Sequence[WorkpiecePoint]) -> str:
     if not method_spec(read_procedure(file).session.method).probes_surface:
         raise SessionError(f"{file}: is no procedure of probing, which alone has a workpiece")
     content = dict(load_yaml(read_text(file, _LARGEST), str(file)).value)
-    content["session"] = {
-        **content["session"],
-        "workpiece": [_Flow(entry) for entry in workpiece_entries(tuple(points))],
-    }
+    content["session"] = {**content["session"], **_workpiece(points)}
     text = _dumped(content)
     parse_procedure(text, str(file))
     return text
 
 
+def _workpiece(points: Sequence[WorkpiecePoint]) -> dict[str, Any]:
+    return {"workpiece": [_Flow(entry) for entry in workpiece_entries(tuple(points))]}
+
+
 def _dumped(content: dict[str, Any]) -> str:
     return yaml.dump(content, Dumper=_Dumper, sort_keys=False, width=1000, allow_unicode=True)
-
-
-def _field(text: str) -> str:
-    return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\n') else text
