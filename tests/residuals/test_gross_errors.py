@@ -16,7 +16,7 @@ from machine_tool_calibration.residuals.leverage import leverage
 from machine_tool_calibration.residuals.outliers import find_outliers, set_aside
 from machine_tool_calibration.session.checks import check_session
 from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec, Spread, TrackingPlan, simulate
+from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, Spread, TrackingPlan, simulate
 
 PLANS = {
     "tracking_2d": PRESETS["tracking_2d"],
@@ -131,6 +131,17 @@ def test_two_at_the_end_of_a_run_are_no_lasting_change() -> None:
     wrong = session.with_readings(replace(readings, displacement=readings.displacement + change))
     found, _ = find_outliers(wrong, lambda part: build_model(part)[0])
     assert {o.row for o in found} == set(readings.row[first[[0, 2]]].tolist())
+
+
+def test_beside_a_missing_effect_what_is_far_beyond_all_others_is_found() -> None:
+    """Backlash leaves residuals of four standard uncertainties everywhere, uneven, but none as far out as these."""
+    spec = SimulationSpec(
+        plan=PRESETS["tracking_2d"], effects=(FlawSpec(id="backlash_y", size=2e-6),), chips=Chips(fraction=0.01)
+    )
+    made = simulate(spec)
+    found, _ = find_outliers(made.session, lambda part: build_model(part)[0])
+    assert len(made.truth.outliers) == 5
+    assert sorted(o.row for o in found) == sorted(made.truth.outliers)
 
 
 def test_what_rounding_leaves_is_no_gross_error() -> None:

@@ -31,6 +31,7 @@ from machine_tool_calibration.residuals.bound import Bound, of_few, of_points, s
 from machine_tool_calibration.residuals.combinations import fewest_wrong, wrong_together
 from machine_tool_calibration.residuals.leverage import Reach, reach, taken
 from machine_tool_calibration.residuals.neighbours import near_of, places_of, runs_of
+from machine_tool_calibration.residuals.suspected import HELD, standing_out
 from machine_tool_calibration.residuals.tails import limit_of_tails
 from machine_tool_calibration.session.session import Session
 
@@ -45,10 +46,6 @@ _SUSPECTED = 3.0
 _MOST = 0.2
 # A reading with less than this share of itself in its residual cannot be judged.
 _SEEN = 0.02
-# Weight of a reading that is held out: it still places what nothing else places.
-_HELD = 1e-8
-# A residual that holds less than this of its reading's variance says nothing of it.
-_UNSEEN = 1e-6
 # Fits with other readings held out, and models made anew without those set aside.
 _ROUNDS = 8
 _MODELS = 8
@@ -77,6 +74,8 @@ _TAILS = 1.5
 # Scatter over the declared uncertainty from which an effect may be missing, and the factor on the limit then.
 _MISFIT = 1.1
 _UNEVEN = 1.5
+# A reading so many times as far out as the farthest of all others is apart from them.
+_GAP = 4.0
 
 
 @dataclass(frozen=True)
@@ -283,7 +282,7 @@ class _Search:
 
     def _fit(self, held: IntArray) -> _Judged:
         weight = np.ones(self.n)
-        weight[held] = _HELD
+        weight[held] = HELD
         for _ in range(1 if self.part.linear else 2):
             # At places near the nominal ones: a point that only what is held out could place may be found anywhere.
             theta, local = self.start
@@ -312,6 +311,9 @@ class _Search:
             # Something is missing, and what it leaves is not as even as noise. An axis or a part may scatter more than
             # the instrument that reads it.
             limit *= _UNEVEN
+        if not self.reads_machine:
+            # However uneven: beyond a wide gap after all others it is no tail of theirs.
+            limit = min(limit, max(_GAP * float(studentized.max()) / scale, _UNEVEN * _LEAST))
         return _Judged(seen, solution, weight, residual, share, scale, limit)
 
     def _settled(self, held: IntArray, seen: _Judged) -> tuple[IntArray, _Judged]:
@@ -353,7 +355,7 @@ class _Search:
             one = Reach(reached.shared[block], reached.own[block], reached.point[block])
             products = one.products(one, seen.solution.covariance)
             deviation = seen.residual[suspected[block]]
-            chosen = _worst(products, deviation, seen.limit * seen.scale)
+            chosen = standing_out(products, deviation, seen.limit * seen.scale)
             out.append(suspected[block][chosen])
         return np.sort(np.concatenate(out))
 
@@ -439,52 +441,6 @@ class _Search:
             size = float(seen.residual[k] / seen.scale)
             out[k] = Outlier(int(rows[k]), size, float(seen.residual[k] * self.sigma[k]), words, ambiguous=True)
         return list(out.values())
-
-
-def _worst(products: Array, deviation: Array, limit: float) -> IntArray:
-    """Set aside the worst of the suspected, judge the others anew, and put back what stands out no longer.
-
-    Args:
-        products: (k, k) covariance of the predictions of the suspected, which took part with the weight `_HELD`.
-        deviation: (k,) of the suspected from these predictions.
-        limit: of a deviation over its standard uncertainty.
-
-    Returns:
-        Indices of those that stand out.
-    """
-    # With h the variance of a prediction in which they have no part at all, h / (1 + w h) is the one at hand. Of what
-    # they alone determine, all of it is theirs.
-    if len(deviation) == 1 and _HELD * products[0, 0] < 1e-3:
-        return np.flatnonzero(np.abs(deviation) > limit * np.sqrt(1.0 + np.diag(products)))
-    values, vectors = np.linalg.eigh((products + products.T) / 2)
-    share = np.clip(_HELD * values, 0.0, 1.0)
-    alone = share > 0.5
-    variance = np.where(alone, 0.0, np.maximum(values, 0.0) / np.where(alone, 1.0, 1.0 - share))
-    known = np.where(alone, 0.0, 1.0 / (1.0 + variance))
-    inverse = (vectors * known) @ vectors.T
-    pulled = vectors @ (known * (1.0 + _HELD * variance) * (vectors.T @ deviation))
-    # With all put back: the residuals over what they would be with a variance of one, and what each is known by.
-    whole, pull = inverse.copy(), pulled.copy()
-    apart = np.zeros(len(deviation), dtype=bool)
-    while True:
-        seen = np.diag(inverse)
-        size = np.where(apart | (seen < _UNSEEN), 0.0, np.abs(pulled) / np.sqrt(np.maximum(seen, _UNSEEN)))
-        worst = int(np.argmax(size))
-        if size[worst] <= limit:
-            break
-        apart[worst] = True
-        column = inverse[:, worst] / inverse[worst, worst]
-        pulled = pulled - column * pulled[worst]
-        inverse = inverse - np.outer(column, inverse[worst])
-    while apart.any():
-        out = np.flatnonzero(apart)
-        spread = np.linalg.inv(whole[np.ix_(out, out)])
-        size = np.abs(spread @ pull[out]) / np.sqrt(np.diag(spread))
-        least = int(np.argmin(size))
-        if size[least] > limit:
-            break
-        apart[out[least]] = False
-    return np.flatnonzero(apart)
 
 
 def _blocks(reached: Reach) -> list[IntArray]:
