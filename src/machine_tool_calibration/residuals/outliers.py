@@ -42,6 +42,8 @@ _LEVEL = 0.002
 _LEAST = 4.5
 # Suspected are readings from so many standard uncertainties on: more than can be set aside, but few of the sound ones.
 _SUSPECTED = 3.0
+# Chance that any of sound readings is farther out than the limit within which nothing is suspected at all.
+_ANY = 0.1
 # Not more than this share of the readings: beyond, they are no longer isolated.
 _MOST = 0.2
 # A reading with less than this share of itself in its residual cannot be judged.
@@ -163,6 +165,7 @@ class _Judged:
         taken: (n,) variance of the prediction over the reading's.
         scale: scatter of the others over the declared uncertainty.
         limit: of studentized deviations.
+        farthest: largest studentized residual of the others.
     """
 
     part: Part
@@ -172,6 +175,7 @@ class _Judged:
     taken: Array
     scale: float
     limit: float
+    farthest: float
 
 
 class _Search:
@@ -191,6 +195,10 @@ class _Search:
 
     def outliers(self) -> list[Outlier]:
         """Readings that stand out."""
+        everything = self._fit(np.zeros(0, dtype=np.int64))
+        if everything.scale < _MISFIT and everything.farthest < max(_SUSPECTED, -float(special.ndtri(_ANY / self.n))):
+            # As noise is: wrong readings that hide each other would leave more scatter.
+            return []
         held, seen = self._start()
         tried = held
         for _ in range(_SWAPS):
@@ -297,12 +305,13 @@ class _Search:
         free[held] = False
         judged = free & (1.0 - share > _SEEN)
         if not judged.any():
-            return _Judged(seen, solution, weight, residual, share, np.inf, np.inf)
+            return _Judged(seen, solution, weight, residual, share, np.inf, np.inf, np.inf)
         studentized = np.abs(residual[judged]) / np.sqrt(1.0 - share[judged])
         bulk = max(float(np.median(studentized)) / 0.6745, _ROUNDING)
         dof = max(float(np.sum(1.0 - np.clip(share[free], 0.0, 1.0))), 1.0)
         mean = float(np.sqrt(np.sum(residual[free] ** 2) / dof))
         scale = float(np.clip(mean, bulk, _TAILS * bulk))
+        farthest = float(studentized.max()) / scale
         limit = max(-float(special.stdtrit(max(dof, 4.0), _LEVEL / self.n / 2)), _LEAST)
         # Readings of each other's place mirror each other: as many say something as there are degrees of freedom.
         told = min(dof / len(studentized), 1.0)
@@ -313,8 +322,8 @@ class _Search:
             limit *= _UNEVEN
         if not self.reads_machine:
             # However uneven: beyond a wide gap after all others it is no tail of theirs.
-            limit = min(limit, max(_GAP * float(studentized.max()) / scale, _UNEVEN * _LEAST))
-        return _Judged(seen, solution, weight, residual, share, scale, limit)
+            limit = min(limit, max(_GAP * farthest, _UNEVEN * _LEAST))
+        return _Judged(seen, solution, weight, residual, share, scale, limit, farthest)
 
     def _settled(self, held: IntArray, seen: _Judged) -> tuple[IntArray, _Judged]:
         """Hold out what stands out, and nothing else."""
