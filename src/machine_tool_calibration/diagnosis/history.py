@@ -8,9 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from machine_tool_calibration.errors import ModelError
+from machine_tool_calibration.session.record import Finite, Record
 
 if TYPE_CHECKING:
     from machine_tool_calibration.effects.effect import Effect
@@ -21,30 +22,24 @@ if TYPE_CHECKING:
 
 __all__ = ["Alternative", "Coefficient", "Entry", "History", "Measured", "Part"]
 
-Number = Annotated[float, Field(allow_inf_nan=False)]
 
-
-class _Record(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class Coefficient(_Record):
+class Coefficient(Record):
     """A coefficient of an effect in a model."""
 
     name: str
-    value: Number
-    standard_uncertainty: Number
+    value: Finite
+    standard_uncertainty: Finite
     unit: str
 
 
-class Alternative(_Record):
+class Alternative(Record):
     """A set of effects over which the map is averaged, with its probability."""
 
     effects: tuple[str, ...]
-    probability: Number
+    probability: Finite
 
 
-class Part(_Record):
+class Part(Record):
     """One of several sessions that were fitted together.
 
     Attributes:
@@ -62,7 +57,7 @@ class Part(_Record):
     kept: tuple[int, ...] = ()
 
 
-class Entry(_Record):
+class Entry(Record):
     """A model that was fitted.
 
     Attributes:
@@ -104,13 +99,13 @@ class Entry(_Record):
     used: int
     set_aside: tuple[int, ...] = ()
     kept: tuple[int, ...] = ()
-    rms_residual: Number
-    reduced_chi_square: Number | None = None
+    rms_residual: Finite
+    reduced_chi_square: Finite | None = None
     degrees_of_freedom: int
-    p_value: Number | None = None
-    map_rms: Number | None = None
-    map_uncertainty_rms: Number | None = None
-    map_change_rms: Number | None = None
+    p_value: Finite | None = None
+    map_rms: Finite | None = None
+    map_uncertainty_rms: Finite | None = None
+    map_change_rms: Finite | None = None
     parameters: tuple[Coefficient, ...] = ()
 
     def sets(self) -> list[EffectSet]:
@@ -188,7 +183,7 @@ class Entry(_Record):
         return len(self.set_aside) + sum(len(part.set_aside) for part in self.sessions)
 
 
-class History(_Record):
+class History(Record):
     """All models that were tried; nothing is ever removed.
 
     Attributes:

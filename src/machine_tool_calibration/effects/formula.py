@@ -20,7 +20,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import pint
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.effects.effect import Coefficient, Effect, Shape, axis_unit
@@ -29,6 +29,7 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.session.defects import validated
 from machine_tool_calibration.session.description import Finite
+from machine_tool_calibration.session.record import Record
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
 
@@ -52,11 +53,7 @@ _GRID = 12
 _LARGEST_FILE = 1 << 20
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class _Unknown(_Record):
+class _Unknown(Record):
     unit: str = "1"
     low: Finite
     high: Finite
@@ -69,20 +66,20 @@ class _Unknown(_Record):
         return self
 
 
-class _Constant(_Record):
+class _Constant(Record):
     value: Finite
     unit: str = "1"
 
 
-class _Definition(_Record):
+class _Definition(Record):
     id: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,60}$")]
     title: str = ""
     enters: Literal["x", "y", "z", "reading"]
     formula: str
     coefficients: Annotated[dict[str, _Unknown], Field(min_length=1)]
-    shapes: Annotated[dict[str, _Unknown], Field(max_length=1)] = {}
-    columns: dict[str, str] = {}
-    constants: dict[str, _Constant] = {}
+    shapes: Annotated[dict[str, _Unknown], Field(max_length=1)] = Field(default_factory=dict)
+    columns: dict[str, str] = Field(default_factory=dict)
+    constants: dict[str, _Constant] = Field(default_factory=dict)
     source: str = "the user's own formula"
 
 
@@ -161,9 +158,7 @@ class FormulaEffect(Effect):
         if np.any(np.abs(zero) > 0.0):
             raise ModelError(self._constant_part(names))
         if not np.allclose(mixed, expected, rtol=1e-6, equal_nan=True):
-            raise ModelError(
-                f"the formula is not linear in {', '.join(names)}; name other unknowns under shapes"
-            )
+            raise ModelError(f"the formula is not linear in {', '.join(names)}; name other unknowns under shapes")
 
     def _constant_part(self, names: list[str]) -> str:
         """What is wrong with a formula that is not zero where its coefficients are."""

@@ -6,12 +6,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, field_validator
+from pydantic import AfterValidator, BeforeValidator, Field, field_validator
 
 from machine_tool_calibration.errors import SessionError, did_you_mean
 from machine_tool_calibration.importing.text_table import FileForm
 from machine_tool_calibration.importing.units import UNITS, spelled
 from machine_tool_calibration.session.defects import validated
+from machine_tool_calibration.session.record import Record
 from machine_tool_calibration.session.text import read_text
 from machine_tool_calibration.session.yaml_text import load_yaml
 
@@ -61,13 +62,7 @@ ROLES: dict[str, dict[str, str]] = {
 """For each kind of table what a column can be, and its dimension."""
 
 
-class Rule(BaseModel):
-    """A frozen part of a mapping; an unknown key is an error."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class ColumnRule(Rule):
+class ColumnRule(Record):
     """Where a quantity stands.
 
     Attributes:
@@ -79,7 +74,7 @@ class ColumnRule(Rule):
     unit: Annotated[str, AfterValidator(spelled)] | None = None
 
 
-class Run(Rule):
+class Run(Record):
     """One run of ISO 230-2 as a column.
 
     Attributes:
@@ -99,7 +94,7 @@ Column = Annotated[ColumnRule, BeforeValidator(_rule)]
 Text = Annotated[str, BeforeValidator(lambda value: str(value) if isinstance(value, int | float) else value)]
 
 
-class Mapping(Rule):
+class Mapping(Record):
     """How a foreign table becomes a session.
 
     Attributes:
@@ -127,11 +122,11 @@ class Mapping(Rule):
     format: Literal["mtcal-mapping/1"] = "mtcal-mapping/1"
     table: Literal["points", "ranges", "iso230-2", "readings"]
     file: FileForm = FileForm()
-    columns: dict[str, Column] = {}
-    extras: dict[str, Column] = {}
-    units: dict[str, Text] = {}
-    values: dict[str, Text] = {}
-    origin: dict[Literal["x", "y", "z"], Text] = {}
+    columns: dict[str, Column] = Field(default_factory=dict)
+    extras: dict[str, Column] = Field(default_factory=dict)
+    units: dict[str, Text] = Field(default_factory=dict)
+    values: dict[str, Text] = Field(default_factory=dict)
+    origin: dict[Literal["x", "y", "z"], Text] = Field(default_factory=dict)
     sign: Literal["actual-minus-nominal", "nominal-minus-actual"] = "actual-minus-nominal"
     align: bool = False
     layout: Literal["wide", "long"] = "wide"
@@ -140,9 +135,9 @@ class Mapping(Rule):
     axis: Literal["x", "y", "z"] | None = None
     actual: bool = False
     senses: Literal["x", "y", "z"] | None = None
-    stations: dict[str, str] = {}
-    targets: dict[str, str] = {}
-    session: dict[str, Any] = {}
+    stations: dict[str, str] = Field(default_factory=dict)
+    targets: dict[str, str] = Field(default_factory=dict)
+    session: dict[str, Any] = Field(default_factory=dict)
 
     @property
     def trusted(self) -> bool:

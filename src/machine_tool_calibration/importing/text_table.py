@@ -18,12 +18,13 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from machine_tool_calibration.arrays import Array, BoolArray, IntArray, first_true
 from machine_tool_calibration.errors import SessionError
 from machine_tool_calibration.importing.units import si_values
 from machine_tool_calibration.session.defects import validated
+from machine_tool_calibration.session.record import Record
 from machine_tool_calibration.session.text import read_bytes, reject_foreign_encoding
 
 __all__ = ["FileForm", "TextTable", "parse_form", "read_text_table"]
@@ -80,7 +81,7 @@ _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 _SEPARATORS = {"comma": ",", "semicolon": ";", "tab": "\t", "bar": "|", "space": r"\s+"}
 
 
-class FileForm(BaseModel):
+class FileForm(Record):
     """How the text is written.
 
     Attributes:
@@ -94,8 +95,6 @@ class FileForm(BaseModel):
         missing: texts that stand for no value, beside the empty cell and nan.
         time_format: of time stamps, as for `datetime.strptime`, where they say it not by themselves.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     separator: str = "comma"
     decimal: str = Field(default=".", pattern=r"^[.,]$")

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
-from pydantic import ValidationError
 
 from machine_tool_calibration.budget.conformity import Conformity as Verdicts
 from machine_tool_calibration.budget.contributor import Contributor, default_budget, read_budget
@@ -20,7 +19,7 @@ from machine_tool_calibration.interface.show import Shown, notebook, printed
 from machine_tool_calibration.reports.budget import budget_document, show_budget
 from machine_tool_calibration.reports.conformity import conformity_document, show_conformity
 from machine_tool_calibration.reports.quantities import quantity
-from machine_tool_calibration.session.defects import first_defect
+from machine_tool_calibration.session.defects import validated
 from machine_tool_calibration.session.session import Session
 
 if TYPE_CHECKING:
@@ -187,9 +186,6 @@ def contributors_of(
         return read_budget(Path(given))
     out = []
     for number, line in enumerate(given, start=1):
-        try:
-            said = dict(line) if isinstance(line, Mapping) else line  # what is neither is for the check to name
-            out.append(said if isinstance(said, Contributor) else Contributor.model_validate(said))
-        except ValidationError as error:
-            raise ModelError(first_defect(error, f"contributor {number}", record=Contributor)) from None
+        said = dict(line) if isinstance(line, Mapping) else line  # what is neither is for the check to name
+        out.append(validated(Contributor, said, f"contributor {number}", refusal=ModelError))
     return tuple(out)
