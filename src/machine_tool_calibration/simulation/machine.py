@@ -194,7 +194,8 @@ class VirtualMachine:
         return turned
 
     def _line(self, q: Array, axis: str) -> Array:
-        placed: Array = rotate(q, _of_axis(self.average_line, "ABC", axis)) + _of_axis(self.average_line, "XYZ", axis)
+        tilt = _of_axis(self.average_line, "ABC", axis)
+        placed: Array = (rotate(q, tilt) if tilt.any() else q) + _of_axis(self.average_line, "XYZ", axis)
         return placed
 
     def with_tables(self, extra: Iterable[tuple[str, Table]]) -> VirtualMachine:
