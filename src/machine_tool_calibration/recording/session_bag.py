@@ -19,7 +19,7 @@ from machine_tool_calibration.recording.writer import BagWriter
 from machine_tool_calibration.session.collect import INDEX_COLUMNS, READING_INDEX, Collector
 from machine_tool_calibration.session.description import Place
 from machine_tool_calibration.session.parse import description_yaml, parse_description
-from machine_tool_calibration.session.session import Session
+from machine_tool_calibration.session.session import Session, places_among
 
 __all__ = ["reading_columns", "session_from_bag", "session_to_bag"]
 
@@ -159,9 +159,8 @@ def reading_columns(session: Session) -> tuple[list[str], np.ndarray]:
     for column, (label, key) in INDEX_COLUMNS.items():
         entries = getattr(session.description, key, None)
         if label in readings.labels and entries is not None:
-            places = {entry.id: index for index, entry in enumerate(entries)}
-            unique, inverse = np.unique(readings.labels[label], return_inverse=True)
-            columns[column] = np.array([places.get(str(name), np.nan) for name in unique])[inverse]
+            place = places_among(readings.labels[label], [entry.id for entry in entries])
+            columns[column] = np.where(place < 0, np.nan, place)
     columns |= {name: values for name, values in readings.columns.items() if name not in columns}
     columns["displacement"] = readings.displacement
     columns[READING_INDEX] = np.arange(len(readings), dtype=np.float64)

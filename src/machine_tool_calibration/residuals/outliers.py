@@ -191,7 +191,8 @@ class _Search:
         self.run = runs_of(model)
         self.near = near_of(self.part, self.readings)
         self.few: list[IntArray] | None = None
-        self.start = np.zeros(self.problem.size), np.zeros((self.part.dimension, self.part.n_points))
+        theta, local = self.problem.zero
+        self.start = theta, local[0]
 
     def outliers(self) -> list[Outlier]:
         """Readings that stand out."""

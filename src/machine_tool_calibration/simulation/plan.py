@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, IntArray, first_of_group
 from machine_tool_calibration.session.record import Finite, NotNegative, Positive, Record
 from machine_tool_calibration.simulation.disturbance import Disturbance
 from machine_tool_calibration.simulation.machine import VirtualMachine
@@ -47,11 +47,7 @@ class Measurement:
 
 def since_first(values: Array, group: IntArray | None) -> Array:
     """Values minus the first of their group, in the order of the readings."""
-    if group is None:
-        return values
-    _, first, inverse = np.unique(group, return_index=True, return_inverse=True)
-    change: Array = values - values[first][inverse]
-    return change
+    return values if group is None else np.asarray(values - values[first_of_group(group)])
 
 
 Vector3 = tuple[Finite, Finite, Finite]

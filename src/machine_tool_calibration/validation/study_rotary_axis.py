@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array
+from machine_tool_calibration.arrays import Array, rigid_motions
 from machine_tool_calibration.methods.identify import identify
 from machine_tool_calibration.simulation import MachineSpec, RotaryPlan, SimulationSpec, simulate
 from machine_tool_calibration.validation.record import Printed, Study
@@ -111,9 +111,7 @@ def _deviation(repeats: int, progress: Callable[[float], None]) -> Array:
         simulated = simulate(spec)
         found = identify(simulated.session).error_map
         error = found.error - simulated.truth.machine.position_error(found.points)
-        points = found.points - found.points.mean(axis=0)
-        turns = np.cross(np.eye(3), points[:, None]).transpose(0, 2, 1)
-        motion = np.concatenate([np.tile(np.eye(3), (len(points), 1, 1)), turns], axis=2).reshape(-1, 6)
+        motion = rigid_motions(found.points - found.points.mean(axis=0)).reshape(-1, 6)
         error -= (motion @ np.linalg.lstsq(motion, error.ravel(), rcond=None)[0]).reshape(-1, 3)
         squares.append(error**2)
     return np.asarray(np.sqrt(np.mean(squares, axis=(0, 1))))

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, IntArray, first_true
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.problem import LinearPart, Part, group_rows
 from machine_tool_calibration.machine.chain import Chain
@@ -163,9 +163,9 @@ def build_direct(session: Session, terms: Sequence[str] | None = None) -> Direct
     position = readings.position()
     direction = np.column_stack([readings.column(name) for name in ("gx", "gy", "gz")])
     length = np.linalg.norm(direction, axis=1)
-    if not length.all():
-        row = int(readings.row[np.flatnonzero(length == 0)[0]])
-        raise ModelError(f"{session.source} row {row}: the direction (gx, gy, gz) is zero")
+    bad = first_true(np.asarray(length == 0))
+    if bad is not None:
+        raise ModelError(f"{session.source} row {readings.row[bad]}: the direction (gx, gy, gz) is zero")
     direction = direction / length[:, None]
     path = np.einsum("nj,nj->n", position, direction)
     observations = Observations(session, readings, position, direction, np.zeros_like(direction), path, readings.setup)

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, IntArray, first_true
 from machine_tool_calibration.errors import ModelError, SessionError
 from machine_tool_calibration.machine.chain import Chain
 from machine_tool_calibration.model.rigid_body import MachineTable
 from machine_tool_calibration.session.description import Machine, Probing
-from machine_tool_calibration.session.session import Readings
+from machine_tool_calibration.session.session import Readings, places_among
 
 __all__ = [
     "Touches",
@@ -109,13 +109,11 @@ def touches(description: Probing, readings: Readings, rotation_sign: int) -> Tou
     Raises:
         SessionError: a reading names a point that the workpiece does not have.
     """
-    place = {point.id: index for index, point in enumerate(description.workpiece)}
-    names, inverse = np.unique(readings.labels["point"], return_inverse=True)
-    for name in names:
-        if str(name) not in place:
-            row = int(readings.row[np.flatnonzero(readings.labels["point"] == name)[0]])
-            raise SessionError(f"reading {row}: the workpiece has no point {str(name)!r}")
-    point = np.array([place[str(name)] for name in names], dtype=np.int64)[inverse.reshape(-1)]
+    names = readings.labels["point"]
+    point = places_among(names, [entry.id for entry in description.workpiece])
+    bad = first_true(point < 0)
+    if bad is not None:
+        raise SessionError(f"reading {readings.row[bad]}: the workpiece has no point {str(names[bad])!r}")
     position, normal = nominal_points(description)
     angle = rotation_sign * readings.column("c")
     at, along = turn(position[point], angle), turn(normal[point], angle)
