@@ -192,10 +192,17 @@ class Part(ABC):
 
     def block_of_reading(self) -> IntArray:
         """(n,) block (setup) of each reading."""
+        return self._of_each_reading([group.block[:, None] for group in self.groups])
+
+    def point_of_reading(self) -> IntArray:
+        """(n,) point of each reading."""
+        return self._of_each_reading([group.points for group in self.groups])
+
+    def _of_each_reading(self, values: Sequence[IntArray]) -> IntArray:
         out = np.zeros(self.n_readings, dtype=np.int64)
-        for group in self.groups:
+        for group, value in zip(self.groups, values, strict=True):
             there = group.rows >= 0
-            out[group.rows[there]] = np.broadcast_to(group.block[:, None], group.rows.shape)[there]
+            out[group.rows[there]] = np.broadcast_to(value, group.rows.shape)[there]
         return out
 
 

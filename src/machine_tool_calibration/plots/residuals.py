@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, IntArray
+from machine_tool_calibration.arrays import Array, IntArray, groups
 from machine_tool_calibration.model.observations import Observations
 from machine_tool_calibration.plots.style import COLORS, round_down
 from machine_tool_calibration.residuals.covariates import bins
@@ -165,9 +165,7 @@ def sense_along(direction: Array, axis: int) -> Array:
 
 def repeat_groups(observations: Observations) -> IntArray:
     """(n,) index shared by readings that repeat each other and sense the same direction."""
-    sensed = np.round(observations.direction * 1e6)
-    key = np.column_stack([same_place(observations), sensed])
-    return np.asarray(np.unique(key, axis=0, return_inverse=True)[1].reshape(-1))
+    return groups(same_place(observations), *np.round(observations.direction.T * 1e6))
 
 
 def color(index: int) -> str:

@@ -26,13 +26,7 @@ def runs_of(model: MethodModel) -> tuple[IntArray, IntArray]:
 
 def near_of(part: Part, readings: Readings) -> IntArray:
     """(n,) index shared by readings of one point of the model, or of one place where it has none."""
-    if not part.dimension:
-        return places_of(readings)
-    out = np.zeros(part.n_readings, dtype=np.int64)
-    for group in part.groups:
-        there = group.rows >= 0
-        out[group.rows[there]] = np.broadcast_to(group.points, group.rows.shape)[there]
-    return out
+    return part.point_of_reading() if part.dimension else places_of(readings)
 
 
 def places_of(readings: Readings) -> IntArray:

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ValidationError
 from machine_tool_calibration.errors import CalibrationError, SessionError, did_you_mean
 from machine_tool_calibration.session.yaml_text import Document
 
-__all__ = ["either", "first_defect", "kind_of", "place_in", "shown", "validated"]
+__all__ = ["AnyRecord", "either", "first_defect", "kind_of", "place_in", "shown", "validated"]
 
 AnyRecord = TypeVar("AnyRecord", bound=BaseModel)
 

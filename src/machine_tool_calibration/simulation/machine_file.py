@@ -6,13 +6,13 @@ from __future__ import annotations
 from collections.abc import Container, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, Field
+from pydantic import Field
 
 from machine_tool_calibration.errors import CalibrationError, ModelError
 from machine_tool_calibration.machine.chain import Chain
-from machine_tool_calibration.session.defects import validated
+from machine_tool_calibration.session.defects import AnyRecord, validated
 from machine_tool_calibration.session.description import Finite
 from machine_tool_calibration.session.record import Record
 from machine_tool_calibration.session.text import read_text
@@ -23,7 +23,6 @@ from machine_tool_calibration.simulation.random_machine import Amplitudes, rando
 
 __all__ = ["MachineSpec", "TableSpec", "build_machine", "machine_document", "read_machine", "read_record"]
 
-R = TypeVar("R", bound=BaseModel)
 _SHORTEST_TRAVEL = 1e-6  # m or rad
 
 
@@ -102,9 +101,7 @@ def build_machine(
     sign = spec.rotation_sign or rotation_sign
     if spec.random is not None:
         sizes = spec.random if random is None or "random" in spec.model_fields_set else random
-        machine = random_machine(
-            parsed, ends, seed if spec.seed is None else spec.seed, sizes, rotation_sign=sign
-        )
+        machine = random_machine(parsed, ends, seed if spec.seed is None else spec.seed, sizes, rotation_sign=sign)
     else:
         machine = VirtualMachine(parsed, travel=ends, rotation_sign=sign)
     tables = []
@@ -131,7 +128,7 @@ def read_machine(path: Path | str) -> MachineSpec:
     return read_record(Path(path), MachineSpec)
 
 
-def read_record(path: Path, record: type[R], unnamed: Container[object] = ()) -> R:
+def read_record(path: Path, record: type[AnyRecord], unnamed: Container[object] = ()) -> AnyRecord:
     """A record from a YAML file; `unnamed` as for `first_defect`.
 
     Raises:
@@ -147,8 +144,11 @@ def machine_document(machine: VirtualMachine) -> dict[str, Any]:
     motions: dict[str, Any] = {}
     for axis in machine.motions.values():
         for name, tables in merged(axis).items():
-            motions[name] = {"nodes": list(tables.nodes), "values": list(tables.values),
-                             "interpolation": tables.interpolation}
+            motions[name] = {
+                "nodes": list(tables.nodes),
+                "values": list(tables.values),
+                "interpolation": tables.interpolation,
+            }
     return {
         "chain": "-".join(["w", *machine.chain.workpiece_side, "b", *machine.chain.tool_side, "t"]),
         "travel": {axis.lower(): list(ends) for axis, ends in machine.travel.items()},

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from machine_tool_calibration.arrays import IntArray
+from machine_tool_calibration.arrays import IntArray, groups
 from machine_tool_calibration.diagnosis.search.candidates import shaped_at
 from machine_tool_calibration.diagnosis.search.evidence import Block, Gram, columns_of, metric_at, table
 from machine_tool_calibration.diagnosis.search.look import Look
@@ -165,7 +165,7 @@ def _rows(part: Pool, whole: Pool) -> IntArray:
 
 def _divisions(sessions: Sequence[Session]) -> Iterator[tuple[str, list[IntArray]]]:
     """Ways to divide the readings, with the part of each reading of each session."""
-    setups = [np.unique(s.readings.setup, return_inverse=True)[1].reshape(-1) for s in sessions]
+    setups = [groups(s.readings.setup) for s in sessions]
     if max(int(part.max(initial=0)) for part in setups) >= 2:
         yield "setups", [part % min(_PARTS, int(part.max(initial=0)) + 1) for part in setups]
     position = np.concatenate([s.readings.position() for s in sessions])
@@ -173,7 +173,7 @@ def _divisions(sessions: Sequence[Session]) -> Iterator[tuple[str, list[IntArray
     place = _zones(position, angles[0] if len(sessions) == 1 else None)
     if place is not None:
         yield _PLACES, np.split(place, np.cumsum([len(s.readings) for s in sessions])[:-1])
-    cycles = [np.unique(s.readings.repeat, return_inverse=True)[1].reshape(-1) for s in sessions]
+    cycles = [groups(s.readings.repeat) for s in sessions]
     if max(int(part.max(initial=0)) for part in cycles) >= 1:
         yield "cycles", [part % _PARTS for part in cycles]
 
@@ -191,5 +191,5 @@ def _zones(position: np.ndarray, angle: np.ndarray | None) -> IntArray | None:
     else:
         halves = [columns[k] > np.median(columns[k]) for k in moved]
         part = 2 * halves[0].astype(np.int64) + halves[1]
-    part = np.unique(part, return_inverse=True)[1].reshape(-1)
+    part = groups(part)
     return part if part.max() >= 1 else None

@@ -10,7 +10,7 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.session.description import RotaryAxis, rotary_column
-from machine_tool_calibration.session.session import Readings, Session
+from machine_tool_calibration.session.session import Readings, Session, places_among
 
 __all__ = ["COMPONENTS", "TableReadings", "axis_rotation", "merged_nodes", "table_readings"]
 
@@ -118,7 +118,7 @@ def table_readings(session: Session) -> TableReadings:
     unknown = sorted(set(names.tolist()) - set(ids))
     if unknown:
         raise ModelError(f"unknown target {unknown[0]!r}; the session has {', '.join(ids)}")
-    target = np.array([ids.index(str(name)) for name in names], dtype=np.int64)
+    target = places_among(names, ids)
     key = np.column_stack([readings.setup, readings.repeat, target])
     _, first, run = np.unique(key, axis=0, return_index=True, return_inverse=True)
     sign = session.rotation_sign
