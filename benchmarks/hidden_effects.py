@@ -2,8 +2,8 @@
 """How often is a hidden effect found, called by its right name, and the map put right?
 
 Simulated sessions of random machines: with nothing hidden (with and without a spread between setups), with one hidden
-effect, with two, with one that is in no catalogue, and an axis run by ISO 230-2 with warm-up and backlash. The
-simulator calculates readings from geometry and shares no formula with the estimator.
+effect (beside gross errors, too), with two, with one that is in no catalogue, and an axis run by ISO 230-2 with warm-up
+and backlash. The simulator calculates readings from geometry and shares no formula with the estimator.
 
     python benchmarks/hidden_effects.py --trials 40 --output rates.md
 """
@@ -33,7 +33,7 @@ from machine_tool_calibration.model.fit import fit_models, screen
 from machine_tool_calibration.model.result import EffectSet
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.session import Session
-from machine_tool_calibration.simulation import FLAWS, PRESETS, FlawSpec, SimulationSpec, Spread, simulate
+from machine_tool_calibration.simulation import FLAWS, PRESETS, Chips, FlawSpec, SimulationSpec, Spread, simulate
 
 # Largest change of a reading by which an effect is tried at first, m.
 _TRIED = 3e-6
@@ -45,11 +45,14 @@ _ALIKE = 0.9
 _APART = 0.5
 # Slopes and bows between setups, in standard uncertainties of a reading: drawn anew for every session.
 _SPREAD = (0.3, 2.0)
+# So many of the readings are wrong by 20 to 60 um.
+_GROSS = Chips(fraction=0.03)
 _PLANS = ("tracking_2d", "tracking_3d", "step_diagonal", "rotary_axis", "probing_cross")
 _SIGNALS = {
     "one at 10 with spread": 10.0,
     "one at 6": 6.0,
     "two at 12": 12.0,
+    "one at 15 with gross errors": 15.0,
     "unlisted at 15": 15.0,
 }
 _AXIS = ("iso230_2", ("warmup_x", "backlash_x"))
@@ -132,7 +135,7 @@ def flaw(base: SimulationSpec, effect: str, signal: float) -> FlawSpec:
     Raises:
         CalibrationError: the model takes it up, it does not act in this plan, or it looks like another.
     """
-    silent = base.model_copy(update={"noise_factor": 0.0, "effects": (), "spread": Spread()})
+    silent = base.model_copy(update={"noise_factor": 0.0, "effects": (), "spread": Spread(), "chips": None})
     clean = simulate(silent).session
     if effect in catalogue():
         joint = fit_models([build_model(clean)[0]])
@@ -162,6 +165,8 @@ def run(trial: Trial) -> Outcome:
         if "spread" in trial.kind:
             size = sigma * float(np.random.default_rng([trial.seed, 1]).uniform(*_SPREAD))
             base = base.model_copy(update={"spread": Spread(slope=size, bow=size)})
+        if "gross" in trial.kind:
+            base = base.model_copy(update={"chips": _GROSS})
         try:
             flaws = tuple(flaw(base, effect, _SIGNALS[trial.kind]) for effect in trial.effects)
         except CalibrationError as error:
@@ -226,9 +231,9 @@ def map_ratios(
     Returns:
         One ratio for each; NaN where the session does not determine the model.
     """
-    silent = base.model_copy(update={"noise_factor": 0.0, "effects": (), "spread": Spread()})
+    silent = base.model_copy(update={"noise_factor": 0.0, "effects": (), "spread": Spread(), "chips": None})
     reference, _ = _map(simulate(silent).session, ())
-    without, uncertainty = _map(simulate(base.model_copy(update={"effects": ()})).session, ())
+    without, uncertainty = _map(simulate(base.model_copy(update={"effects": (), "chips": None})).session, ())
 
     def error(values: Array) -> float:
         return float(np.sqrt(np.nanmean(((values - reference) / uncertainty) ** 2)))

@@ -20,7 +20,7 @@ __all__ = ["Bound", "of_few", "of_points", "seen_by_few"]
 # Readings of a group at most.
 _FEW = 24
 # With more readings for each of their own unknowns their median tells which are wrong.
-_SPARE = 3
+_SPARE = 4
 # Variance, over that of a reading, from which other readings do not tell what a few have in common.
 _UNTOLD = 1.0
 
