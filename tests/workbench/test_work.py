@@ -120,7 +120,11 @@ def test_what_was_not_done_can_be_chosen_again(window: Any, document: Document, 
     }
     before = {field: field.value for field in fields} | {window._choice: (hidden,)}
     fail = partial(window._work._done, window._work._failed, CalibrationError("it cannot be"))
-    for end in (window._work.stop, fail):
+
+    def refuse(found: object) -> None:
+        raise CalibrationError("it cannot be kept")
+
+    for end in (window._work.stop, fail, partial(window._work._done, refuse, None)):
         for field, value in fields.items():
             answered(document, partial(setattr, field, "value", value))
             assert window._work._job is not None

@@ -126,7 +126,7 @@ class Work:
         try:
             then(outcome)
         except Exception as error:
-            self.fail(error)
+            self._failed(error)
 
     def _failed(self, error: Exception) -> None:
         self.fail(error)
