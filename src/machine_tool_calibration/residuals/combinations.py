@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which of a point's readings are wrong, where several are: every combination is tried.
+"""Which readings of a point, or of a few that hang together, are wrong where several are: each combination is tried.
 
 One after the other is not enough there: two wrong readings may agree with each other better than each does with the
-sound ones. A point has few readings and few unknowns, so that all combinations can be compared.
+sound ones. They are few readings of few unknowns, so that all combinations can be compared.
 """
 
 from __future__ import annotations
