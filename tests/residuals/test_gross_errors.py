@@ -122,7 +122,7 @@ def test_several_at_an_angle_with_twice_as_many_readings_as_unknowns(seed: int) 
 
 
 def test_what_only_a_doubtful_reading_could_tell_stays_wrong() -> None:
-    """Two stations off at one angle: nothing tells the second from a sound one, and without both nothing tells the first.
+    """Two stations off at one angle: nothing tells the second from a sound one, and without both nothing the other.
 
     It had been decided anew without them, was in hardly any residual then, and took its 25 µm into the map.
     """
