@@ -120,3 +120,17 @@ def test_a_gross_error_that_was_lost_in_what_an_effect_leaves_is_set_aside_once_
     found = diagnose(session.with_readings(replace(session.readings, displacement=displacement)), sets=19)
     assert found.accepted == ("backlash_y",)
     assert [outlier.row for outlier in found.outliers] == [30]
+
+
+def test_an_effect_that_gross_errors_hid_while_it_hid_them_is_found_with_them() -> None:
+    """Errors of all sizes from 15 to 100 standard uncertainties leave no gap after what a reversal leaves."""
+    spec = SimulationSpec(plan=PRESETS["tracking_2d"], seed=2, effects=(FlawSpec(id="reversal_ECY", amplitude=3e-6),))
+    session = simulate(spec).session
+    rng = np.random.default_rng(2)
+    hit = np.sort(1 + rng.permutation(len(session.readings) - 1)[:11])
+    change = np.zeros(len(session.readings))
+    change[hit] = session.sigma * np.linspace(15.0, 100.0, len(hit)) * rng.choice([-1.0, 1.0], len(hit))
+    found = diagnose(with_added(session, change), sets=SETS)
+    assert found.verdict == "missing_effect"
+    assert found.accepted == ("reversal_ECY",)
+    assert sorted(outlier.row for outlier in found.outliers) == hit.tolist()

@@ -24,7 +24,7 @@ from machine_tool_calibration.model.fit import Fit, JointFit
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import EffectSet, ErrorMap
 from machine_tool_calibration.residuals.noise import Noise, noise_of, same_place
-from machine_tool_calibration.residuals.outliers import Outlier, find_outliers
+from machine_tool_calibration.residuals.outliers import Outlier, find_outliers, suspected_rows
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.provenance import Provenance
 from machine_tool_calibration.session.session import Session
@@ -203,14 +203,23 @@ def diagnose(
         progress("looking for outliers", 0.0)
         aside, kept = _outliers_beside(chosen, ())
         found = _search(kept, seed, sets, progress)
-        probable = found.accepted or found.look.accepted
+        probable = _probable(found)
         if probable:
             # With the effects in the model some of them belong to the rest again, and others stand out that were lost
             # in what the effects left: then the search begins anew.
             again, kept = _outliers_beside(chosen, probable)
-            if [{o.row for o in one} for one in again] != [{o.row for o in one} for one in aside]:
+            if _rows(again) != _rows(aside):
                 found = _search(kept, seed, sets, progress)
             aside = again
+        unsuspected = _unsuspected(kept, found.accepted)
+        if unsuspected is not None:
+            # Gross errors that an effect hides may in turn hide the effect, which shows among the other readings.
+            probable = _probable(_search(unsuspected, seed, sets, progress))
+            again, without = _outliers_beside(chosen, probable)
+            if probable and _rows(again) != _rows(aside):
+                other = _search(without, seed, sets, progress)
+                if other.accepted:
+                    found, aside, kept = other, again, without
         progress("done", 1.0)
     verdict = "outliers" if found.verdict == "adequate" and any(aside) else found.verdict
     return replace(found, chosen=kept, verdict=verdict, set_aside=aside)
@@ -218,6 +227,24 @@ def diagnose(
 
 def _outliers_beside(chosen: Chosen, added: Sequence[str]) -> tuple[tuple[tuple[Outlier, ...], ...], Chosen]:
     """Outliers of each session, judged by itself beside further effects, and the sessions without them."""
+    build = _alone(chosen, added)
+    found = [find_outliers(session, build) for session in chosen.sessions]
+    without = replace(chosen, sessions=tuple(kept for _, kept in found))
+    return tuple(tuple(outliers) for outliers, _ in found), without
+
+
+def _unsuspected(chosen: Chosen, added: Sequence[str]) -> Chosen | None:
+    """The sessions without what may be wrong beside further effects; None where nothing lies far out."""
+    build = _alone(chosen, added)
+    suspected = [suspected_rows(session, build) for session in chosen.sessions]
+    if not any(map(len, suspected)):
+        return None
+    sessions = zip(chosen.sessions, suspected, strict=True)
+    return replace(chosen, sessions=tuple(s.without(np.isin(s.readings.row, rows)) for s, rows in sessions))
+
+
+def _alone(chosen: Chosen, added: Sequence[str]) -> Callable[[Session], MethodModel]:
+    """The model of a session by itself beside further effects."""
     several = len(chosen.sessions) > 1
     present = [*chosen.present, *(effect for effect in chosen.absent if effect.id in added)]
 
@@ -226,9 +253,15 @@ def _outliers_beside(chosen: Chosen, added: Sequence[str]) -> tuple[tuple[tuple[
         # One of several has those effects that can act in it.
         return add_effects(base, [e for e in present if not several or e.why_not(base.observations) is None])
 
-    found = [find_outliers(session, build) for session in chosen.sessions]
-    without = replace(chosen, sessions=tuple(kept for _, kept in found))
-    return tuple(tuple(outliers) for outliers, _ in found), without
+    return build
+
+
+def _probable(found: Diagnosis) -> tuple[str, ...]:
+    return found.accepted or found.look.accepted
+
+
+def _rows(outliers: Sequence[Sequence[Outlier]]) -> list[set[int]]:
+    return [{outlier.row for outlier in own} for own in outliers]
 
 
 def _search(chosen: Chosen, seed: int, sets: int, progress: Callable[[str, float], None]) -> Diagnosis:

@@ -14,7 +14,7 @@ run share is no gross error either, but something that lasts.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,12 +30,12 @@ from machine_tool_calibration.model.model import MethodModel, assemble
 from machine_tool_calibration.residuals.bound import Bound, of_few, of_points, seen_by_few
 from machine_tool_calibration.residuals.combinations import fewest_wrong, wrong_together
 from machine_tool_calibration.residuals.leverage import Reach, reach, taken
-from machine_tool_calibration.residuals.neighbours import near_of, places_of, runs_of
+from machine_tool_calibration.residuals.neighbours import lasting, near_of, places_of, runs_of
 from machine_tool_calibration.residuals.suspected import HELD, standing_out
 from machine_tool_calibration.residuals.tails import limit_of_tails
 from machine_tool_calibration.session.session import Session
 
-__all__ = ["Outlier", "find_outliers", "set_aside"]
+__all__ = ["Outlier", "find_outliers", "set_aside", "suspected_rows"]
 
 # Chance that a clean session has any reading called an outlier, and the least number of standard uncertainties.
 _LEVEL = 0.002
@@ -53,9 +53,6 @@ _ROUNDS = 8
 _MODELS = 8
 # Suspected readings that are judged together; more are judged place by place.
 _TOGETHER = 800
-# Neighbours on one side in a run whose median says whether a deviation lasts, and the share of it that they must have.
-_BESIDE = 3
-_SHARED = 0.4
 # Another reading is as likely the wrong one if the sum of squares says so within this, or within this share of it.
 _AMBIGUOUS = 6.0
 _ALIKE = 1e-3
@@ -127,6 +124,22 @@ def set_aside(session: Session, build: Callable[[Session], MethodModel]) -> tupl
     return found, _lost(session, found) if found else session
 
 
+@single_blas()
+def suspected_rows(session: Session, build: Callable[[Session], MethodModel]) -> IntArray:
+    """Rows of the readings that may be wrong, or see something that the model lacks, if any of them lies far out.
+
+    Args:
+        session: the measurement.
+        build: makes the model of a session.
+    """
+    try:
+        search = _Search(build(session))
+        rows = search.readings.row[search.suspected()]
+    except (ModelError, np.linalg.LinAlgError):
+        rows = np.zeros(0, dtype=np.int64)
+    return rows[~np.isin(rows, list(session.sound))]
+
+
 def _lost(session: Session, found: list[Outlier]) -> Session:
     return session.without(np.isin(session.readings.row, [o.row for o in found]), as_lost=True)
 
@@ -135,17 +148,23 @@ def _lost(session: Session, found: list[Outlier]) -> Session:
 def _found(session: Session, build: Callable[[Session], MethodModel]) -> list[Outlier]:
     """All rounds; a model that draws more from the readings than unknowns is made anew without what was set aside."""
     found: list[Outlier] = []
+    dropped: list[Outlier] = []
     part = session
     for _ in range(_MODELS):
         try:
-            more = [o for o in _Search(build(part)).outliers() if o.row not in session.sound]
+            search = _Search(build(part))
+            more = [o for o in search.outliers() if o.row not in session.sound]
+            # Without a doubtful reading nothing may tell what was wrong beside it: it stays wrong.
+            untold = search.untold([o.row for o in dropped], [o.row for o in more])
         except (ModelError, np.linalg.LinAlgError):
             # Too little for the model, which its own fit will say; or what was set aside leaves too little.
             return []
+        more += [o for o in dropped if o.row in untold]
         if not more:
             break
         # A wrong reading may have been taken for the right one of two, and have decided on others: these anew.
         undecided = [o for o in more if o.ambiguous]
+        dropped = [o for o in found + more if not o.ambiguous] if undecided else []
         found = [o for o in found if o.ambiguous] + undecided if undecided else found + more
         part = _lost(session, found)
     if len(found) > _MOST * max(int(np.isfinite(session.readings.displacement).sum()), 1):
@@ -220,6 +239,25 @@ class _Search:
         if not len(held):
             return []
         return self._named(held, seen, doubtful)
+
+    def suspected(self) -> IntArray:
+        """Readings that a robust fit suspects, if one of them is farther from the others than noise is."""
+        held, seen = self._start()
+        far = np.abs(seen.residual[held]) > _LEAST * seen.scale * np.sqrt(1.0 + seen.taken[held])
+        return held if far.any() else held[:0]
+
+    def untold(self, rows: Sequence[int], wrong: Sequence[int]) -> set[int]:
+        """Those of some readings of which the others say next to nothing.
+
+        Args:
+            rows: their numbers in the recording.
+            wrong: those of readings that stand out.
+        """
+        asked = np.isin(self.readings.row, rows) & ~np.isin(self.readings.row, wrong)
+        if not asked.any():
+            return set()
+        seen = self._fit(np.flatnonzero(np.isin(self.readings.row, wrong)))
+        return set(self.readings.row[asked & (1.0 - seen.taken <= _SEEN)].tolist())
 
     def _together(self, held: IntArray, seen: _Judged) -> tuple[IntArray, dict[int, IntArray]]:
         """Where several readings of a point are held out: those without which the others agree best.
@@ -338,7 +376,7 @@ class _Search:
             size[able] = np.abs(seen.residual[able]) / np.sqrt(kept[able]) / seen.scale
             fresh = np.flatnonzero(size > min(seen.limit, _SUSPECTED + 1.0)) if np.isfinite(seen.scale) else held[:0]
             suspected = np.union1d(held, fresh)
-            suspected = suspected[~self._lasting(suspected, seen.residual)]
+            suspected = suspected[~lasting(self.run, suspected, seen.residual)]
             if len(fresh):
                 # Only what was held out has its deviation from what all others predict.
                 seen = self._fit(suspected)
@@ -368,25 +406,6 @@ class _Search:
             chosen = standing_out(products, deviation, seen.limit * seen.scale)
             out.append(suspected[block][chosen])
         return np.sort(np.concatenate(out))
-
-    def _lasting(self, suspected: IntArray, residual: Array) -> BoolArray:
-        """(k,) whether most of the neighbours on a side in the run share the deviation."""
-        out = np.zeros(len(suspected), dtype=bool)
-        order, place = self.run
-        position = np.empty(self.n, dtype=np.int64)
-        position[order] = np.arange(self.n)
-        at, own = position[suspected], residual[suspected]
-        for side in (-1, 1):
-            near = at[:, None] + side * np.arange(1, _BESIDE + 1)
-            inside = (near >= 0) & (near < self.n)
-            near = np.clip(near, 0, self.n - 1)
-            inside &= place[near] == place[at][:, None]
-            # The lower one of the middle two where an end of the run leaves two: one of them may be wrong as well.
-            alike = np.sort(np.where(inside, np.sign(own)[:, None] * residual[order[near]], np.inf), axis=1)
-            count = inside.sum(axis=1)
-            beside = alike[np.arange(len(at)), np.maximum(count - 1, 0) // 2]
-            out |= (count > 1) & (beside > _SHARED * np.abs(own))
-        return out
 
     def _alternatives(self, held: IntArray, seen: _Judged) -> Iterator[tuple[int, float, IntArray, Array]]:
         """For each reading held out: what it costs to put it back, and what other readings save if held out instead."""
