@@ -211,12 +211,10 @@ def diagnose(
             if _rows(again) != _rows(aside):
                 found = _search(kept, seed, sets, progress)
             aside = again
-        unsuspected = _unsuspected(kept, found.accepted)
-        if unsuspected is not None:
-            # Gross errors that an effect hides may in turn hide the effect, which shows among the other readings.
-            probable = _probable(_search(unsuspected, seed, sets, progress))
+        probable = _probable_without_suspects(kept, found.accepted, seed, sets, progress)
+        if probable:
             again, without = _outliers_beside(chosen, probable)
-            if probable and _rows(again) != _rows(aside):
+            if _rows(again) != _rows(aside):
                 other = _search(without, seed, sets, progress)
                 if other.accepted:
                     found, aside, kept = other, again, without
@@ -233,14 +231,24 @@ def _outliers_beside(chosen: Chosen, added: Sequence[str]) -> tuple[tuple[tuple[
     return tuple(tuple(outliers) for outliers, _ in found), without
 
 
-def _unsuspected(chosen: Chosen, added: Sequence[str]) -> Chosen | None:
-    """The sessions without what may be wrong beside further effects; None where nothing lies far out."""
+def _probable_without_suspects(
+    chosen: Chosen, added: Sequence[str], seed: int, sets: int, progress: Callable[[str, float], None]
+) -> tuple[str, ...]:
+    """Effects that are found without what may be wrong beside those that were; none where nothing lies far out.
+
+    Gross errors that an effect hides may in turn hide the effect, which shows among the other readings.
+    """
     build = _alone(chosen, added)
     suspected = [suspected_rows(session, build) for session in chosen.sessions]
     if not any(map(len, suspected)):
-        return None
+        return ()
     sessions = zip(chosen.sessions, suspected, strict=True)
-    return replace(chosen, sessions=tuple(s.without(np.isin(s.readings.row, rows)) for s, rows in sessions))
+    without = replace(chosen, sessions=tuple(s.without(np.isin(s.readings.row, rows)) for s, rows in sessions))
+    try:
+        return _probable(_search(without, seed, sets, progress))
+    except ModelError:
+        # What is left does not allow the model: then it says nothing of what is missing.
+        return ()
 
 
 def _alone(chosen: Chosen, added: Sequence[str]) -> Callable[[Session], MethodModel]:
