@@ -36,18 +36,26 @@ def check_topics(node):
                 assert table[key].qos.endswith(f"depth {publisher.qos_profile.depth}"), name
 
 
-def check_ends(node, names):
+def check_ends(operator, names):
     """Whether the table says of each of these nodes what it publishes, and what it listens to."""
+    node = operator._node
+    # Who is there is discovered in its own time.
+    assert operator.wait(lambda: set(names) <= set(node.get_node_names()), PATIENCE), node.get_node_names()
     for name in names:
         for ends, found in (
-            ("publishers", node.get_publisher_names_and_types_by_node(name, "/")),
-            ("subscribers", node.get_subscriber_names_and_types_by_node(name, "/")),
+            ("publishers", node.get_publisher_names_and_types_by_node),
+            ("subscribers", node.get_subscriber_names_and_types_by_node),
         ):
             told = {f"/{topic.name.strip('/')}" for topic in topics() if name in getattr(topic, ends)}
             also = IGNORED | ({"/clock"} if ends == "subscribers" or name == "axis_simulator" else set())
             if name == "procedure":
                 also |= {"/joint_states"}  # it listens until it starts
-            assert {topic for topic, _ in found} - also == told - also, (name, ends)
+
+            def there(name=name, found=found, also=also):
+                return {topic for topic, _ in found(name, "/")} - also
+
+            operator.wait(lambda there=there, told=told - also: there() == told, PATIENCE)
+            assert there() == told - also, (name, ends)
 
 
 def hear(operator):

@@ -90,7 +90,7 @@ def test_topics_of_the_probe_and_the_player(bench):
     assert operator.wait(lambda: {"instrument/status", "player/status", "truth/table"} <= set(heard), PATIENCE)
     check_topics(operator._node)
     check_services(operator, ("probe", "player"))
-    check_ends(operator._node, ("axis_simulator", "probe"))
+    check_ends(operator, ("axis_simulator", "probe"))
     check_content("player/status", heard["player/status"])
     probe = FOLDER.joinpath("probe.md").read_text()
     assert all(f"`{entry.key}`" in probe for entry in heard["instrument/status"].status[0].values)

@@ -127,7 +127,7 @@ def test_topics_services_and_contents_are_those_of_the_documents(whole):
         check_content(name, message)
     assert len(heard["diagnosis"].status) > 3
     check_services(operator, NODES)
-    check_ends(node, NODES)
+    check_ends(operator, NODES)
 
 
 def test_diagnostics_name_every_node_and_its_device(whole):
