@@ -95,8 +95,9 @@ wrong by 10 to 100 standard uncertainties. Truth is the map of the same machine 
 |---|{rule}|
 {rows}
 
-Where the mean is far above the median, several wrong readings of one place agree by chance with fewer others: nothing
-in the readings tells then. [The step diagonal](step_diagonal.md) has a page for angular errors of every size.
+Where the mean is far above the median, a place or an angle is wrong in a few of the sessions: several wrong readings
+agree there by chance with fewer others, which nothing in the readings tells, or, in probing, sound readings of an angle
+were taken for the wrong ones. [The step diagonal](step_diagonal.md) has a page for angular errors of every size.
 """
 
 
