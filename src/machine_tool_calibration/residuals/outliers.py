@@ -215,9 +215,7 @@ class _Search:
 
     def outliers(self) -> list[Outlier]:
         """Readings that stand out."""
-        everything = self._fit(np.zeros(0, dtype=np.int64))
-        if everything.scale < _MISFIT and everything.farthest < max(_SUSPECTED, -float(special.ndtri(_ANY / self.n))):
-            # As noise is: wrong readings that hide each other would leave more scatter.
+        if self._as_noise_is():
             return []
         held, seen = self._start()
         tried = held
@@ -240,8 +238,15 @@ class _Search:
             return []
         return self._named(held, seen, doubtful)
 
+    def _as_noise_is(self) -> bool:
+        """Whether no reading lies farther out than noise does: wrong ones that hide each other would scatter more."""
+        seen = self._fit(np.zeros(0, dtype=np.int64))
+        return seen.scale < _MISFIT and seen.farthest < max(_SUSPECTED, -float(special.ndtri(_ANY / self.n)))
+
     def suspected(self) -> IntArray:
         """Readings that a robust fit suspects, if one of them is farther from the others than noise is."""
+        if self._as_noise_is():
+            return np.zeros(0, dtype=np.int64)
         held, seen = self._start()
         far = np.abs(seen.residual[held]) > _LEAST * seen.scale * np.sqrt(1.0 + seen.taken[held])
         return held if far.any() else held[:0]
