@@ -134,3 +134,11 @@ def test_bad_input_is_one_line(session: mtcal.Measurement, fit: mtcal.Fit, tmp_p
         assert "\n" not in str(caught.value)
     with pytest.raises(ModelError):
         mtcal.identify(session, model="stars")
+
+
+def test_a_folder_keeps_its_whole_name(tmp_path: Path) -> None:
+    """Folders are often named by a date: 2026.03.01 and 2026.03.02 are no repetition of 2026.03."""
+    folders = [tmp_path / "2026.03.01", tmp_path / "2026.03.02"]
+    for seed, folder in enumerate(folders):
+        mtcal.simulate("iso230_2", seed=seed).save(folder)
+    assert mtcal.load(folders).labels == ("2026.03.01", "2026.03.02")

@@ -92,10 +92,9 @@ class RosName(click.ParamType):  # type: ignore[type-arg]
 
 def session_labels(paths: Sequence[Path]) -> list[str]:
     """Names of several sessions: those of their folders, numbered where they repeat."""
-    from machine_tool_calibration.session.session import distinct_labels
+    from machine_tool_calibration.session.session import distinct_labels, measurement_name
 
-    # Not Path.resolve, which raises a RuntimeError for a link to itself.
-    return distinct_labels([Path(os.path.realpath(path)).stem for path in paths])
+    return distinct_labels([measurement_name(path) for path in paths])
 
 
 def write_json(document: Any) -> None:

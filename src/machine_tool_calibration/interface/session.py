@@ -14,7 +14,7 @@ import pandas as pd
 
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.interface.show import Shown, printed
-from machine_tool_calibration.session.session import Session, distinct_labels, refuse_repeated
+from machine_tool_calibration.session.session import Session, distinct_labels, measurement_name, refuse_repeated
 
 if TYPE_CHECKING:
     from machine_tool_calibration.effects.effect import Effect
@@ -141,12 +141,12 @@ def _opened(source: Any) -> Iterator[tuple[str, Session, Mapping[str, Any] | Non
     if isinstance(source, str | os.PathLike):
         path = Path(os.fspath(source))
         session = open_measurement(path)  # first: of a name that cannot be there is no real path
-        yield Path(os.path.realpath(path)).stem, session, None
+        yield measurement_name(path), session, None
     elif isinstance(source, Measurement):
         for label, session in zip(source.labels, source.sessions, strict=True):
             yield label, session, source.truth
     elif isinstance(source, Session):
-        yield Path(source.source).stem, source, None
+        yield measurement_name(source.source), source, None
     elif isinstance(source, list | tuple):
         for one in source:
             yield from _opened(one)

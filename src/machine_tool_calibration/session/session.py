@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 import itertools
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import PurePath
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,6 +28,7 @@ __all__ = [
     "distinct_labels",
     "distinct_places",
     "joined",
+    "measurement_name",
     "places_among",
     "refuse_repeated",
 ]
@@ -185,6 +187,12 @@ class Session:
 
 # Large odd numbers: products and sums wrap around in 64 bits.
 _MIX = np.array([0x1E3779B97F4A7C15, 0x3F58476D1CE4E5B9, 0x14D049BB133111EB])
+
+
+def measurement_name(path: str | os.PathLike[str]) -> str:
+    """Name of a measurement: that of its folder, or of its recording without `.mcap`."""
+    real = Path(os.path.realpath(path))  # not Path.resolve, which raises a RuntimeError for a link to itself
+    return real.stem if real.suffix == ".mcap" else real.name
 
 
 def distinct_labels(names: Sequence[str]) -> list[str]:
