@@ -29,6 +29,8 @@ from machine_tool_calibration.reports.quantities import (
         (3e-6, "m", float("inf"), "3.00 µm"),
         (2.0, "m kg", 0.0, "2.00 m kg"),
         (5e-6, "m", 3e-3, "0.0 ± 6.0 mm"),
+        (0.0, "m^2", 2.7e-7, "0.00 ± 0.54 mm²"),
+        (4e-10, "m^2", 2e-11, "400 ± 40 µm²"),
     ],
 )
 def test_quantities(value: float, unit: str, uncertainty: float | None, text: str) -> None:
