@@ -12,6 +12,7 @@ from scipy import stats
 
 from machine_tool_calibration.methods.fitted import Chosen
 from machine_tool_calibration.methods.identify import JointResult, identify_sessions
+from machine_tool_calibration.methods.joint.agreement import Contradiction, _Scores, _sentence
 from machine_tool_calibration.simulation.simulate import simulate
 from machine_tool_calibration.simulation.spec import SimulationSpec
 
@@ -100,3 +101,20 @@ def test_sessions_of_different_places_are_not_compared_there(several: SimpleName
     whole = identify_sessions(Chosen((session, session), ("a", "b"))).agreement
     assert 0 < agreement.comparisons < whole.comparisons
     assert not agreement.contradictions
+
+
+@pytest.mark.parametrize(
+    ("unit", "shown"), [("m", "2.5 ± 1 µm"), ("1/K", "2.5 ± 1 µm/(m K)"), ("rad/K", "2.5 ± 1 µrad/K")]
+)
+def test_a_contradiction_is_said_in_the_units_of_the_tables(unit: str, shown: str) -> None:
+    entry = Contradiction("a", ("b",), "some_effect", (), -2.5e-6, 0.5e-6, unit, 1e-9)
+    assert f"contradict each other in some_effect by {shown} (k = 2)" in _sentence(entry)
+
+
+def test_what_is_shown_of_a_difference_is_clear_beside_the_scatter() -> None:
+    """Not the end of an axis where it is largest and hardly known, once the readings scatter more than declared."""
+    scores = _Scores(np.diag([1.0, 0.04]), np.array([8.0, 0.16]), np.array([1.0, 0.04]), np.array([0, 2]))
+    shape = np.array([[1.0, 0.0], [1.0, 1.0]])  # 8 with u = 1; 12 with u = 5.1
+    assert scores.difference(0, shape, 1.0) == pytest.approx((8.0, 1.0))
+    assert scores.difference(0, np.array([[1.0, 0.0], [3.0, 0.5]]), 1.0) == pytest.approx((26.0, np.sqrt(15.25)))
+    assert scores.difference(0, np.array([[1.0, 0.0], [3.0, 0.5]]), 2.5) == pytest.approx((8.0, 2.5))

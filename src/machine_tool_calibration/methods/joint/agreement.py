@@ -38,6 +38,15 @@ _ALIKE = 0.7
 _TIE = 1e-9
 # Share of a term's largest change of a reading below which a reading does not depend on it.
 _NOTHING = 1e-6
+# Factor from SI to the unit that people use, and that unit.
+_SHOWN = {
+    "m": (1e6, "µm"),
+    "rad": (1e6, "µrad"),
+    "1": (1e6, "µm/m"),
+    "1/K": (1e6, "µm/(m K)"),
+    "m/K": (1e6, "µm/K"),
+    "rad/K": (1e6, "µrad/K"),
+}
 # Positions at which a difference is looked at, and how near to each other ranges touch, m.
 _PLACES = 21
 _SAME = 1e-6
@@ -134,7 +143,7 @@ def agreement(joint: JointFit, common: CommonModels, labels: Sequence[str], spre
         partners = {entry.session, *entry.others}
         near = (candidates[k] for (k, _, _), log in zip(tests, logs, strict=True) if log < _ALIKE * logs[best])
         alike = [other.motion for other in near if other.session in partners and other.motion != entry.motion]
-        value, uncertainty = scores.difference(chosen, entry.shape)
+        value, uncertainty = scores.difference(chosen, entry.shape, float(np.sqrt(factor)))
         found.append(
             Contradiction(
                 labels[entry.session],
@@ -142,7 +151,7 @@ def agreement(joint: JointFit, common: CommonModels, labels: Sequence[str], spre
                 entry.motion,
                 tuple(dict.fromkeys(alike)),
                 value,
-                uncertainty * np.sqrt(factor),
+                uncertainty,
                 entry.unit,
                 p,
             )
@@ -167,7 +176,7 @@ def _log_tail(chi_square: float, rank: int) -> float:
 
 
 def _sentence(entry: Contradiction) -> str:
-    scale, unit = (1e6, {"m": "µm", "rad": "µrad"}[entry.unit]) if entry.unit in ("m", "rad") else (1.0, entry.unit)
+    scale, unit = _SHOWN.get(entry.unit, (1.0, entry.unit))
     motion = entry.motion if not entry.alike else f"{entry.motion} (or {', '.join(entry.alike)})"
     size = f"{abs(entry.difference) * scale:.3g} ± {2 * entry.difference_u * scale:.2g} {unit} (k = 2)"
     if len(entry.others) == 1:
@@ -287,11 +296,17 @@ class _Scores:
         (inverse, rank), right = self._inverse(k), self.right[self._own(k)]
         return float(right @ inverse @ right), rank
 
-    def difference(self, k: int, shape: Array) -> tuple[float, float]:
-        """The largest value of a difference that is clearly one, and its standard uncertainty."""
+    def difference(self, k: int, shape: Array, spread: float) -> tuple[float, float]:
+        """The largest value of a difference that is clearly one, and its standard uncertainty.
+
+        Args:
+            k: the difference.
+            shape: its values per unit of its coefficients.
+            spread: factor by which the readings scatter more than declared.
+        """
         inverse, _ = self._inverse(k)
         value = shape @ (inverse @ self.right[self._own(k)])
-        uncertainty = np.sqrt(np.einsum("vi,ij,vj->v", shape, inverse, shape).clip(0.0))
+        uncertainty = spread * np.sqrt(np.einsum("vi,ij,vj->v", shape, inverse, shape).clip(0.0))
         ratio = np.abs(value) / np.maximum(uncertainty, 1e-300)
         clear = ratio > min(_CLEAR, float(ratio.max()) * 0.999)
         worst = int(np.argmax(np.where(clear, np.abs(value), -1.0)))
