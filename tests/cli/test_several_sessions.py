@@ -51,6 +51,16 @@ def test_identify_with_an_effect(sessions: list[str], effect: str, capsys: pytes
     assert document["effects"] == [effect]
 
 
+def test_an_effect_with_the_name_of_an_error_motion_hides_it_not(
+    sessions: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The model has EYY as a table already: the effect adds nothing to it, and the table is shown as without it."""
+    alone, text = (said(capsys, "identify", *sessions, *more) for more in ((), ("--effect", "EYY")))
+    assert "EYY" in alone.partition("Error motions")[2].partition("(--json")[0]
+    assert "EYY" in text.partition("Error motions")[2].partition("(--json")[0]
+    assert "not determined: effect EYY: " in text
+
+
 def test_export_with_an_effect(sessions: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = said(capsys, "export", *sessions, "--effect", "backlash_y", "--format", "isg", "-o", tmp_path / "tables")
     assert "RMS compensated" in text and "backlash_y" in text

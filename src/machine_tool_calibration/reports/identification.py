@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, parse_motion
+from machine_tool_calibration.machine.error_motions import ERROR_MOTIONS, SQUARENESS, parse_motion
 from machine_tool_calibration.model.model import Kind
 from machine_tool_calibration.reports.direct_deviations import direct_tables, scatter_words
 from machine_tool_calibration.reports.quantities import (
@@ -182,9 +182,18 @@ def show_result(screen: Console, document: Mapping[str, Any], opened: Sequence[S
     if aside.rows:
         show_table(screen, aside)
     _show_parameters(screen, document, fit)
-    for why, names in group_by_reason((entry["name"], entry["why"]) for entry in document["not_determined"]):
+    namesakes = _namesakes(fit)
+    missing = document["not_determined"]
+    lost = (("effect " * (entry["name"] in namesakes) + entry["name"], entry["why"]) for entry in missing)
+    for why, names in group_by_reason(lost):
         screen.print(f"not determined: {names}: {why}")
     screen.print(f"datum: {datum_words(document)}")
+
+
+def _namesakes(fit: JointFit) -> set[str]:
+    """Effects that add nothing and have the name of an unknown that the model has by itself, such as C0Y."""
+    added = {entry.name for model in fit.assembly.models for entry in model.left_out if entry.effect}
+    return {name for name in added if name in ERROR_MOTIONS or name in SQUARENESS}
 
 
 def datum_words(document: Mapping[str, Any]) -> str:
@@ -319,7 +328,7 @@ def _show_parameters(screen: Console, document: Mapping[str, Any], fit: JointFit
         notes = [f"{left} more; --json gives all of them"] if left else []
         heads = ("name", "value", "u (k = 1)", "U (k = 2)", "unit", "what it is")
         show_table(screen, TextTable("Parameters", heads, tuple(rows), "; ".join([*notes, *alone])))
-    _show_tables(screen, document, unknowns, alone)
+    _show_tables(screen, document, unknowns, alone, _namesakes(fit))
 
 
 def motion_row(name: str, value: Array, u: Array, count: int, unit: str) -> tuple[str, ...]:
@@ -343,10 +352,14 @@ def motion_row(name: str, value: Array, u: Array, count: int, unit: str) -> tupl
 
 
 def _show_tables(
-    screen: Console, document: Mapping[str, Any], unknowns: Mapping[str, Parameter], alone: Sequence[str]
+    screen: Console,
+    document: Mapping[str, Any],
+    unknowns: Mapping[str, Parameter],
+    alone: Sequence[str],
+    namesakes: Set[str],
 ) -> None:
     """Each table of an error motion in one row; none of what is not determined."""
-    lost = {entry["name"] for entry in document["not_determined"]}
+    lost = {entry["name"] for entry in document["not_determined"]} - namesakes
     tables: dict[str, list[Mapping[str, Any]]] = {}
     for entry in document["parameters"]:
         unknown = unknowns[entry["name"]]
