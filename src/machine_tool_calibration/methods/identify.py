@@ -63,18 +63,35 @@ def refuse_impossible(session: Session, error_map: ErrorMap) -> None:
     """
     if session.description.trust_units:
         return
+    _refuse_impossible_errors(session.source, error_map)
+    if session.spec.implausible is not None:
+        load(session.spec.implausible)(session, error_map, _IMPOSSIBLE, _KNOWN)
+
+
+@suspected()
+def _refuse_impossible_together(
+    sessions: Sequence[Session], labels: Sequence[str], joint: JointFit, error_map: ErrorMap
+) -> None:
+    """The same of several sessions: the map is that of all, and an instrument stands where its session says."""
+    trusted = [session.description.trust_units for session in sessions]
+    if not any(trusted):
+        _refuse_impossible_errors(", ".join(labels), error_map)
+    for session, fit, as_it_is in zip(sessions, joint.fits, trusted, strict=True):
+        if session.spec.implausible is not None and not as_it_is:
+            load(session.spec.implausible)(session, fit.model.error_map(fit), _IMPOSSIBLE, _KNOWN)
+
+
+def _refuse_impossible_errors(name: str, error_map: ErrorMap) -> None:
     size = np.abs(error_map.error)
     there = np.isfinite(size) & (size > _KNOWN * error_map.uncertainty) & (size > _IMPOSSIBLE)
     if there.any():
         k, j = np.argwhere(there)[int(np.argmax(size[there]))]
         place = ", ".join(f"{1e3 * v:.6g}" for v in error_map.points[k])
         raise ModelError(
-            f"{session.source}: the position error along {'xyz'[j]} at ({place}) mm comes out as "
+            f"{name}: the position error along {'xyz'[j]} at ({place}) mm comes out as "
             f"{1e3 * size[k, j]:.3g} mm, which no machine has: check units, columns and signs, and where the "
             "instrument stood"
         )
-    if session.spec.implausible is not None:
-        load(session.spec.implausible)(session, error_map, _IMPOSSIBLE, _KNOWN)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,6 +215,7 @@ def identify_sessions(chosen: Chosen) -> Result | JointResult:
     if angles is not None:
         agreed = replace(agreed, statement=agreed.statement + angles.hidden)
     error_map, averaged = averaged_map(fitted, chosen)
+    _refuse_impossible_together(chosen.sessions, names, joint, error_map)
     return JointResult(
         labels=names,
         fit=joint,
