@@ -75,6 +75,21 @@ def test_stations_stated_wrong_by_centimetres_do_no_harm(rotary: SimpleNamespace
     assert np.abs(difference[3:]).max() < 1e-8
 
 
+def test_a_station_stated_wrong_says_nothing_of_where_the_axis_stands(rotary: SimpleNamespace) -> None:
+    """The error motions are as they were; the axis average line would be off by centimetres."""
+    simulated = rotary.measured(2, noise_factor=0.0, station_uncertainty=1e-5)
+    sound = identify(simulated.session)
+    setups = list(simulated.session.description.setups)
+    setups[1] = setups[1].model_copy(update={"position": tuple(np.add(setups[1].position, (0.0, 0.05, 0.0)))})
+    description = simulated.session.description.model_copy(update={"setups": setups})
+    wrong = identify(type(simulated.session)(description, simulated.session.readings))
+    assert sound.error_map.content["axis_average_line"]["X0C"] == pytest.approx(0.0, abs=1e-4)
+    assert set(wrong.error_map.content["axis_average_line"].values()) == {None}
+    (entry,) = {entry.why for entry in wrong.error_map.not_determined if entry.name in ("X0C", "Y0C", "A0C", "B0C")}
+    assert f"station {setups[1].id!r} is found 50 mm off" in entry
+    assert wrong.error_map.content["EXC"] == pytest.approx(sound.error_map.content["EXC"], abs=5e-9)
+
+
 @pytest.mark.parametrize(("about", "degrees"), [("X", 45.0), ("Y", 90.0)])
 def test_a_table_that_stands_tilted_in_the_machine(rotary: SimpleNamespace, about: str, degrees: float) -> None:
     simulated = rotary.measured(4, noise_factor=0.0, station_uncertainty=1e-4)

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from machine_tool_calibration.arrays import Array, rigid_motions
+from machine_tool_calibration.arrays import Array, best_motion, rigid_motions
 from machine_tool_calibration.methods.rotary_axis.datum import ROTARY_DATUM
 from machine_tool_calibration.model.fit import Fit
+from machine_tool_calibration.model.model import NotDetermined
 from machine_tool_calibration.model.result import ErrorMap
 
 if TYPE_CHECKING:
@@ -68,6 +69,10 @@ def average_line(stations: Array, covariance: Array, nominal: Array, uncertainty
 
 # Movement of a target per unit of an unseen motion from which its place is not determined.
 _MOVED = 1e-3
+# Uncertainties by which a station is off its stated position from which on it says nothing of where the axis stands.
+_MISPLACED = 20.0
+# Stations that fix the motion between the frame of the axis and the machine's; more of them show which is wrong.
+_FRAME = 3
 
 
 def rotary_map(model: RotaryAxisModel, fit: Fit) -> ErrorMap:
@@ -84,6 +89,7 @@ def rotary_map(model: RotaryAxisModel, fit: Fit) -> ErrorMap:
     uncertainty = np.sqrt(np.einsum("nii->ni", cov).clip(0.0))
     place = slice(own + 6 * k, own + 6 * k + targets.size)
     s = stations.size
+    line, why = _line(model, fit)
     content |= {
         "points": points,
         "position_error": error,
@@ -94,10 +100,11 @@ def rotary_map(model: RotaryAxisModel, fit: Fit) -> ErrorMap:
         "station_ids": [setup.id for setup in model.description.setups],
         "stations": stations + theta[:s].reshape(-1, 3),
         "stations_u": sigma[:s].reshape(-1, 3),
-        "axis_average_line": _line(model, fit),
+        "axis_average_line": line,
         "datum": ROTARY_DATUM,
     }
-    return ErrorMap(content, points, error, uncertainty, cov)
+    untold = tuple(NotDetermined(name, why) for name, _ in line_names(table.axis)) if why else ()
+    return ErrorMap(content, points, error, uncertainty, cov, untold)
 
 
 def _position_errors(model: RotaryAxisModel, fit: Fit) -> tuple[Array, Array, Array]:
@@ -118,25 +125,47 @@ def _position_errors(model: RotaryAxisModel, fit: Fit) -> tuple[Array, Array, Ar
     return arm, error, covariance
 
 
-def _line(model: RotaryAxisModel, fit: Fit) -> dict[str, Any]:
-    """Position and orientation of the axis average line in the machine frame; None where stations do not give it."""
+def _line(model: RotaryAxisModel, fit: Fit) -> tuple[dict[str, Any], str]:
+    """Position and orientation of the axis average line in the machine frame; None where stations do not give it.
+
+    And why it has none, where that is for a station that does not stand where it is stated to be: the line would be off
+    by as much as that, with an uncertainty that does not hold it.
+    """
     setups = model.description.setups
     known = [
         s
         for s, setup in enumerate(setups)
         if setup.position_uncertainty is not None and fit.determined[3 * s : 3 * s + 3].all()
     ]
-    result = None
+    result, why = None, ""
     if known:
         index = np.concatenate([3 * s + np.arange(3) for s in known])
-        result = average_line(
+        found, covariance = (
             model.stations[known] + fit.theta[index].reshape(-1, 3),
             fit.covariance[np.ix_(index, index)],
-            np.array([setups[s].position for s in known]),
-            np.array([setups[s].position_uncertainty for s in known]),
         )
+        stated = np.array([setups[s].position for s in known])
+        uncertainty = np.array([setups[s].position_uncertainty for s in known])
+        off = _off_stated(found, stated)
+        u = np.sqrt(uncertainty**2 + np.diag(covariance).reshape(-1, 3).sum(axis=1))
+        worst = int(np.argmax(off / u))
+        if off[worst] > _MISPLACED * u[worst]:
+            name = setups[known[worst]].id
+            why = f"station {name!r} is found {1e3 * off[worst]:.3g} mm off its stated position, as the others stand"
+        else:
+            result = average_line(found, covariance, stated, uncertainty)
     out: dict[str, Any] = {}
     for name, j in line_names(model.table.axis):
         out[name] = None if result is None else float(result[0][j])
         out[f"{name}_u"] = None if result is None else float(np.sqrt(result[1][j, j]))
-    return out
+    return out, why
+
+
+def _off_stated(found: Array, stated: Array) -> Array:
+    """(k,) how far stations are from where they are stated to be, by the motion in which all but one agree best, m."""
+    if len(found) <= _FRAME:
+        return np.zeros(len(found))
+    others = [np.arange(len(found)) != k for k in range(len(found))]
+    motions = [best_motion(found[keep], stated[keep]) for keep in others]
+    off = [np.linalg.norm(found @ turn.T + shift - stated, axis=1) for turn, shift in motions]
+    return np.asarray(min(zip(others, off, strict=True), key=lambda pair: float(np.linalg.norm(pair[1][pair[0]])))[1])
