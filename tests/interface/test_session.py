@@ -142,3 +142,18 @@ def test_a_folder_keeps_its_whole_name(tmp_path: Path) -> None:
     for seed, folder in enumerate(folders):
         mtcal.simulate("iso230_2", seed=seed).save(folder)
     assert mtcal.load(folders).labels == ("2026.03.01", "2026.03.02")
+
+
+def test_what_was_declared_is_said_with_its_growth_along_the_path(tmp_path: Path) -> None:
+    """And the scatter is held against all of it, not against the part that does not grow."""
+    mtcal.simulate("iso230_2", repeats=2, seed=3).save(tmp_path / "run")
+    file = tmp_path / "run" / "session.yaml"
+    text = file.read_text(encoding="utf-8")
+    file.write_text(
+        text.replace("{displacement: 2.0e-07}", "{displacement: 2.0e-07, per_length: 5.0e-6}"), encoding="utf-8"
+    )
+    fit = mtcal.identify(mtcal.load(tmp_path / "run"))
+    assert "declared standard uncertainty 0.200 µm + 5.00 µm/m of the path" in " ".join(fit.report().split())
+    scatter = fit.document()["error_map"]["scatter"]
+    assert 1e-6 < scatter["declared"] < 2e-6
+    assert scatter["found"] == pytest.approx(scatter["declared"] * fit.reduced_chi_square**0.5)

@@ -3,6 +3,7 @@ import pytest
 
 from machine_tool_calibration.model.result import Estimate
 from machine_tool_calibration.reports.quantities import (
+    declared_words,
     duration,
     micrometres,
     probability,
@@ -11,6 +12,7 @@ from machine_tool_calibration.reports.quantities import (
     sizes_in_words,
     value_and_uncertainties,
 )
+from machine_tool_calibration.session.description import StandardUncertainty
 
 
 @pytest.mark.parametrize(
@@ -85,3 +87,12 @@ def test_a_table_shows_what_a_sentence_says(value: float, uncertainty: float, un
 def test_a_length_has_the_same_figures_in_a_table_and_in_a_sentence() -> None:
     for length in (1.024e-6, 7.79e-8, 33.58e-6):
         assert quantity(length, "m") == f"{micrometres(length)} µm"
+
+
+def test_a_declared_uncertainty_is_said_in_full() -> None:
+    said = StandardUncertainty.model_validate({"displacement": 3e-7})
+    assert declared_words(said) == "0.300 µm"
+    said = StandardUncertainty.model_validate(
+        {"displacement": 3e-7, "per_length": 1e-6, "setups": {"B": {"displacement": 1e-6}}}
+    )
+    assert declared_words(said) == "0.300 µm + 1.00 µm/m of the path; B: 1.00 µm"

@@ -16,6 +16,7 @@ from machine_tool_calibration.reports.direct_deviations import direct_tables, sc
 from machine_tool_calibration.reports.quantities import (
     NOT_DETERMINED,
     decimals,
+    declared_words,
     fixed,
     micrometres,
     p_value,
@@ -268,7 +269,8 @@ def session_headline(session: Session) -> str:
     repeats = len(np.unique(session.readings.repeat))
     return (
         f"{kind}: {len(session.readings)} readings in {len(ids)} setup{'s' if len(ids) > 1 else ''} ({names}), "
-        f"{repeats} repeat{'s' if repeats > 1 else ''}, declared standard uncertainty {quantity(session.sigma, 'm')}"
+        f"{repeats} repeat{'s' if repeats > 1 else ''}, declared standard uncertainty "
+        f"{declared_words(session.description.standard_uncertainty)}"
     )
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from machine_tool_calibration.reports.documents import plain
-from machine_tool_calibration.reports.quantities import duration, quantity
+from machine_tool_calibration.reports.quantities import declared_words, duration
 from machine_tool_calibration.reports.tables import TextTable, show_suspicions, show_table
 
 if TYPE_CHECKING:
@@ -102,7 +102,7 @@ def show_session(out: Console, session: Session, summary: SessionSummary) -> Non
     """Setups and columns of a session."""
     method = summary.method.replace("_", " ")
     out.print(f"[bold]{session.source}[/]: {method}, machine {session.description.machine.chain}")
-    out.print(counts_in_words(summary))
+    out.print(counts_in_words(session, summary))
     for table in session_tables(session, summary):
         show_table(out, table)
     show_suspicions(out, summary.suspicious)
@@ -110,12 +110,12 @@ def show_session(out: Console, session: Session, summary: SessionSummary) -> Non
         out.print(f"Text columns: {', '.join(summary.labels)}")
 
 
-def counts_in_words(summary: SessionSummary) -> str:
+def counts_in_words(session: Session, summary: SessionSummary) -> str:
     """How many readings there are, in what time, and their declared uncertainty."""
     lasted = "" if summary.duration is None else f" in {duration(summary.duration)}"
     return (
         f"{summary.readings} readings{lasted}, {summary.missing} missing, {summary.targets} targets; "
-        f"declared standard uncertainty {quantity(summary.standard_uncertainty, 'm')}"
+        f"declared standard uncertainty {declared_words(session.description.standard_uncertainty)}"
     )
 
 

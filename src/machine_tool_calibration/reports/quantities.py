@@ -13,10 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from machine_tool_calibration.model.result import Estimate
+    from machine_tool_calibration.session.description import DeclaredUncertainty, StandardUncertainty
 
 __all__ = [
     "NOT_DETERMINED",
     "decimals",
+    "declared_words",
     "duration",
     "fixed",
     "micrometres",
@@ -173,6 +175,17 @@ def reproducibility_words(sizes: Sequence[Mapping[str, Any]]) -> Iterator[str]:
                 f"{quantity(entry['size'], 'm')} RMS ({low} to {high} with 95 %), beside the scatter of the readings; "
                 "the uncertainties contain it."
             )
+
+
+def declared_words(said: StandardUncertainty) -> str:
+    """What was declared of one reading: a, a + b of the path, and what single setups have instead."""
+
+    def one(entry: DeclaredUncertainty) -> str:
+        length = f" + {quantity(entry.per_length, '1')} of the path" if entry.per_length else ""
+        return quantity(entry.displacement, "m") + length
+
+    own = [f"{name}: {one(entry)}" for name, entry in said.setups.items()]
+    return "; ".join([one(said), *own[:_MANY], *([f"{len(own) - _MANY} more setups"] if len(own) > _MANY else [])])
 
 
 def plus_minus(value: float | None, uncertainty: float | None, factor: float) -> str:

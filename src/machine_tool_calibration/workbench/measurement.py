@@ -106,7 +106,8 @@ class MeasurementPage:
             named = f"{label}: " if len(measurement.sessions) > 1 else ""
             problems = [summary.problem] if summary.problem else []
             suspicious += [named + words for words in (*summary.suspicious, *problems)]
-            placed += paragraphs([f"{named}machine {session.description.machine.chain}, {counts_in_words(summary)}"])
+            chain = session.description.machine.chain
+            placed += paragraphs([f"{named}machine {chain}, {counts_in_words(session, summary)}"])
             first, *rest = (replace(one, title=named + one.title) for one in session_tables(session, summary))
             placed += tables([first])
             more += tables(rest)

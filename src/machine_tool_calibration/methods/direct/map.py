@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from machine_tool_calibration.arrays import Array, BoolArray, IntArray, rigid_motions
+from machine_tool_calibration.arrays import Array, BoolArray, IntArray, rigid_motions, rms
 from machine_tool_calibration.methods.direct.datum import SetupDatum
 from machine_tool_calibration.methods.direct.iso230_2 import positioning, positioning_uncertainty
 from machine_tool_calibration.methods.direct.plate import plate_steps
@@ -160,7 +160,8 @@ def direct_map(model: DirectModel, fit: Fit) -> ErrorMap:
 
 def _scatter(observations: Observations, fit: Fit) -> dict[str, Any]:
     """What the readings scatter about the model, what was declared, and on which the standard uncertainties rest."""
-    declared, ratio = observations.session.sigma, float(np.sqrt(fit.joint.reduced_chi_square))
+    sigma, ratio = fit.model.sigma, float(np.sqrt(fit.joint.reduced_chi_square))
+    declared = rms(sigma) if np.ptp(sigma) > 0 else observations.session.sigma
     return {
         "declared": declared,
         "found": ratio * declared,
