@@ -19,6 +19,7 @@ from machine_tool_calibration.reports.quantities import (
     declared_words,
     fixed,
     micrometres,
+    not_ruled_out,
     p_value,
     probability,
     quantity,
@@ -167,7 +168,7 @@ def show_result(screen: Console, document: Mapping[str, Any], opened: Sequence[S
         screen.print(f"The map is the mean over effects that these readings do not distinguish: {', '.join(over)}.")
     screen.print(goodness_of_fit(document))
     show_suspicions(screen, document["suspicious"])
-    for words in reproducibility_words(document["spread"]):
+    for words in (*reproducibility_words(document["spread"]), *not_ruled_out(document["spread"])):
         screen.print(words)
     show_table(screen, TextTable("", ("", ""), tuple(summary_rows({**document, "not_determined": []}))))
     for shown_of_direct in direct_tables(document["error_map"]):

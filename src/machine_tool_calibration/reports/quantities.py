@@ -22,6 +22,7 @@ __all__ = [
     "duration",
     "fixed",
     "micrometres",
+    "not_ruled_out",
     "p_value",
     "plus_minus",
     "probability",
@@ -175,6 +176,17 @@ def reproducibility_words(sizes: Sequence[Mapping[str, Any]]) -> Iterator[str]:
                 f"{quantity(entry['size'], 'm')} RMS ({low} to {high} with 95 %), beside the scatter of the readings; "
                 "the uncertainties contain it."
             )
+
+
+def not_ruled_out(sizes: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """The most of what does not reproduce, where it is not sure that there is any: from the same entries."""
+    most = [
+        f"{quantity(entry['interval'][1], 'm')} RMS between the {_FAMILIES.get(entry['family'], entry['family'])}"
+        for entry in sizes
+        if entry["probability"] <= _SURE and entry["interval"][1] > 0
+    ]
+    if most:
+        yield f"What does not reproduce is at most {' and '.join(most)} (95 %); the uncertainties contain it."
 
 
 def declared_words(said: StandardUncertainty) -> str:
