@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from machine_tool_calibration.diagnosis.compare import compare, residual_sums
-from machine_tool_calibration.diagnosis.comparison import Comparison
+from machine_tool_calibration.diagnosis.compare import Comparison, compare
 from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.methods.build import build_model
 from machine_tool_calibration.methods.fitted import Chosen
@@ -22,6 +21,7 @@ from machine_tool_calibration.reports.comparison import (
     in_words,
 )
 from machine_tool_calibration.residuals.covariates import bins, covariates
+from machine_tool_calibration.residuals.sums import residual_sums
 from machine_tool_calibration.session.session import Session
 from machine_tool_calibration.simulation import PRESETS, Chips, FlawSpec, SimulationSpec, measured_again, simulate
 
@@ -42,7 +42,7 @@ def moved(session: Session, change: np.ndarray) -> Session:
 def test_the_figures_are_those_of_the_residuals(plan: str) -> None:
     found = compare(simulated(plan))
     fit, readings = found.fit, found.fit.model.observations.readings
-    np.testing.assert_allclose(found.measured, found.predicted + found.residual, atol=1e-15)
+    np.testing.assert_allclose(readings.displacement, fit.predicted + found.residual, atol=1e-15)
     assert found.overall.rms == pytest.approx(np.sqrt(np.mean(fit.residuals**2)))
     for shares in (found.setups, found.runs):
         assert sum(share.share for share in shares) == pytest.approx(1.0)

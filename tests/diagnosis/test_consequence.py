@@ -4,9 +4,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from machine_tool_calibration.diagnosis.consequence import consequences, map_change, map_rms
+from machine_tool_calibration.diagnosis.consequence import consequences
 from machine_tool_calibration.methods.identify import identify
-from machine_tool_calibration.model.result import ErrorMap
+from machine_tool_calibration.model.result import ErrorMap, map_change, map_rms
 from machine_tool_calibration.simulation import PRESETS, FlawSpec, SimulationSpec
 
 from ..diagnosed import diagnosed

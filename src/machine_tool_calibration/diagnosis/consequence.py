@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,10 +16,10 @@ from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.fitted import FittedSessions, fit_sessions
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import Kind
-from machine_tool_calibration.model.result import ErrorMap, Estimate
+from machine_tool_calibration.model.result import Estimate, effect_estimates, map_change
 from machine_tool_calibration.residuals.pool import Pool
 
-__all__ = ["Consequence", "before_and_after", "consequences", "effect_estimates", "map_change", "map_rms"]
+__all__ = ["Consequence", "before_and_after", "consequences"]
 
 # How many of the best candidates are added in full, each by itself.
 _MOST = 4
@@ -103,16 +103,6 @@ def _consequence(name: str, before: FittedSessions, after: FittedSessions, final
     )
 
 
-def effect_estimates(fit: JointFit, effects: Sequence[str]) -> tuple[Estimate, ...]:
-    """Coefficients of effects in a fit that the data determines, as `identify` publishes them."""
-    published = fit.published
-    uncertainty = np.sqrt(np.maximum(np.diag(published.covariance), 0.0))
-    found = zip(fit.assembly.parameters, published.theta, uncertainty, published.determined, strict=True)
-    return tuple(
-        Estimate.of(p, value, u) for p, value, u, good in found if good and p.kind is Kind.EFFECT and p.owner in effects
-    )
-
-
 def _signal(joint: JointFit, name: str) -> tuple[Array, Array]:
     """(n,) what an effect of the model changes in the readings, and its standard uncertainty, m."""
     value, variance = [], []
@@ -132,29 +122,3 @@ def _signal(joint: JointFit, name: str) -> tuple[Array, Array]:
         value.append(own)
         variance.append(square)
     return np.concatenate(value), np.sqrt(np.maximum(np.concatenate(variance), 0.0))
-
-
-def map_change(before: ErrorMap, after: ErrorMap) -> float | None:
-    """RMS length of the change of the position errors that both maps determine, m.
-
-    A map may hold a point several times, once for every state of an effect there (approached from either side); each is
-    compared with what the other map says of the same place.
-    """
-    old = before.error
-    if not np.array_equal(before.points, after.points):
-        places, number = np.unique(np.round(before.points * 1e9), axis=0, return_inverse=True)
-        count = np.bincount(number.reshape(-1))
-        mean = np.stack([np.bincount(number.reshape(-1), e) for e in before.error.T], axis=1) / count[:, None]
-        at = {tuple(place): value for place, value in zip(places.tolist(), mean, strict=True)}
-        nothing = np.full(3, np.nan)
-        old = np.array([at.get(tuple(p), nothing) for p in np.round(after.points * 1e9).tolist()]).reshape(-1, 3)
-    return map_rms(after.error - old)
-
-
-def map_rms(values: Array) -> float | None:
-    """RMS length of (n, 3) vectors at the points where any of their coordinates is determined."""
-    known = np.isfinite(values)
-    points = known.any(axis=1)
-    if not points.any():
-        return None
-    return float(np.sqrt(np.sum(np.where(known, values, 0.0) ** 2) / points.sum()))

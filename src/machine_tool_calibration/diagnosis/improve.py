@@ -9,12 +9,11 @@ from typing import TypeVar
 
 import numpy as np
 
-from machine_tool_calibration.diagnosis.consequence import effect_estimates, map_change, map_rms
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.history import Alternative, Coefficient, Entry, Part
 from machine_tool_calibration.methods.fitted import Chosen
 from machine_tool_calibration.methods.identify import JointResult, identify_sessions
-from machine_tool_calibration.model.result import Estimate, Result
+from machine_tool_calibration.model.result import Estimate, Result, effect_estimates, map_change, map_rms
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.provenance import Provenance
 from machine_tool_calibration.session.session import Session

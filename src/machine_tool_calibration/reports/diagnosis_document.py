@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from machine_tool_calibration.arrays import rms
-from machine_tool_calibration.diagnosis.consequence import Consequence, before_and_after, effect_estimates
+from machine_tool_calibration.diagnosis.consequence import Consequence, before_and_after
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.findings import Finding
 from machine_tool_calibration.model.fit import JointFit
-from machine_tool_calibration.model.result import Estimate
+from machine_tool_calibration.model.result import Estimate, effect_estimates
 from machine_tool_calibration.planning.advice import Advice, Separation, Visibility, alias_groups_of
 from machine_tool_calibration.reports.documents import plain
 from machine_tool_calibration.residuals.pool import Pool

@@ -14,8 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from machine_tool_calibration.arrays import IntArray
-from machine_tool_calibration.diagnosis.compare import compare
-from machine_tool_calibration.diagnosis.comparison import Comparison, JointComparison
+from machine_tool_calibration.diagnosis.compare import Comparison, JointComparison, compare
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis, diagnose
 from machine_tool_calibration.diagnosis.history import Entry, History
 from machine_tool_calibration.diagnosis.improve import Step, accepting, entry_of, step_after, words_set_aside

@@ -12,7 +12,7 @@ import numpy as np
 from bokeh.models import ColumnDataSource
 
 from machine_tool_calibration.arrays import Array
-from machine_tool_calibration.diagnosis.comparison import Comparison
+from machine_tool_calibration.diagnosis.compare import Comparison
 from machine_tool_calibration.errors import CalibrationError
 from machine_tool_calibration.plots.residuals import axis_label, line_of, planes, sense_along
 from machine_tool_calibration.plots.style import round_down

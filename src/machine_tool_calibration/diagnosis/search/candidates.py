@@ -37,6 +37,10 @@ class Shaped:
     columns: Array
     coefficients: tuple[Coefficient, ...] = ()
 
+    def leading(self, count: int) -> Shaped:
+        """Its first columns alone."""
+        return replace(self, columns=self.columns[:count], coefficients=self.coefficients[:count])
+
 
 @dataclass(frozen=True)
 class Candidate:

@@ -59,18 +59,11 @@ def _told(as_large: Array, log_bound: float) -> float:
 
 
 def null_sets(
-    gram: Gram,
-    before: Array,
-    used: IntArray,
-    metric: Metric,
-    variance: float,
-    sets: int,
-    rng: np.random.Generator,
+    before: Array, used: IntArray, metric: Metric, variance: float, sets: int, rng: np.random.Generator
 ) -> Gram:
     """The same columns with simulated data sets.
 
     Args:
-        gram: inner products with the measured data.
         before: (K + u,) squared norms of candidates' and spread columns before the model was projected off.
         used: columns of which something lies outside the model; the products with all others are left at zero.
         metric: that of the size of what does not reproduce in them.
@@ -78,7 +71,7 @@ def null_sets(
         sets: how many.
         rng: source of random numbers.
     """
-    k = len(used)
+    gram, k = metric.gram, len(used)
     whole = np.block([[gram.inner[np.ix_(used, used)], gram.cross[:, used].T], [gram.cross[:, used], gram.spread]])
     scale = np.sqrt(np.append(before[used], before[len(gram.inner) :]))
     scale[scale == 0.0] = 1.0  # a spread that these readings do not show: its products are zero, too
@@ -98,11 +91,10 @@ def null_sets(
     drawn = (products + moved) * np.sqrt(variance)
     data = np.zeros((len(gram.inner), sets))
     data[used] = drawn[:k]
-    return gram.with_data(data, drawn[k:], squares * variance)
+    return replace(gram, data=data, spread_data=drawn[k:], squares=squares * variance)
 
 
 def chance_of(
-    gram: Gram,
     before: Array,
     blocks: Sequence[Block],
     log_odds: Array,
@@ -114,7 +106,6 @@ def chance_of(
     """Simulate and search.
 
     Args:
-        gram: inner products with the measured data.
         before: squared norms before the model was projected off, as in `null_sets`.
         blocks: of all candidates.
         log_odds: (candidates,) logarithm of the prior odds of each.
@@ -123,9 +114,9 @@ def chance_of(
         sets: simulated data sets.
         rng: source of random numbers.
     """
-    null = null_sets(gram, before, np.unique(columns_of(blocks)), tried[0], variance, sets, rng)
-    folded = [replace(m, half_data=metric_at(null, m.ratio).half_data) for m in tried]
-    factors = table(null, blocks, folded, len(log_odds)).log_factors
+    null = null_sets(before, np.unique(columns_of(blocks)), tried[0], variance, sets, rng)
+    folded = [replace(m, gram=null, half_data=metric_at(null, m.ratio).half_data) for m in tried]
+    factors = table(blocks, folded, len(log_odds)).log_factors
     weights = log_odds[:, None] + factors
     share = weights.max(axis=0, initial=-np.inf) - np.logaddexp(0.0, logsumexp(weights, axis=0))
     return Chance(factors, log_odds, float(np.mean(np.exp(share) > ACCEPTED)))
