@@ -32,11 +32,9 @@ class Consequence:
     """An effect added to the model.
 
     Attributes:
-        effect: its id.
         parameters: its coefficients, with the names under which an identification publishes them.
-        signal_rms: RMS of what it changes in the readings, m; None where the data tell only a part of that from the
-            model's own unknowns.
-        signal_largest: the largest of these changes, m; None likewise.
+        signal: (n,) what it changes in the readings, m; None where the data tell only a part of that from the model's
+            own unknowns.
         rms_before: RMS residual without it, m.
         rms_after: RMS residual with it, m.
         map_change_rms: RMS length by which the position errors of the map's points change, m; None where the method's
@@ -44,10 +42,8 @@ class Consequence:
         explained: (n,) what it takes out of the residual of each reading, m.
     """
 
-    effect: str
     parameters: tuple[Estimate, ...]
-    signal_rms: float | None
-    signal_largest: float | None
+    signal: Array | None
     rms_before: float
     rms_after: float
     map_change_rms: float | None
@@ -90,12 +86,9 @@ def before_and_after(diagnosis: Diagnosis, found: Finding, changes: Mapping[str,
 def _consequence(name: str, before: FittedSessions, after: FittedSessions, final: JointFit) -> Consequence:
     signal, uncertainty = _signal(final, name)
     old, new = Pool(before.joint).residuals, Pool(after.joint).residuals
-    told = rms(uncertainty) < _TOLD * rms(signal)
     return Consequence(
-        effect=name,
         parameters=effect_estimates(final, [name]),
-        signal_rms=rms(signal) if told else None,
-        signal_largest=float(np.abs(signal).max(initial=0.0)) if told else None,
+        signal=signal if rms(uncertainty) < _TOLD * rms(signal) else None,
         rms_before=rms(old),
         rms_after=rms(new),
         map_change_rms=map_change(before.error_map, after.error_map),

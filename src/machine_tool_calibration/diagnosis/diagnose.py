@@ -27,7 +27,6 @@ from machine_tool_calibration.residuals.averaged import mean_places
 from machine_tool_calibration.residuals.noise import Noise, noise_of
 from machine_tool_calibration.residuals.outliers import Outlier, find_outliers, suspected_rows
 from machine_tool_calibration.residuals.pool import Pool
-from machine_tool_calibration.session.provenance import Provenance
 from machine_tool_calibration.session.session import Session
 
 __all__ = ["Diagnosis", "diagnose"]
@@ -76,21 +75,6 @@ class Diagnosis:
     set_aside: tuple[tuple[Outlier, ...], ...]
 
     @property
-    def sessions(self) -> tuple[Session, ...]:
-        """The measurements, without outliers."""
-        return self.chosen.sessions
-
-    @property
-    def labels(self) -> tuple[str, ...] | None:
-        """Their names; None for a single one."""
-        return self.chosen.labels
-
-    @property
-    def provenance(self) -> Provenance:
-        """What it was made from, with the model in which something is looked for."""
-        return self.fitted[0].provenance
-
-    @property
     def fits(self) -> tuple[JointFit, ...]:
         """Of the first model and after every effect found."""
         return tuple(fitted.joint for fitted in self.fitted)
@@ -135,7 +119,7 @@ class Diagnosis:
         reproduce from run to run is no contradiction.
         """
         first, last = self.fits[0], self.fits[-1]
-        if any(session.spec.reads_machine for session in self.sessions) or self.noisy:
+        if any(session.spec.reads_machine for session in self.chosen.sessions) or self.noisy:
             return False
         if not last.stated.contradicts(GROSS, CONTRADICTED):
             return False
@@ -204,10 +188,10 @@ def _probable_without_suspects(found: Diagnosis, search: Callable[[Chosen], Diag
     Gross errors that an effect hides may in turn hide the effect, which shows among the other readings.
     """
     build = _alone(found.chosen, found.accepted)
-    suspected = [suspected_rows(session, build) for session in found.sessions]
+    suspected = [suspected_rows(session, build) for session in found.chosen.sessions]
     if not any(map(len, suspected)):
         return ()
-    each = zip(found.sessions, suspected, strict=True)
+    each = zip(found.chosen.sessions, suspected, strict=True)
     sessions = tuple(session.without(np.isin(session.readings.row, rows)) for session, rows in each)
     try:
         return _probable(search(replace(found.chosen, sessions=sessions)))

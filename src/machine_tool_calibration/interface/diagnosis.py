@@ -211,7 +211,7 @@ class Diagnosis(Shown):
 
         Columns: `row` of the recording, `studentized`, `deviation` (m); of several sessions `session` first.
         """
-        labels = self.found.labels
+        labels = self.found.chosen.labels
         rows = [
             {
                 **({} if labels is None else {"session": labels[k]}),

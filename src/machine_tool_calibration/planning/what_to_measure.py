@@ -144,7 +144,7 @@ def what_to_measure(diagnosis: Diagnosis, progress: Callable[[str, float], None]
     groups = alias_groups_of(diagnosis)
     assumed = assumed_effects(diagnosis)
     present = present_effects(diagnosis)
-    chosen, sessions, labels = diagnosis.chosen, diagnosis.sessions, diagnosis.labels
+    chosen, sessions, labels = diagnosis.chosen, diagnosis.chosen.sessions, diagnosis.chosen.labels
     single = len(sessions) == 1
     limits = limits_of(sessions[0], chosen.model) if single else None
 

@@ -8,8 +8,9 @@ import pytest
 
 from machine_tool_calibration.diagnosis.search.candidates import Shaped
 from machine_tool_calibration.diagnosis.search.chance import Chance, chance_of, null_sets
-from machine_tool_calibration.diagnosis.search.evidence import Block, Gram, metrics
+from machine_tool_calibration.diagnosis.search.evidence import Block
 from machine_tool_calibration.diagnosis.search.priors import EFFECT
+from machine_tool_calibration.estimation.marginal import Gram, metrics
 
 N, FREE = 30, 26
 

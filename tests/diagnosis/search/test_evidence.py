@@ -11,8 +11,8 @@ from scipy import integrate, stats
 from scipy.special import logsumexp
 
 from machine_tool_calibration.diagnosis.search.candidates import Shaped
-from machine_tool_calibration.diagnosis.search.evidence import Block, Gram, metrics, table
-from machine_tool_calibration.estimation.variance_components import DECLARED_WORTH, log_prior, ratio_grid
+from machine_tool_calibration.diagnosis.search.evidence import Block, table
+from machine_tool_calibration.estimation.marginal import DECLARED_WORTH, Gram, log_prior, metrics, ratio_grid
 from machine_tool_calibration.model.effect_sizes import SCALE_STEP, SMALLEST_SIGNAL
 
 N = 24

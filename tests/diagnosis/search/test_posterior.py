@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from machine_tool_calibration.diagnosis.search.candidates import Shaped
-from machine_tool_calibration.diagnosis.search.evidence import Block, Gram
+from machine_tool_calibration.diagnosis.search.evidence import Block
 from machine_tool_calibration.diagnosis.search.posterior import Posterior, search
 from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, EFFECT
+from machine_tool_calibration.estimation.marginal import Gram
 
 N = 60
 

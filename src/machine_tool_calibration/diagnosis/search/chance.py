@@ -15,8 +15,9 @@ from scipy.linalg import lapack
 from scipy.special import logsumexp
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.diagnosis.search.evidence import Block, Gram, Metric, columns_of, metric_at, table
+from machine_tool_calibration.diagnosis.search.evidence import Block, columns_of, table
 from machine_tool_calibration.diagnosis.search.priors import ACCEPTED
+from machine_tool_calibration.estimation.marginal import Gram, Metric, metric_at
 
 __all__ = ["Chance", "chance_of", "null_sets"]
 

@@ -11,31 +11,19 @@ out, with what was declared as knowledge worth a number of readings.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
-from itertools import product
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.special import log_ndtr, ndtr
 
 from machine_tool_calibration.arrays import Array, IntArray
 from machine_tool_calibration.diagnosis.search.candidates import Shaped
+from machine_tool_calibration.estimation.marginal import NOTHING, Gram, Metric
 from machine_tool_calibration.estimation.reduction import Projected
-from machine_tool_calibration.estimation.variance_components import (
-    DECLARED_WORTH,
-    below,
-    factor_of_sum,
-    fold,
-    log_prior,
-    ratio_grid,
-)
 from machine_tool_calibration.model.effect_sizes import SCALE_STEP, SMALLEST_SIGNAL
 from machine_tool_calibration.residuals.pool import Pool
 
-__all__ = ["NOTHING", "Block", "Gram", "Metric", "Point", "Table", "columns_of", "metric_at", "metrics", "table"]
-
-NOTHING = 1e-12
-"""Share of the data's squares that is at least left of them: less is rounding."""
+__all__ = ["Block", "Point", "Table", "columns_of", "gram_of", "table"]
 
 # Most scales of one effect; a probability below which its logarithm is calculated apart.
 _MOST_SCALES = 7
@@ -101,146 +89,26 @@ def columns_of(blocks: Iterable[Block]) -> IntArray:
     return np.concatenate([np.zeros(0, dtype=np.int64), *ranges])
 
 
-@dataclass(frozen=True)
-class Gram:
-    """Inner products outside the model, weighted by the declared uncertainty.
+def gram_of(pool: Pool, projected: Projected) -> Gram:
+    """Inner products of candidates' columns, with the measured data.
 
-    Attributes:
-        inner: (K, K) of all candidates' columns.
-        spread: (u, u) of the columns of what does not reproduce.
-        cross: (u, K) between them.
-        data: (K, B) with each of B data sets; the first is the measured one.
-        spread_data: (u, B).
-        squares: (B,) squared norm of each data set.
-        family: (u,) family of each spread column.
-        freedom: degrees of freedom of the readings beside the model's unknowns.
-        sizes: of the last families, where they are known in their own unit: with their prior probabilities.
-        worth: readings that what is known of the noise is worth; infinite where it is known.
+    Args:
+        pool: the readings.
+        projected: what the model leaves of the columns and, below them, those of the pool's spread.
     """
-
-    inner: Array
-    spread: Array
-    cross: Array
-    data: Array
-    spread_data: Array
-    squares: Array
-    family: IntArray
-    freedom: int
-    sizes: tuple[dict[float, float], ...] = ()
-    worth: float = DECLARED_WORTH
-
-    @classmethod
-    def of(cls, pool: Pool, projected: Projected) -> Gram:
-        """Of the measured data.
-
-        Args:
-            pool: the readings.
-            projected: what the model leaves of the candidates' columns and, below them, those of the pool's spread.
-        """
-        family, fitted, gram = pool.spread[1], pool.fit.released.solution, projected.gram
-        k = len(gram) - 1 - len(family)
-        return cls(
-            inner=gram[:k, :k],
-            spread=gram[k:-1, k:-1],
-            cross=gram[k:-1, :k],
-            data=gram[:k, -1:].copy(),
-            spread_data=gram[k:-1, -1:].copy(),
-            squares=np.array([fitted.chi_square]),
-            family=family,
-            freedom=fitted.degrees_of_freedom,
-            sizes=pool.sizes,
-        )
-
-    def with_noise(self, variance: float) -> Gram:
-        """With noise whose variance over that declared is known."""
-        data, spread_data = (products / np.sqrt(variance) for products in (self.data, self.spread_data))
-        return replace(self, data=data, spread_data=spread_data, squares=self.squares / variance, worth=np.inf)
-
-    def log_likelihood(self, left: Array) -> Array:
-        """Logarithm of the evidence by the squares that are left, up to what all models share.
-
-        That of Student's form, the variance of the noise being integrated out; where that is known its limit: minus
-        half of chi-square.
-        """
-        if np.isinf(self.worth):
-            return -0.5 * left
-        return np.asarray(-0.5 * (self.freedom + self.worth) * np.log(self.worth + left))
-
-    def noise(self, left: Array) -> Array:
-        """Variance of the noise by the squares that are left, over that declared, or over the known one."""
-        if np.isinf(self.worth):
-            return np.ones_like(left)
-        return np.asarray((self.worth + left) / (self.worth + self.freedom))
-
-
-@dataclass(frozen=True)
-class Metric:
-    """Inner products for one size of what does not reproduce.
-
-    Attributes:
-        gram: those where all reproduces.
-        ratio: these sizes, in units of the noise; of the last families, whose sizes are given, in their own.
-        log_prior: of these sizes, and the determinant that they cost.
-        half: (u', K) and half_data (u', B): X^T V^-1 Y = X^T Y - half_X^T half_Y.
-        half_data: see there.
-    """
-
-    gram: Gram
-    ratio: tuple[float, ...]
-    log_prior: float
-    half: Array
-    half_data: Array
-
-    def inner(self, left: Array | IntArray | slice, right: Array | IntArray | slice) -> Array:
-        """Inner products of columns."""
-        return np.asarray(self.gram.inner[left][:, right] - self.half[:, left].T @ self.half[:, right])
-
-    @cached_property
-    def data(self) -> Array:
-        """(K, B) inner products of all columns with the data."""
-        return np.asarray(self.gram.data - self.half.T @ self.half_data)
-
-    @cached_property
-    def squares(self) -> Array:
-        """(B,) squared norms of the data."""
-        whole = self.gram.squares
-        return np.asarray(np.maximum(whole - np.sum(self.half_data**2, axis=0), NOTHING * whole))
-
-    @property
-    def log_null(self) -> Array:
-        """(B,) logarithm of the evidence without any candidate."""
-        return self.log_prior + self.gram.log_likelihood(self.squares)
-
-    def beside(self, columns: IntArray, scale: Array) -> Metric:
-        """With columns of given scales (standard deviations of their coefficients) folded in as well."""
-        inner, data = self.inner(columns, slice(None)), self.data[columns]
-        lower = factor_of_sum(inner[:, columns] * np.outer(scale, scale))
-        half = below(lower, scale[:, None] * np.column_stack([inner, data]))
-        k = inner.shape[1]
-        return replace(
-            self,
-            log_prior=self.log_prior - float(np.log(np.diag(lower)).sum()),
-            half=np.concatenate([self.half, half[:, :k]]),
-            half_data=np.concatenate([self.half_data, half[:, k:]]),
-        )
-
-
-def metrics(gram: Gram) -> list[Metric]:
-    """One for every size of what does not reproduce."""
-    further = list(product(*(own.items() for own in gram.sizes)))
-    ratios = ratio_grid(int(gram.family.max(initial=-1)) + 1 - len(gram.sizes), len(gram.sizes))
-    return [
-        metric_at(gram, (*ratio, *(size for size, _ in own)), float(prior + sum(np.log(p) for _, p in own)))
-        for ratio, prior in zip(ratios, log_prior(ratios), strict=True)
-        for own in further
-    ]
-
-
-def metric_at(gram: Gram, ratio: tuple[float, ...], prior: float = 0.0) -> Metric:
-    """That of one size of each family, in units of the noise, with the logarithm of its prior."""
-    folded = fold(gram.spread, np.column_stack([gram.cross, gram.spread_data]), gram.family, ratio)
-    k = gram.cross.shape[1]
-    return Metric(gram, ratio, prior - 0.5 * folded.log_determinant, folded.half[:, :k], folded.half[:, k:])
+    family, fitted, gram = pool.spread[1], pool.fit.released.solution, projected.gram
+    k = len(gram) - 1 - len(family)
+    return Gram(
+        inner=gram[:k, :k],
+        spread=gram[k:-1, k:-1],
+        cross=gram[k:-1, :k],
+        data=gram[:k, -1:].copy(),
+        spread_data=gram[k:-1, -1:].copy(),
+        squares=np.array([fitted.chi_square]),
+        family=family,
+        freedom=fitted.degrees_of_freedom,
+        sizes=pool.sizes,
+    )
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,10 @@ import numpy as np
 from machine_tool_calibration.arrays import Array, BoolArray, rms
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, Shaped
 from machine_tool_calibration.diagnosis.search.chance import Chance
-from machine_tool_calibration.diagnosis.search.evidence import NOTHING, Gram, Metric
 from machine_tool_calibration.diagnosis.search.posterior import Posterior
 from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, ALIKE, LIKELY
 from machine_tool_calibration.effects.effect import Coefficient
+from machine_tool_calibration.estimation.marginal import NOTHING, Gram, Metric
 from machine_tool_calibration.model.effect_sizes import smallest_signal
 from machine_tool_calibration.residuals.pool import Pool
 

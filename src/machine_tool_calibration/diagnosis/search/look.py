@@ -11,10 +11,11 @@ import numpy as np
 from machine_tool_calibration.arrays import Array
 from machine_tool_calibration.diagnosis.search.candidates import Candidate, opposites
 from machine_tool_calibration.diagnosis.search.chance import Chance, chance_of
-from machine_tool_calibration.diagnosis.search.evidence import Block, Gram, metric_at, table
+from machine_tool_calibration.diagnosis.search.evidence import Block, gram_of, table
 from machine_tool_calibration.diagnosis.search.findings import Finding, alias_groups, basis_of, finding_of, fitted_in
 from machine_tool_calibration.diagnosis.search.posterior import Posterior, search
 from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, EFFECT, STRUCTURE, THE_SAME
+from machine_tool_calibration.estimation.marginal import Gram, metric_at
 from machine_tool_calibration.estimation.reduction import Projected
 from machine_tool_calibration.model.fit import JointFit, absorbed_by
 from machine_tool_calibration.model.model import Parameter
@@ -207,7 +208,7 @@ def _columns(pool: Pool, candidates: Sequence[Candidate], structures: Sequence[C
     every = [*candidates, *opposites(candidates), *structures]
     columns = np.concatenate([np.zeros((0, len(pool))), *(s.columns for c in every for s in c.shapes)])
     projected = pool.screen(np.concatenate([columns, pool.spread[0]]))
-    gram, k = Gram.of(pool, projected), len(columns)
+    gram, k = gram_of(pool, projected), len(columns)
     # What does not vary within the runs has rounding there.
     before = np.maximum(pool.within_runs(columns), np.maximum(_CONSTANT * projected.squares[:k], _NONE))
     blocks, first = [], 0

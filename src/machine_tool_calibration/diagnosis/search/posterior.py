@@ -17,18 +17,9 @@ import numpy as np
 from scipy.special import logsumexp
 
 from machine_tool_calibration.arrays import Array, IntArray
-from machine_tool_calibration.diagnosis.search.evidence import (
-    NOTHING,
-    Block,
-    Gram,
-    Metric,
-    Point,
-    Table,
-    columns_of,
-    metrics,
-    table,
-)
+from machine_tool_calibration.diagnosis.search.evidence import Block, Point, Table, columns_of, table
 from machine_tool_calibration.diagnosis.search.priors import LIKELY
+from machine_tool_calibration.estimation.marginal import NOTHING, Gram, Metric, metrics
 
 __all__ = ["Posterior", "search"]
 

@@ -17,10 +17,11 @@ import numpy as np
 
 from machine_tool_calibration.arrays import IntArray, groups
 from machine_tool_calibration.diagnosis.search.candidates import shaped_at
-from machine_tool_calibration.diagnosis.search.evidence import Block, Gram, columns_of, metric_at, table
+from machine_tool_calibration.diagnosis.search.evidence import Block, columns_of, gram_of, table
 from machine_tool_calibration.diagnosis.search.look import Look
 from machine_tool_calibration.effects.effect import Effect
 from machine_tool_calibration.errors import CalibrationError
+from machine_tool_calibration.estimation.marginal import metric_at
 from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.session import Session
@@ -129,7 +130,7 @@ def _log_factors(fit: JointFit, effects: Sequence[tuple[Effect, tuple[float, ...
     # Structures without a cause stand beside every effect: what they leave out would count against it.
     further = look.without_cause[:, _rows(pool, Pool(look.fit))]
     projected = pool.screen(np.concatenate([*(s.columns for s in shaped), further, pool.spread[0]]))
-    gram = Gram.of(pool, projected).with_noise(max(look.variance, _LEAST_NOISE))
+    gram = gram_of(pool, projected).with_noise(max(look.variance, _LEAST_NOISE))
     ends = np.cumsum([0, *(len(s.columns) for s in shaped)]).tolist()
     places = [slice(first, end) for first, end in itertools.pairwise(ends)]
     blocks = [Block.of(0, place, s, np.zeros(len(s.columns))) for s, place in zip(shaped, places, strict=True)]
