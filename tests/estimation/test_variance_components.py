@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.special import logsumexp
 
-from machine_tool_calibration.estimation.marginal import DECLARED_WORTH, Gram, log_prior, metric_at, ratio_grid
+from machine_tool_calibration.estimation.marginal import DECLARED_WORTH, log_prior
 from machine_tool_calibration.estimation.variance_components import components
 
 GROUPS, EACH = 6, 6
@@ -115,47 +115,3 @@ def test_quantiles_rise_with_probability(sizes: tuple[float, ...]) -> None:
             value = found.quantile(family, p)
             assert found.weights[column < value / step].sum() <= p
             assert found.weights[column <= value * step].sum() >= p
-
-
-@pytest.mark.parametrize("families", [0, 1, 2])
-def test_prior_is_a_distribution_with_half_at_none(families: int) -> None:
-    ratios = ratio_grid(families)
-    weight = np.exp(log_prior(ratios))
-    assert weight.sum() == pytest.approx(1.0)
-    for family in range(families):
-        none = np.array([ratio[family] == 0.0 for ratio in ratios])
-        assert weight[none].sum() == pytest.approx(0.5)
-
-
-def test_folding_is_the_inverse_of_the_covariance() -> None:
-    _, spread, place, readings = problem(4, (1.0, 1.0))
-    others = np.random.default_rng(4).normal(size=(N, 3))
-    ratio = (0.7, 2.5)
-    metric = metric_at(gram_of(others, spread, readings[:, None], place), ratio)
-    covariance = np.eye(N) + (spread * np.array(ratio)[place] ** 2) @ spread.T
-    every = slice(None)
-    assert metric.inner(every, every) == pytest.approx(others.T @ np.linalg.solve(covariance, others))
-    assert metric.data[:, 0] == pytest.approx(others.T @ np.linalg.solve(covariance, readings))
-    assert metric.squares[0] == pytest.approx(readings @ np.linalg.solve(covariance, readings))
-    assert metric.log_prior == pytest.approx(-0.5 * np.linalg.slogdet(covariance)[1])
-
-
-def test_no_spread_folds_to_nothing() -> None:
-    _, spread, place, readings = problem(4, (1.0,))
-    metric = metric_at(gram_of(spread, spread, readings[:, None], place), (0.0,))
-    assert metric.log_prior == 0.0
-    assert metric.half.shape == (0, spread.shape[1])
-
-
-def gram_of(columns: np.ndarray, spread: np.ndarray, data: np.ndarray, place: np.ndarray) -> Gram:
-    """Inner products without any model: all that lies outside it is everything."""
-    return Gram(
-        inner=columns.T @ columns,
-        spread=spread.T @ spread,
-        cross=spread.T @ columns,
-        data=columns.T @ data,
-        spread_data=spread.T @ data,
-        squares=np.sum(data**2, axis=0),
-        family=place,
-        freedom=N,
-    )

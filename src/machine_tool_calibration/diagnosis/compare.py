@@ -360,7 +360,7 @@ class _Residuals:
             trends=self._trends(),
             ranked=tuple(rank_covariates(self.covariates, np.nan_to_num(self.studentized))),
             outliers=outliers,
-            worst=tuple(int(k) for k in order[: min(_WORST, self.n)]),
+            worst=tuple(order[:_WORST].tolist()),
             residual=self.residual,
             studentized=self.studentized,
             covariates=self.covariates,
@@ -400,19 +400,11 @@ class _Residuals:
         out = []
         for (name, mask), mean, slope in zip(parts, found[: len(parts)], found[len(parts) :], strict=True):
             squares, left = float(np.sum(self.normal[mask] ** 2)), float(np.sum(self.free[mask]))
+            reduced = squares / left if left > _LEAST_LEFT else None
+            share = squares / total if total > 0 else 0.0
             where = np.flatnonzero(mask)
-            worst = where[int(np.argmax(np.nan_to_num(np.abs(self.studentized[where]))))]
-            out.append(
-                Share(
-                    name,
-                    len(where),
-                    rms(self.residual[mask]),
-                    squares / left if left > _LEAST_LEFT else None,
-                    squares / total if total > 0 else 0.0,
-                    *(*mean, *slope),
-                    worst_row=int(self.readings.row[worst]),
-                )
-            )
+            worst = int(self.readings.row[where[np.argmax(np.nan_to_num(np.abs(self.studentized[where])))]])
+            out.append(Share(name, len(where), rms(self.residual[mask]), reduced, share, *mean, *slope, worst))
         return out
 
     def _labels(self, values: np.ndarray) -> tuple[Share, ...]:
@@ -486,12 +478,8 @@ class _Residuals:
 
 def _slope_weights(values: Array, mask: BoolArray) -> Array:
     """(n,) weights whose sum with the residuals is their slope over the values, among some of the readings."""
-    out = np.zeros(len(values))
-    centred = values[mask] - values[mask].mean()
-    squares = float(centred @ centred)
-    if squares > 0:
-        out[mask] = centred / squares
-    return out
+    centred = np.where(mask, values - values[mask].mean(), 0.0)
+    return np.asarray(centred / (float(centred @ centred) or 1.0))
 
 
 def _worst_first(shares: Sequence[Share]) -> tuple[Share, ...]:

@@ -6,8 +6,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
-
 from machine_tool_calibration.arrays import Array, rms
 from machine_tool_calibration.diagnosis.diagnose import Diagnosis
 from machine_tool_calibration.diagnosis.search.findings import Finding
@@ -15,8 +13,7 @@ from machine_tool_calibration.errors import ModelError
 from machine_tool_calibration.estimation.reduction import single_blas
 from machine_tool_calibration.methods.fitted import FittedSessions, fit_sessions
 from machine_tool_calibration.model.fit import JointFit
-from machine_tool_calibration.model.model import Kind
-from machine_tool_calibration.model.result import Estimate, effect_estimates, map_change
+from machine_tool_calibration.model.result import Estimate, effect_estimates, effect_signal, map_change
 from machine_tool_calibration.residuals.pool import Pool
 
 __all__ = ["Consequence", "before_and_after", "consequences"]
@@ -84,7 +81,7 @@ def before_and_after(diagnosis: Diagnosis, found: Finding, changes: Mapping[str,
 
 
 def _consequence(name: str, before: FittedSessions, after: FittedSessions, final: JointFit) -> Consequence:
-    signal, uncertainty = _signal(final, name)
+    signal, uncertainty = effect_signal(final, name)
     old, new = Pool(before.joint).residuals, Pool(after.joint).residuals
     return Consequence(
         parameters=effect_estimates(final, [name]),
@@ -94,24 +91,3 @@ def _consequence(name: str, before: FittedSessions, after: FittedSessions, final
         map_change_rms=map_change(before.error_map, after.error_map),
         explained=old - new,
     )
-
-
-def _signal(joint: JointFit, name: str) -> tuple[Array, Array]:
-    """(n,) what an effect of the model changes in the readings, and its standard uncertainty, m."""
-    value, variance = [], []
-    for fit in joint.fits:
-        own, square = np.zeros(len(fit.model.observations)), np.zeros(len(fit.model.observations))
-        first = len(fit.model.own)
-        for term in fit.model.terms:
-            place = slice(first, first + len(term.parameters))
-            first += len(term.parameters)
-            if term.name != name or term.parameters[0].kind is not Kind.EFFECT:
-                continue
-            # Unknowns that count from a reference are nonlinear coefficients, whose share the other columns hold.
-            linear = np.array([p.reference == 0.0 for p in term.parameters])
-            columns = term.columns[linear]
-            inner = fit.covariance[place, place][np.ix_(linear, linear)]
-            own, square = fit.theta[place][linear] @ columns, np.einsum("kn,kl,ln->n", columns, inner, columns)
-        value.append(own)
-        variance.append(square)
-    return np.concatenate(value), np.sqrt(np.maximum(np.concatenate(variance), 0.0))

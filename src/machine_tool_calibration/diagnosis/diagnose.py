@@ -24,7 +24,7 @@ from machine_tool_calibration.model.fit import JointFit
 from machine_tool_calibration.model.model import MethodModel
 from machine_tool_calibration.model.result import EffectSet, ErrorMap
 from machine_tool_calibration.residuals.averaged import mean_places
-from machine_tool_calibration.residuals.noise import Noise, noise_of
+from machine_tool_calibration.residuals.noise import Noise
 from machine_tool_calibration.residuals.outliers import Outlier, find_outliers, suspected_rows
 from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.session import Session
@@ -221,7 +221,7 @@ def _search(
     progress: Callable[[str, float], None],
 ) -> Diagnosis:
     """The diagnosis of sessions without what was set aside."""
-    searched, first, noise = _first_model(chosen)
+    searched, first, repeated = _first_model(chosen)
     pool = Pool(first.joint)
     # Error motions that the model holds as random functions, under names of their own.
     held = {t.name.rsplit(".", 1)[1] for model in first.joint.assembly.models for t in model.terms if "." in t.name}
@@ -244,6 +244,9 @@ def _search(
         look = look_for(fine)
     progress("readings that are left out", 0.7)
     predicted = predictions(searched.sessions, look, lambda left: fit_sessions(replace(searched, sessions=left)).joint)
+    noise = look.noise[0]
+    if repeated is not None:
+        noise = replace(noise, from_repeats=repeated.from_repeats, repeats=repeated.repeats)
     fitted, refused = _added(look, predicted, first, fit_with, side_by_side=side_by_side)
     found = Diagnosis(
         chosen=chosen,
@@ -264,17 +267,14 @@ def _search(
     return replace(found, verdict=verdict, accepted=(), fitted=fitted[:1])
 
 
-def _first_model(chosen: Chosen) -> tuple[Chosen, FittedSessions, Noise]:
-    """What is searched (places that were measured repeatedly may have their means), its fit, and its noise."""
+def _first_model(chosen: Chosen) -> tuple[Chosen, FittedSessions, Noise | None]:
+    """What is searched, its fit, and where places that were measured repeatedly have their means, what repeats say."""
     first = fit_sessions(chosen)
     averaged = mean_places(first.joint.fits[0]) if len(chosen.sessions) == 1 else None
     if averaged is None:
-        return chosen, first, noise_of(first.joint.fits[0])
-    session, told = averaged
-    searched = replace(chosen, sessions=(session,))
-    first = fit_sessions(searched)
-    noise = replace(noise_of(first.joint.fits[0]), from_repeats=told.from_repeats, repeats=told.repeats)
-    return searched, first, noise
+        return chosen, first, None
+    searched = replace(chosen, sessions=averaged[:1])
+    return searched, fit_sessions(searched), averaged[1]
 
 
 def _resolved(

@@ -17,15 +17,7 @@ from machine_tool_calibration.residuals.pool import Pool
 from machine_tool_calibration.session.provenance import Provenance
 from machine_tool_calibration.session.session import Session
 
-__all__ = [
-    "Improvement",
-    "Step",
-    "accepted_models",
-    "entry_of",
-    "improve",
-    "step_after",
-    "words_set_aside",
-]
+__all__ = ["Improvement", "Step", "accepted_models", "entry_of", "improve", "step_after", "words_set_aside"]
 
 
 @dataclass(frozen=True)

@@ -69,14 +69,9 @@ def log_prior(ratios: Sequence[tuple[float, ...]]) -> Array:
 class Gram:
     """Inner products outside the model, weighted by the declared uncertainty.
 
-    Of what does not reproduce (its spread), of the data, and of whatever columns the readings are held against.
-
     Attributes:
-        inner: (K, K) of these columns.
-        spread: (u, u) of the columns of what does not reproduce.
-        cross: (u, K) between them.
-        data: (K, B) with each of B data sets; the first is the measured one.
-        spread_data: (u, B).
+        inner: (K, K) of all columns, the last u of which are those of what does not reproduce (the spread).
+        data: (K, B) of these with each of B data sets; the first is the measured one.
         squares: (B,) squared norm of each data set.
         family: (u,) family of each spread column.
         freedom: degrees of freedom of the readings beside the model's unknowns.
@@ -85,20 +80,21 @@ class Gram:
     """
 
     inner: Array
-    spread: Array
-    cross: Array
     data: Array
-    spread_data: Array
     squares: Array
     family: IntArray
     freedom: int
     sizes: tuple[dict[float, float], ...] = ()
     worth: float = DECLARED_WORTH
 
+    @property
+    def spread(self) -> IntArray:
+        """(u,) places of the spread's columns."""
+        return np.arange(len(self.inner) - len(self.family), len(self.inner))
+
     def with_noise(self, variance: float) -> Gram:
         """With noise whose variance over that declared is known."""
-        data, spread_data = (products / np.sqrt(variance) for products in (self.data, self.spread_data))
-        return replace(self, data=data, spread_data=spread_data, squares=self.squares / variance, worth=np.inf)
+        return replace(self, data=self.data / np.sqrt(variance), squares=self.squares / variance, worth=np.inf)
 
     def log_likelihood(self, left: Array) -> Array:
         """Logarithm of the evidence by the squares that are left, up to what all models share.
@@ -135,6 +131,11 @@ class Metric:
     half: Array
     half_data: Array
 
+    @property
+    def tau(self) -> Array:
+        """(u,) size of each of the spread's columns."""
+        return np.array(self.ratio)[self.gram.family] if self.ratio else np.zeros(len(self.gram.family))
+
     def inner(self, left: Array | IntArray | slice, right: Array | IntArray | slice) -> Array:
         """Inner products of columns."""
         return np.asarray(self.gram.inner[left][:, right] - self.half[:, left].T @ self.half[:, right])
@@ -158,12 +159,14 @@ class Metric:
     def beside(self, columns: IntArray, scale: Array) -> Metric:
         """With columns of given scales (standard deviations of their coefficients) folded in as well."""
         inner, data = self.inner(columns, slice(None)), self.data[columns]
-        cost, half, half_data = _folded(inner[:, columns], inner, data, scale)
+        lower = _factor_of_sum(inner[:, columns] * np.outer(scale, scale))
+        half = _below(lower, scale[:, None] * np.column_stack([inner, data]))
+        k = inner.shape[1]
         return replace(
             self,
-            log_prior=self.log_prior - cost,
-            half=np.concatenate([self.half, half]),
-            half_data=np.concatenate([self.half_data, half_data]),
+            log_prior=self.log_prior - float(np.log(np.diag(lower)).sum()),
+            half=np.concatenate([self.half, half[:, :k]]),
+            half_data=np.concatenate([self.half_data, half[:, k:]]),
         )
 
 
@@ -180,29 +183,9 @@ def metrics(gram: Gram) -> list[Metric]:
 
 def metric_at(gram: Gram, ratio: tuple[float, ...], prior: float = 0.0) -> Metric:
     """That of one size of each family, in units of the noise, with the logarithm of its prior."""
-    tau = np.array(ratio)[gram.family] if len(ratio) else np.zeros(len(gram.family))
-    used = np.flatnonzero(tau > 0)
-    spread, cross, data = gram.spread[np.ix_(used, used)], gram.cross[used], gram.spread_data[used]
-    cost, half, half_data = _folded(spread, cross, data, tau[used])
-    return Metric(gram, ratio, prior - cost, half, half_data)
-
-
-def _folded(inner: Array, cross: Array, data: Array, scale: Array) -> tuple[float, Array, Array]:
-    """Columns taken into the metric: what their determinant costs, and what they take of all other inner products.
-
-    Args:
-        inner: (u, u) inner products of the columns.
-        cross: (u, K) with all columns.
-        data: (u, B) with the data.
-        scale: (u,) standard deviations of their coefficients, in units of the noise.
-
-    Returns:
-        Half the logarithm of the determinant of I + U^T U, (u, K) and (u, B): `Metric.half` and `half_data`.
-    """
-    lower = _factor_of_sum(inner * np.outer(scale, scale))
-    half = _below(lower, scale[:, None] * np.column_stack([cross, data]))
-    k = cross.shape[1]
-    return float(np.log(np.diag(lower)).sum()), half[:, :k], half[:, k:]
+    plain = Metric(gram, ratio, prior, np.zeros((0, len(gram.inner))), np.zeros((0, len(gram.squares))))
+    used = np.flatnonzero(plain.tau)
+    return plain.beside(gram.spread[used], plain.tau[used])
 
 
 def _below(lower: Array, right: Array) -> Array:

@@ -72,9 +72,7 @@ def components(gram: Array, family: IntArray, freedom: int) -> Components:
         family: (u,) family of each column, from 0; at most three.
         freedom: degrees of freedom of the readings beside the model's unknowns.
     """
-    u = len(family)
-    none, cross, data = np.zeros((0, 0)), np.zeros((u, 0)), np.zeros((0, 1))
-    tried = metrics(Gram(none, gram[:-1, :-1], cross, data, gram[:-1, -1:], gram[-1:, -1], family, freedom))
+    tried = metrics(Gram(gram[:-1, :-1], gram[:-1, -1:], gram[-1:, -1], family, freedom))
     logs = np.array([metric.log_null[0] for metric in tried])
     squares = np.array([metric.squares[0] for metric in tried])
     return Components(tuple(metric.ratio for metric in tried), logs - logsumexp(logs), squares, freedom)

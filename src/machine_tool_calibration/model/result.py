@@ -25,6 +25,7 @@ __all__ = [
     "Result",
     "correlated_with",
     "effect_estimates",
+    "effect_signal",
     "map_change",
     "map_rms",
     "plain",
@@ -79,6 +80,27 @@ def effect_estimates(fit: JointFit, effects: Sequence[str]) -> tuple[Estimate, .
     return tuple(
         Estimate.of(p, value, u) for p, value, u, good in found if good and p.kind is Kind.EFFECT and p.owner in effects
     )
+
+
+def effect_signal(joint: JointFit, name: str) -> tuple[Array, Array]:
+    """(n,) what an effect of the model changes in the readings, and its standard uncertainty, m."""
+    value, variance = [], []
+    for fit in joint.fits:
+        own, square = np.zeros(len(fit.model.observations)), np.zeros(len(fit.model.observations))
+        first = len(fit.model.own)
+        for term in fit.model.terms:
+            place = slice(first, first + len(term.parameters))
+            first += len(term.parameters)
+            if term.name != name or term.parameters[0].kind is not Kind.EFFECT:
+                continue
+            # Unknowns that count from a reference are nonlinear coefficients, whose share the other columns hold.
+            linear = np.array([p.reference == 0.0 for p in term.parameters])
+            columns = term.columns[linear]
+            inner = fit.covariance[place, place][np.ix_(linear, linear)]
+            own, square = fit.theta[place][linear] @ columns, np.einsum("kn,kl,ln->n", columns, inner, columns)
+        value.append(own)
+        variance.append(square)
+    return np.concatenate(value), np.sqrt(np.maximum(np.concatenate(variance), 0.0))
 
 
 @dataclass(frozen=True)

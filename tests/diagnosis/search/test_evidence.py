@@ -26,16 +26,8 @@ def columns(seed: int, count: int, size: float = 1.0) -> np.ndarray:
 def gram_of(candidates: np.ndarray, spread: np.ndarray, readings: np.ndarray) -> Gram:
     """Inner products without any model: all that lies outside it is everything."""
     readings = readings[:, None] if readings.ndim == 1 else readings
-    return Gram(
-        inner=candidates.T @ candidates,
-        spread=spread.T @ spread,
-        cross=spread.T @ candidates,
-        data=candidates.T @ readings,
-        spread_data=spread.T @ readings,
-        squares=np.sum(readings**2, axis=0),
-        family=np.zeros(spread.shape[1], dtype=np.int64),
-        freedom=len(readings),
-    )
+    every, family = np.column_stack([candidates, spread]), np.zeros(spread.shape[1], dtype=np.int64)
+    return Gram(every.T @ every, every.T @ readings, np.sum(readings**2, axis=0), family, len(readings))
 
 
 def block(
@@ -163,35 +155,6 @@ def test_what_the_model_takes_up_has_no_evidence() -> None:
     found = table([block(0, 0, [1.0])], metrics(gram), 1)
     assert found.best == {}
     assert found.log_evidence[0, 0] == -np.inf
-
-
-@pytest.mark.parametrize("spread_columns", [0, 3])
-def test_a_folded_member_is_the_same_as_its_columns_in_the_covariance(spread_columns: int) -> None:
-    wide, spread = columns(10, 3, 2.0), columns(11, spread_columns)
-    readings = np.random.default_rng(12).normal(size=N) + wide @ [0.0, 0.5, 1.0]
-    gram = gram_of(wide, spread, readings)
-    member, scale = np.array([1, 2]), np.array([0.7, 1.3])
-    ratios = ratio_grid(1 if spread_columns else 0)
-    for metric, ratio, prior in zip(metrics(gram), ratios, log_prior(ratios), strict=True):
-        beside = metric.beside(member, scale)
-        own = wide[:, member] * scale
-        covariance = np.eye(N) + (spread @ spread.T) * (ratio[0] ** 2 if ratio else 0.0) + own @ own.T
-        inverse = np.linalg.inv(covariance)
-        assert beside.inner(slice(None), slice(None)) == pytest.approx(wide.T @ inverse @ wide, abs=1e-8)
-        assert beside.data[:, 0] == pytest.approx(wide.T @ inverse @ readings, abs=1e-8)
-        assert beside.squares[0] == pytest.approx(readings @ inverse @ readings)
-        assert beside.log_null[0] == pytest.approx(prior + log_marginal(readings, covariance))
-
-
-def test_folding_one_after_the_other_is_folding_both() -> None:
-    wide = columns(13, 3)
-    gram = gram_of(wide, columns(14, 2), np.random.default_rng(15).normal(size=N))
-    metric = metrics(gram)[-1]
-    one, two = np.array([0]), np.array([2])
-    apart = metric.beside(one, np.array([0.4])).beside(two, np.array([1.1]))
-    together = metric.beside(np.array([0, 2]), np.array([0.4, 1.1]))
-    assert apart.log_null == pytest.approx(together.log_null)
-    assert apart.data == pytest.approx(together.data)
 
 
 def test_data_sets_side_by_side_are_those_one_by_one() -> None:

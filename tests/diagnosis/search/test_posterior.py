@@ -22,10 +22,7 @@ def searched(
     count = columns.shape[1]
     gram = Gram(
         inner=columns.T @ columns,
-        spread=np.zeros((0, 0)),
-        cross=np.zeros((0, count)),
         data=(columns.T @ readings)[:, None],
-        spread_data=np.zeros((0, 1)),
         squares=np.array([readings @ readings]),
         family=np.zeros(0, dtype=np.int64),
         freedom=N,

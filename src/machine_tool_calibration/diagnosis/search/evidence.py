@@ -96,19 +96,9 @@ def gram_of(pool: Pool, projected: Projected) -> Gram:
         pool: the readings.
         projected: what the model leaves of the columns and, below them, those of the pool's spread.
     """
-    family, fitted, gram = pool.spread[1], pool.fit.released.solution, projected.gram
-    k = len(gram) - 1 - len(family)
-    return Gram(
-        inner=gram[:k, :k],
-        spread=gram[k:-1, k:-1],
-        cross=gram[k:-1, :k],
-        data=gram[:k, -1:].copy(),
-        spread_data=gram[k:-1, -1:].copy(),
-        squares=np.array([fitted.chi_square]),
-        family=family,
-        freedom=fitted.degrees_of_freedom,
-        sizes=pool.sizes,
-    )
+    fitted, gram = pool.fit.released.solution, projected.gram
+    squares, family = np.array([fitted.chi_square]), pool.spread[1]
+    return Gram(gram[:-1, :-1], gram[:-1, -1:].copy(), squares, family, fitted.degrees_of_freedom, pool.sizes)
 
 
 @dataclass(frozen=True)

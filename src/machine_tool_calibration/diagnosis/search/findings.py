@@ -14,7 +14,7 @@ from machine_tool_calibration.diagnosis.search.chance import Chance
 from machine_tool_calibration.diagnosis.search.posterior import Posterior
 from machine_tool_calibration.diagnosis.search.priors import ACCEPTED, ALIKE, LIKELY
 from machine_tool_calibration.effects.effect import Coefficient
-from machine_tool_calibration.estimation.marginal import NOTHING, Gram, Metric
+from machine_tool_calibration.estimation.marginal import NOTHING, Metric
 from machine_tool_calibration.model.effect_sizes import smallest_signal
 from machine_tool_calibration.residuals.pool import Pool
 
@@ -192,7 +192,7 @@ def _detectable(
 
 
 def alias_groups(
-    findings: Sequence[Finding], gram: Gram, found: Posterior, index: Mapping[str, int]
+    findings: Sequence[Finding], found: Posterior, index: Mapping[str, int]
 ) -> tuple[tuple[str, ...], ...]:
     """Effects that this data cannot distinguish: the first of each group is its most probable member.
 
@@ -202,16 +202,16 @@ def alias_groups(
 
     Args:
         findings: the most probable first.
-        gram: inner products.
         found: the posterior.
         index: number of each candidate in the posterior, by name.
     """
+    inner = found.metrics[0].gram.inner
     places = {f.name: f.place for f in findings if f.place is not None}
-    bases = {name: basis_of(gram.inner[place, place]) for name, place in places.items()}
+    bases = {name: basis_of(inner[place, place]) for name, place in places.items()}
 
     def cosine(one: Finding, other: str) -> float:
         """Share of one candidate's fitted signal that the other's columns reproduce."""
-        products = gram.inner[:, places[one.name]] @ one.signal
+        products = inner[:, places[one.name]] @ one.signal
         own = float(one.signal @ products[places[one.name]])
         seen = bases[other].T @ products[places[other]]
         return float(np.sqrt(min(float(seen @ seen) / own, 1.0))) if own > 0 else 0.0

@@ -19,7 +19,7 @@ from machine_tool_calibration.estimation.marginal import Gram, metric_at
 from machine_tool_calibration.estimation.reduction import Projected
 from machine_tool_calibration.model.fit import JointFit, absorbed_by
 from machine_tool_calibration.model.model import Parameter
-from machine_tool_calibration.residuals.noise import noise_of
+from machine_tool_calibration.residuals.noise import Noise, noise_of
 from machine_tool_calibration.residuals.pool import Pool
 
 __all__ = ["Absorbed", "Look", "Structure", "look_at"]
@@ -29,8 +29,6 @@ __all__ = ["Absorbed", "Look", "Structure", "look_at"]
 _TOLD, _LACK = 0.02, 0.001
 # Reduced chi-square below which the residuals are rounding, whatever they look like.
 _ROUNDING = 1e-6
-# Share of the evidence from which a size of what does not reproduce counts in simulated data sets.
-_MATTERS = 0.01
 # Numbers of first coefficients of an effect that are tried alone.
 _LEADING = (1, 2, 4)
 # Share of its squared norm outside the model below which an effect is absorbed: 1 % of the norm.
@@ -76,6 +74,7 @@ class Look:
 
     Attributes:
         fit: of the model.
+        noise: what is known of each session's noise.
         findings: effects that are not in the model, the most probable first; absorbed ones last.
         groups: effects that this data cannot distinguish, the most probable first.
         absorbed: effects that would not show.
@@ -95,6 +94,7 @@ class Look:
     """
 
     fit: JointFit
+    noise: tuple[Noise, ...]
     findings: tuple[Finding, ...]
     groups: tuple[tuple[str, ...], ...]
     absorbed: tuple[Absorbed, ...]
@@ -142,18 +142,19 @@ def look_at(
         log_odds[k] = np.log(prior / (1.0 - prior))
     apart = _apart(columns)
     found = search(columns.gram, columns.blocks, log_odds, side_by_side=side_by_side, pairs_among=effects, apart=apart)
-    tried = [metric for metric, share in zip(found.metrics, found.shares, strict=True) if share > _MATTERS]
-    chance = chance_of(columns.before, columns.blocks, log_odds, tried, found.variance, sets, rng)
+    chance = chance_of(found, columns.before, sets, rng)
     findings = _findings(columns, found, chance)
-    groups = alias_groups(findings, columns.gram, found, columns.place)
+    groups = alias_groups(findings, found, columns.place)
     still = fit.reduced_chi_square >= _ROUNDING
     accepted = _accepted(findings, groups, found, columns.place) if still else ()
-    structure = _structure(columns, found, chance, ()) if still else ()
+    noise = tuple(noise_of(own) for own in fit.fits)
+    structure = (_structure(columns, found, chance, ()) or _of_places(fit, noise)) if still else ()
     without_cause = [point for k, point in found.best.items() if k >= len(candidates)]
     further = [columns.blocks[point.block].shaped.columns for point in without_cause]
     expected = [columns.blocks[point.block].unit * point.scale for point in without_cause]
     return Look(
         fit=fit,
+        noise=noise,
         findings=findings,
         groups=groups,
         absorbed=_absorbed(columns),
@@ -213,11 +214,10 @@ def _columns(pool: Pool, candidates: Sequence[Candidate], structures: Sequence[C
     before = np.maximum(pool.within_runs(columns), np.maximum(_CONSTANT * projected.squares[:k], _NONE))
     blocks, first = [], 0
     for c, candidate in enumerate(every):
-        least = _least(candidate, candidates)
         for shaped in candidate.shapes:
             # The first terms alone may be in the model already, as backlash is the first of lost motion: they have
             # their share of the probability, and nothing shows them.
-            leading = _leading(candidate, len(shaped.columns), least)
+            leading = _leading(candidate, len(shaped.columns), candidates)
             for count in leading:
                 place = slice(first, first + count)
                 squares = before[place]
@@ -236,21 +236,17 @@ def _apart(columns: _Columns) -> list[frozenset[int]]:
     return [frozenset((k, place[name])) for k, c in every for name in c.contains if name in place]
 
 
-def _least(candidate: Candidate, others: Sequence[Candidate]) -> int:
-    """Columns from which on an effect is more than those that it contains: fewer would be one of these again."""
-    least = 1
-    for other in others:
-        if other.name in candidate.contains:
-            own = other.shapes[0].columns
-            if np.allclose(candidate.shapes[0].columns[: len(own)], own, atol=1e-12):
-                least = max(least, len(own) + 1)
-    return least
+def _leading(candidate: Candidate, count: int, others: Sequence[Candidate]) -> list[int]:
+    """Numbers of columns that are tried: all, and the first few alone, as of a series the others are often nothing.
 
-
-def _leading(candidate: Candidate, count: int, least: int) -> list[int]:
-    """Numbers of columns that are tried: all, and the first few alone, as of a series the others are often nothing."""
+    So few that it is one of the effects that it contains are left out.
+    """
     if candidate.effect is None or candidate.effect.setup_level:
         return [count]
+    least, first = 1, candidate.shapes[0].columns
+    for own in (other.shapes[0].columns for other in others if other.name in candidate.contains):
+        if np.allclose(first[: len(own)], own, atol=1e-12):
+            least = max(least, len(own) + 1)
     return [*(k for k in _LEADING if least <= k < count), count]
 
 
@@ -325,8 +321,7 @@ def _structure(columns: _Columns, found: Posterior, chance: Chance, accepted: Co
             taken = float(np.sum(fitted_in(tried[0], block.place)[1] ** 2))
             words = _words(columns.candidates[k].name, block.shaped.shape)
             out.append((p, -log_factor, Structure(*words, p, taken / float(tried[0].squares[0]))))
-    told = [structure for _, _, structure in sorted(out, key=lambda entry: entry[:2])]
-    return tuple(told) if told or accepted else _of_places(columns.pool.fit)
+    return tuple(structure for _, _, structure in sorted(out, key=lambda entry: entry[:2]))
 
 
 def _words(name: str, shape: tuple[float, ...]) -> tuple[str, str]:
@@ -336,10 +331,10 @@ def _words(name: str, shape: tuple[float, ...]) -> tuple[str, str]:
     return covariate, " ".join([words, *(f"{value:.3g} {unit}" for value in shape)])
 
 
-def _of_places(fit: JointFit) -> tuple[Structure, ...]:
+def _of_places(fit: JointFit, every: Sequence[Noise]) -> tuple[Structure, ...]:
     """Places that differ more than their repeats, without any pattern."""
     out = []
-    for noise in map(noise_of, fit.fits):
+    for noise in every:
         p, repeats = noise.lack_of_fit_p, noise.from_repeats
         if p is not None and p < _LACK and repeats is not None:
             share = max(1.0 - (repeats / noise.declared) ** 2 / fit.reduced_chi_square, 0.0)

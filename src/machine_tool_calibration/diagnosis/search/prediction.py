@@ -93,8 +93,8 @@ def predictions(
     names = look.accepted[:_MOST]
     if not names:
         return {}
-    found = [(look.of(name).candidate.effect, look.of(name).shape) for name in names]
-    effects = [(effect, shape) for effect, shape in found if effect is not None]
+    found = [look.of(name) for name in names]
+    effects = [(f.candidate.effect, f.shape) for f in found if f.candidate.effect is not None]
     whole = _log_factors(look.fit, effects, look)
     out: dict[str, list[Prediction]] = {name: [] for name in names}
     for what, parts in _divisions(sessions):
